@@ -468,7 +468,7 @@ def _findings(raw: dict[str, Any]) -> Iterator[InitErrorDetails]:
         yield finding(("counter", "kind"), kind, sentence)
     if "spread_width_mm" in raw and len(sites) < _SPREAD_SITES:
         sentence = (
-            f"needs at least {_SPREAD_SITES} sites, there are {len(sites)}: fewer cannot tell a place and a force"
+            f"needs at least {_SPREAD_SITES} sites, there are {len(sites)}: fewer cannot determine a place and a force"
         )
         yield finding(("spread_width_mm",), raw["spread_width_mm"], sentence)
     if "spread_width_mm" in raw and (kind == "single-tone" or "load_sharing_exponent" in raw):

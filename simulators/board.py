@@ -133,7 +133,7 @@ class Board:
         self.discard_output()
 
     def step_ticks(self, ticks: int) -> None:
-        """Let the tick count jump; frames that are counted ahead still have the old one."""
+        """Shift the tick count; frames that are counted ahead still have the old one."""
         self._ticks_to_step += ticks
         if self.next_frame_ticks is None:
             self._step()
@@ -165,7 +165,7 @@ class Board:
             self._enqueue(Outgoing(answer))
 
     def advance(self, now_ticks: int) -> list[MadeFrame]:
-        """Let time pass; return the frames of all gates that have closed, which now wait for `next_output`."""
+        """Advance to this time; return the frames of all gates that have closed, which now wait for `next_output`."""
         self._now_ticks = now_ticks
         made: list[MadeFrame] = []
         while (run := self._run) is not None and (end := self.next_frame_ticks) is not None and end <= now_ticks:

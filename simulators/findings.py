@@ -22,7 +22,7 @@ def message_of(error: ErrorDetails) -> str:
             allowed = error["ctx"]["expected"].replace("'", "").replace(" or ", ", ").split(", ")
             return f"{got}{nearest(value, allowed)}"
         case "float_type" | "int_type" if isinstance(value, str) and (alone := _NUMBER_WITH_UNIT.fullmatch(value)):
-            return f"{got}must be a number: give it alone, as {alone[1]}; the key says its unit"
+            return f"{got}must be a number: give it alone, as {alone[1]}; the key names its unit"
         case "bool_type":
             return f"{got}must be true or false, without quotes"
         case "tuple_type":

@@ -165,8 +165,8 @@ class TcpLink:
         return b""
 
     def _turn_away(self) -> None:
-        if (stranger := self._accept()) is not None:
-            stranger.close()
+        if (second := self._accept()) is not None:
+            second.close()
 
     def write(self, data: bytes | memoryview) -> int:
         if self._client is None:

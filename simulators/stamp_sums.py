@@ -20,7 +20,7 @@ def closed_form_sums(
 ) -> StampSums:
     """Return the sums that stamps of these strides and errors would have."""
     n = strides.stamps.astype(np.float64)
-    heard = strides.stamps > 0
+    counted = strides.stamps > 0
     first, period, jitter = strides.first_ticks - 0.5, strides.period_ticks, errors.jitter_ticks  # a tick is cut off
     span = (n - 1.0) * period
     between = np.maximum(n - 2.0, 0.0)
@@ -54,10 +54,10 @@ def closed_form_sums(
     s2 = period * sum_of_k2 + middle * total + moment + (n - 1.0) * last_error - sum_of_k * first_error
     q2 += np.sqrt(q2_variance) * noise[4]
 
-    whole = np.rint(np.array([last_stamp - first_stamp, s1, s2, np.maximum(q2, 0.0)]) * heard).astype(np.int64)
+    whole = np.rint(np.array([last_stamp - first_stamp, s1, s2, np.maximum(q2, 0.0)]) * counted).astype(np.int64)
     return StampSums(
         strides.first_edge,
-        (strides.gate_start_ticks + first_stamp.astype(np.int64)) * heard,
+        (strides.gate_start_ticks + first_stamp.astype(np.int64)) * counted,
         strides.stamps,
         *whole,
     )

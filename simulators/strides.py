@@ -84,15 +84,15 @@ class StrideCounter:
         before = np.floor(starts)
         # A sum in two orders may differ in its last bit: a jump never takes the start beyond the end.
         stamps = np.maximum(np.floor(ends) - before, 0.0).astype(np.int64)
-        heard = stamps > 0
+        counted = stamps > 0
         first_edge = (self._strides + before.astype(np.int64) + 1) * self._stride_edges
         whole = np.floor(ends[-1])
         self._strides = self._strides + whole.astype(np.int64)
         self._phase = ends[-1] - whole
-        period = np.where(heard, period_ticks, 0.0)
+        period = np.where(counted, period_ticks, 0.0)
         return Strides(
             board_ticks + gate_ticks * np.arange(len(stamps), dtype=np.int64)[:, np.newaxis],
-            first_edge * heard,
+            first_edge * counted,
             stamps,
             (before + 1.0 - starts) * period,
             period,

@@ -1,8 +1,8 @@
 """The USB side of an emulated board: what the kernel's usbfs would answer for a plugged-in device.
 
 A program of its own, for the system's Python: umockdev is reached through python3-gi, which virtual environments lack.
-`simulators.usb_link` starts it. Both are joined by sockets that keep messages apart; the first byte of each says what
-it is. Programs that are started with umockdev's library preloaded see one
+`simulators.usb_link` starts it. Both are joined by sockets that keep messages apart; the first byte of each is its
+kind. Programs that are started with umockdev's library preloaded see one
 USB device, through unmodified libusb and pyusb.
 """
 

@@ -1,1 +1,1 @@
-"""What every implementation of the wire must make of given bytes; README.md says how to use it."""
+"""Test vectors: what every implementation of the wire must make of given bytes; README.md explains their use."""

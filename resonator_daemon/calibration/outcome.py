@@ -173,11 +173,13 @@ def notes(plate: Plate, wanted: Wanted, outcome: Outcome, record: Record) -> lis
         values = "sensitivities" if record.untouched else "values"
         found.append(f"not loaded, {values} kept: sites {', '.join(kept)}")
     if not record.untouched and np.isnan(outcome.fit.f0_std).any():
-        found.append("one mass alone does not tell f0: it was kept where a site had no other")
+        found.append("one mass alone does not determine f0: it was kept where a site had no other")
     if len(wanted.masses_kg) * wanted.repeats < 3:
-        found.append("two loads or fewer of a site always fit: residuals tell nothing")
+        found.append("two loads or fewer of a site always fit: their residuals mean nothing")
     if record.model_error != outcome.fit.model_error:
-        found.append(f"model_error {record.model_error:.3g} stays: the loads are too few, or too good, to tell another")
+        found.append(
+            f"model_error {record.model_error:.3g} stays: the loads are too few, or too good, to determine another"
+        )
     if record.response is None:
         found.append(
             f"hysteresis and creep were not fitted (--response): at the pace of the holds sites may creep by "

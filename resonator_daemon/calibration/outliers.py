@@ -26,7 +26,7 @@ class OutlierSite:
     steps: tuple[Step, ...]
     residual_newton: float  # rms
     limit_newton: float
-    range_newton: float  # of the plate: a residual beyond it says no more than that nothing fits
+    range_newton: float  # of the plate: a residual beyond it is not given as a number: nothing fits
 
     @property
     def sentence(self) -> str:

@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ends = result.add_mutually_exclusive_group()
     ends.add_argument("--accept", action="store_true", help="accept a result without asking")
     ends.add_argument("--accept-staged", action="store_true", help="accept the result of an earlier calibration")
-    ends.add_argument("--abort", action="store_true", help="forget the result of an earlier calibration")
+    ends.add_argument("--abort", action="store_true", help="discard the result of an earlier calibration")
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:

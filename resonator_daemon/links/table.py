@@ -23,7 +23,7 @@ CARRIERS: Final[Mapping[str, type[LinkTarget]]] = {
 
 
 def parse_link(text: object) -> LinkTarget:
-    """Parse the text of a link, or pass a target through; ValueError says what it must be."""
+    """Parse the text of a link, or pass a target through; the text of a ValueError is what it must be."""
     if isinstance(text, LinkTarget):
         return text
     if not isinstance(text, str):

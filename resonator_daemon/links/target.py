@@ -66,7 +66,7 @@ class LinkTarget(ABC):
     @classmethod
     @abstractmethod
     def parse(cls, text: str) -> Self:
-        """Parse the whole text; ValueError says what it must be."""
+        """Parse the whole text; the text of a ValueError is what it must be."""
 
     @abstractmethod
     def open(self) -> Link:

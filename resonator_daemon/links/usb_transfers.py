@@ -133,7 +133,7 @@ class BulkReader:
             self._submit(pointer)
 
     def wait(self, timeout_s: float) -> None:
-        """Let things happen, for at most `timeout_s`; returns early once something has."""
+        """Handle events of the library for at most `timeout_s`; return early once one was handled."""
         seconds, rest_s = divmod(max(timeout_s, 0.0), 1.0)
         interval = _TimeValue(int(seconds), int(rest_s * 1e6))
         code = self._library.handle_events(self._context, ctypes.byref(interval), None)

@@ -38,7 +38,7 @@ class DaemonState:
     daemon_boot_id
         Of this run.
     announce
-        Publishes a standing.
+        Publishes a snapshot of the state.
     republish
         Publishes again what is retained under this name: another wrote over it.
     """

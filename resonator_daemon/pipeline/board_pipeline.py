@@ -166,7 +166,7 @@ class BoardPipeline:
         self.frames += len(frames)
 
     def pass_time(self, utc_ns: int) -> None:
-        """Let time pass on the host that reads, or read, the board."""
+        """Advance the time of the host that reads, or read, the board."""
         self._now_utc_ns = utc_ns
         self._frame_timeout.passed(utc_ns)
         day = utc_ns // DAY_NS
@@ -175,7 +175,7 @@ class BoardPipeline:
             self._sensor_state.calibration(self._plate.calibration.expiry_note(utc_day(utc_ns)), utc_ns)
 
     def _pass_frames(self, frames: Sequence[Frame]) -> Instant:
-        """Let the time of adjacent frames pass; return the middle of the last gate."""
+        """Advance the time by adjacent frames; return the middle of the last gate."""
         middle = frames[-1].gate_middle
         if middle.utc_ns // DAY_NS != self._day:
             for frame in frames[:-1]:

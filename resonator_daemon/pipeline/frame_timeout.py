@@ -47,7 +47,7 @@ class FrameTimeout:
                 self._timer = self._call_later(CONTACTS_END_S, self._run_out)
 
     def passed(self, utc_ns: int) -> None:
-        """Let time pass until this moment."""
+        """End the contacts if the time limit has passed at this moment."""
         if self._due_utc_ns is not None and utc_ns >= self._due_utc_ns:
             self._run_out()
 

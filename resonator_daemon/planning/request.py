@@ -56,7 +56,7 @@ class Request:
 
 
 def make_request(options: argparse.Namespace) -> Request:
-    """Check the options against each other and against what they name; UsageError says what does not fit."""
+    """Check the options against each other and against what they name; UsageError names what does not fit."""
     _check_options(options)
     plate = _named_plate(options.plate)
     given = _with_defaults(options, plate)

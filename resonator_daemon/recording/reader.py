@@ -103,7 +103,7 @@ class Origin:
     name, daemon_boot_id
         Of the daemon whose link it is; None where no daemon runs.
     config_sha256
-        Tells configurations apart.
+        Hash by which configurations are distinguished.
     plate_text, settings_text
         TOML of the plate file, and of the tables [measurement] and [decoding].
     """

@@ -79,8 +79,8 @@ class Repaired(NamedTuple):
 def repair(path: Path, copy: Path) -> Repaired:
     """Copy what is whole of a recording; no copy is left where all of it is.
 
-    A damaged chunk is left out, and so is what a replay could not read; an event in its place says so. Where the frame
-    of a record itself is damaged, what follows is cut.
+    A damaged chunk is left out, and so is what a replay could not read; an event in its place reports it. Where the
+    frame of a record itself is damaged, what follows is cut.
 
     Raises
     ------
@@ -150,7 +150,7 @@ class _Copier:
     Parameters
     ----------
     known
-        Schemas and channels for messages of which the data says nothing.
+        Schemas and channels for messages whose data names none.
     """
 
     def __init__(self, target: IO[bytes], known: Iterable[Schema | Channel]) -> None:

@@ -166,7 +166,7 @@ class SharedPlates:
             return
         del self._entered_s[name]
         self._reporters.pop(name, None)
-        self._stage.forget(name)
+        self._stage.discard(name)
 
     def _receive_signals(self, message: Incoming) -> None:
         name = self._name(message)

@@ -83,8 +83,8 @@ class SharedStage(Generic[Origin]):
         self._newest[plate] = _Frame(origin, skin, signals, noise_std)
         self._offered.set()
 
-    def forget(self, plate: str) -> None:
-        """Drop what is counted and what waits of a plate; of a frame in work nothing is delivered."""
+    def discard(self, plate: str) -> None:
+        """Discard the counters and waiting frames of a plate; the result of a frame in work is not delivered."""
         self._newest.pop(plate, None)
         self.served.pop(plate, None)
         del self.skipped[plate], self.unusable[plate]

@@ -59,7 +59,7 @@ class AtBroker:
     BrokerUnreachableError
         Nobody listens there, or it takes no connection.
     NameTakenError
-        A daemon publishes under that name, or its state says so.
+        A daemon publishes under that name, or its retained state is not `offline`.
     """
 
     def __init__(self, mqtt: Mqtt, name: str, file_name: str, *, named_by: str = "mqtt.url") -> None:
@@ -121,7 +121,7 @@ class AtBroker:
     async def _room(self, waiting: int) -> None:
         """Wait for the broker, however long that takes, until no more messages wait than this."""
         await self._connected()
-        while self._publisher.account.waiting > waiting:  # noqa: ASYNC110 - the publisher says no more than that
+        while self._publisher.account.waiting > waiting:  # noqa: ASYNC110 - the publisher offers no event for it
             await asyncio.sleep(_TURN_S)
 
     async def _connected(self) -> None:

@@ -46,7 +46,7 @@ class Outcome:
     kept
         Messages in their order.
     sha256
-        Of all messages, which alone tells whether replays are equal to the bit.
+        Hash of all messages: equal if two replays are equal to the bit.
     differences, damage
         Of the replay and the recording.
     begun_ns
@@ -196,7 +196,7 @@ class ExpectedMessage(BaseModel):
 
 
 class Expected(NamedTuple):
-    """What a case says that its recording becomes."""
+    """Expected outcome of a case's recording."""
 
     summary: dict[str, Any]
     sha256: str

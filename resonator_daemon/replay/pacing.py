@@ -50,7 +50,7 @@ class AtSpeed:
 
 
 class StepByStep:
-    """Says on stderr what comes next, and waits for Enter on a terminal."""
+    """Prints on stderr what comes next, and waits for Enter on a terminal."""
 
     def __init__(self, begun: HostTime) -> None:
         self._begun_ns = begun.monotonic_ns

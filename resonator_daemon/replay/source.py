@@ -56,7 +56,7 @@ def recorded_config(recording: Recording) -> Config:
 
 
 def _loaded(load: Callable[[str, Path], _Loaded], text: str, path: Path, name: str) -> _Loaded:
-    """Load a text of the recording; errors say that the file itself cannot be edited."""
+    """Load a text of the recording; errors add that the file itself cannot be edited."""
     try:
         return load(text, path / name)
     except ConfigurationError as error:

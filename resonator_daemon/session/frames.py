@@ -93,7 +93,7 @@ class Gap:
 class BoardOnline:
     """A board was identified, fits the plate, and counts.
 
-    `continues`: its ticks go on from those of the frames before, so that what was learnt from them holds.
+    `continues`: its ticks go on from those of the frames before, so that what was estimated from them holds.
     """
 
     identity: Identity

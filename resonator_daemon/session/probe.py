@@ -161,7 +161,7 @@ class _Probe:
                     is_a_board=True,
                 )
             case Refusal():
-                raise NoBoardError(f"the board refuses to say who it is: {event.text}", is_a_board=True)
+                raise NoBoardError(f"the board refuses to identify itself: {event.text}", is_a_board=True)
 
     def _no_board(self) -> NoBoardError:
         received = self._session.bytes

@@ -195,7 +195,9 @@ def _sentence(model: type[BaseModel], error: ErrorDetails) -> str:
             example = f", as [{shown(value)}]" if isinstance(value, str) else ""
             return f"{where}: got {shown(value)}; must be a list{example}"
         case "float_type" | "int_type" if isinstance(value, str) and (alone := _NUMBER_WITH_UNIT.fullmatch(value)):
-            return f"{where}: got {shown(value)}; must be a number: give it alone, as {alone[1]}; the key says its unit"
+            return (
+                f"{where}: got {shown(value)}; must be a number: give it alone, as {alone[1]}; the key names its unit"
+            )
         case "model_type" | "model_attributes_type" | "dict_type":
             return f"{where}: got {shown(value)}; must be a table of keys"
         case _:

@@ -45,7 +45,7 @@ def labelled_lines(target: LinkTarget, result: ProbeResult, *, blink: bool) -> I
     yield "gates", _gates(description)
     yield "reference", f"{description.reference_millihertz / 1e9:g} MHz; {_tick_rate(result)}"
     yield "round trip", _round_trip(result)
-    yield "queue", "size not told" if description.queue_bytes is None else f"{description.queue_bytes} bytes"
+    yield "queue", "size not reported" if description.queue_bytes is None else f"{description.queue_bytes} bytes"
     yield "credit", f"{identity.credit_bytes} bytes"
     able = [name for bit, name in _CAPABILITIES.items() if description.capabilities & bit]
     yield "capabilities", ", ".join(able) or "none beyond what every board can"

@@ -76,7 +76,7 @@ def broker_at(url: str, prefix: str) -> Mqtt:
 
 
 def _discard_stdout() -> None:
-    """Let the interpreter flush at exit what nobody reads any more."""
+    """Redirect stdout to the null device, so that unread output is flushed at exit without an error."""
     with open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), sys.stdout.fileno())
 

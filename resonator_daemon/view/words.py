@@ -8,7 +8,7 @@ UNKNOWN: Final = "-"
 
 
 def quantity(value: float | None, form: str, unit: str) -> str:
-    """Return a value written as `form` says and its unit."""
+    """Return a value in the format `form`, with its unit."""
     if value is None or not math.isfinite(value):
         return UNKNOWN
     return f"{value:{form}}{unit}"

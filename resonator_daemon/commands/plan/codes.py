@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_number(use, "--force-max-newton", 1e-3, 1e4, "largest force (default: 10)")
     add_number(use, "--temperature-span-kelvin", 0.1, 300, "from the coldest to the warmest (default: 20)")
     add_number(use, "--ageing-ppm", 0, 1e4, "of one site against another (default: 2)")
-    use.add_argument("--no-pilot", action="store_true", help="nothing is heard of an untouched plate")
+    use.add_argument("--no-pilot", action="store_true", help="nothing is measured on an untouched plate")
     add_number(use, "--common-ppm", 0, 1e4, "shift of all tones together that a pilot would show (default: 10)", 10.0)
     counter = parser.add_argument_group("counter and link")
     add_number(counter, "--counter-tick-ns", 1e-3, 1000, "of its clock (default: 1)")
