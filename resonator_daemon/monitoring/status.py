@@ -8,15 +8,16 @@ from resonator_daemon.publishing.payloads import Health, Int64, Message, Recordi
 
 
 class ConfigStatus(Message):
-    """Which configuration a daemon works by."""
+    """Configuration that a daemon uses."""
 
     file: str = Field(description="that the daemon was started with, absolute")
     in_use: Literal["file", "last_good"] = Field(
-        description="`file`: what it said when it was last read without problems; `last_good`: a copy kept from an "
+        description="`file`: its content when it was last read without problems; `last_good`: a copy kept from an "
         "earlier run, because the file had problems at the start"
     )
     problems: tuple[str, ...] = Field(
-        (), description="of the file as it was last read, as `resonatord check` says them; not empty: it is not in use"
+        (),
+        description="of the file as it was last read, as `resonatord check` prints them; not empty: it is not in use",
     )
     loaded_t_ns: Int64 = Field(description="UTC, when what is in use was read")
     needs_restart: tuple[str, ...] = Field(
@@ -25,16 +26,18 @@ class ConfigStatus(Message):
 
 
 class BrokerStatus(Message):
-    """How a daemon stands with its broker."""
+    """Connection of a daemon to its broker."""
 
     url: str = Field(description="without user and password")
     connected: bool = Field(description="whether messages go out at present")
 
 
 class Status(Message):
-    """How one daemon is."""
+    """Status of one daemon."""
 
-    name: str | None = Field(description="under which it publishes; null until the board has said its serial number")
+    name: str | None = Field(
+        description="under which it publishes; null until the board has reported its serial number"
+    )
     instance: str = Field(description="file name of the configuration, without its ending")
     pid: int = Field(description="of the daemon's process")
     version: str = Field(description="of resonatord")

@@ -23,7 +23,7 @@ _SYSTEMATIC = (
 _AT_LEAST = "with the status `overload`: the force is at least this; else null"
 _DECODER_ID = "the process that decoded; null: the daemon itself"
 _FOLLOWER_ID = "the process that follows the contacts, and numbers them; null: the daemon itself"
-_NOTHING_TO_SAY = "empty where there is nothing to say"
+_EMPTY_REASON = "empty where there is none"
 
 
 class SiteForce(Message):
@@ -46,18 +46,18 @@ class Compensation(Message):
     """What was taken out of the frequencies before they became forces."""
 
     baseline: Literal["followed", "held", "unknown"] = Field(
-        description="`followed` from tones that nothing touches; `held` while none is heard; `unknown` until it was "
-        "learnt"
+        description="`followed` from tones that nothing touches; `held` while none is heard; `unknown` until it is "
+        "known"
     )
     common_mode: tuple[Float, ...] = Field(
         description="relative error of the frequencies of each channel: the board's reference, and the plate's "
-        "temperature as the pilot tells it"
+        "temperature as the pilot shows it"
     )
     common_mode_std: Float = Field(
         description="what it may be off by; null on channelised counters, where each site has its own"
     )
     plate_kelvin: Float = Field(
-        description="temperature of the plate above `thermal.reference_kelvin`, as the tones tell it; null on "
+        description="temperature of the plate above `thermal.reference_kelvin`, as the tones show it; null on "
         "single-tone counters. Changes are known far better than the value"
     )
     plate_kelvin_std: Float = Field(
@@ -75,7 +75,7 @@ class Forces(Measured):
 
     window_s: float = Field(description="length of the window that was counted; shorter just after an onset")
     status: Status = Field(description="of the whole message: why sites may be missing")
-    reason: str = Field(description="why; `ok` may have one, too, as channels that are not heard; " + _NOTHING_TO_SAY)
+    reason: str = Field(description="why; `ok` may have one, too, as channels that are not heard; " + _EMPTY_REASON)
     sites: tuple[SiteForce, ...] = Field(description="those on which something presses")
     beats: tuple[int, ...] = Field(
         description="channels whose tone beats with the board's reference clock; `noise_newton` counts for that"
@@ -100,9 +100,9 @@ class Contact(Message):
     hidden_newton: Float = Field(0.0, description="as of a site in `forces`")
     peak_newton: Float = Field(description="the greatest force of the contact so far")
     since_t_ns: Int64 = Field(description="its onset, UTC")
-    duration_s: Float = Field(description="from the onset to the last reading that told its force")
+    duration_s: Float = Field(description="from the onset to the last reading that gave its force")
     status: Status = Field(description="what this contact's numbers are worth")
-    reason: str = Field("", description=_NOTHING_TO_SAY)
+    reason: str = Field("", description=_EMPTY_REASON)
     at_least_newton: float | None = Field(None, description=_AT_LEAST)
 
 
@@ -118,7 +118,7 @@ class Contacts(Measured):
     """All present contacts."""
 
     status: Status = Field(description="of the whole message")
-    reason: str = Field("", description=_NOTHING_TO_SAY)
+    reason: str = Field("", description=_EMPTY_REASON)
     contacts: tuple[Contact, ...] = Field(description="all present contacts")
     decoder_id: str | None = Field(None, description=_FOLLOWER_ID)
 
@@ -213,7 +213,7 @@ class Patch(Message):
     slip_margin: Float = Field(description="1 - F_t / (mu F_n): 1 without shear, 0 where it slips")
     slip_margin_std: Float = Field(description="its standard deviation")
     friction_coefficient: Float = Field(
-        description="mu, where known to a quarter: from stick radius and forces of this frame and what was learnt "
+        description="mu, where known to a quarter: from stick radius and forces of this frame and an estimate from "
         "before; a configured one counts as known to 3 %"
     )
     friction_coefficient_std: Float = Field(description="its standard deviation")
@@ -228,7 +228,7 @@ class DecodedSummary(Measured):
         "`template` where sites are too few for a map"
     )
     chi2: Float = Field(
-        description="about 1 where the signals scatter as the decoder's model and the declared noise say"
+        description="about 1 where the signals scatter as the decoder's model and the declared noise predict"
     )
     border_contact: bool = Field(description="the load reaches the border, where errors are larger")
     status: Status = Field(
@@ -237,7 +237,7 @@ class DecodedSummary(Measured):
     )
     reason: str = Field(
         description="`ok` may have one, too: lost signals, matrices that are being prepared, a fit in place of a map; "
-        + _NOTHING_TO_SAY
+        + _EMPTY_REASON
     )
     patches: tuple[Patch, ...] = Field(description="the contacts")
     decoder_id: str | None = Field(None, description=_DECODER_ID)

@@ -18,7 +18,7 @@ class OutageInfo(Message):
     start_t_ns: Int64 = Field(description="UTC, middle of the last gate before, by the clock as it is at the end")
     end_t_ns: Int64 = Field(description="UTC, middle of the first gate after")
     frames_lost: int = Field(description="frames that the board sent meanwhile, or would have")
-    reason: str = Field(description="what was said of the link when it began")
+    reason: str = Field(description="reason of the link's state when it began")
 
 
 class State(Header):
@@ -57,7 +57,7 @@ class GridInfo(Grid):
 
 
 class CalibrationInfo(Message):
-    """Where the plate's numbers come from; what the plate file does not say is null."""
+    """Where the plate's numbers come from; what the plate file does not give is null."""
 
     id: str | None = Field(description="of the calibration")
     date: str | None = Field(description="YYYY-MM-DD")
@@ -90,7 +90,7 @@ class Info(Header):
     daemon_version: str = Field(description="of resonatord")
     plate: str = Field(description="name of the plate")
     link: str = Field(description="to the board, as in the configuration")
-    product: str = Field(description="of the board, as it says itself")
+    product: str = Field(description="of the board, as it reports it")
     serial_number: str | None = Field(description="of the board; null where it has none")
     firmware: str = Field(description="version of the board's firmware")
     counter: Literal["single-tone", "channelised"] = Field(
@@ -104,7 +104,7 @@ class Info(Header):
         description="unit by the ending of a key, in UCUM's notation; the longest ending after an underscore counts, "
         "a `_std` at the end left off"
     )
-    commands: tuple[str, ...] = Field(description="verbs that this daemon obeys")
+    commands: tuple[str, ...] = Field(description="verbs that this daemon executes")
     force_max_newton: float = Field(description="end of the plate's range")
     outline_m: tuple[tuple[float, float], ...] = Field(description="corners of the plate, x, y")
     transducers_m: tuple[tuple[float, float], ...] = Field(description="x, y, in the order of the channels")
@@ -126,7 +126,7 @@ class MessageAccount(Message):
         0, description="events whose acknowledgement was outstanding when a connection ended, sent again"
     )
     recovered: int = Field(0, description="events that an earlier run of the daemon had left in the spool")
-    acknowledged: int = Field(0, description="QoS 1: the broker said so")
+    acknowledged: int = Field(0, description="QoS 1: acknowledged by the broker")
     handed_to_socket: int = Field(0, description="QoS 0: written to the connection in full")
     dropped: dict[str, int] = Field({}, description="never handed over, by cause")
     unknown_at_disconnect: int = Field(0, description="on their way when the connection ended")
@@ -204,13 +204,13 @@ class Health(Header):
     bytes_in: int = Field(description="bytes from the board")
     bytes_by_fate: dict[str, int] = Field(description="what became of them; their sum is `bytes_in`")
     connections: int = Field(description="openings of the link")
-    host_overruns: int = Field(description="times that the driver of the host's serial port said it had lost bytes")
+    host_overruns: int = Field(description="times that the driver of the host's serial port reported lost bytes")
     boots: tuple[BootInfo, ...] = Field(description="of the board, the latest eight, the present one last")
     clock_drift_ppm: Float = Field(
         description="rate of the board's clock against this computer's, null until it is known to 10 ppm"
     )
     clock_outliers: int = Field(description="pings whose answer contradicted the others")
-    clock_restarts: int = Field(description="times that the board's clock had to be learnt anew")
+    clock_restarts: int = Field(description="times that the board's clock had to be estimated anew")
     cpu_percent: Float = Field(description=_CPU + "; without the decoder's")
     rss_mb: Float = Field(description="memory of the daemon, without the decoder's")
     tasks: int = Field(description="of the daemon's event loop")
@@ -234,7 +234,7 @@ class DecoderState(Message):
     decoder_id: str = Field(description="that of the topic, and of the messages it publishes")
     state: Condition = Field(description="one word")
     reason: str = Field(description="why; may be empty")
-    t_ns: Int64 = Field(description="UTC, when it was said")
+    t_ns: Int64 = Field(description="UTC, when it was published")
     since_t_ns: Int64 | None = Field(description="UTC, since when the state lasts; null in the last will")
     topic_filter: str = Field(description="the signals it takes")
 
@@ -245,7 +245,7 @@ class DecoderPlateHealth(Message):
     received: int = Field(description="messages of `signals` since the decoder started")
     decoded: int = Field(description="published as `decoded` and `decoded/summary`")
     skipped: int = Field(description="a newer frame was there first")
-    unusable: int = Field(description="not a message, another shape than `info` says, or nothing told the noise yet")
+    unusable: int = Field(description="not a message, another shape than in `info`, or the noise is not known yet")
     waiting: int = Field(description="being decoded, or next")
     missed: int = Field(description="gaps in `seq`; with a group: frames that others got, too")
 

@@ -114,7 +114,7 @@ class SnapshotAnswer(Answer):
 
 
 class Tare(Request):
-    """Take the present readings as those of the untouched plate."""
+    """Request to take the present readings as those of the untouched plate."""
 
 
 class TareAnswer(Answer):
@@ -214,7 +214,7 @@ class SetRateAnswer(Answer):
 
 
 class Identify(Request):
-    """Have the board blink."""
+    """Request to make the board blink."""
 
 
 class IdentifyAnswer(Answer):
@@ -252,8 +252,8 @@ class Verb:
 VERBS: Final[dict[str, Verb]] = {
     verb.name: verb
     for verb in (
-        Verb(Ping, Pong, "tells that the daemon is there"),
-        Verb(AskHealth, HealthAnswer, "tells how the daemon fares"),
+        Verb(Ping, Pong, "confirms that the daemon runs"),
+        Verb(AskHealth, HealthAnswer, "answers with the health of the daemon"),
         Verb(Snapshot, SnapshotAnswer, "repeats the last message of each JSON topic"),
         Verb(Tare, TareAnswer, "takes the present readings as those of the untouched plate"),
         Verb(StartRecording, StartRecordingAnswer, "records the link to a file"),
