@@ -1,4 +1,4 @@
-"""What lay on which site since when, from what was captured: the steps and readings for a fit of loads."""
+"""History of the loads on each site, from the readings: steps and readings for a fit of loads."""
 
 import math
 from collections.abc import Sequence

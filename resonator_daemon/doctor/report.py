@@ -16,7 +16,7 @@ _MARK_WIDTH: Final = 9
 
 @dataclass(frozen=True)
 class Report:
-    """Everything that was found, in the order of the checks."""
+    """All findings, in the order of the checks."""
 
     findings: Sequence[Finding]
 

@@ -19,7 +19,7 @@ from resonator_daemon.replay.recorded_pipeline import Moment
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a format has to know of a recording: its configuration, and metadata for its files."""
+    """Data of a recording for its formats: the configuration, and metadata of its files."""
 
     config: Config
     metadata: Mapping[str, str]

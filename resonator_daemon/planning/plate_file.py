@@ -80,7 +80,7 @@ def _place_mm(line: str) -> tuple[float, float] | None:
 
 
 def _within_a_rectangle(positions_m: Floats) -> Layout:
-    """Leave half the typical distance between sites around them, a transducer at each corner."""
+    """Return the layout of the sites: half their typical distance around them, a transducer at each corner."""
     nearest_m, _ = cKDTree(positions_m).query(positions_m, k=[2])
     typical_m = float(np.median(nearest_m)) if len(positions_m) > 1 else 0.0
     border_m = max(LEAST_BORDER_M, typical_m / 2)

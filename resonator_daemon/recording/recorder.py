@@ -23,7 +23,7 @@ _NAMES_APART_NS: Final = 1_000_000  # names have milliseconds
 
 
 class RecorderTimes(NamedTuple):
-    """How often what waits is written, how often that is flushed, and when a new file is tried after a failure."""
+    """Periods of writing and of flushing, and the pause before a new file after a failure."""
 
     batch_s: float = 0.1  # small batches: Python's lock would be held for long by large ones
     flush_s: float = 0.8  # with a batch, and what writing takes, less than the second that is promised

@@ -50,7 +50,7 @@ class Published(NamedTuple):
 
 
 class Contents(NamedTuple):
-    """How much is in a part of a file; of its events, `traffic` are not about the recording itself."""
+    """Amounts in a part of a file; of its events, `traffic` are not about the recording itself."""
 
     events: int = 0
     traffic: int = 0

@@ -1,4 +1,4 @@
-"""What the inverse problem on a support has of kernel and prior: made from nothing, or from an overlapping support.
+"""Parts of the inverse problem on a support from kernel and prior: made from nothing, or from an overlapping support.
 
 Where a contact moves most pixels stay: their part of K K' and of the prior's precision is copied.
 """
