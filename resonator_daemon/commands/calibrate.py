@@ -11,14 +11,14 @@ from typing import Final
 from resonator_daemon.commands._argument_types import options_of, positive, whole_number
 from resonator_daemon.errors import ExitCode, UsageError
 
-_OF_BOTH: Final = {"kind", "config", "json", "command", "run"}
+_OF_BOTH: Final = {"quantity", "config", "json", "command", "run"}
 _OF_SKIN: Final = {"seconds"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.argument_default = argparse.SUPPRESS  # options that belong to one kind are absent unless they are given
+    parser.argument_default = argparse.SUPPRESS  # options that belong to one quantity are absent unless they are given
     parser.add_argument(
-        "kind",
+        "quantity",
         nargs="?",
         choices=("force", "skin"),
         default="force",
@@ -72,11 +72,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     given = vars(arguments).keys() - _OF_BOTH
-    foreign = given - _OF_SKIN if arguments.kind == "skin" else given & _OF_SKIN
+    foreign = given - _OF_SKIN if arguments.quantity == "skin" else given & _OF_SKIN
     for name in foreign:
-        raise UsageError(f"--{name.replace('_', '-')} does not belong to: calibrate {arguments.kind}")
+        raise UsageError(f"--{name.replace('_', '-')} does not belong to: calibrate {arguments.quantity}")
     as_json = "json" in arguments
-    if arguments.kind == "skin":
+    if arguments.quantity == "skin":
         from resonator_daemon.calibration.skin import calibrate_skin
 
         return calibrate_skin(arguments.config, getattr(arguments, "seconds", 20.0), as_json=as_json)

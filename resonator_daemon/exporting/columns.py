@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.units import UNITS, unit_of
 
-Kind = Literal["int64", "uint64", "float64", "bool", "text", "float32 array"]
+DataType = Literal["int64", "uint64", "float64", "bool", "text", "float32 array"]
 Value = int | float | bool | str | NDArray[np.float32] | None
 Get = Callable[[Any], Value]
 
@@ -29,7 +29,7 @@ class Column:
     ----------
     name
         With its unit at the end, as keys of messages have it.
-    kind
+    data_type
         Of each value.
     nullable
         Whether a value may be missing; a number that is not known is NaN and not missing.
@@ -42,7 +42,7 @@ class Column:
     """
 
     name: str
-    kind: Kind
+    data_type: DataType
     nullable: bool = False
     shape: tuple[int, ...] = ()
     description: str = ""
@@ -111,7 +111,7 @@ def _of_field(name: str, keys: tuple[str, ...], annotation: Any, description: st
             column = Column(with_axis(name, axis), "float64", optional, (), f"{axis}: {description}", unit)
             yield Source(column, _follow(*keys, index))
     else:
-        yield Source(Column(name, _kind(name, bare), optional, (), description, unit), _follow(*keys))
+        yield Source(Column(name, _data_type(name, bare), optional, (), description, unit), _follow(*keys))
 
 
 def _annotation(field: FieldInfo) -> Any:
@@ -126,7 +126,7 @@ def _without_none(annotation: Any) -> tuple[Any, bool]:
     return annotation, False
 
 
-def _kind(name: str, annotation: Any) -> Kind:
+def _data_type(name: str, annotation: Any) -> DataType:
     metadata: list[Any] = []
     if get_origin(annotation) is Annotated:
         annotation, *metadata = get_args(annotation)
@@ -134,10 +134,10 @@ def _kind(name: str, annotation: Any) -> Kind:
         return "text"
     if annotation is int and any(isinstance(part, PlainSerializer) for part in metadata):
         return "uint64"  # that of Int64, which has no sign
-    kinds: dict[Any, Kind] = {int: "int64", float: "float64", bool: "bool", str: "text"}
-    if annotation not in kinds:
+    data_types: dict[Any, DataType] = {int: "int64", float: "float64", bool: "bool", str: "text"}
+    if annotation not in data_types:
         raise ValueError(f"{name} is {annotation}, which is no column")
-    return kinds[annotation]
+    return data_types[annotation]
 
 
 def _follow(*steps: str | int) -> Get:

@@ -72,7 +72,7 @@ class _Table:
         ]
         self._known = [
             _ColumnFile(f"{file.name}_known", Column("", "bool"), file.place.with_suffix(".known"))
-            if column.nullable and column.kind in ("int64", "uint64", "bool")
+            if column.nullable and column.data_type in ("int64", "uint64", "bool")
             else None
             for file, column in zip(self._columns, columns, strict=True)
         ]
@@ -94,9 +94,9 @@ class _ColumnFile:
     def __init__(self, name: str, column: Column, place: Path) -> None:
         self.name = name
         self.place = place
-        self._dtype = np.dtype(_DTYPES[column.kind])
+        self._dtype = np.dtype(_DTYPES[column.data_type])
         self._shape = column.shape
-        self._texts: dict[str, int] | None = {} if column.kind == "text" else None
+        self._texts: dict[str, int] | None = {} if column.data_type == "text" else None
         self._rows = 0
 
     def append(self, values: Sequence[Value]) -> None:

@@ -75,7 +75,7 @@ def _field(column: Column) -> Any:
         metadata["shape"] = json.dumps(column.shape)
         kind = pa.list_(pa.float32(), math.prod(column.shape))
     else:
-        kind = _TYPES[column.kind]
+        kind = _TYPES[column.data_type]
     return pa.field(column.name, kind, column.nullable, {key: text for key, text in metadata.items() if text})
 
 
