@@ -82,7 +82,7 @@ class View:
         return self.wrong()
 
     def wrong(self) -> str:
-        """Say what is not as it must be while all parts run; "" where everything is."""
+        """Return what is not as it must be while all parts run; an empty text where everything is."""
         stream = f"{NAME}/{'signals' if self._system.apart else 'forces'}"
         if self._came[stream] < _FLOWING:
             return f"{self._came[stream]} messages on {stream}"

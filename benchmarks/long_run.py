@@ -247,7 +247,7 @@ class Run:
             os.kill(self._daemon.pid, number)
 
     async def _watch(self, seconds: float) -> None:
-        """Take a sample now and then; return when the daemon has ended by itself."""
+        """Sample repeatedly; return when the daemon has ended by itself."""
         every_s = min(_SAMPLE_S, seconds / _SAMPLES_MIN)
         await asyncio.sleep(min(10.0, every_s))
         while self._daemon.running:

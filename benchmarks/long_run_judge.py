@@ -140,7 +140,7 @@ def rises(found: Trend, flat: float) -> bool:
 
 
 def account_off(health: Mapping[str, Any]) -> list[str]:
-    """Say which accounts of a message of `health` do not balance."""
+    """Return which accounts of a message of `health` do not balance."""
     off = []
     fates = sum(health["bytes_by_fate"].values())
     if health["bytes_in"] != fates:

@@ -81,14 +81,14 @@ class Deed:
 
 
 class LogJudge:
-    """Takes the deeds and the lines as they come, and keeps what nothing explains."""
+    """Log of actions and lines in their order; keeps the lines that no action explains."""
 
     def __init__(self, known: Iterable[tuple[str, tuple[Cause, ...]]] = KNOWN) -> None:
         self._known = [(re.compile(pattern), causes) for pattern, causes in known]
         self._deeds: list[Deed] = [Deed(Cause.ALWAYS, 0.0, float("inf"))]
 
     def did(self, cause: Cause, from_s: float, until_s: float) -> None:
-        """Take note of a deed; those that are long over are forgotten."""
+        """Add an action; discard those that ended long ago."""
         self._deeds = [deed for deed in self._deeds if deed.until_s + 10 * _LATE_S > from_s]
         self._deeds.append(Deed(cause, from_s, until_s))
 

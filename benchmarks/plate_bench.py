@@ -53,7 +53,7 @@ class PlateBench:
         window_ms: float = 10.0,
         step_ms: float = 5.0,
     ) -> None:
-        """Take a plate as its file describes it; the emulated one differs from it by `physics`."""
+        """Prepare a plate as its file describes it; the emulated one differs from it by `physics`."""
         scenario = Scenario(touches, None, plate, physics=physics or Physics(), environment_kelvin=environment_kelvin)
         emulated = QuartzPlate if plate.counter.kind == "single-tone" else CombPlate
         self._counter = emulated(plate, scenario, seed)

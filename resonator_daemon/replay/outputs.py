@@ -20,7 +20,7 @@ class OutputFailedError(UserError):
 
 
 class Output(Protocol):
-    """Takes messages in order, between its beginning and its end."""
+    """Receiver of messages in order, between its beginning and its end."""
 
     async def __aenter__(self) -> Self: ...
 

@@ -101,7 +101,7 @@ class Run:
         self.score.add("health", json.dumps(counted).encode(), FAR_NS)  # of the rest nothing is read
 
     def onset(self, t_ns: int, site: int = 7, event: Any = "onset", arrived_ns: int | None = None) -> None:
-        """Take an event of that time, which arrives at once unless another time is given."""
+        """Pass an event of that time, which arrives at once unless another time is given."""
         contact = example(ContactEvent).contact.model_copy(update={"site": site})
         message = example(ContactEvent, **HEADER | {"t_ns": t_ns}, event=event, contact=contact)
         self.take(topics.CONTACT_EVENT, message, t_ns if arrived_ns is None else arrived_ns)
@@ -109,7 +109,7 @@ class Run:
     def forces(
         self, number: int, *sites: tuple[int, float], frames: int = 2, arrived_ns: int = FAR_NS, seq: int = 0
     ) -> None:
-        """Take the message of the window of so many frames whose last gate was frame `number`."""
+        """Pass the message of the window of so many frames whose last gate was frame `number`."""
         forces = tuple(example(SiteForce, site=site, force_newton=newton) for site, newton in sites)
         ticks, window_s = TICKS * (number + 1), frames * FRAME_NS * 1e-9
         message = example(Forces, **HEADER | {"seq": seq}, board_ticks=ticks, window_s=window_s, sites=forces)
@@ -135,7 +135,7 @@ class Run:
         self.take(topics.DECODED, message, arrived_ns)
 
     def patches(self, number: int, *patches: tuple[tuple[float, float], float]) -> None:
-        """Take the summary of frame `number`: centroids and normal forces."""
+        """Pass the summary of frame `number`: centroids and normal forces."""
         reported = tuple(
             Patch.model_construct(id=id, centroid_m=centroid_m, force_newton=(0.3, 0.0, newton))
             for id, (centroid_m, newton) in enumerate(patches, 1)

@@ -27,7 +27,7 @@ def many_batches(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def same(one: Any, other: Any) -> bool:
-    """Tell equal values; NaN is equal to NaN and to nothing else."""
+    """Compare two values; NaN is equal to NaN and to nothing else."""
     return bool(one == other or (one != one and other != other))
 
 

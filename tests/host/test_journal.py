@@ -59,7 +59,7 @@ def line(message: str, level: int = logging.INFO) -> logging.LogRecord:
 
 
 def fields(datagram: bytes) -> dict[str, str]:
-    """Take a datagram apart, as journald does."""
+    """Parse a datagram, as journald does."""
     found = {}
     while datagram:
         head, datagram = datagram.split(b"\n", 1)

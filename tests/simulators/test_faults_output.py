@@ -13,7 +13,7 @@ FRAME_BYTES = 204
 
 
 class FakeLink:
-    """Takes `room` bytes and then no more, until there is room again."""
+    """Output that accepts `room` bytes and then no more, until there is room again."""
 
     address = "fake"
     read_fds: tuple[int, ...] = ()
