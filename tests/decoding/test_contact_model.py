@@ -2,17 +2,11 @@
 
 import numpy as np
 import pytest
-from slip_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, E, model
+from contact_scenes import DEPTH_M, NU, SITES_M, E, disc_model, hertz
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.elastic import HalfSpace
-from simulators.half_space_fields import hertz_fields
-
-
-def hertz(centre_m: Floats, radius_m: float, depth_m: float = DEPTH_M, nu: float = NU) -> Floats:
-    fields = hertz_fields(SITES_M - centre_m, depth_m, [radius_m], E, nu)[0]
-    return np.asarray(fields * TO_TRIPLE, np.float64)
 
 
 def flat_by_points(centre_m: Floats, radius_m: float) -> Floats:
@@ -22,13 +16,13 @@ def flat_by_points(centre_m: Floats, radius_m: float) -> Floats:
     for angle, weight in zip((nodes + 1.0) * np.pi / 4.0, weights * np.pi / 4.0, strict=True):
         for turn in np.arange(40) * 2.0 * np.pi / 40.0:
             place = centre_m + radius_m * np.sin(angle) * np.array([np.cos(turn), np.sin(turn)])
-            total += weight * np.sin(angle) / 40.0 * hertz(place, 0.0)
+            total += weight * np.sin(angle) / 40.0 * hertz(SITES_M, place, 0.0)
     return total
 
 
 @pytest.fixture(scope="module")
 def discs() -> DiscModel:
-    return model()
+    return disc_model()
 
 
 @pytest.mark.parametrize(
@@ -37,7 +31,7 @@ def discs() -> DiscModel:
 )
 def test_hertz_as_in_space(discs: DiscModel, centre_mm: tuple[float, float], radius_mm: float) -> None:
     centre = 1e-3 * np.array(centre_mm)
-    expected = hertz(centre, 1e-3 * radius_mm)
+    expected = hertz(SITES_M, centre, 1e-3 * radius_mm)
     found = discs.signals(centre, 1e-3 * radius_mm).value
     for force in range(3):
         assert np.linalg.norm(found[force] - expected[force]) < 1e-4 * np.linalg.norm(expected[force])
@@ -48,9 +42,9 @@ def test_slopes_are_those_of_the_closed_form(discs: DiscModel) -> None:
     along_x, along_y = step * np.eye(2)
     found = discs.signals(centre, radius)
     for slope, ahead, behind in (
-        (found.by_x, hertz(centre + along_x, radius), hertz(centre - along_x, radius)),
-        (found.by_y, hertz(centre + along_y, radius), hertz(centre - along_y, radius)),
-        (found.by_radius, hertz(centre, radius + step), hertz(centre, radius - step)),
+        (found.by_x, hertz(SITES_M, centre + along_x, radius), hertz(SITES_M, centre - along_x, radius)),
+        (found.by_y, hertz(SITES_M, centre + along_y, radius), hertz(SITES_M, centre - along_y, radius)),
+        (found.by_radius, hertz(SITES_M, centre, radius + step), hertz(SITES_M, centre, radius - step)),
     ):
         expected = (ahead - behind) / (2.0 * step)
         for force in range(3):
@@ -62,7 +56,7 @@ def test_mixed_depths_and_compressible() -> None:
     found = DiscModel(HalfSpace(E, 0.3), SITES_M, depths, 3e-3).signals(np.array([1e-3, 0.0]), 2e-3)
     for depth in np.unique(depths):
         at = depths == depth
-        expected = hertz(np.array([1e-3, 0.0]), 2e-3, depth, 0.3)[:, :, at]
+        expected = hertz(SITES_M, np.array([1e-3, 0.0]), 2e-3, depth, 0.3)[:, :, at]
         assert np.abs(found.value[:, :, at] - expected).max() < 1e-4 * np.abs(expected).max()
 
 
@@ -91,12 +85,9 @@ def test_refuses(sites: object, depth: object, radius: float, match: str) -> Non
 def test_refuses_unknown_profiles_and_places_off_the_table(discs: DiscModel) -> None:
     with pytest.raises(ValueError, match="profile is 'round'"):
         DiscModel(HalfSpace(E, NU), SITES_M, DEPTH_M, 1e-3, "round")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="radius_m is"):
-        discs.signals(np.zeros(2), 7e-3)
-    with pytest.raises(ValueError, match="outside the sites"):
-        discs.signals(np.array([0.1, 0.0]), 1e-3)
-    with pytest.raises(ValueError, match="outside the sites"):
-        discs.signals(np.array([np.nan, 0.0]), 1e-3)
+    for x_m, radius_m, match in ((0.0, 7e-3, "radius_m is"), (0.1, 1e-3, "outside"), (np.nan, 1e-3, "outside")):
+        with pytest.raises(ValueError, match=match):
+            discs.signals(np.array([x_m, 0.0]), radius_m)
 
 
 def test_sites_too_far_apart_for_a_table_are_refused():

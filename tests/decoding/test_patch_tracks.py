@@ -74,8 +74,3 @@ def test_those_that_are_missing_for_a_moment_are_followed_on() -> None:
         assert tracker.ids == {1, 2}
     tracker.update([patch(0.0)])
     assert tracker.ids == {1}
-
-
-def test_refuses() -> None:
-    with pytest.raises(ValueError, match="patience is -1"):
-        PatchTracker(-1)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from slip_scenes import PITCH_M, SITES_M
+from contact_scenes import PITCH_M, SITES_M
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.patches import Patch, PatchFinder

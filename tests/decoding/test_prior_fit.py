@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from sheared_contact import DEPTH_M, YOUNGS_PASCAL, grid_positions
+from contact_scenes import DEPTH_M, E, grid_positions
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
@@ -10,7 +10,7 @@ from resonator_daemon.decoding.open_plane.prior_fit import fit_prior, has_load
 from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.elastic import HalfSpace
 
-SKIN = HalfSpace(YOUNGS_PASCAL, 0.5)
+SKIN = HalfSpace(E, 0.5)
 SITES_M = grid_positions((8, 8))
 SCATTERED_M = np.random.default_rng(0).uniform(-2e-3, 2e-3, (60, 2))
 

@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from slip_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, E, Scene, model, noise_std, noisy
+from contact_scenes import DEPTH_M, NU, SITES_M, Contact, E, disc_model, hertz, noise_std, noisy
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_start import ContactStart
 from resonator_daemon.decoding.fitting.shape import ShapeFitter
 from resonator_daemon.decoding.fitting.slip_fitter import fit_partial_slip
 from resonator_daemon.elastic import HalfSpace
-from simulators.half_space_fields import hertz_fields
 
 START = ContactStart((1e-4, -4e-4), 2.2e-3)
 
@@ -17,11 +16,6 @@ START = ContactStart((1e-4, -4e-4), 2.2e-3)
 @pytest.fixture(scope="module")
 def fitter() -> ShapeFitter:
     return ShapeFitter(HalfSpace(E, NU), SITES_M, DEPTH_M, 6e-3)
-
-
-def point(place_m: Floats) -> Floats:
-    """Signals (3, 3, n) of unit forces at one place."""
-    return np.asarray(hertz_fields(SITES_M - place_m, DEPTH_M, [0.0], E, NU)[0] * TO_TRIPLE, np.float64)
 
 
 def flat_face(centre_m: Floats, radius_m: float, force: Floats, moments: Floats) -> Floats:
@@ -32,7 +26,9 @@ def flat_face(centre_m: Floats, radius_m: float, force: Floats, moments: Floats)
         for turn in np.arange(24) * 2.0 * np.pi / 24.0:
             offset = radius_m * np.sin(angle) * np.array([np.cos(turn), np.sin(turn)])
             load = force + np.array([0.0, 0.0, 3.0 * (moments @ offset) / radius_m**2])
-            total += weight * np.sin(angle) / 24.0 * np.einsum("f,fsn->sn", load, point(centre_m + offset))
+            total += (
+                weight * np.sin(angle) / 24.0 * np.einsum("f,fsn->sn", load, hertz(SITES_M, centre_m + offset, 0.0))
+            )
     return total
 
 
@@ -41,13 +37,13 @@ def line(centre_m: Floats, half_length_m: float, direction_rad: float, force: Fl
     along = half_length_m * np.array([np.cos(direction_rad), np.sin(direction_rad)])
     total = np.zeros((3, len(SITES_M)))
     for node, weight in zip(nodes, weights, strict=True):
-        total += weight / 2.0 * np.einsum("f,fsn->sn", force, point(centre_m + node * along))
+        total += weight / 2.0 * np.einsum("f,fsn->sn", force, hertz(SITES_M, centre_m + node * along, 0.0))
     return total
 
 
 @pytest.mark.parametrize("decibel", [11.0, 20.0, 30.0])
 def test_paraboloid(fitter: ShapeFitter, decibel: float) -> None:
-    scene = Scene((3e-4, -1e-3), 2.5e-3, 0.5, 1.0)
+    scene = Contact((3e-4, -1e-3), 2.5e-3, 0.5, 1.0)
     found = fitter.fit(
         noisy(scene.signals, decibel, np.random.default_rng(1)), noise_std(scene.signals, decibel), START
     )
@@ -61,10 +57,10 @@ def test_paraboloid(fitter: ShapeFitter, decibel: float) -> None:
 
 
 def test_curvature_and_depth_scatter_as_they_say(fitter: ShapeFitter) -> None:
-    scene = Scene((3e-4, -1e-3), 2.5e-3, 0.5, 1.0)
+    scene = Contact((3e-4, -1e-3), 2.5e-3, 0.5, 1.0)
     noise = noise_std(scene.signals, 20.0)
     found = fitter.fit(scene.signals, noise, START)
-    slip = fit_partial_slip(model(), scene.signals, noise, [START])[0]
+    slip = fit_partial_slip(disc_model(), scene.signals, noise, [START])[0]
     pairs = np.random.default_rng(2).multivariate_normal(
         [slip.radius_m, slip.force_newton[2]], slip.covariance[np.ix_([2, 5], [2, 5])], 20000, method="eigh"
     )
@@ -103,7 +99,9 @@ def test_edge(fitter: ShapeFitter, direction: float) -> None:
 
 
 def test_two_contacts_are_another_shape(fitter: ShapeFitter) -> None:
-    signals = Scene((3.5e-3, -1e-3), 1.5e-3, 0.5, 1.0).signals + 0.5 * Scene((-3e-3, 2e-3), 1.5e-3, 0.5, 2.0).signals
+    signals = (
+        Contact((3.5e-3, -1e-3), 1.5e-3, 0.5, 1.0).signals + 0.5 * Contact((-3e-3, 2e-3), 1.5e-3, 0.5, 2.0).signals
+    )
     found = fitter.fit(noisy(signals, 30.0, np.random.default_rng(5)), noise_std(signals, 30.0), START)
     assert found.kind == "other"
     assert np.isnan([found.radius_m, *found.centre_m, *found.force_newton]).all()

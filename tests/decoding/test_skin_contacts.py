@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from skin_scenes import DEPTH_M, FRICTION, NOISE, NU, RADIUS_M, SITES, SITES_M, SKIN, E, noisy, press
+from contact_scenes import DEPTH_M, FRICTION, NU, E
+from skin_scenes import NOISE, RADIUS_M, SITES, SITES_M, SKIN, noisy, press
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding import ContactDecoder, OpenPlaneDecoder

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from slip_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, E, model, noise_std
+from contact_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, E, disc_model, noise_std
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
@@ -16,7 +16,7 @@ START = ContactStart((-3e-4, 7e-4), 2.1e-3)
 
 @pytest.fixture(scope="module")
 def discs() -> DiscModel:
-    return model()
+    return disc_model()
 
 
 @pytest.fixture(scope="module")

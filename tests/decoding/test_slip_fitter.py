@@ -4,8 +4,8 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
+from contact_scenes import Contact, disc_model, noise_std
 from scipy.optimize import lsq_linear
-from slip_scenes import Scene, model, noise_std
 
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
@@ -17,28 +17,28 @@ from resonator_daemon.decoding.fitting.slip_problem import SlipProblem
 
 @pytest.fixture(scope="module")
 def discs() -> DiscModel:
-    return model()
+    return disc_model()
 
 
-def sliding(frames: int = 8, step_m: float = 4e-5) -> list[list[Scene]]:
+def sliding(frames: int = 8, step_m: float = 4e-5) -> list[list[Contact]]:
     ratios = 0.5 + 0.2 * np.sin(np.arange(frames) / 3.0)
-    return [[Scene((step_m * i, 5e-4), 2.2e-3, ratio, 0.4)] for i, ratio in enumerate(ratios)]
+    return [[Contact((step_m * i, 5e-4), 2.2e-3, ratio, 0.4)] for i, ratio in enumerate(ratios)]
 
 
-def two(frames: int = 5) -> list[list[Scene]]:
+def two(frames: int = 5) -> list[list[Contact]]:
     return [
-        [Scene((-3.4e-3 + 3e-5 * i, 1e-3), 1.8e-3, 0.5, 0.3), Scene((3e-3, -1e-3), 1.9e-3, 0.6, 2.0, 0.8, 0.7)]
+        [Contact((-3.4e-3 + 3e-5 * i, 1e-3), 1.8e-3, 0.5, 0.3), Contact((3e-3, -1e-3), 1.9e-3, 0.6, 2.0, 0.8, 0.7)]
         for i in range(frames)
     ]
 
 
-def growing(frames: int = 7) -> list[list[Scene]]:
+def growing(frames: int = 7) -> list[list[Contact]]:
     """Press whose force grows by half from frame to frame."""
     forces = 0.1 * 1.5 ** np.arange(frames)
-    return [[Scene((0.0, 0.0), 1.5e-3 * np.cbrt(10 * f), 0.6, 0.4, normal_newton=float(f))] for f in forces]
+    return [[Contact((0.0, 0.0), 1.5e-3 * np.cbrt(10 * f), 0.6, 0.4, normal_newton=float(f))] for f in forces]
 
 
-def start(scene: Scene, friction: Friction | None) -> ContactStart:
+def start(scene: Contact, friction: Friction | None) -> ContactStart:
     x, y = scene.centre_m
     return ContactStart((x + 1e-4, y - 1e-4), 1.1 * scene.radius_m, friction=friction)
 
@@ -61,7 +61,7 @@ def assert_alike(found: Iterable[PartialSlip], expected: Iterable[PartialSlip]) 
 @pytest.mark.parametrize("lost", [0.0, 0.05], ids=["whole", "signals lost"])
 @pytest.mark.parametrize("scenes", [sliding(), two(), growing()], ids=["sliding", "two", "growing"])
 def test_following_is_as_good_as_fits_of_single_frames(
-    discs: DiscModel, scenes: list[list[Scene]], lost: float, friction: Friction | None
+    discs: DiscModel, scenes: list[list[Contact]], lost: float, friction: Friction | None
 ) -> None:
     rng, fitter = np.random.default_rng(0), SlipFitter(discs)
     noise = np.full((3, 1024), noise_std(scenes[0][0].signals, 25.0))
@@ -77,10 +77,10 @@ def test_following_is_as_good_as_fits_of_single_frames(
 @pytest.mark.parametrize("held", [{}, {0: 0.002}], ids=["bounded", "held"])
 def test_a_step_to_a_bound_ends_where_bounded_least_squares_do(discs: DiscModel, held: dict[int, float]) -> None:
     """A contact that slides as a whole, by the slopes at a margin of 0.004: the signals ask for one below 0."""
-    scene = Scene((3e-4, 5e-4), 2.2e-3, 0.0, 0.4)
+    scene = Contact((3e-4, 5e-4), 2.2e-3, 0.0, 0.4)
     noise = noise_std(scene.signals, 20.0)
-    beyond = Scene((3.05e-4, 4.95e-4), 2.203e-3, 0.0, 0.4).signals
-    push = Scene((3e-4, 5e-4), 2.2e-3, 0.4, 0.4, mu=0.5 / (1.0 - 0.4**3)).signals - scene.signals  # equal forces
+    beyond = Contact((3.05e-4, 4.95e-4), 2.203e-3, 0.0, 0.4).signals
+    push = Contact((3e-4, 5e-4), 2.2e-3, 0.4, 0.4, mu=0.5 / (1.0 - 0.4**3)).signals - scene.signals  # equal forces
     frame = Frame(discs, beyond - 0.02 * push, np.full((3, 1024), noise), None)
     begin = np.array([*scene.centre_m, scene.radius_m, *scene.force_newton, 0.004])
     before = Linearisation(discs, begin, frame.whitening)
@@ -114,7 +114,7 @@ def test_shear_that_comes_after_a_while_makes_the_margin_known(discs: DiscModel)
     ratios = [1.0] * 4 + [0.97, 0.9, 0.8, 0.7, 0.6]
     status = []
     for ratio in ratios:
-        scene = Scene((2e-4, 5e-4), 2.2e-3, ratio, 0.4)
+        scene = Contact((2e-4, 5e-4), 2.2e-3, ratio, 0.4)
         noise = noise_std(scene.signals, 25.0)
         signals = scene.signals + noise * rng.standard_normal((3, 1024))
         (found,) = fitter.fit(signals, noise, {1: start(scene, None)}).values()

@@ -4,24 +4,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slip_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, E, Scene, model
+from contact_scenes import DEPTH_M, NU, SITES_M, Contact, E, contact_signals, disc_model
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.slip_problem import MARGIN
 from resonator_daemon.elastic import HalfSpace
-from simulators.contact import hertz_parts
-from simulators.half_space_fields import hertz_fields
 
-SCENE = Scene((3e-4, -1.1e-3), 2.4e-3, 0.6, 0.8)
+SCENE = Contact((3e-4, -1.1e-3), 2.4e-3, 0.6, 0.8)
 
 
 @pytest.fixture(scope="module")
 def discs() -> DiscModel:
-    return model()
+    return disc_model()
 
 
-def parameters(scene: Scene) -> Floats:
+def parameters(scene: Contact) -> Floats:
     return np.array([*scene.centre_m, scene.radius_m, *scene.force_newton, scene.stick_ratio**3])
 
 
@@ -29,9 +27,7 @@ def in_space(contact: Floats, depth_m: float, nu: float, sites_m: Floats) -> Flo
     """Signals (3 n,) of x, y, a, F_x, F_y, F_z, m by closed forms, double precision."""
     radius_m, force, margin = contact[2], contact[3:6], contact[6]
     mu = np.hypot(*force[:2]) / (force[2] * (1.0 - margin))
-    radii, forces = hertz_parts(force, radius_m / np.cbrt(force[2]), mu)
-    fields = hertz_fields(sites_m - contact[:2], depth_m, radii, E, nu)
-    return np.asarray(np.einsum("kf,kfsn->sn", forces, fields) * TO_TRIPLE, np.float64).ravel()
+    return contact_signals(sites_m, force, contact[:2], radius_m, friction=mu, depth_m=depth_m, nu=nu).ravel()
 
 
 @pytest.mark.parametrize("ratio", [0.02, 0.3, 0.6, 0.985, 0.9999])

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from skin_scenes import DEPTH_M
+from contact_scenes import DEPTH_M
 from streaming_bench import LINEAR, NAN, NOISE, SHAPE, SKIN, Floats, SubstituteDecoder, marked, pressed
 
 from resonator_daemon.decoding import Decoded
@@ -157,24 +157,15 @@ def test_sites_that_cannot_be_decoded_are_refused_with_the_reason() -> None:
         streaming(skin=Skin(SKIN.half_space, twice, DEPTH_M)).prepare(NOISE)
 
 
-@pytest.mark.parametrize(
-    ("error", "reason"),
-    [
-        (MemoryError("no room"), "no room"),
-        (OverflowError("too large"), "too large"),
-        (ZeroDivisionError("by zero"), "by zero"),
-        (IndexError("odd"), "decoder could not be set up: IndexError('odd')"),
-    ],
-)
+@pytest.mark.parametrize("error", [MemoryError("no room"), OverflowError("large"), IndexError("odd")])
 def test_a_set_up_that_fails_makes_the_skin_undecodable(
-    error: Exception, reason: str, substitute: Callable[[Any], None], caplog: pytest.LogCaptureFixture
+    error: Exception, substitute: Callable[[Any], None], caplog: pytest.LogCaptureFixture
 ) -> None:
     class Failing(SubstituteDecoder):
         def __init__(self, *arguments: Any) -> None:
             raise error
 
     substitute(Failing)
-    with pytest.raises(UndecodableError) as raised:
+    with pytest.raises(UndecodableError, match=str(error)):
         streaming().prepare(NOISE)
-    assert str(raised.value) == reason
     assert {record.levelno for record in caplog.records} <= {logging.ERROR}

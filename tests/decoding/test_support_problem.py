@@ -105,12 +105,6 @@ def test_a_problem_made_from_another_is_the_same(scene):
         np.testing.assert_allclose(problem.std()[:, order], afresh.std(), rtol=1e-5)
 
 
-def test_little_overlap_is_no_reason_to_take_matrices_over(scene):
-    rows = SignalRows(fields(scene, (36,)))
-    far = np.roll(scene[2], 2, 1)
-    assert problem_of(scene, rows, support=far, before=problem_of(scene, rows)).updates == 0
-
-
 @pytest.mark.parametrize("shape", [None, SITES])
 def test_lost_signals_drop_out(scene, shape):
     rng = np.random.default_rng(2)
@@ -125,17 +119,6 @@ def test_lost_signals_drop_out(scene, shape):
     rows_of_frame = lost.signals(rows.project(signals.astype(np.float32)))
     found = problem.linear(problem.right_side(rows_of_frame), *everywhere(problem))
     np.testing.assert_allclose(found.ravel(), expected, atol=(0.003 if shape is None else 0.1) * np.abs(expected).max())
-
-
-def test_pixels_outside_the_mask_stay_empty(scene):
-    rows = SignalRows(fields(scene, (36,)))
-    problem = problem_of(scene, rows)
-    inside, start = everywhere(problem)
-    inside[3] = False
-    signals = np.random.default_rng(3).standard_normal(108).astype(np.float32)
-    found = problem.linear(problem.right_side(signals), inside, start)
-    assert not found[:, 3].any()
-    assert found[:, 4].all()
 
 
 def test_the_constrained_solution_is_that_of_a_projected_gradient(scene):
