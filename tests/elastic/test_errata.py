@@ -1,9 +1,7 @@
 """Every row of docs/errata.md: what is printed fails, what replaces it holds, by means that share no formula."""
 
 import random
-import re
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -186,7 +184,6 @@ def test_eq03_determinant():
 # --- determinants (a)-(g) of section 3.2.1
 
 XX, YY, ZZ, XY, XZ, YZ, P_N = range(7)
-CANDIDATES = [f"det_{letter}" for letter in "abcdefg"]
 
 
 def candidate(v: Symbols, c: mp.mpf, s: mp.mpf, name: str) -> tuple[list[int], mp.mpf, mp.mpf]:
@@ -204,7 +201,7 @@ def candidate(v: Symbols, c: mp.mpf, s: mp.mpf, name: str) -> tuple[list[int], m
     }[name]
 
 
-@pytest.mark.parametrize("name", CANDIDATES)
+@pytest.mark.parametrize("name", [f"det_{letter}" for letter in "abcdefg"])
 def test_candidate(name: str):
     for v in SAMPLES:
         matrices = truth(v, "traction")
@@ -213,15 +210,6 @@ def test_candidate(name: str):
         assert abs(found - corrected * mp.exp(-3 * v.z * v.w)) < TINY
         if corrected:
             assert abs(printed * mp.exp(-v.z * v.w) / found - 1) > 0.01
-
-
-def test_no_signs_of_traction_and_p_n_give_the_printed_signs_of_the_determinants():
-    v = SAMPLES[0]
-    values = {name: candidate(v, v.x / v.w, v.y / v.w, name) for name in CANDIDATES[1:]}
-    for traction in (1, -1):  # three columns: a change of the traction's sign changes every determinant's
-        for p_n in (1, -1):
-            signs = {name: traction * (p_n if P_N in rows else 1) for name, (rows, _, _) in values.items()}
-            assert any(signs[name] * printed * corrected < 0 for name, (_, printed, corrected) in values.items())
 
 
 # --- the estimator: eq (5), its functional, its prior
@@ -365,16 +353,6 @@ def test_eq06_is_reversed():
     np.testing.assert_allclose(traction[~stick], MU_F * pressure[~stick], rtol=1e-14)
 
 
-def test_fig13_caption():
-    share = 0.875  # of the largest tangential force, the caption's own example for c / a = 0.5
-    assert (1 - share) ** (1 / 3) == pytest.approx(0.5)
-    assert 1 - share**3 == pytest.approx(0.330, abs=5e-4)
-
-
-def test_grid_of_section_4_1():
-    np.testing.assert_allclose(np.array([32, 31, 25]) * 0.4, [12.8, 12.4, 10.0])
-
-
 # --- statements that do not hold
 
 
@@ -436,14 +414,3 @@ def test_stated_minimum_of_eps_xy_at_the_origin(nu: str):
     assert inner.min() > 0.05
     assert inner.max() > 1.2 * inner.min()
     assert (inner > [power("0.1", angle) for angle in angles]).all()
-
-
-# --- the page
-
-
-def test_page_names_tests_that_exist():
-    page = (Path(__file__).parents[2] / "docs" / "errata.md").read_text()
-    names = set(re.findall(r"`(\w+)` \|$", page, re.MULTILINE))
-    known = " ".join([*EQUATIONS, *CANDIDATES, *(name for name in globals() if name.startswith("test_"))])
-    assert [name for name in names if name not in known] == []
-    assert {*CANDIDATES, *(name for name, e in EQUATIONS.items() if e.corrections(SAMPLES[0]))} <= names

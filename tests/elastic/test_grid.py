@@ -58,16 +58,14 @@ def test_layout_is_that_of_rfft2():
     assert SpectralGrid((6, 7), 4e-4).multiplicity.sum() * 6 == 42
 
 
-@pytest.mark.parametrize("shape", [(0, 4), (4,), (4, 4, 4)])
-def test_refuses_a_shape(shape: tuple[int, ...]):
-    with pytest.raises(ValueError, match="shape is"):
-        SpectralGrid(shape, 4e-4)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("pitch_m", [0.0, -1.0, np.nan, np.inf])
-def test_refuses_a_pitch(pitch_m: float):
-    with pytest.raises(ValueError, match="pitch_m is"):
-        SpectralGrid((4, 4), pitch_m)
+@pytest.mark.parametrize(
+    ("shape", "pitch_m", "message"),
+    [*((shape, 4e-4, "shape is") for shape in [(0, 4), (4,), (4, 4, 4)])]
+    + [((4, 4), pitch_m, "pitch_m is") for pitch_m in (0.0, -1.0, np.nan, np.inf)],
+)
+def test_refuses(shape: tuple[int, ...], pitch_m: float, message: str):
+    with pytest.raises(ValueError, match=message):
+        SpectralGrid(shape, pitch_m)  # type: ignore[arg-type]
 
 
 def test_refuses_an_oblong_grid_for_the_displacement_of_an_isolated_load():

@@ -1,7 +1,6 @@
 """The half-space's transfer matrices against the equations of elasticity and the closed-form point loads."""
 
 import functools
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -13,125 +12,6 @@ from resonator_daemon.elastic.half_space import Input, Output
 
 POISSON = [-0.7, 0.0, 0.3, 0.49, 0.5]
 E = 2.0e5
-
-
-def random_frequencies(count: int = 200) -> tuple[Floats, Floats, Floats]:
-    rng = np.random.default_rng(7)
-    w, angle = 10.0 ** rng.uniform(1.0, 4.0, count), rng.uniform(-np.pi, np.pi, count)
-    return w * np.cos(angle), w * np.sin(angle), rng.uniform(0.05, 6.0, count) / w
-
-
-def chebyshev_derivative(function: Callable[[Floats], NDArray[np.complex128]], z: Floats, half_width: Floats):
-    """d/dz at z from 20 Chebyshev nodes around it; exact to rounding for (a + b z) exp(-w z)."""
-    count = 20
-    nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
-    fit = np.polynomial.chebyshev.chebvander(nodes, count - 1)
-    slope_at_0 = np.array([np.polynomial.Chebyshev.basis(n).deriv()(0.0) if n else 0.0 for n in range(count)])
-    weights = np.linalg.solve(fit.T, slope_at_0)
-    samples = function(z + nodes[:, None] * half_width)
-    return np.einsum("n,n...->...", weights, samples) / half_width[:, None, None]
-
-
-@pytest.mark.parametrize("source", ["traction", "displacement"])
-@pytest.mark.parametrize("nu", POISSON)
-def test_fields_obey_kinematics_equilibrium_and_hooke(nu: float, source: Input):
-    body = HalfSpace(E, nu)
-    wx, wy, z = random_frequencies()
-    w = np.hypot(wx, wy)
-
-    def at(output: Output) -> Callable[[Floats], NDArray[np.complex128]]:
-        return lambda depth: body.transfer_matrix(output, source, wx, wy, depth)
-
-    u, strain, stress = at("displacement")(z), at("strain")(z), at("stress")(z)
-    du = chebyshev_derivative(at("displacement"), z, 0.04 / w)
-    dstress = chebyshev_derivative(at("stress"), z, 0.04 / w)
-    jx, jy = 1j * wx[:, None], 1j * wy[:, None]
-
-    kinematics = [
-        jx * u[:, 0],
-        jy * u[:, 1],
-        du[:, 2],
-        (jy * u[:, 0] + jx * u[:, 1]) / 2,
-        (du[:, 0] + jx * u[:, 2]) / 2,
-        (du[:, 1] + jy * u[:, 2]) / 2,
-    ]
-    scale = np.abs(strain).max(axis=(1, 2))
-    for row, expected in enumerate(kinematics):
-        assert np.max(np.abs(strain[:, row] - expected).max(-1) / scale) < 2e-11
-
-    xx, yy, zz, xy, xz, yz = range(6)
-    balance = [
-        jx * stress[:, xx] + jy * stress[:, xy] + dstress[:, xz],
-        jx * stress[:, xy] + jy * stress[:, yy] + dstress[:, yz],
-        jx * stress[:, xz] + jy * stress[:, yz] + dstress[:, zz],
-    ]
-    scale = np.abs(stress).max(axis=(1, 2))
-    for residual in balance:
-        assert np.max(np.abs(residual).max(-1) / (w * scale)) < 2e-11
-
-    trace = stress[:, :3].sum(axis=1)
-    compliance = (1 + nu) / E * stress
-    compliance[:, :3] -= nu / E * trace[:, None]
-    assert np.max(np.abs(strain - compliance).max((1, 2)) * E / scale) < 1e-14
-    np.testing.assert_allclose(at("p_n")(z)[:, 0], trace / 3, atol=1e-14 * scale.max())
-
-    sensor = at("sensor")(z)
-    expected = np.stack([trace / (2 * E), strain[:, xz], strain[:, yz]], axis=1)
-    assert np.max(np.abs(sensor - expected).max((1, 2)) * E / scale) < 1e-14
-
-
-@pytest.mark.parametrize("nu", POISSON)
-def test_surface_values_are_the_inputs(nu: float):
-    body = HalfSpace(E, nu)
-    wx, wy, _ = random_frequencies()
-    stress = body.transfer_matrix("stress", "traction", wx, wy, 0.0)
-    np.testing.assert_allclose(stress[:, [4, 5, 2]], np.broadcast_to(-np.eye(3), (200, 3, 3)), atol=1e-14)
-    moved = body.transfer_matrix("displacement", "displacement", wx, wy, 0.0)
-    np.testing.assert_allclose(moved, np.broadcast_to(np.eye(3), (200, 3, 3)), atol=1e-14)
-    stress = body.transfer_matrix("stress", "displacement", wx, wy, 0.0)
-    traction = body.transfer_matrix("traction", "displacement", wx, wy, 0.0)
-    np.testing.assert_allclose(stress[:, [4, 5, 2]], -traction, rtol=1e-12, atol=1e-13 * np.abs(traction).max())
-
-
-@pytest.mark.parametrize("nu", POISSON)
-def test_surface_compliance_is_hermitian_positive_and_inverse_to_the_stiffness(nu: float):
-    body = HalfSpace(E, nu)
-    wx, wy, _ = random_frequencies()
-    compliance = body.transfer_matrix("displacement", "traction", wx, wy, 0.0)
-    stiffness = body.transfer_matrix("traction", "displacement", wx, wy, 0.0)
-    for matrix in (compliance, stiffness):
-        np.testing.assert_allclose(matrix, matrix.conj().swapaxes(1, 2), rtol=1e-15)
-        assert (np.linalg.eigvalsh(matrix) > 0).all()
-    np.testing.assert_allclose(compliance @ stiffness, np.broadcast_to(np.eye(3), (200, 3, 3)), atol=1e-13)
-    w, mu = np.hypot(wx, wy), body.shear_modulus_pascal
-    np.testing.assert_allclose(np.linalg.det(compliance), (3 - 4 * nu) / (4 * mu**3 * w**3), rtol=1e-12)
-
-
-@pytest.mark.parametrize("nu", POISSON)
-def test_determinants_of_sensor_sets(nu: float):
-    body = HalfSpace(E, nu)
-    wx, wy, z = random_frequencies()
-    w = np.hypot(wx, wy)
-    c, s, two_mu = wx / w, wy / w, 2 * body.shear_modulus_pascal
-    strain = body.transfer_matrix("strain", "traction", wx, wy, z)
-    rows = dict(zip(("xx", "yy", "zz", "xy", "xz", "yz"), strain.swapaxes(0, 1) * two_mu, strict=True))
-    rows["p_n"] = body.transfer_matrix("p_n", "traction", wx, wy, z)[:, 0]
-    p = 2 * (1 + nu) / 3
-    incompressible = 1 - 2 * nu
-    expected = {
-        ("xy", "xx", "yy"): 0 * c,
-        ("xx", "yy", "zz"): 4 * incompressible * c * s,
-        ("zz", "xz", "yz"): -incompressible + 0 * c,
-        ("xy", "xz", "yz"): -incompressible * c * s,
-        ("p_n", "zz", "xy"): p * (s**2 - c**2),
-        ("p_n", "xx", "yy"): p * 2 * c * s,
-        ("p_n", "xz", "yz"): -p + 0 * c,
-    }
-    for names, value in expected.items():
-        found = np.linalg.det(np.stack([rows[name] for name in names], axis=1)) * np.exp(3 * w * z)
-        np.testing.assert_allclose(found, value, atol=2e-11, err_msg=str(names))
-    sensor = body.transfer_matrix("sensor", "traction", wx, wy, z)
-    np.testing.assert_allclose(np.linalg.det(sensor) * np.exp(3 * w * z) * two_mu**3, -1.0, rtol=1e-11)
 
 
 # --- point loads (Boussinesq, Cerruti; Johnson, Contact Mechanics, eqs 3.19 and 3.75), summed over a Gaussian load
@@ -362,16 +242,16 @@ def test_frequencies_and_depths_broadcast():
     assert np.isfinite(zeros).all()
 
 
-@pytest.mark.parametrize(("youngs", "nu"), [(0.0, 0.3), (-1.0, 0.3), (np.nan, 0.3), (np.inf, 0.3)])
-def test_refuses_youngs_modulus(youngs: float, nu: float):
-    with pytest.raises(ValueError, match="youngs_modulus_pascal is"):
+@pytest.mark.parametrize(
+    ("youngs", "nu", "message"),
+    [
+        *((youngs, 0.3, "youngs_modulus_pascal is") for youngs in (0.0, -1.0, np.nan, np.inf)),
+        *((E, nu, r"poisson_ratio is .* must be in \(-1, 0.5\]") for nu in (-1.0, 0.5000001, np.nan)),
+    ],
+)
+def test_refuses_materials(youngs: float, nu: float, message: str):
+    with pytest.raises(ValueError, match=message):
         HalfSpace(youngs, nu)
-
-
-@pytest.mark.parametrize("nu", [-1.0, 0.5000001, np.nan])
-def test_refuses_poisson_ratio(nu: float):
-    with pytest.raises(ValueError, match=r"poisson_ratio is .* must be in \(-1, 0.5\]"):
-        HalfSpace(E, nu)
 
 
 @pytest.mark.parametrize(

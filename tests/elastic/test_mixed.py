@@ -144,12 +144,6 @@ def test_names_the_frequencies_of_a_singular_mix(
     assert str(refused.value).endswith("must be one of u_i and f_i for each axis i, which always determines it")
 
 
-def test_a_mix_of_the_isolated_rule_is_refused_in_the_same_words():
-    grid = SpectralGrid((8, 8), PITCH_M)
-    with pytest.raises(ValueError, match="at omega_x = 0, omega_x = Nyquist: 16 of 64 frequencies"):
-        MixedBoundary(HalfSpace(E, 0.3), grid, ("f_x", "f_y", "u_x"), zero="isolated")
-
-
 def test_refuses_bad_input():
     body, grid = HalfSpace(E, 0.3), SpectralGrid((6, 8), PITCH_M)
     for known in [("f_x", "f_x", "u_z"), ("f_x", "f_y"), ("f_x", "f_y", "f_z", "u_x"), ("f_x", "f_y", "sigma")]:
