@@ -32,15 +32,6 @@ def test_the_newest_that_fit_are_kept_in_order_and_nothing_gets_lost(sizes, coun
         assert sum(item.size_bytes for item in kept) + pushed_out[-1].size_bytes > bytes_max
 
 
-def test_what_is_cleared_is_told() -> None:
-    queue: BoundedQueue[Item] = BoundedQueue(9, 99)
-    items = [Item(1), Item(2)]
-    for item in items:
-        queue.put(item)
-    assert queue.clear() == items
-    assert (len(queue), queue.size_bytes) == (0, 0)
-
-
 @pytest.mark.parametrize(("source_hz", "rate_hz", "passed"), [(200, 20, 20), (100, 5, 5), (75, 20, 20), (10, 20, 10)])
 def test_a_steady_rate_passes_at_the_rate_asked_for(source_hz: int, rate_hz: int, passed: int) -> None:
     chance = random.Random(3)

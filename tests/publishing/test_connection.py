@@ -95,13 +95,6 @@ async def test_a_broker_that_does_not_answer_is_given_up_and_tried_again(caplog:
         await until(lambda: left.connected)
 
 
-async def test_closing_while_a_broker_does_not_answer_takes_no_time() -> None:
-    async with scripted_broker() as (url, script):
-        script.mute = True
-        async with asyncio.timeout(1), publishing(url):
-            await until(lambda: bool(script.connections))
-
-
 async def test_a_cancelled_attempt_closes_its_socket_and_logs_nothing(caplog: pytest.LogCaptureFixture) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         connection = BrokerConnection(Mqtt(url=f"mqtt://127.0.0.1:{silent.getsockname()[1]}"), MQTT_5)
@@ -123,11 +116,3 @@ async def test_the_reason_that_the_broker_gives_for_ending_the_connection(caplog
         script.connections[-1].write(b"\xe0\x01\x8e")
         await until(lambda: bool(caplog.records))
         assert said(caplog) == ["Session taken over; trying again"]
-
-
-async def test_a_connection_that_ends_without_a_reason(broker, caplog: pytest.LogCaptureFixture) -> None:
-    async with publishing(broker.url) as left:
-        await until(lambda: left.connected)
-        await broker.kill()
-        await until(lambda: bool(caplog.records))
-        assert said(caplog)[0] == "connection lost; trying again"

@@ -114,21 +114,6 @@ async def test_a_spool_that_is_damaged_while_in_use_costs_what_was_on_disk_alone
         assert "set aside as events.damaged" in caplog.text
 
 
-async def test_beyond_the_bound_on_disk_the_oldest_go(
-    generous, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr(spool, "EVENTS_MAX", 1500)
-    await generous.kill()
-    async with publishing(generous.url, spool_directory=tmp_path) as left:
-        await happen(left, range(4000))
-        await until(lambda: left.account.dropped == {"spool_full": 2500} and left.account.spooled == 1500)
-        await generous.start()
-        async with observe(generous.url) as observer:
-            events = await heard_events(observer, 3999)
-        assert len(events) <= 1500
-    assert "events (spool_full)" in caplog.text
-
-
 @pytest.mark.parametrize("noticed_by", ["looking", "writing", "ending"])
 async def test_a_spool_that_is_removed_is_made_again_and_said_once(
     mosquitto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, noticed_by: str

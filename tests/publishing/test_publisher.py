@@ -3,9 +3,7 @@
 import asyncio
 import json
 import logging
-import random
 
-import aiomqtt
 import pytest
 from mqtt_helpers import IMPATIENT, LEFT, Messages, assert_exact, make_will, publishing, scripted_broker, until
 from observer import observe
@@ -15,7 +13,7 @@ from resonator_daemon.publishing import outbox, topics
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.event_queue import IN_MEMORY_MAX
 from resonator_daemon.publishing.mqtt_messages import Outgoing
-from resonator_daemon.publishing.publisher import Publisher, Subscription
+from resonator_daemon.publishing.publisher import Publisher
 
 ONLINE = Messages.state("online", "all is well")
 
@@ -32,19 +30,6 @@ async def test_an_encoded_message_is_published_as_it_is_with_its_decimated_copie
             left.publish(LEFT, topics.CONTACT_EVENT, first)
     assert observer.raw("resonator/left/contacts") == [b"{0}", b"{1}", b"{2}"]
     assert observer.raw("resonator/left/contacts/20hz") == [b"{0}", b"{2}"]
-
-
-async def test_a_message_published_upon_a_received_one_follows_its_acknowledgement(broker) -> None:
-    def answer(_: object) -> None:
-        left.publish(LEFT, topics.STATE_LINK, ONLINE)
-
-    question = Subscription("question", 1, answer)
-    async with observe(broker.url) as observer, publishing(broker.url, subscriptions=(question,)) as left:
-        await until(lambda: left.connected and left.account.waiting == 0)
-        async with aiomqtt.Client("127.0.0.1", Mqtt(url=broker.url).port) as client:
-            await client.publish("question", b"", 1)
-        await observer.until_last("resonator/left/state/link", state="online")
-        await until(lambda: left.account.waiting == 0)
 
 
 async def test_close_says_stopped_after_everything_that_was_waiting(broker) -> None:
@@ -65,14 +50,6 @@ async def test_close_says_stopped_after_everything_that_was_waiting(broker) -> N
     left.publish(LEFT, topics.STATE_LINK, ONLINE)
     left.answer(Outgoing("resonator/left/rsp/ping", b"{}"))
     assert left.account.dropped == {"closed": 3, "withdrawn": 1}
-
-
-async def test_close_takes_leave_of_the_broker_so_that_the_will_is_not_published() -> None:
-    async with scripted_broker() as (url, script):
-        async with publishing(url) as left:
-            await until(lambda: left.connected)
-            await until(lambda: script.farewells == 1)  # that of the connection which asked for the version
-        await until(lambda: script.farewells == 2)
 
 
 async def test_while_closing_nothing_new_is_taken() -> None:
@@ -152,17 +129,6 @@ async def test_a_message_that_the_broker_refuses_was_not_published() -> None:
         assert (left.account.acknowledged, left.account.dropped) == (2, {"refused": 1})
 
 
-async def test_a_broker_that_never_acknowledges_is_given_up(caplog: pytest.LogCaptureFixture) -> None:
-    async with scripted_broker() as (url, script), publishing(url, times=IMPATIENT) as left:
-        script.answer = lambda number: None
-        await until(lambda: left.connected)
-        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(1))
-        await until(lambda: left.account.unknown_at_disconnect == 1)
-        await until(lambda: "no answer; trying again" in caplog.text)
-        script.answer = lambda number: 0
-        await until(lambda: left.connected)
-
-
 async def test_of_too_many_messages_the_oldest_are_dropped() -> None:
     async with scripted_broker() as (url, script), publishing(url) as left:
         await until(lambda: left.connected)
@@ -179,13 +145,6 @@ async def test_of_too_many_messages_the_oldest_are_dropped() -> None:
             assert numbers == list(range(first, first + count))
 
 
-async def test_a_topic_takes_its_own_payload_only() -> None:
-    left = Publisher(Mqtt(), identifier="left", make_will=make_will)
-    with pytest.raises(ValueError, match="forces carries Forces, not State"):
-        left.publish(LEFT, topics.FORCES, ONLINE)
-    assert left.account.made == 0
-
-
 async def test_close_does_not_wait_for_a_frozen_broker(mosquitto) -> None:
     async with publishing(mosquitto.url, times=IMPATIENT) as left:
         await until(lambda: left.connected)
@@ -195,19 +154,6 @@ async def test_close_does_not_wait_for_a_frozen_broker(mosquitto) -> None:
     assert left.account.unknown_at_disconnect == 6
     assert left.account.dropped == {"closed": 5}  # those events, which would have been sent once more
     mosquitto.thaw()
-
-
-async def test_decimated_copies_are_the_same_bytes_once_in_each_period(mosquitto) -> None:
-    async with observe(mosquitto.url) as observer, publishing(mosquitto.url) as left:
-        await until(lambda: left.connected)
-        for number in range(200):  # one second at 200 Hz, times scattered by less than a period
-            scatter_ns = random.Random(number).randrange(-2_000_000, 2_000_000)
-            message = Messages.forces(number)
-            t_ns = 1_789_000_000_002_500_000 + number * 5_000_000 + scatter_ns
-            left.publish(LEFT, topics.FORCES, message.model_copy(update={"t_ns": t_ns}))
-        await observer.until(lambda: len(observer.heard) == 220)
-    slow = observer.raw("resonator/left/forces/20hz")
-    assert slow == observer.raw("resonator/left/forces")[::10]
 
 
 async def test_a_lower_rate_of_a_main_topic_leaves_its_copy_and_the_account_alone(mosquitto) -> None:

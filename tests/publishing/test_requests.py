@@ -64,33 +64,6 @@ async def test_response_topic_and_correlation_of_mqtt_5_are_honoured(mosquitto: 
         assert not message.retain
 
 
-async def test_a_plain_client_finds_the_answer_below_rsp(broker: Mosquitto | Amqtt) -> None:
-    host, port = broker.url.removeprefix("mqtt://").split(":")
-    spoken = [aiomqtt.ProtocolVersion.V311]
-    if isinstance(broker, Mosquitto):
-        spoken.append(aiomqtt.ProtocolVersion.V5)
-    async with (
-        commanded(broker.url, HANDLERS, ALLOWED) as daemon,
-        observe(broker.url, f"{BASE}/rsp/#") as observer,
-    ):
-        await until(lambda: daemon.publisher.connected)
-        for count, version in enumerate(spoken, 1):
-            async with aiomqtt.Client(host, int(port), protocol=version) as client:
-                await client.publish(f"{BASE}/cmd/mark", MARK, qos=1)
-                await observer.until_count(f"{BASE}/rsp/mark", count)
-    assert observer.payloads(f"{BASE}/rsp/mark") == [{"verb": "mark", "ok": True, "t_ns": "4"}] * len(spoken)
-
-
-async def test_commands_are_heard_again_after_a_restart_of_the_broker(mosquitto: Mosquitto) -> None:
-    async with commanded(mosquitto.url, HANDLERS, ALLOWED) as daemon:
-        await until(lambda: daemon.publisher.connected)
-        await mosquitto.kill()
-        await until(lambda: not daemon.publisher.connected)
-        await mosquitto.start()
-        await until(lambda: daemon.publisher.connected)
-        assert (await request(Mqtt(url=mosquitto.url), "left", "mark", {"text": "a"}))["ok"] is True
-
-
 async def test_nobody_there_is_said(mosquitto: Mosquitto) -> None:
     with pytest.raises(NoAnswerError, match=r"no answer to resonator/left/cmd/tare within 0\.2 s; is `resonatord run`"):
         await request(Mqtt(url=mosquitto.url), "left", "tare", {}, answer_s=0.2)

@@ -13,7 +13,7 @@ import pytest
 from mqtt_helpers import LEFT, Messages, publishing, until
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing import receiver, subscriber, topics
+from resonator_daemon.publishing import subscriber, topics
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.receiver import Arrival
@@ -133,15 +133,3 @@ async def numbers_of(count: int) -> list[int]:
     """Return the numbers of so many messages, all that there are."""
     async with aclosing(subscribe(Mqtt())) as received:
         return [(await anext(received)).message.seq for _ in range(count)]
-
-
-async def test_a_defect_ends_the_subscription_instead_of_its_messages(
-    mosquitto, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async def defective(*_: object) -> None:
-        raise ZeroDivisionError
-
-    monkeypatch.setattr(receiver, "keep_connected", defective)
-    async with aclosing(subscribe(Mqtt(url=mosquitto.url))) as received:
-        with pytest.raises(ZeroDivisionError):
-            await anext(received)
