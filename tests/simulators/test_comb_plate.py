@@ -5,7 +5,6 @@ import pytest
 from scenarios import steady
 from tone_fields import counted_fields
 
-from firmware_protocol.layouts import ToneFlag
 from resonator_daemon.arrays import Floats
 from resonator_daemon.plate import Plate, load_plate
 from simulators.comb_plate import CombPlate
@@ -67,15 +66,6 @@ def test_noise_is_that_of_100_dbhz_at_the_best_corner_and_by_level_in_the_others
     assert np.abs(np.corrcoef(offset_hz[:, :, 3].T) - np.eye(4)).max() < 0.15
 
 
-def test_phase_goes_on_from_gate_to_gate_and_call_to_call() -> None:
-    plate = emulated(steady(3.0, site=9))
-    parts = [count(plate, frames) for frames in (5, 1, 14)]
-    phase = np.concatenate([part["phase_turn32"] for part in parts]) / 2**32
-    offset_hz = np.concatenate([part["offset_hz16"] for part in parts]) / 2**16
-    advance = np.diff(phase, axis=0) - offset_hz.mean(axis=0) * GATE_S
-    assert np.abs(advance - np.rint(advance)).max() < 0.01  # of a turn
-
-
 def test_oscillator_noise_is_common_to_the_corners_of_a_site_and_has_the_slope_of_a_regression() -> None:
     plate = emulated(white_fm=1e-7)
     offset_hz = count(plate, 3000)["offset_hz16"] / 2**16
@@ -85,46 +75,6 @@ def test_oscillator_noise_is_common_to_the_corners_of_a_site_and_has_the_slope_o
     correlation = np.corrcoef(y[:, :, [2, 11]].reshape(3000, -1).T)  # channel 0's two tones, channel 1's, ...
     assert np.all(correlation[0::2, 0::2] > 0.98)
     assert np.abs(correlation[0::2, 1::2]).max() < 0.1
-
-
-def test_a_warm_finger_shifts_its_site_and_a_temperature_tone_tells_how_warm_that_is() -> None:
-    content = PLATE.model_dump(mode="json", exclude_none=True)
-    for index, site in enumerate(content["sites"]):
-        site["tones"].append({"signal": "temperature", "sensitivity": [9e-6] * 4})
-        for number, tone in enumerate(site["tones"]):
-            tone["f0_hz"] = [9.9e6 + 4000.0 * (2 * index + number)] * 4
-    warm_plate = Plate.model_validate(content)
-    plate = emulated(
-        steady(1.0, site=7, kelvin=308.15), plate=warm_plate, temperature_coefficient=-1e-6, sensitivity_scatter=0.0
-    )
-    plate.count(0, 0, 2 * 10**7, 200)  # 16 s: three time constants
-    fields = count(plate, 20, at_s=16.0)
-    hz = frequency_hz(plate, fields).mean(axis=0)
-    f0_hz, index = warm_plate.tones.f0_hz.T, INDEX[7]
-    warmer = 10.0 * (1 - np.exp(-16.05 / 5))
-    assert hz[:, 2 * index + 1] / f0_hz[:, 2 * index + 1] - 1 == pytest.approx(np.full(4, 9e-6 * warmer), rel=1e-3)
-    force = (1 - f0_hz[:, 2 * index] / hz[:, 2 * index]) / warm_plate.tones.sensitivity[2 * index]
-    expected = 1.0 - 1e-6 * warmer / warm_plate.tones.sensitivity[2 * index, 0]
-    assert force == pytest.approx(np.full(4, expected), abs=2e-3)
-    others = [tone for tone in range(1, 32, 2) if tone != 2 * index + 1]
-    assert hz[:, others] == pytest.approx(f0_hz[:, others], abs=0.1)
-
-
-def test_the_seed_fixes_everything_and_a_run_begins_anew() -> None:
-    def made(seed: int) -> list[list[bytes]]:
-        return [frame.channels for frame in emulated(steady(1.0, site=9), seed=seed).count(0, 0, GATE_TICKS, 3)]
-
-    assert made(7) == made(7)
-    assert made(7) != made(8)
-    plate = emulated()
-    before = count(plate, 1)["phase_turn32"]
-    plate.start()
-    assert np.abs(count(plate, 1)["phase_turn32"] - before).min() > 0
-
-
-def test_a_tone_far_from_its_oscillator_is_out_of_band() -> None:
-    flags = count(emulated(steady(60.0, site=1), sensitivity_scatter=0.0), 1)["flags"][0]
-    assert np.all(flags[:, INDEX[1]] == ToneFlag.OUT_OF_BAND)
 
 
 def test_plates_without_channelised_force_sites_are_refused() -> None:

@@ -7,7 +7,6 @@ import pytest
 
 from resonator_daemon.arrays import Floats
 from simulators.contact import PressedSpot, hertz_parts, pixel_tractions
-from simulators.half_space_fields import hertz_fields
 
 RADIUS, FRICTION, CENTRE = 2.5e-3, 0.5, (0.3e-3, -0.7e-3)
 E, NU, DEPTH = 2e5, 0.5, 1e-3
@@ -100,51 +99,3 @@ def test_signals_equal_the_summed_point_loads(spot: PressedSpot, places: Floats,
         expected[:, k] = p_n, (1 + NU) / E * (stress * d_x).sum(), (1 + NU) / E * (stress * d_y).sum()
     error = np.abs(spot.signals(load) - expected).max(axis=1) / np.abs(expected).max(axis=1)
     assert error.max() < 1e-4
-
-
-def test_interpolation_between_radii_keeps_four_digits(spot: PressedSpot, places: Floats) -> None:
-    for normal in 4.0 * np.append(np.random.default_rng(5).uniform(0, 1, 40), [0.99, 1.0]) ** 3:
-        force = np.array([0.3, 0.2, 1.0]) * normal
-        exact = np.zeros((3, len(places)))
-        for radius, part in zip(*hertz_parts(force, RADIUS, FRICTION), strict=True):
-            exact += np.tensordot(part, hertz_fields(places - CENTRE, DEPTH, [radius], E, NU)[0], 1)
-        error = np.abs(spot.signals(force) - exact).max(axis=1) / np.abs(exact).max(axis=1)
-        assert error.max() < 1e-4
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"depth_m": 0.0}, "depth_m is 0.0"),
-        ({"force_max_newton": 0.0}, "force_max_newton is 0"),
-        ({"friction_coefficient": -0.1}, "friction_coefficient is -0.1"),
-        ({"radius_m_at_1_newton": 0.0}, "radius_m_at_1_newton is 0"),
-    ],
-)
-def test_impossible_spots_are_refused(change: dict[str, float], message: str) -> None:
-    numbers = {
-        "depth_m": DEPTH,
-        "friction_coefficient": FRICTION,
-        "radius_m_at_1_newton": RADIUS,
-        "force_max_newton": 1.0,
-    }
-    with pytest.raises(ValueError, match=message):
-        PressedSpot([[0.0, 0.0]], youngs_modulus_pascal=E, poisson_ratio=NU, centre_m=CENTRE, **(numbers | change))
-
-
-@pytest.mark.parametrize(
-    ("force", "message"),
-    [
-        ([0.0, 0.0, 4.1], r"4\.1 N, tabulated up to 4\.0 N"),
-        ([0.0, math.nan, 1.0], "must be finite"),
-        ([1.0, 1.0], r"shape \(2,\)"),
-    ],
-)
-def test_impossible_forces_are_refused(spot: PressedSpot, force: list[float], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        spot.signals(force)
-
-
-def test_a_pixel_without_size_is_refused() -> None:
-    with pytest.raises(ValueError, match="pitch_m is 0"):
-        pixel_tractions([0.0, 0.0, 1.0], CENTRE, RADIUS, FRICTION, SHAPE, 0.0)

@@ -11,12 +11,11 @@ from firmware_protocol.host import (
     HostEvent,
     HostSession,
     HostState,
-    Located,
     Pong,
     Rebooted,
     Started,
 )
-from firmware_protocol.layouts import Capability, MessageType
+from firmware_protocol.layouts import MessageType
 from firmware_protocol.messages import (
     BoardStatus,
     Configuration,
@@ -68,15 +67,6 @@ def frames_in(events: list[HostEvent]) -> list[Frame]:
     return [event for event in events if isinstance(event, Frame)]
 
 
-def test_a_board_does_nothing_before_it_is_asked() -> None:
-    bench = Bench()
-    assert bench.advance(10 * GATE_TICKS) == []
-    assert bench.board.next_output() is None
-    assert bench.board.next_frame_ticks is None
-    bench.board.count_ahead()
-    assert bench.plate.asked == []
-
-
 def test_handshake_then_a_frame_for_each_gate_numbered_from_0() -> None:
     bench = Bench()
     bench.advance(12_345)
@@ -108,14 +98,6 @@ def test_blocks_are_counted_ahead_and_join() -> None:
     bench.board.count_ahead()
     bench.advance(9 * GATE_TICKS)
     assert bench.plate.asked == [(500 + k * GATE_TICKS, k * GATE_TICKS, GATE_TICKS, 4) for k in (0, 4, 8)]
-
-
-def test_pong_carries_the_tick_at_which_the_ping_came() -> None:
-    bench = Bench()
-    bench.start()
-    bench.now = 4321
-    bench.host.ping(b"12345678")
-    assert bench.exchange() == [Pong(b"12345678", 4321)]
 
 
 def test_a_full_queue_drops_its_oldest_frames_and_says_so_before_the_next_that_goes_out() -> None:
@@ -163,18 +145,6 @@ def test_an_answer_takes_the_room_of_the_oldest_frame() -> None:
     assert frames_in(events)[0].sequence == 1
 
 
-def test_answers_alone_do_not_overfill_the_queue() -> None:
-    bench = Bench(queue_limit_bytes=100)
-    for _ in range(20):
-        bench.host.ping(b"12345678")
-        bench.board.receive(bench.host.data_to_send()[-36:], 0)
-    waiting = []
-    while (outgoing := bench.board.next_output()) is not None:
-        waiting.append(outgoing)
-    assert sum(len(outgoing.data) for outgoing in waiting) <= 100
-    assert waiting
-
-
 def test_a_reboot_is_a_board_that_knows_nothing() -> None:
     bench = Bench()
     bench.advance(100)
@@ -194,50 +164,6 @@ def test_a_reboot_is_a_board_that_knows_nothing() -> None:
     assert made.end_ticks == 100 + 11 * GATE_TICKS
     # The plate went on: its scenario began with the first run.
     assert bench.plate.asked == [(5 * GATE_TICKS, 10 * GATE_TICKS, GATE_TICKS, 4)]
-
-
-def test_stop_ends_the_run_and_what_was_counted_still_goes_out() -> None:
-    bench = Bench()
-    bench.start()
-    bench.advance(2 * GATE_TICKS)
-    bench.host.stop()
-    bench.board.receive(bench.host.data_to_send(), bench.now)
-    assert bench.advance(5 * GATE_TICKS) == []
-    assert [outgoing.sequence for outgoing in iter(bench.board.next_output, None)] == [0, 1, None]
-
-
-def test_a_board_says_what_it_can_do_and_why_it_began() -> None:
-    bench = Bench(queue_limit_bytes=12_345)
-    described = bench.exchange()[0]
-    assert isinstance(described, Described)
-    assert described.identity.credit_bytes == 256
-    assert described.identity.reset_cause == ResetCause.POWER_ON
-    assert described.description.queue_bytes == 12_345
-    assert described.description.capabilities == Capability.LOCATE
-    bench.host.locate()
-    (located,) = bench.exchange()
-    assert isinstance(located, Located)
-    assert bench.board.times_located == 1
-    bench.board.reboot(78, bench.now, ResetCause.BROWN_OUT, serial_number="0043")
-    bench.host.ping(b"12345678")
-    again = [event for event in bench.exchange() if isinstance(event, Described)]
-    assert [(one.identity.serial_number, one.identity.reset_cause) for one in again] == [("0043", ResetCause.BROWN_OUT)]
-
-
-def test_a_silent_board_counts_on_answers_and_tells_afterwards_what_it_withheld() -> None:
-    bench = Bench()
-    bench.start()
-    bench.advance(2 * GATE_TICKS)
-    bench.board.silent = True
-    assert len(bench.advance(3 * GATE_TICKS)) == 3
-    bench.host.ping(b"12345678")
-    assert [type(event) for event in bench.exchange()] == [Frame, Frame, Pong]
-    bench.board.silent = False
-    bench.advance(GATE_TICKS)
-    events = bench.exchange()
-    assert events[0] == BoardStatus(3, bytes_discarded=0)
-    assert [frame.sequence for frame in frames_in(events)] == [5]
-    assert bench.board.frames_silenced == 3
 
 
 @pytest.mark.parametrize("ticks", [2**32 + 7, -50_000])
@@ -271,23 +197,6 @@ def test_a_new_run_numbers_from_0_and_carries_no_frame_of_the_old_one() -> None:
     assert bench.plate.starts == 2
     bench.advance(GATE_TICKS)
     assert [frame.sequence for frame in frames_in(bench.exchange())] == [0]
-
-
-def test_a_repeated_start_goes_on_counting() -> None:
-    bench = Bench()
-    bench.exchange()
-    bench.host.configure(Configuration(GATE_TICKS))
-    requests: list[bytes] = []
-    while bench.host.state is not HostState.RUNNING:
-        requests.append(bench.host.data_to_send())
-        bench.board.receive(requests[-1], 0)
-        outgoing = bench.board.next_output()
-        assert outgoing is not None
-        bench.host.receive(outgoing.data)
-    bench.advance(2 * GATE_TICKS)
-    bench.board.receive(requests[-1], bench.now)  # START again
-    bench.advance(GATE_TICKS)
-    assert [frame.sequence for frame in frames_in(bench.exchange())] == [0, 1, 2]
 
 
 def test_a_channelised_frame_goes_out_whole_in_parts() -> None:

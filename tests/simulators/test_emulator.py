@@ -12,13 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from emulation import emulated
-from plates import with_counter
-from wire_host import WAIT_S, Host, opened, truths, wait_for
+from wire_host import WAIT_S, Host, opened, truths
 
-from firmware_protocol.host import Described, FramePart
-from resonator_daemon.plate import load_plate
-from resonator_daemon.session.compatibility import incompatibilities
-from simulators.emulator import SERIAL_NUMBER, Emulator, EmulatorOptions
+from firmware_protocol.host import FramePart
+from simulators.emulator import SERIAL_NUMBER, EmulatorOptions
 
 
 @pytest.mark.undisturbed
@@ -59,33 +56,6 @@ def test_quartz16_sends_its_frames_in_time_and_tells_the_truth_beside_them(tmp_p
     assert len(os.listdir("/proc/self/fd")) == fds
 
 
-def test_the_truth_goes_into_a_pipe_while_somebody_reads_it(tmp_path: Path) -> None:
-    path, pipe = tmp_path / "board", tmp_path / "truth"
-    os.mkfifo(pipe)
-    options = EmulatorOptions("quartz16", pty=path, scenario="held", truth=pipe)
-    with emulated(options) as emulator, opened(path) as host:
-        host.read_until(lambda: len(host.frames) >= 20)
-        for _ in range(2):  # a reader that comes, leaves and comes again
-            with pipe.open() as reader:
-                lines = [json.loads(reader.readline()) for _ in range(20)]
-            assert np.diff([line["sequence"] for line in lines]).tolist() == [1] * 19
-            seen = len(host.frames)
-            host.read_until(lambda seen=seen: len(host.frames) >= seen + 20)
-    assert emulator.report()["truth_lines_lost"] >= 10  # lines are written in tens
-
-
-def test_a_host_that_stops_reading_gets_the_newest_frames_and_the_report_adds_up(tmp_path: Path) -> None:
-    path, truth_path = tmp_path / "board", tmp_path / "truth.jsonl"
-    options = EmulatorOptions("quartz16", pty=path, scenario="still", truth=truth_path, speed=10.0)
-    with emulated(options) as emulator, opened(path) as host:
-        host.read_until(lambda: len(host.frames) >= 10)
-        wait_for(lambda: len(truths(truth_path)) >= 3000)
-    report = emulator.report()
-    assert report["frames_unsent"] == pytest.approx(256 * 1024 / 204, abs=2)
-    assert report["frames_dropped"] == report["dropped_by_cause"]["queue_full"] > 1000
-    assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
-
-
 @pytest.mark.parametrize(("plate", "tones", "parts_a_frame"), [("skin32", 3072, 20), ("fingertip400", 1200, 8)])
 def test_a_skin_sends_all_its_tones_on_four_channels_over_tcp(
     tmp_path: Path, plate: str, tones: int, parts_a_frame: int
@@ -113,23 +83,6 @@ def test_a_skin_sends_all_its_tones_on_four_channels_over_tcp(
     assert emulator.report()["bytes_sent"] >= 80 * parts_a_frame * 36
 
 
-def test_a_board_of_one_frame_rate_suits_the_plate_file_that_has_it_and_no_other() -> None:
-    skin = load_plate("skin32")
-    options = EmulatorOptions("skin32", tcp=("127.0.0.1", 0), frame_rate_hz=250.0)
-    with emulated(options) as emulator:
-        host_name, port = emulator.link.address.removeprefix("tcp://").rsplit(":", 1)
-        with socket.create_connection((host_name, int(port))) as client:
-            host = Host(client.fileno(), gate_ticks=1_000_000)
-            host.read_until(lambda: sum(isinstance(event, FramePart) for event in host.events) >= 10 * 20)
-    (described,) = (event for event in host.events if isinstance(event, Described))
-    assert incompatibilities(described.description, with_counter(skin, frame_rate_hz=250.0)) == ()
-    assert incompatibilities(described.description, skin) == (
-        "frame rate: the board makes 250 to 250 Hz, the plate file has 100 Hz",
-    )
-    ticks = sorted({event.board_ticks for event in host.events if isinstance(event, FramePart)})
-    assert np.diff(ticks).tolist() == [1_000_000] * (len(ticks) - 1)
-
-
 @pytest.mark.parametrize(("given", "seeds_alike"), [(None, True), (7, True), (8, False)])
 def test_the_scenario_fixes_the_seed_unless_another_is_given(
     tmp_path: Path, given: int | None, seeds_alike: bool
@@ -149,29 +102,6 @@ def test_the_scenario_fixes_the_seed_unless_another_is_given(
     assert (lost[0] == lost[1]) == seeds_alike
 
 
-def test_as_a_program_it_says_where_it_is_and_stops_cleanly_when_told(tmp_path: Path) -> None:
-    path = tmp_path / "board"
-    program = (
-        "import sys; from pathlib import Path; from simulators.emulator import EmulatorOptions, run;"
-        "run(EmulatorOptions('quartz16', pty=Path(sys.argv[1]), json=True))"
-    )
-    command = [sys.executable, "-c", program, str(path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        first = json.loads(process.stdout.readline())
-        assert first == {"link": f"serial:{path}?baud=4000000", "plate": "quartz16", "serial_number": SERIAL_NUMBER}
-        with opened(path) as host:
-            host.read_until(lambda: len(host.frames) >= 20)
-        process.send_signal(signal.SIGTERM)
-        rest, errors = process.communicate(timeout=WAIT_S)
-    assert process.returncode == 0, errors
-    (report,) = [json.loads(line) for line in rest.splitlines()]
-    assert report["frames_sent"] >= 20
-    assert report["faults"]["bits_flipped"] == 0
-    assert not path.is_symlink()
-    assert "quartz16" in errors
-
-
 def test_on_usb_it_says_with_what_to_start_a_host() -> None:
     program = (
         "from simulators.emulator import EmulatorOptions, run; run(EmulatorOptions('quartz16', usb=True, json=True))"
@@ -186,22 +116,3 @@ def test_on_usb_it_says_with_what_to_start_a_host() -> None:
     assert first["link"] == f"usb:1209:0001?serial={SERIAL_NUMBER}"
     assert first["environment"].keys() == {"LD_PRELOAD", "UMOCKDEV_DIR"}
     assert f"UMOCKDEV_DIR={first['environment']['UMOCKDEV_DIR']}" in errors
-
-
-def test_options_that_make_no_sense_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "board"
-    fds = len(os.listdir("/proc/self/fd"))
-    with pytest.raises(ValueError, match="give one of pty, tcp and usb"):
-        Emulator(EmulatorOptions("quartz16"))
-    with pytest.raises(ValueError, match="speed must be above 0"):
-        Emulator(EmulatorOptions("quartz16", pty=path, speed=0.0))
-    with pytest.raises(ValueError, match="no shipped scenario"):
-        Emulator(EmulatorOptions("quartz16", pty=path, scenario="tuches"))
-    with pytest.raises(ValueError, match="plate skin32 is channelised, and only a single-tone"):
-        Emulator(EmulatorOptions("skin32", pty=path, counter="stamps"))
-    with pytest.raises(ValueError, match=r"frame_rate_hz: got 251; the emulated skin32 makes 10 to 250 frames/s"):
-        Emulator(EmulatorOptions("skin32", pty=path, frame_rate_hz=251.0))
-    with pytest.raises(FileNotFoundError):
-        Emulator(EmulatorOptions("quartz16", pty=path, truth=tmp_path / "nowhere" / "truth.jsonl"))
-    assert not path.is_symlink()
-    assert len(os.listdir("/proc/self/fd")) == fds

@@ -12,7 +12,7 @@ import pytest
 from emulation import emulated
 from wire_host import Host, opened, truths, wait_for
 
-from firmware_protocol.host import Described, Frame, Located, Pong, Rebooted
+from firmware_protocol.host import Described, Frame, Pong
 from firmware_protocol.messages import BoardStatus, ResetCause
 from simulators.emulator import OTHER_SERIAL_NUMBER, SERIAL_NUMBER, Emulator, EmulatorOptions
 from simulators.faults import FaultPlan, parse_faults
@@ -36,42 +36,6 @@ def sequences(host: Host) -> list[int]:
 
 def described(host: Host) -> list[Described]:
     return [event for event in host.events if isinstance(event, Described)]
-
-
-def test_an_unplugged_board_returns_under_its_name_and_goes_on(tmp_path: Path) -> None:
-    path = tmp_path / "board"
-    faults = parse_faults("unplug_at_s=0.2,unplug_for_s=0.3")
-    with emulated(EmulatorOptions("quartz16", pty=path, scenario="still", faults=faults)) as emulator:
-        with opened(path) as host:
-            host.read_until(lambda: False)
-            assert host.gone
-            assert host.frames[-1].sequence <= 200
-        wait_for(path.exists)
-        with opened(path) as host:
-            host.read_until(lambda: len(host.frames) >= 50)
-            assert not any(isinstance(event, Rebooted) for event in host.events)
-            assert host.frames[0].sequence == 0  # of a run of its own
-            assert host.frames[0].board_ticks > 500_000_000  # of the same boot
-    report = emulator.report()
-    assert report["faults"]["unplugs"] == 1
-    assert report["dropped_by_cause"]["discarded"] == report["frames_dropped"] >= 250
-    assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
-
-
-def test_a_board_that_reboots_has_another_boot_id(tmp_path: Path) -> None:
-    path = tmp_path / "board"
-    faults = parse_faults("reboot_at_s=0.1")
-    options = EmulatorOptions("quartz16", pty=path, scenario="still", faults=faults)
-    with emulated(options) as emulator, opened(path) as host:
-        host.read_until(lambda: len(host.frames) >= 50)
-        first = next(event for event in host.events if isinstance(event, Described))
-        host.read_until(lambda: sum(isinstance(event, Described) for event in host.events) == 2)
-        count = len(host.frames)
-        host.read_until(lambda: len(host.frames) >= count + 20)
-    assert emulator.report()["faults"]["reboots"] == 1
-    (reboot,) = [event for event in host.events if isinstance(event, Rebooted)]
-    assert reboot.boot_id != first.boot_id
-    assert host.frames[count].sequence == 0
 
 
 def test_all_that_happens_to_bytes_at_once_is_what_the_report_says(tmp_path: Path) -> None:
@@ -126,18 +90,6 @@ def test_a_frozen_board_leaves_its_port_open_and_its_gates_go_on(tmp_path: Path)
     assert emulator.report()["dropped_by_cause"]["queue_full"] >= told
 
 
-def test_a_silent_board_answers_and_sends_no_frames(tmp_path: Path) -> None:
-    path = tmp_path / "board"
-    with emulated(quartz(path, "silence_at_s=0.1,silence_for_s=0.4")) as emulator, opened(path) as host:
-        host.read_until(lambda: bool(host.frames) and host.frames[-1].sequence > 520)
-    numbers = sequences(host)
-    before = max(number for number in numbers if number < 300)
-    after = min(number for number in numbers if number > 300)
-    assert any(isinstance(event, Pong) for event in host.events)  # of the pings of a host that hears nothing
-    assert add_up(emulator)["silences"] == 1
-    assert emulator.report()["dropped_by_cause"]["silence"] == after - before - 1
-
-
 def test_a_brown_out_cuts_a_frame_and_the_board_says_why_it_began_anew(tmp_path: Path) -> None:
     path = tmp_path / "board"
     with emulated(quartz(path, "brown_out_at_s=0.1")) as emulator, opened(path) as host:
@@ -152,24 +104,6 @@ def test_a_brown_out_cuts_a_frame_and_the_board_says_why_it_began_anew(tmp_path:
     assert counts["frame_sequences_cut"] == [before]
     assert sequences(host)[: before + 20] == [*range(before), *range(20)]
     assert host.session.bytes.discarded == 102
-
-
-def test_a_tick_count_that_jumps_does_so_once_and_without_a_boot(tmp_path: Path) -> None:
-    path = tmp_path / "board"
-    with emulated(quartz(path, "tick_step_at_s=0.1,tick_step_ticks=5000000000")) as emulator, opened(path) as host:
-        host.read_until(lambda: len(host.frames) >= 200)
-    steps = Counter(np.diff([frame.board_ticks for frame in host.frames]).tolist())
-    assert set(steps) == {1_000_000, 5_001_000_000}
-    assert steps[5_001_000_000] == add_up(emulator)["tick_steps"] == 1
-    assert not any(isinstance(event, Rebooted) for event in host.events)
-
-
-def test_a_skewed_reference_is_so_much_faster(tmp_path: Path) -> None:
-    path, truth_path = tmp_path / "board", tmp_path / "truth.jsonl"
-    with emulated(quartz(path, "skew_ppm=50000", truth=truth_path)), opened(path) as host:
-        host.read_until(lambda: len(host.frames) >= 200)
-    stamps = [int(line["t_ns"]) for line in truths(truth_path)[:200]]
-    assert stamps[199] - stamps[0] == pytest.approx(199e6 / 1.05, abs=2e6)
 
 
 @pytest.mark.undisturbed
@@ -205,15 +139,6 @@ def test_a_port_takes_another_name_and_is_gone_from_the_old_one(tmp_path: Path) 
     assert os.listdir(tmp_path) == []
 
 
-def test_a_board_that_is_to_be_seen_blinks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "board"
-    with emulated(quartz(path, "")), opened(path) as host:
-        host.read_until(lambda: len(host.frames) >= 5)
-        host.session.locate()
-        host.read_until(lambda: any(isinstance(event, Located) for event in host.events))
-    assert capsys.readouterr().err == "board EMU-0001 blinks\n"
-
-
 def test_the_scenario_s_faults_hold_beside_those_of_the_command_line(tmp_path: Path) -> None:
     path, scenario = tmp_path / "board", tmp_path / "mine.toml"
     scenario.write_text(
@@ -227,12 +152,6 @@ def test_the_scenario_s_faults_hold_beside_those_of_the_command_line(tmp_path: P
     assert counts["reboots"] == 1
     assert counts["bits_flipped"] == 0
     assert sequences(host)[:4] == [0, 0, 1, 1]
-
-
-def test_a_name_is_changed_of_a_terminal_alone(tmp_path: Path) -> None:
-    faults = parse_faults("rename_at_s=1,rename_to=b")
-    with pytest.raises(ValueError, match="rename: only a pseudo-terminal"):
-        Emulator(EmulatorOptions("quartz16", tcp=("127.0.0.1", 0), faults=faults))
 
 
 def test_a_new_tcp_host_gets_nothing_before_it_asks() -> None:

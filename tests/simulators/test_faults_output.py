@@ -71,16 +71,6 @@ class Bench:
             self.output.send(10**9 + self.now_ns, self.now_ns * 1e-9)
 
 
-def test_frames_go_out_whole_and_are_counted() -> None:
-    bench = Bench()
-    bench.pass_ms(5)
-    assert bench.link.frames() == [0, 1, 2, 3, 4]
-    assert [len(data) for data in bench.link.writes] == [FRAME_BYTES] * 5
-    assert (bench.output.frames_sent, bench.output.frames_unsent) == (5, 0)
-    assert not bench.output.waits_for_room
-    assert bench.output.next_ns is None
-
-
 def test_a_host_that_does_not_read_costs_the_oldest_frames_but_never_one_that_has_begun() -> None:
     bench = Bench(queue_frames=3)
     bench.link.room = 100
@@ -104,17 +94,6 @@ def test_pieces_and_clumps_carry_the_same_bytes() -> None:
     assert {len(data) for data in clumped.link.writes} == {1}
     assert clumped.link.frames() == list(range(len(clumped.link.frames())))
     assert 64 - 16 <= len(clumped.link.frames()) <= 64
-
-
-def test_held_output_waits_and_what_was_on_its_way_arrives() -> None:
-    bench = Bench(delay_ms=5.0)
-    bench.pass_ms(10)
-    bench.output.held = True
-    bench.pass_ms(20)
-    assert bench.link.frames() == list(range(10))
-    bench.output.held = False
-    bench.pass_ms(6)
-    assert bench.link.frames()[:30] == list(range(30))
 
 
 def test_damage_counts_once_it_has_gone_out() -> None:
@@ -148,14 +127,3 @@ def test_a_brown_out_ends_the_board_in_the_middle_of_a_frame() -> None:
     bench.request(MessageType.PING, b"12345678")
     bench.pass_ms(1)
     assert [packet.boot_id for packet in bench.link.packets()] == [78]
-
-
-def test_a_brown_out_of_a_board_without_host_waits_for_nobody() -> None:
-    bench = Bench()
-    ended = []
-    bench.output.cut_next_frame(lambda: ended.append(bench.board.frames_made))
-    bench.link.hang_up()
-    bench.pass_ms(1)
-    bench.pass_ms(1)
-    assert ended == [1]
-    assert bench.output.counts.frame_sequences_cut == []

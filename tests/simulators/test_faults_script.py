@@ -40,14 +40,6 @@ def test_every_event_has_its_steps_in_the_order_of_time() -> None:
     ]
 
 
-def test_another_board_comes_and_the_own_one_returns() -> None:
-    steps = all_steps(FaultPlan(events=(FaultEvent(at_s=1.0, what="wrong_board", for_s=2.0),)))
-    assert [step.action for step in steps] == [
-        Action.TAKE_AWAY, Action.PLUG_IN_OTHER, Action.TAKE_AWAY, Action.PLUG_IN_OWN
-    ]  # fmt: skip
-    assert steps[2].at_s - steps[1].at_s == pytest.approx(2.0)
-
-
 def test_random_unplugs_follow_each_other_and_mix_with_the_script() -> None:
     plan = FaultPlan(unplug_rate_hz=2.0, unplug_for_s=0.1, events=(FaultEvent(at_s=50.0, what="reboot"),))
     script = Script(plan, 3)

@@ -26,11 +26,6 @@ def test_a_spec_is_read_key_by_key() -> None:
     )
 
 
-def test_how_long_the_cable_is_out_at_random_is_no_event() -> None:
-    plan = parse_faults("unplug_rate_hz=2,unplug_for_s=0.1")
-    assert (plan.unplug_rate_hz, plan.unplug_for_s, plan.events) == (2.0, 0.1, ())
-
-
 def test_every_mistake_in_a_spec_is_named() -> None:
     with pytest.raises(ValueError, match="faults") as caught:
         parse_faults(
@@ -51,11 +46,3 @@ def test_every_mistake_in_a_spec_is_named() -> None:
     assert said["rename_to"].startswith("got 'a/b'")
     assert said["tick_step"] == "a tick_step needs ticks, and nothing else takes it"
     assert said["misbehave"].startswith("got 'cheats'; allowed: channels0, channels5, ")
-
-
-def test_a_plan_with_more_has_the_later_ones_keys_and_the_events_of_both() -> None:
-    reboot, freeze = FaultEvent(at_s=1.0, what="reboot"), FaultEvent(at_s=2.0, what="freeze")
-    first = FaultPlan(bit_error_rate=1e-3, clump_ms=16.0, events=(reboot,))
-    second = FaultPlan(bit_error_rate=0.0, delay_ms=3.0, events=(freeze,))
-    assert first.with_more(second) == FaultPlan(clump_ms=16.0, delay_ms=3.0, events=(reboot, freeze))
-    assert first.with_more(FaultPlan()) == first

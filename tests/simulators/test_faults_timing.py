@@ -18,17 +18,6 @@ def lots_due(held: Line, now_ns: int) -> list[bytes]:
     return [lot.data for lot in iter(lambda: held.pop(now_ns), None)]
 
 
-def test_without_faults_everything_is_due_at_once_in_its_order() -> None:
-    straight = line()
-    for number in range(5):
-        straight.put(Lot(bytes([number]), frames=1), 0)
-    assert straight.frames == 5
-    assert straight.has_due(0)
-    assert straight.next_due_ns is None
-    assert lots_due(straight, 0) == [bytes([number]) for number in range(5)]
-    assert not straight.has_due(0)
-
-
 def test_clumps_leave_whole_at_multiples_of_their_time() -> None:
     clumped = line(clump_ms=16.0, delay_ms=2.0)
     for now_ms in range(40):

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.distance import pdist, squareform
 
 from firmware_protocol.layouts import ToneFlag
 from resonator_daemon.plate import Plate, load_plate
@@ -26,26 +25,6 @@ PRESS = Touch(start_s=0.0, position_mm=(0.0, 0.0), force_newton=1.0, rise_s=0.0,
 def test_the_file_is_what_its_script_makes() -> None:
     run = subprocess.run([sys.executable, ROOT / "docs/plates/fingertip400.py"], capture_output=True, check=True)
     assert run.stdout == (ROOT / "resonator_daemon/plates/fingertip400.toml").read_bytes()
-
-
-def test_400_sites_lie_irregularly_inside_a_fingertip_and_closer_in_the_middle() -> None:
-    sites_mm = PLATE.site_positions_m * 1e3
-    assert sites_mm.shape == (400, 2)
-    assert sorted(PLATE.site_ids) == list(range(1, 401))
-    np.testing.assert_allclose(np.ptp(PLATE.outline_m, axis=0), [14e-3, 18e-3])
-    x, y = sites_mm.T
-    assert (np.hypot(x, y - 2.0)[y > 2.0] <= 6.5).all()  # the tip is a half circle; 0.5 mm are left free
-    assert np.abs(x).max() <= 6.5
-    assert y.min() >= -8.5
-    distance_mm = squareform(pdist(sites_mm)) + np.diag(np.full(400, np.inf))
-    nearest_mm = distance_mm.min(axis=1)
-    assert nearest_mm.min() >= 0.35
-    radius_mm = np.hypot(x, y)
-    assert np.median(nearest_mm[radius_mm < 3.0]) < 0.7 * np.median(nearest_mm[radius_mm > 6.0])
-    # Irregular: the ways to the nearest site lead everywhere, on a lattice they have few directions.
-    ways = sites_mm[distance_mm.argmin(axis=1)] - sites_mm
-    for fold in (2, 4, 6):
-        assert abs(np.exp(1j * fold * np.arctan2(ways[:, 1], ways[:, 0])).mean()) < 0.15
 
 
 def signals_of(plate: Plate, *touches: Touch, frames: int = 40) -> tuple[np.ndarray, np.ndarray]:

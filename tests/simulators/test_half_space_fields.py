@@ -122,27 +122,3 @@ def test_axis_of_a_hertz_shear_traction(z_over_a: float) -> None:
     assert eps_xz == pytest.approx(tau / (2 * MODULUS_OF_SHEAR), rel=1e-9)
     assert p_n == 0
     assert eps_yz == 0
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"depth_m": 0.0}, "depth_m is 0.0"),
-        ({"poisson_ratio": 0.51}, r"poisson_ratio is 0\.51"),
-        ({"poisson_ratio": -1.0}, "poisson_ratio is -1"),
-        ({"youngs_modulus_pascal": 0.0}, "youngs_modulus_pascal is 0"),
-        ({"radii_m": [-1e-3]}, "radii_m"),
-        ({"radii_m": 1e-3}, "radii_m"),
-        ({"offsets_m": [0.0, 1.0]}, r"shape \(2,\)"),
-    ],
-)
-def test_impossible_arguments_are_refused(change: dict[str, object], message: str) -> None:
-    arguments: dict[str, object] = {
-        "offsets_m": [[0.0, 0.0]],
-        "depth_m": 1e-3,
-        "radii_m": [1e-3],
-        "youngs_modulus_pascal": E,
-        "poisson_ratio": NU,
-    }
-    with pytest.raises(ValueError, match=message):
-        hertz_fields(**(arguments | change))  # type: ignore[arg-type]

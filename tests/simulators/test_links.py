@@ -11,10 +11,9 @@ from pathlib import Path
 import pytest
 import serial
 
-from simulators.links import Link, PtyLink, TcpLink
+from simulators.links import PtyLink, TcpLink
 
 WAIT_S = 5.0
-EVERY_BYTE = bytes(range(256))  # with all that a terminal would take as an order
 
 
 @pytest.fixture
@@ -36,13 +35,6 @@ def open_fds() -> int:
     return len(os.listdir("/proc/self/fd"))
 
 
-def read_from(link: Link, size: int) -> bytes:
-    data = b""
-    while len(data) < size and select.select(link.read_fds, [], [], WAIT_S)[0]:
-        data += link.read()
-    return data
-
-
 def connect(link: TcpLink) -> socket.socket:
     host, port = link.address.removeprefix("tcp://").rsplit(":", 1)
     client = socket.create_connection((host, int(port)), timeout=WAIT_S)
@@ -50,17 +42,6 @@ def connect(link: TcpLink) -> socket.socket:
         assert select.select(link.read_fds, [], [], WAIT_S)[0]
         link.read()
     return client
-
-
-def test_a_pseudo_terminal_carries_every_byte_both_ways(pty: tuple[PtyLink, Path]) -> None:
-    link, path = pty
-    assert link.address == f"serial:{path}?baud=4000000"
-    with serial.Serial(str(path), 4_000_000, timeout=WAIT_S) as port:
-        port.write(EVERY_BYTE)
-        assert read_from(link, 256) == EVERY_BYTE
-        assert link.write(EVERY_BYTE) == 256
-        assert port.read(256) == EVERY_BYTE
-    assert link.read() == b""  # nothing was echoed, and the host's leaving is no error
 
 
 def test_a_host_that_does_not_read_never_blocks_the_board(pty: tuple[PtyLink, Path]) -> None:
@@ -115,29 +96,6 @@ def test_closing_takes_its_own_name_away_and_no_other(tmp_path: Path) -> None:
     assert open_fds() == before
 
 
-def test_what_is_no_symbolic_link_is_left_alone(tmp_path: Path) -> None:
-    before = open_fds()
-    path = tmp_path / "notes"
-    path.write_text("mine")
-    with pytest.raises(FileExistsError, match="no symbolic link"):
-        PtyLink(path)
-    with pytest.raises(FileNotFoundError):
-        PtyLink(tmp_path / "nowhere" / "board")
-    assert path.read_text() == "mine"
-    assert open_fds() == before
-
-
-def test_a_listener_carries_every_byte_both_ways(tcp: TcpLink) -> None:
-    assert tcp.write_fd is None
-    assert tcp.write(b"x") == 0
-    with connect(tcp) as client:
-        client.sendall(EVERY_BYTE)
-        assert read_from(tcp, 256) == EVERY_BYTE
-        assert tcp.write(EVERY_BYTE) == 256
-        assert client.recv(256) == EVERY_BYTE
-        assert tcp.read() == b""
-
-
 def test_a_second_client_is_turned_away_and_the_first_stays(tcp: TcpLink) -> None:
     with connect(tcp) as first, ExitStack() as stack:
         host, port = tcp.address.removeprefix("tcp://").rsplit(":", 1)
@@ -147,16 +105,6 @@ def test_a_second_client_is_turned_away_and_the_first_stays(tcp: TcpLink) -> Non
         assert second.recv(1) == b""
         tcp.write(b"on")
         assert first.recv(2) == b"on"
-
-
-def test_a_client_that_leaves_makes_room_for_the_next(tcp: TcpLink) -> None:
-    connect(tcp).close()
-    while tcp.write_fd is not None:
-        assert select.select(tcp.read_fds, [], [], WAIT_S)[0]
-        tcp.read()
-    with connect(tcp) as following:
-        tcp.write(b"hello")
-        assert following.recv(5) == b"hello"
 
 
 def test_a_listener_that_hangs_up_refuses_until_it_is_back_on_its_port(tcp: TcpLink) -> None:

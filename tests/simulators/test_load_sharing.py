@@ -27,36 +27,12 @@ def test_a_touch_between_sites_is_shared_by_distance_to_the_power_of_minus_4() -
     assert force[SITES[7]] == force.max()
 
 
-def test_exactly_on_a_site_the_site_carries_all() -> None:
-    result = loads(steady(3.0, position_mm=(-0.5, 2.0)), steady(1.0, site=16))
-    expected = np.zeros(16)
-    expected[[SITES[7], SITES[16]]] = 3.0, 1.0
-    assert result.force_newton[0] == pytest.approx(expected, abs=1e-12)
-    assert result.touch_id[0].tolist() == [{6: 1, 15: 2}.get(index, 0) for index in range(16)]
-
-
-def test_without_sharing_the_nearest_site_carries_all() -> None:
-    alone = QUARTZ.model_copy(update={"load_sharing_exponent": None})
-    force = loads(steady(2.0, position_mm=(-0.3, 2.3)), plate=alone).force_newton[0]
-    assert force.tolist() == [2.0 if index == SITES[7] else 0.0 for index in range(16)]
-
-
 def test_a_cover_spreads_a_touch_and_two_touches_add_up() -> None:
     place = np.array([1.0, -2.0])
     force = loads(steady(3.0, position_mm=tuple(place)), steady(1.0, site=9), plate=COMB).force_newton[0]
     for index, position in enumerate(np.array([site.position_mm for site in COMB.sites])):
         first, second = ((position - at) @ (position - at) for at in (place, FAR * 1e3))
         assert force[index] == pytest.approx(3.0 / (1 + first / 6.25) ** 1.5 + 1.0 / (1 + second / 6.25) ** 1.5)
-
-
-def test_a_sliding_touch_is_shared_where_it_is() -> None:
-    slide = steady(1.0, hold_s=10.0, position_mm=tuple(NEAR * 1e3), to_mm=tuple(FAR * 1e3))
-    moving = loads(slide, times_s=(1e-9, 2.5, 5.0, 9.999999)).force_newton
-    assert moving[0, SITES[7]] == pytest.approx(1.0)
-    assert moving[3, SITES[9]] == pytest.approx(1.0)
-    assert moving[2, SITES[7]] == pytest.approx(moving[2, SITES[9]])
-    still = loads(steady(1.0, position_mm=tuple((0.75 * NEAR + 0.25 * FAR) * 1e3))).force_newton
-    assert moving[1] == pytest.approx(still[0])
 
 
 def test_the_whole_plate_presses_every_site_under_a_number_of_its_own() -> None:

@@ -1,7 +1,6 @@
 """Noise by Box and Muller against the moments and the tails of the normal distribution."""
 
 import numpy as np
-import pytest
 from scipy.stats import kstest
 
 from simulators.normal_noise import normal_noise
@@ -21,8 +20,3 @@ def test_calls_continue_one_stream_of_bits() -> None:
     first, second = normal_noise(bits, (4, 3)), normal_noise(bits, (4, 3))
     assert not (first == second).any()
     assert (normal_noise(again, (2, 6)).ravel() == first.ravel()).all()
-
-
-def test_an_odd_size_is_refused() -> None:
-    with pytest.raises(ValueError, match="even"):
-        normal_noise(np.random.PCG64(1), (3,))

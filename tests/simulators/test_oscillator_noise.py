@@ -40,12 +40,6 @@ def test_allan_deviations_have_their_slope_and_level(
     assert np.polyfit(np.log(tau_s), np.log(deviation), 1)[0] == pytest.approx(slope, abs=0.02)
 
 
-def test_flicker_is_level_up_to_3000_s() -> None:
-    spans = (1, 10, 100, 300)
-    shift = oscillators(96, 0.0, S, 0.0, seed=2).advance(10.0, 6_000).relative_shift
-    assert overlapping_allan_deviation(shift, 10.0, spans) == pytest.approx(np.full(4, S), rel=0.05)
-
-
 def test_a_regression_over_gates_sees_white_fm_as_in_a_finely_made_phase() -> None:
     """Against a random walk of the phase in 500 steps a gate, over one gate and over ten that are merged."""
     dt_s, gates, steps, runs = 1e-3, 10, 500, 2_000
@@ -71,12 +65,3 @@ def test_a_regression_over_gates_sees_white_fm_as_in_a_finely_made_phase() -> No
     assert ours.var() == pytest.approx(1.2 * S**2 / (gates * dt_s), rel=0.05)
     bridges_s = phase_s[:, :steps] - phase_s[:, steps - 1 : steps] * t_s[:steps] / dt_s
     assert noise.phase_mean_s.std() == pytest.approx(bridges_s.mean(axis=1).std(), rel=0.04)
-
-
-def test_a_run_is_the_same_however_it_is_split() -> None:
-    whole = oscillators(5, S, S, S, seed=8).advance(1e-3, 60)
-    split = oscillators(5, S, S, S, seed=8)
-    parts = [split.advance(1e-3, gates) for gates in (1, 1, 40, 5, 13)]
-    for name in whole._fields:
-        joined = np.concatenate([getattr(part, name) for part in parts])
-        assert np.allclose(joined, getattr(whole, name), rtol=1e-12, atol=1e-12)

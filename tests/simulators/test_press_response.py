@@ -54,11 +54,3 @@ def test_creep_under_any_force_is_the_integral_of_its_differential_equation() ->
         rtol=1e-8,
     ).y[0]
     assert felt == pytest.approx(0.7 * force + 0.3 * crept, abs=2e-4)
-
-
-def test_a_run_is_the_same_however_it_is_split() -> None:
-    force = forces(200, 5, seed=4)
-    whole = PressResponse(5, 0.1, 0.005, 20.0).advance(1e-3, force)
-    split = PressResponse(5, 0.1, 0.005, 20.0)
-    parts = [split.advance(1e-3, part) for part in np.split(force, [1, 2, 42, 150])]
-    assert np.concatenate(parts) == pytest.approx(whole, abs=1e-13)

@@ -1,7 +1,6 @@
 """Forces on the emulated quartz plate, read back from its records by eq. (1)."""
 
 import tomllib
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -12,12 +11,10 @@ from scenarios import steady
 
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag, SingleToneRecord
 from resonator_daemon.plate import Plate, load_plate
-from simulators.load_sharing import site_loads
 from simulators.physics import Physics
 from simulators.quartz_plate import QuartzPlate
 from simulators.scenario import Scenario
 from simulators.scenario_file import Touch
-from simulators.strides import StrideCounter
 
 GATE_TICKS = 1_000_000
 PLATE = load_plate("quartz16")
@@ -84,25 +81,6 @@ def test_oscillator_noise_is_white_and_common_to_the_corners() -> None:
     assert np.corrcoef(y.T).min() > 0.9
 
 
-def test_records_go_on_across_blocks_and_wraps_while_a_tone_is_held() -> None:
-    plate = QuartzPlate(PLATE, scenario(held(1.0, site=9)), seed=2)
-    plate._strides = StrideCounter(4, 10, np.random.default_rng(1), strides=2**32 // 10 - 30_000)
-    start = 2**32 - 20 * GATE_TICKS
-    records = []
-    for block in range(4):
-        records += count(plate, 0.2, 15, start + block * 15 * GATE_TICKS)
-    for channel in range(4):
-        row = [frame[channel] for frame in records]
-        assert row[0].flags == RecordFlag.STRIDE_BREAK
-        for earlier, later in pairwise(row):
-            assert later.flags == 0
-            assert later.first_edge == (earlier.first_edge + 10 * earlier.stamps) % 2**32
-            gap = (later.first_ticks - earlier.first_ticks) % 2**32 - earlier.span_ticks
-            assert gap == pytest.approx(earlier.span_ticks / (earlier.stamps - 1), abs=4)
-        assert max(r.first_edge for r in row) > 2**31 > min(r.first_edge for r in row)
-        assert max(r.first_ticks for r in row) > 2**31 > min(r.first_ticks for r in row)
-
-
 def test_a_touch_captures_every_corner_once_and_its_release_gives_them_back() -> None:
     plate = QuartzPlate(PLATE, scenario(held(1.0, site=9)), seed=2)
     records = count(plate, 0.09, 530)
@@ -127,35 +105,6 @@ def test_a_corner_that_hears_nothing_says_so() -> None:
             assert record.attenuation_db256 == 100 * 256
     assert all(record.flags == RecordFlag.STRIDE_BREAK for record in records[50])
     assert all(record.flags == 0 for frame in records[51:] for record in frame)
-
-
-def test_levels_follow_distance_and_force_below_full_contact() -> None:
-    def attenuation_db(site: int, force_newton: float, seed: int) -> npt.NDArray[np.float64]:
-        plate = QuartzPlate(PLATE, scenario(held(force_newton, site=site)), seed)
-        return np.array([record.attenuation_db256 / 256 for record in count(plate, 0.2, 1)[0]])
-
-    full = attenuation_db(7, 0.02, 1)
-    assert attenuation_db(7, 5.0, 1) == pytest.approx(full)
-    assert attenuation_db(7, 0.01, 1) - full == pytest.approx(np.full(4, 6.02), abs=0.01)
-    # Site 14 lies 3.2 mm from corner 0 and 24.4 mm from corner 2; 4 dB of scatter in each, over 60 plates.
-    many = np.array([attenuation_db(14, 1.0, seed) for seed in range(60)])
-    distance_mm = np.hypot(*(np.array(PLATE.transducers_mm) - (-7.3, -8.2)).T)
-    expected = 50 + 10 * np.log10(1 + distance_mm) + 0.26058 * distance_mm
-    assert many.mean(axis=0) == pytest.approx(expected, abs=4 * 4 / np.sqrt(60))
-    assert many.std(axis=0).mean() == pytest.approx(4.0, rel=0.2)
-
-
-def test_a_touch_between_sites_is_heard_at_the_share_of_a_site() -> None:
-    near, far = (np.array(PLATE.site_positions_m[PLATE.site_ids == site][0]) for site in (7, 9))
-    position_mm = tuple(((2 * near + far) / 3 * 1e3).tolist())
-    # With full contact far away the site that bears most is the loudest.
-    touched = scenario(held(3.0, position_mm=position_mm), full_contact_newton=10.0, pilot_level_db=-100.0)
-    share = site_loads(touched.at(np.array([0.2])), PLATE, touched.whole_plate).force_newton[0] / 3.0
-    plate = QuartzPlate(PLATE, touched, seed=1)
-    f0_hz, sensitivity = tone_of(7)
-    records = count(plate, 0.2, 100)
-    force = (1 - f0_hz[1] / (frequency_hz(records, 1) * (1 + 1.5e-6))) / sensitivity[1]
-    assert force == pytest.approx(3.0 * share[6], abs=6e-3)
 
 
 @pytest.mark.parametrize("sites", [1, 2, 3])
@@ -200,27 +149,3 @@ def test_two_touches_beat_as_theory_has_it(counter: Literal["sums", "stamps"], c
     omega, pi = np.std(frequencies_hz(whole_s)[0]), np.std(frequencies_hz(half_s)[1])
     assert omega == pytest.approx(3 * ratio / (np.pi**2 * beat_hz * whole_s**2 * np.sqrt(2)), rel=0.06)
     assert pi == pytest.approx(ratio / (np.pi * half_s * np.sqrt(2)), rel=0.06)
-
-
-def test_truth_is_what_pressed_during_the_gate() -> None:
-    touch = Touch(start_s=0.1, site=9, force_newton=2.0, rise_s=0.2, hold_s=0.2, fall_s=0.2)
-    plate = QuartzPlate(PLATE, scenario(touch, held(1.0, position_mm=(0.1, 0.2))), seed=1)
-    before, middle = plate.count(0, 99_000_000, GATE_TICKS, 2)[0], plate.count(0, 199_500_000, GATE_TICKS, 1)[0]
-    assert before.contacts == []
-    first, second = middle.contacts
-    assert (first.id, first.site, first.position_m) == (1, 9, (0.0033, 0.0035))
-    # Half way up the ramp; ticks are 1.5 ppm short of nanoseconds.
-    assert first.force_newton == pytest.approx((0.0, 0.0, 1.0), abs=1e-5)
-    assert (second.id, second.site) == (2, None)
-    assert second.force_newton == (0.0, 0.0, 1.0)
-    assert first.radius_m is None
-
-
-def test_a_gate_of_the_longest_and_the_shortest_kind_fits_a_record() -> None:
-    description = QuartzPlate(PLATE, scenario(), seed=1).description
-    for gate_ticks in (description.gate_ticks_min, description.gate_ticks_max):
-        plate = QuartzPlate(PLATE, scenario(), seed=1)
-        (frame,) = plate.count(0, 0, gate_ticks, 1)
-        record = SingleToneRecord(*SINGLE_TONE_STRUCT.unpack(frame.channels[0]))
-        assert record.stamps == pytest.approx(gate_ticks / 1e9 * 10.01e6 / 10, abs=1.1)
-        assert frequency_hz([[record]], 0) == pytest.approx(10.01e6, rel=1e-5)

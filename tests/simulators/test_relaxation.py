@@ -7,15 +7,6 @@ from scipy.integrate import solve_ivp
 from simulators.relaxation import Relaxation
 
 
-def test_a_step_is_followed_exponentially() -> None:
-    lag = Relaxation(5.0, np.array([300.0, 290.0]))
-    dt_s = 0.02
-    values = lag.advance(dt_s, np.full((1000, 2), 310.0))
-    t_s = (np.arange(1000) + 0.5) * dt_s
-    assert values[:, 0] == pytest.approx(310 - 10 * np.exp(-t_s / 5), abs=1e-10)
-    assert values[:, 1] == pytest.approx(310 - 20 * np.exp(-t_s / 5), abs=1e-10)
-
-
 def test_targets_that_change_are_followed_as_the_differential_equation_is() -> None:
     dt_s, time_s = 0.3, 2.0
     targets = np.random.default_rng(1).normal(size=40)

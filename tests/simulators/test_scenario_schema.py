@@ -1,21 +1,14 @@
 """The JSON Schema of scenario files: what it says, and that it takes what the emulator takes."""
 
-import re
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, get_args
 
 import pytest
 from jsonschema import Draft202012Validator
 
 from resonator_daemon.plate import load_plate
 from simulators import scenario_file
-from simulators.faults import FaultPlan
-from simulators.faults.plan import Happening, Lie
-from simulators.physics import Physics
 from simulators.scenario import load_scenario
-from simulators.scenario_file import shipped_scenarios
 from simulators.scenario_schema import scenario_schema
 
 SCHEMA = scenario_schema()
@@ -26,50 +19,6 @@ SHIPPED = sorted(Path(scenario_file.__file__).with_name("scenarios").glob("*.tom
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_shipped_scenarios_keep_to_the_schema(path: Path) -> None:
     VALIDATOR.validate(tomllib.loads(path.read_text()))
-
-
-def test_every_table_and_key_is_described() -> None:
-    tables = [SCHEMA, *SCHEMA["$defs"].values()]
-    assert len(tables) == 6
-    for table in tables:
-        assert table["description"]
-        for name, key in table["properties"].items():
-            assert key.get("description", "").endswith("."), name
-
-
-def test_nothing_in_it_is_null() -> None:
-    def values(node: Any) -> Iterator[Any]:
-        yield node
-        for child in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
-            yield from values(child)
-
-    assert all(node is not None and node != "null" for node in values(SCHEMA))
-
-
-def test_the_page_on_the_emulator_knows_every_key_default_and_scenario(tmp_path: Path) -> None:
-    page = (Path(__file__).parents[2] / "docs/emulator.md").read_text()
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines() if line.startswith("| `")]
-    assert {row[0].strip("`") for row in rows} >= set(shipped_scenarios())
-    for table in ("Touch", "Shear", "FaultPlan", "FaultEvent"):
-        assert all(re.search(rf"\b{key}\b", page) for key in SCHEMA["$defs"][table]["properties"]), table
-    assert all(re.search(rf"\b{key}\b", page) for key in SCHEMA["properties"])
-    faults = {row[0].strip("`"): row[1] for row in rows if len(row) > 2}
-    for key, field in FaultPlan.model_fields.items():
-        if isinstance(field.default, float | int):
-            assert float(faults[key]) == field.default, key
-    assert all(f"`{word}`" in page for word in (*get_args(Happening), *get_args(Lie)))
-    physics = {row[0].split("`")[1]: (row[0].endswith("○"), row[1]) for row in rows}
-    ideal = Physics(ideal=True)
-    for key, default in Physics():
-        marked, said = physics[key]
-        assert marked == (key != "ideal" and getattr(ideal, key) != default), key
-        if isinstance(default, float):
-            assert float(said) == default, key
-    example = tmp_path / "example.toml"
-    example.write_text(
-        page[page.index("    period_s = ") : page.index("Under a skin a touch may")].replace("\n    ", "\n")
-    )
-    assert load_scenario(str(example), load_plate("quartz16")).seed == 3
 
 
 EVENT = "[[faults.events]]\nat_s = 1\n"

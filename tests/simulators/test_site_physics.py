@@ -58,17 +58,6 @@ def test_ideal_sites_without_noise_feel_the_force_and_nothing_else() -> None:
     assert [frames.relative_shift.shape, frames.sensitivity_factor.shape] == [(30, SITES + 1), (30, SITES, 4)]
 
 
-def test_temperature_coefficients_are_drawn_for_sites_and_pilot() -> None:
-    drawn = []
-    for seed in range(200):
-        sites = made(PLATE, physics(temperature_coefficient=-5e-8, temperature_coefficient_std=3e-8), seed)
-        drawn.append(advance(sites, 1, kelvin=REFERENCE_KELVIN + 1).relative_shift[0])
-    of_one = np.array(drawn)
-    assert of_one.mean() == pytest.approx(-5e-8, abs=3e-9)
-    assert of_one.std(axis=0) / 3e-8 == pytest.approx(np.ones(SITES + 1), rel=0.25)
-    assert np.corrcoef(of_one.T) == pytest.approx(np.eye(SITES + 1), abs=0.3)
-
-
 def test_coefficients_of_the_plate_file_go_before_drawn_ones() -> None:
     raw = PLATE.model_dump(mode="json", exclude_none=True)
     raw["sites"][5]["tones"][0]["temperature_coefficients"] = [1e-6, 2e-7, 3e-8]
@@ -91,17 +80,6 @@ def test_a_warm_finger_heats_the_touched_site_and_not_the_plate() -> None:
     assert frames.relative_shift[-1, 2] / -3e-7 == pytest.approx(warmer, rel=1e-6)
     assert frames.plate_kelvin == pytest.approx(np.full(5000, REFERENCE_KELVIN), abs=1e-8)
     assert np.all(np.abs(np.delete(frames.relative_shift, [0, 2], axis=1)) < 1e-14)
-
-
-def test_a_thermal_shock_of_10_kelvin_is_taken_in_5_s_by_sites_and_pilot() -> None:
-    sites = made(PLATE, physics(temperature_coefficient=-5e-8, temperature_transient_s=-2e-7))
-    advance(sites, 10)
-    frames = advance(sites, 10_000, kelvin=REFERENCE_KELVIN + 10)
-    t_s = (np.arange(10_000) + 0.5) * 1e-3
-    remaining = 10 * np.exp(-t_s / 5)
-    assert frames.plate_kelvin == pytest.approx(REFERENCE_KELVIN + 10 - remaining, abs=1e-7)
-    shift = -5e-8 * (10 - remaining) - 2e-7 * remaining / 5
-    assert frames.relative_shift == pytest.approx(np.repeat(shift[:, np.newaxis], SITES + 1, axis=1), abs=1e-14)
 
 
 def test_ageing_is_logarithmic_in_days() -> None:
@@ -137,33 +115,3 @@ def test_a_touch_keeps_its_sensitivity_also_after_an_interruption() -> None:
     assert np.all(factor[:, 9] == factor[0, 9])
     assert np.all(factor[0, 9] != factor[1, 4])
     assert np.all(factor[:, 0] == 1)
-
-
-def test_a_run_is_the_same_however_it_is_split_and_another_with_another_seed() -> None:
-    random = np.random.default_rng(2)
-    gates = 90
-    force = np.cumsum(random.normal(size=(gates, SITES)), axis=0) ** 2
-    contact = np.where(random.random((gates, SITES)) < 0.5, math.nan, 305.0)
-    touch = random.integers(0, 4, (gates, SITES))
-    kelvin = REFERENCE_KELVIN + random.random(gates)
-
-    def run(seed: int, cuts: list[int]) -> list[Floats]:
-        sites = made(PLATE, Physics(), seed)
-        parts = [
-            advance(
-                sites,
-                len(part),
-                force_newton=force[part],
-                touch_id=touch[part],
-                contact_kelvin=contact[part],
-                kelvin=kelvin[part],
-            )
-            for part in np.split(np.arange(gates), cuts)
-        ]
-        return [np.concatenate(values) for values in zip(*parts, strict=True)]
-
-    whole, split, other = run(5, []), run(5, [1, 2, 3, 43, 44, 84]), run(6, [])
-    for name, one, two in zip(SiteFrames._fields, whole, split, strict=True):
-        assert np.allclose(one, two, rtol=1e-11, atol=1e-20), name
-    assert not np.allclose(whole[1], other[1], rtol=1e-3)
-    assert not np.allclose(whole[4], other[4], rtol=1e-5)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from tone_fields import counted_fields
 
-from firmware_protocol.layouts import ToneFlag
 from resonator_daemon.arrays import Floats
 from resonator_daemon.plate import load_plate
 from simulators.contact import PressedSpot
@@ -12,11 +11,8 @@ from simulators.scenario import Scenario, Touch
 from simulators.skin_plate import SkinPlate
 
 GATE_TICKS = 2_500_000
-GATE_S = 0.01
 PLATE = load_plate("skin32")
 TO_TRIPLE = np.array([3 / (2 * 2e5), 1.0, 1.0])
-
-PRESS = Touch(start_s=0.0, position_mm=(0.4, -0.6), force_newton=1.0, rise_s=0.0, hold_s=10.0, fall_s=0.0)
 
 
 def count(plate: SkinPlate, frames: int, at_s: float = 1.0, gate_ticks: int = GATE_TICKS) -> dict[str, Floats]:
@@ -27,21 +23,9 @@ def sigma_hz(fields: dict[str, Floats]) -> Floats:
     return 2 ** ((fields["sigma_code"][0] - 128) / 8)
 
 
-def shifts(fields: dict[str, Floats], still: dict[str, Floats]) -> Floats:
-    """Relative shift (tones,), mean over frames and corners by their stated variances."""
-    weight = sigma_hz(fields) ** -2
-    difference_hz = (fields["offset_hz16"].mean(axis=0) - still["offset_hz16"].mean(axis=0)) / 2**16
-    return (difference_hz * weight).sum(axis=0) / weight.sum(axis=0) / PLATE.tones.f0_hz[:, 0]
-
-
 @pytest.fixture(scope="module")
 def still() -> dict[str, Floats]:
     return count(SkinPlate(PLATE, Scenario((), None, PLATE), seed=4), 150)
-
-
-@pytest.fixture(scope="module")
-def pressed() -> dict[str, Floats]:
-    return count(SkinPlate(PLATE, Scenario((PRESS,), None, PLATE), seed=4), 60)
 
 
 def test_signal_to_noise_ratio_is_30_db_in_the_triple_at_1_newton(still: dict[str, Floats]) -> None:
@@ -65,40 +49,6 @@ def test_noise_of_each_corner_is_what_its_code_says(still: dict[str, Floats]) ->
     assert (found / stated).std() == pytest.approx(
         np.hypot((2 ** (1 / 16) - 1) / np.sqrt(3), 1 / np.sqrt(298)), rel=0.1
     )
-
-
-def test_shifts_are_those_of_the_half_space_with_gain_errors_of_1_percent(
-    still: dict[str, Floats], pressed: dict[str, Floats]
-) -> None:
-    spot = PressedSpot(PLATE.site_positions_m, 1e-3, 2e5, 0.5, (4e-4, -6e-4), 2.5e-3, 0.5, 1.0)
-    signal = spot.signals((0.0, 0.0, 1.0))[PLATE.tones.signal_index, PLATE.tones.site_index]
-    expected = PLATE.tones.sensitivity[:, 0] * signal
-    gain = shifts(pressed, still) / expected
-    strong = np.abs(signal * TO_TRIPLE[PLATE.tones.signal_index]) > 0.08
-    assert strong.sum() > 150
-    assert gain[strong].mean() == pytest.approx(1.0, abs=0.004)
-    assert gain[strong].std() == pytest.approx(0.01, abs=0.0025)
-
-
-def test_phase_is_the_integral_of_the_offset(pressed: dict[str, Floats]) -> None:
-    phase = pressed["phase_turn32"] / 2**32
-    offset_hz = pressed["offset_hz16"] / 2**16
-    step = np.diff(phase, axis=0) - GATE_S * (offset_hz[1:] + offset_hz[:-1]) / 2
-    step -= np.rint(step)
-    relative = step / (sigma_hz(pressed) * GATE_S)
-    assert relative.mean() == pytest.approx(0.0, abs=0.005)
-    # Two phases of sigma T/sqrt(12) and half of two offsets of sigma T: variance 2/12 + 2/4.
-    assert np.sqrt((relative**2).mean()) == pytest.approx(np.sqrt(2 / 3), rel=0.02)
-    # A gate's phase and its slope are off independently.
-    change = np.diff(offset_hz, axis=0) / sigma_hz(pressed)
-    assert np.corrcoef(relative.ravel(), change.ravel())[0, 1] == pytest.approx(0.0, abs=0.01)
-
-
-def test_tones_beyond_half_their_spacing_are_out_of_band() -> None:
-    lost = count(SkinPlate(PLATE, Scenario((), None, PLATE), seed=4, reference_error=17e-6), 1)
-    assert np.all(lost["flags"] == ToneFlag.OUT_OF_BAND)
-    kept = count(SkinPlate(PLATE, Scenario((), None, PLATE), seed=4, reference_error=-14e-6), 1)
-    assert np.all(kept["flags"] == 0)
 
 
 def test_truth_has_the_contact_and_its_stick_radius() -> None:

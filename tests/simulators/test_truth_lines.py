@@ -48,20 +48,6 @@ def test_a_line_says_what_touches_where_how_hard_and_how_warm_the_plate_is() -> 
     }
 
 
-def test_a_file_begins_anew_and_has_every_line_at_once(tmp_path: Path) -> None:
-    path = tmp_path / "truth.jsonl"
-    path.write_text("of an earlier run\n" * 9)
-    output = TruthOutput(path)
-    output.write("one\n")
-    assert path.read_text() == "one\n"
-    output.write("two\n")
-    output.close()
-    assert path.read_text() == "one\ntwo\n"
-    assert output.lines_lost == 0
-    with pytest.raises(FileNotFoundError):
-        TruthOutput(tmp_path / "nowhere" / "truth.jsonl")
-
-
 def test_a_pipe_waits_for_no_reader_and_serves_one_that_comes(pipe: Path) -> None:
     output = TruthOutput(pipe)
     output.write(LINE)
@@ -111,11 +97,3 @@ def test_a_reader_that_pauses_gets_all_lines_and_one_that_sleeps_only_whole_ones
     lines = b"".join(received).decode().splitlines(keepends=True)
     assert lines[:-1] == [LINE] * (len(lines) - 1)
     assert len(lines) + output.lines_lost == 42_001
-
-
-def test_a_disk_that_takes_nothing_more_is_said_in_a_sentence() -> None:
-    output = TruthOutput(Path("/dev/full"))
-    with pytest.raises(OSError, match=r"^the truth cannot be written to /dev/full: No space left on device$"):
-        output.write("x\n")
-    with pytest.raises(OSError, match="No space left"):
-        output.close()

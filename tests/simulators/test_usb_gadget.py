@@ -3,7 +3,6 @@
 import os
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from usb_bench import SERIAL_NUMBER, UsbBoardEnd, UsbHost, usb_board, usb_host
@@ -41,30 +40,10 @@ def host(board: UsbBoardEnd) -> Iterator[UsbHost]:
         yield host
 
 
-def test_it_is_described_as_the_protocol_says(host: UsbHost) -> None:
-    strings = "[device.manufacturer, device.product, device.serial_number]"
-    assert host.value(strings) == ["resonatord", "emulated counter board", SERIAL_NUMBER]
-    host.run("interface = device.get_active_configuration()[(0, 0)]")
-    kinds = "interface.bInterfaceClass, interface.bInterfaceSubClass, interface.bInterfaceProtocol"
-    assert host.value(f"({kinds})") == (0xFF, 0x52, 0x01)
-    ends = "[(end.bEndpointAddress, end.bmAttributes, end.wMaxPacketSize) for end in interface]"
-    assert host.value(ends) == [(0x01, 2, 512), (0x81, 2, 512)]
-
-
 def test_other_control_requests_are_refused(board: UsbBoardEnd, host: UsbHost) -> None:
     for request in ("0x41, 0x01, 2, 0", "0x41, 0x02, 1, 0", "0xC1, 0x01, 1, 0, 8"):
         assert host.value(f"number_of_error(device.ctrl_transfer, {request})") == "EPIPE"
     assert board.begins == 0
-
-
-def test_nothing_is_left_of_it(tmp_path: Path) -> None:
-    link = UsbLink(SERIAL_NUMBER, lambda: None)
-    root = Path(link.environment["UMOCKDEV_DIR"])
-    assert (root / "dev/bus/usb").is_dir()
-    link.close()
-    link.close()
-    assert not root.exists()
-    assert link._process.returncode == 0
 
 
 def test_what_is_missing_is_said_with_the_packages_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
