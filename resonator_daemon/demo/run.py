@@ -31,13 +31,14 @@ from resonator_daemon.host.printable import print_note
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.publishing.receiver import Arrival
 from resonator_daemon.publishing.subscriber import read_message, topic_filters
-from resonator_daemon.publishing.topics import SIGNALS, TOPICS, split_topic
+from resonator_daemon.publishing.topics import SIGNALS, TOPICS, full_topic, split_topic
 from resonator_daemon.view.plate_view import PlateView, TrueContact, Truth
 from resonator_daemon.view.terminal import render
 
 _START_S: Final = 120.0  # decoders of a skin are set up first
 _END_S: Final = 10.0  # for the last messages of the daemons
 _TURN_S: Final = 1 / 5  # period of scoring and drawing; maps for people are published as often
+_BEGIN_S: Final = 0.01  # period of looking for the answers that begin the measurement
 _SWITCH_S: Final = 0.5e-3  # the longest that scoring and drawing keep the receiving thread from the interpreter
 _SHOWN: Final = tuple(topic for topic in TOPICS.values() if topic != SIGNALS)
 _SCORED_PATHS: Final = frozenset(topic.path for topic in SCORED)
@@ -93,7 +94,8 @@ class _Demo:
             self._broker = await stack.enter_async_context(local_broker(folder))
             url = self._broker.url
             print_note(f"broker at {url}; watch it too: resonatord watch --url {url}")
-            stack.callback(Subscription(url, self._filters(), self._arrivals.append).close)
+            self._subscription = Subscription(url, self._filters(), self._arrivals.append)
+            stack.callback(self._subscription.close)
             for name, plate in self._plates.items():
                 await self._start(name, plate, url, folder, stack)
             try:
@@ -148,8 +150,7 @@ class _Demo:
         print_note(f"measuring for {self._options.seconds:g} s")
         gc.freeze()  # modules stay in use: collections that visit them delay messages by tens of ms
         self._load = HostLoad()
-        for station in self._stations.values():
-            station.score.begin(time.time_ns())
+        await self._begin_scores()
         for child in self._children():
             child.mark()
         own_mark_s = cpu_s(self._own_usage)
@@ -188,6 +189,16 @@ class _Demo:
             if time.monotonic() > deadline:
                 raise UserError(f"no frame of {' and '.join(silent)} within {_START_S:g} s")
             await self._pause(_TURN_S)
+
+    async def _begin_scores(self) -> None:
+        """Have each daemon publish its `health`, at which its score begins."""
+        for name, station in self._stations.items():
+            station.score.begin()
+            self._subscription.publish(full_topic(self._prefix, name, "cmd/health"), b"{}")
+        while not (self._stop.is_set() or all(station.score.begun for station in self._stations.values())):
+            complain_of_dead(self._children())
+            await self._pause(_BEGIN_S)
+            self._take_arrivals()
 
     async def _wait_for_last_messages(self) -> None:
         """Wait up to 10 s for each daemon's last message: the state offline."""

@@ -88,9 +88,11 @@ class PlateScore:
     Attributes
     ----------
     messages_missed
-        Gaps in `seq` of `forces` and `decoded` since `begin`: skipped under load, not decoded, or lost on the way.
-    started, ended
-        A first result was received; the daemon has published that it is offline, its last message.
+        Gaps in `seq` of `forces` and `decoded` since counting began: skipped, not decoded, or lost on the way.
+    health
+        Messages of `health`, from the one at which counting began to the daemon's last.
+    started, begun, ended
+        A first result was received; counting has begun; the daemon has published that it is offline, its last message.
     """
 
     def __init__(
@@ -112,43 +114,35 @@ class PlateScore:
         self._position_errors: list[tuple[int, float, float]] = []  # touch, true force, distance
         self._traction_errors: list[tuple[float, float, float]] = []  # net force, squared error, squared truth
         self._begin_ns = 0
-        self._newest_sequence = self._sequence_before = -1  # of the last frame that a message was about
-        self._losses = dict.fromkeys((*Lost.model_fields, "parts", "not_decoded"), 0)
+        self._losses = dict.fromkeys(Lost.model_fields, 0)
         self._losses_before = self._losses.copy()
         self.latency_ms: list[float] = []
         self.decoded_frames = 0
         self.messages_missed = 0
         self._newest_seq: dict[str, int] = {}  # by path
         self.health: list[Mapping[str, Any]] = []
-        self.started = self.ended = False
+        self.started = self.begun = self.ended = False
+        self._begin_asked = False
 
-    def begin(self, now_ns: int) -> None:
-        """Count from here: what came before belongs to the set-up."""
-        self.join()
-        self._begin_ns = now_ns
-        self.latency_ms.clear()
-        self._force_errors.clear()
-        self._position_errors.clear()
-        self._traction_errors.clear()
-        self.decoded_frames = self.messages_missed = 0
-        self._losses_before = self._losses.copy()
-        self._sequence_before = self._newest_sequence
+    def begin(self) -> None:
+        """Count from the next `health` on, which has all counters: what came before belongs to the set-up."""
+        self._begin_asked = True
 
     @property
     def frames(self) -> int:
-        """Number of frames that the daemon has received since `begin`, by its last `health`."""
-        return self.health[-1]["frames"] - (self._sequence_before + 1) if self.health else 0
+        """Number of frames that the daemon has received since counting began, by its last `health`."""
+        return self._since_begin("frames")
 
     @property
     def lost(self) -> dict[str, int]:
-        """Losses since `begin`, by cause."""
-        losses = self.losses
-        return {cause: losses[cause] for cause in Lost.model_fields}
+        """Losses since counting began, by cause."""
+        return {cause: count - self._losses_before[cause] for cause, count in self._losses.items()}
 
     @property
     def losses(self) -> dict[str, int]:
-        """Losses since `begin`, by cause, with parts of frames and frames that were not decoded."""
-        return {cause: count - self._losses_before[cause] for cause, count in self._losses.items()}
+        """Losses since counting began, by cause, with parts of frames and frames that were not decoded."""
+        parts, not_decoded = self._since_begin("parts_lost"), self._since_begin("frames_not_decoded")
+        return self.lost | {"parts": parts, "not_decoded": not_decoded}
 
     def add(self, path: str, payload: bytes, arrived_ns: int) -> None:
         """Add a message of the topic with this path and its time of arrival (UTC)."""
@@ -169,10 +163,24 @@ class PlateScore:
             if message["event"] == "onset":
                 self._onsets.append(Onset(int(message["t_ns"]), message["contact"]["site"], arrived_ns))
         elif path == HEALTH.path:
-            self._count({"parts": message["parts_lost"], "not_decoded": message["frames_not_decoded"]})
+            if self._begin_asked:
+                self._count_from(arrived_ns)
             self.health.append(message)
         elif path == STATE_DAEMON.path:
             self.ended = message["state"] == "offline"
+
+    def _count_from(self, arrived_ns: int) -> None:
+        self._begin_asked, self.begun = False, True
+        self._begin_ns = arrived_ns
+        for earlier in (self._waiting, self.latency_ms, self.health):
+            earlier.clear()
+        for errors in (self._force_errors, self._position_errors, self._traction_errors):
+            errors.clear()
+        self.decoded_frames = self.messages_missed = 0
+        self._losses_before = self._losses.copy()
+
+    def _since_begin(self, counter: str) -> int:
+        return int(self.health[-1][counter]) - int(self.health[0][counter]) if self.health else 0
 
     def _count_missed(self, path: str, seq: int) -> None:
         if (newest := self._newest_seq.get(path)) is not None:
@@ -200,7 +208,6 @@ class PlateScore:
                     still_waiting.append(waiting)
                 continue
             last = window[-1]
-            self._newest_sequence = last.sequence
             if path != DECODED_SUMMARY.path:
                 self.latency_ms.append((arrived_ns - last.t_ns) / 1e6)
             if path == FORCES.path:
@@ -212,7 +219,7 @@ class PlateScore:
         self._waiting = still_waiting
 
     def accuracy(self, until_ns: int) -> Accuracy:
-        """Return the score of all touches and frames from `begin` to `until_ns` (UTC).
+        """Return the score of all touches and frames since counting began, to `until_ns` (UTC).
 
         Each touch is matched with the onset nearest in time at its site; an onset matches one touch at most.
         """

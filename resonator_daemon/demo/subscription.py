@@ -44,6 +44,7 @@ class Subscription:
     def __init__(self, url: str, filters: Mapping[str, int], on_arrival: Callable[[Arrival], None]) -> None:
         parts = urlsplit(url)
         self._on_arrival = on_arrival
+        self._sending = threading.Lock()
         try:
             self._socket = socket.create_connection((parts.hostname or "", parts.port or 1883), _TIMEOUT_S)
             self._subscribe(filters)
@@ -60,6 +61,11 @@ class Subscription:
         self._socket.settimeout(None)
         wanted = b"".join(_text(topic_filter) + bytes([qos]) for topic_filter, qos in filters.items())
         self._socket.sendall(_packet(_SUBSCRIBE, b"\x00\x01" + wanted))
+
+    def publish(self, topic: str, payload: bytes) -> None:
+        """Publish a message with QoS 0; it is lost if the broker has closed the connection."""
+        with suppress(OSError):
+            self._send(_packet(bytes([_PUBLISH << 4]), _text(topic) + payload))
 
     def close(self) -> None:
         """Close the connection and wait for the thread."""
@@ -87,10 +93,14 @@ class Subscription:
                 payload = topic_end
                 if data[start] & 0b110:
                     payload += 2
-                    self._socket.sendall(_PUBACK + data[topic_end:payload])
+                    self._send(_PUBACK + data[topic_end:payload])
                 self._on_arrival(Arrival(data[body + 2 : topic_end].decode(), data[payload:end], arrived_ns))
             start = end
         return data[start:]
+
+    def _send(self, packet: bytes) -> None:
+        with self._sending:
+            self._socket.sendall(packet)
 
 
 def _packet(kind: bytes, body: bytes) -> bytes:

@@ -96,9 +96,21 @@ class Run:
     def take(self, topic: Topic[Any], message: Message, arrived_ns: int = FAR_NS) -> None:
         self.score.add(topic.path, encode(message), arrived_ns)
 
-    def health(self, frames: int, **lost: int) -> None:
-        counted = {"frames": frames, "lost": Lost(**lost).model_dump(), "parts_lost": 0, "frames_not_decoded": 0}
-        self.score.add("health", json.dumps(counted).encode(), FAR_NS)  # of the rest nothing is read
+    def health(
+        self, frames: int, *, parts: int = 0, not_decoded: int = 0, arrived_ns: int = FAR_NS, **lost: int
+    ) -> None:
+        counted = {
+            "frames": frames,
+            "lost": Lost(**lost).model_dump(),
+            "parts_lost": parts,
+            "frames_not_decoded": not_decoded,
+        }
+        self.score.add("health", json.dumps(counted).encode(), arrived_ns)  # of the rest nothing is read
+
+    def begin(self, frames: int = 0, *, at_ns: int = T0_NS, **counted: int) -> None:
+        """Begin with the next `health`, and pass it."""
+        self.score.begin()
+        self.health(frames, arrived_ns=at_ns, **counted)
 
     def onset(self, t_ns: int, site: int = 7, event: Any = "onset", arrived_ns: int | None = None) -> None:
         """Pass an event of that time, which arrives at once unless another time is given."""

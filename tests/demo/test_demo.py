@@ -56,7 +56,9 @@ def test_both_plates_against_the_truth() -> None:
     assert quartz["sites_right"] == quartz["contacts_found"]
     assert quartz["force_error_newton_rms"] <= 0.005
     assert quartz["decoded_frames"] is quartz["traction_error"] is None
-    assert 0 < skin["decoded_frames"] <= skin["frames"] + 1
+    assert 0 < skin["decoded_frames"] <= skin["frames"] + 10  # those of 0.1 s may have waited when it began
+    skipped = {"skipped_late", "publish_dropped"}  # messages, of which each leaves a gap, too
+    assert skin["messages_missed"] <= skin["frames_not_decoded"] + sum(skin["lost"][cause] for cause in skipped)
     assert skin["traction_error"] <= 0.18
     assert quartz["position_error_mm_rms"] is skin["sites_right"] is None
     assert 0 <= skin["contacts_found"] <= skin["contacts_true"]

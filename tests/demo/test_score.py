@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from score_run import MS, T0_NS, Run, frame_end_ns, touch
+from score_run import MS, Run, frame_end_ns, touch
 
 from resonator_daemon.demo.score import Accuracy
 
@@ -139,14 +139,14 @@ def test_a_force_that_is_not_known_is_no_error(run: Run) -> None:
     assert run.result().force_error_newton_rms == pytest.approx(0.003)
 
 
-# What came before `begin` belongs to the set-up.
+# What came before the first `health` after `begin` belongs to the set-up.
 
 
 def test_errors_and_latency_count_from_the_beginning(run: Run) -> None:
     run.ramp(1.0, 1.0, 1.0, 1.0)
     run.forces(1, (7, 1.5), arrived_ns=frame_end_ns(1) + 90 * MS)
     run.decoded(1, np.zeros((3, 2, 2)), arrived_ns=frame_end_ns(1) + 90 * MS)
-    run.score.begin(frame_end_ns(2))
+    run.begin(at_ns=frame_end_ns(2))
     assert run.result(frame_end_ns(3)) == Accuracy()
     run.forces(3, (7, 1.003), arrived_ns=frame_end_ns(3) + 3 * MS)
     result = run.result()
@@ -156,9 +156,8 @@ def test_errors_and_latency_count_from_the_beginning(run: Run) -> None:
 
 
 def test_losses_are_those_since_the_beginning(run: Run) -> None:
-    run.health(100, damaged=3, publish_dropped=2)
-    run.score.begin(T0_NS)
-    assert set(run.score.lost.values()) == {0}
+    run.begin(100, damaged=3, publish_dropped=2)
+    assert set(run.score.losses.values()) == {0}
     run.health(200, damaged=3, publish_dropped=7, link_gap=1)
     assert run.score.lost == {
         "link_gap": 1,
@@ -171,11 +170,24 @@ def test_losses_are_those_since_the_beginning(run: Run) -> None:
     }
 
 
-def test_frames_are_those_since_the_last_before_the_beginning(run: Run) -> None:
+def test_what_was_skipped_between_the_last_health_and_the_beginning_belongs_to_the_set_up(run: Run) -> None:
+    run.health(100, not_decoded=4)
+    run.score.begin()
+    assert not run.score.begun
+    run.decoded(1, np.zeros((3, 2, 2)), seq=57)  # 57 more were skipped
+    run.health(190, not_decoded=61, parts=2)
+    assert run.score.begun
+    run.decoded(1, np.zeros((3, 2, 2)), seq=64)
+    run.health(290, not_decoded=67, parts=3)
+    losses = run.score.losses
+    assert (losses["not_decoded"], losses["parts"], run.score.messages_missed) == (6, 1, 6)
+    assert (run.score.frames, run.score.decoded_frames) == (100, 1)
+
+
+def test_frames_are_those_since_the_beginning(run: Run) -> None:
     assert run.score.frames == 0
-    run.ramp(*[0.0] * 12)
-    run.forces(4)
-    run.score.begin(frame_end_ns(5))  # five frames, 0 to 4, are past
+    run.health(3)
+    run.begin(5)
     run.health(7)
     run.health(12)
     assert run.score.frames == 7
@@ -184,7 +196,7 @@ def test_frames_are_those_since_the_last_before_the_beginning(run: Run) -> None:
 def test_gaps_between_messages_are_counted_by_topic(run: Run) -> None:
     for seq in (3, 4, 7):
         run.forces(1, seq=seq)
-    run.score.begin(T0_NS)
+    run.begin()
     run.decoded(1, np.zeros((3, 2, 2)), seq=1)
     run.forces(1, seq=9)
     assert run.score.messages_missed == 1

@@ -26,3 +26,16 @@ async def test_messages_of_all_sizes_arrive_whole_and_in_order(broker) -> None:
         assert [each.payload for each in received if each.topic == topic] == [p for t, p in sent if t == topic]
     assert [each.arrived_ns for each in received] == sorted(each.arrived_ns for each in received)
     await asyncio.to_thread(subscription.close)
+
+
+async def test_it_publishes_beside_receiving(broker) -> None:
+    arrivals: Queue[Arrival] = Queue()
+    subscription = await asyncio.to_thread(Subscription, broker.url, {"a/+": 1}, arrivals.put)
+    async with aiomqtt.Client("127.0.0.1", Mqtt(url=broker.url).port) as client:
+        await client.publish("a/first", b"", qos=1)
+    await asyncio.to_thread(arrivals.get, timeout=20)  # from here on the subscription holds
+    for topic, payload in (("a/x", b"{}"), ("b", b"not subscribed"), ("a/y", b"x" * 200)):
+        subscription.publish(topic, payload)
+    received = [await asyncio.to_thread(arrivals.get, timeout=20) for _ in range(2)]
+    assert [(each.topic, each.payload) for each in received] == [("a/x", b"{}"), ("a/y", b"x" * 200)]
+    await asyncio.to_thread(subscription.close)
