@@ -466,6 +466,8 @@ def _findings(raw: dict[str, Any]) -> Iterator[InitErrorDetails]:
     if kind == "single-tone" and signals - {FORCE_SIGNAL}:
         sentence = "one captured tone per corner carries forces alone; use 'channelised'"
         yield finding(("counter", "kind"), kind, sentence)
+    if kind == "channelised":
+        yield from _sign_findings(sites)
     if "spread_width_mm" in raw and len(sites) < _SPREAD_SITES:
         sentence = (
             f"needs at least {_SPREAD_SITES} sites, there are {len(sites)}: fewer cannot determine a place and a force"
@@ -540,6 +542,17 @@ def _shift_findings(sites: dict[int, Site], force_max_newton: float) -> Iterator
                 at_most = _MAX_SHIFT / force_max_newton
                 sentence = f"must be within +-{at_most:g}, a shift of 10 % at force_max_newton; K is in 1/N, as -6.3e-6"
                 yield finding(("sites", index, "tones", number, "sensitivity"), largest, sentence)
+
+
+def _sign_findings(sites: dict[int, Site]) -> Iterator[InitErrorDetails]:
+    for index, site in sites.items():
+        for number, tone in enumerate(site.tones):
+            if tone.signal in FORCE_SIGNALS and min(tone.sensitivity) < 0 < max(tone.sensitivity):
+                sentence = (
+                    "must have one sign: a channelised counter combines the corners of a tone, and opposite shifts "
+                    "cancel; correct the sign of a corner, or use counter.kind = 'single-tone'"
+                )
+                yield finding(("sites", index, "tones", number, "sensitivity"), tone.sensitivity, sentence)
 
 
 def _area(outline: tuple[Point, ...]) -> float:

@@ -308,8 +308,32 @@ def test_a_counter_needs_no_more_than_its_kind() -> None:
     assert Plate.model_validate(tomllib.loads(FORCE_PLATE)).pilot_hz == 10.01e6
 
 
-def test_a_channelised_counter_may_hear_forces_and_the_temperature_of_their_sites(tmp_path: Path) -> None:
+def one_sign(text: str) -> str:
+    return text.replace(", 6.0e-6]", ", -6.0e-6]").replace(", 5.0e-6]", ", -5.0e-6]")
+
+
+def test_corners_of_one_sign_where_a_channelised_counter_combines_them(tmp_path: Path) -> None:
+    """Where one tone is captured at a time, each corner is a reading of its own, with K of either sign."""
     text = FORCE_PLATE.replace('"single-tone"', '"channelised"').replace("pilot_hz = 10.01e6\n", "")
+    tone = text[text.rindex("[[sites.tones]]") :].replace('"force"', '"temperature"')
+    for written_text, lines in (
+        (text, ("16: sites[0]", "23: sites[1]")),
+        (one_sign(text), ()),
+        (one_sign(text) + tone, ("27: sites[1]",)),
+    ):
+        try:
+            load_plate(written(tmp_path, written_text))
+            found = []
+        except ConfigurationError as error:
+            found = [message.partition("plate.toml:")[2] for message in error.messages]
+        assert len(found) == len(lines), found
+        for message, line in zip(found, lines, strict=True):
+            assert message.startswith(line)
+            assert "sensitivity" in message
+
+
+def test_a_channelised_counter_may_hear_forces_and_the_temperature_of_their_sites(tmp_path: Path) -> None:
+    text = one_sign(FORCE_PLATE.replace('"single-tone"', '"channelised"').replace("pilot_hz = 10.01e6\n", ""))
     tone = text[text.rindex("[[sites.tones]]") :].replace('"force"', '"temperature"').replace("99", "98")
     plate = load_plate(written(tmp_path, text + tone + "temperature_coefficients = [-5e-8, -5e-10, 1e-10]\n"))
     assert plate.signals == ("force", "temperature")

@@ -87,7 +87,7 @@ class Matcher:
         sites = [Code(f0, k) for f0, k in zip(f0_hz.tolist(), sensitivity.tolist(), strict=True)]
         self._codes = Codes(sites, model_error, (least, most))
         self._beyond = Codes(sites, model_error, (most, beyond))
-        loaded_hz = f0_hz[..., None] / (1.0 - sensitivity[..., None] * ends)
+        loaded_hz = _loaded_hz(f0_hz[..., None], sensitivity[..., None] * ends)
         largest_shift = model_error * np.abs(sensitivity).max(axis=0)
         self._bands = _bands(loaded_hz[..., :2], (largest_shift * most) ** 2)
         self._bands_beyond = _bands(loaded_hz[..., 1:], (largest_shift * beyond) ** 2)
@@ -202,6 +202,13 @@ class _Band(NamedTuple):
     low_hz: list[float]
     high_hz: list[float]
     model_variance: float
+
+
+def _loaded_hz(f0_hz: Floats, shift: Floats) -> Floats:
+    """Return f0 / (1 - y); any frequency, however high, belongs to a shift of 1 or more."""
+    loaded: Floats = np.full(shift.shape, np.inf)
+    np.divide(f0_hz, 1.0 - shift, out=loaded, where=shift < 1.0)
+    return loaded
 
 
 def _bands(loaded_hz: Floats, model_variance: Floats) -> list[_Band]:

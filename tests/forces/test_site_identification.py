@@ -180,3 +180,16 @@ def test_a_common_error_that_lifts_a_touch_above_its_band_is_not_an_overload_of_
     found = match_all(matcher_of(plate), frequency * (1 + shift))
     assert "overload" not in found.status
     assert (found.site[found.site >= 0] == site[found.site >= 0]).all()
+
+
+@pytest.mark.parametrize("force_max_newton", [1.0, 3.0, 7.0, 10.0])
+def test_the_largest_k_that_a_plate_may_have_gives_a_band_without_an_upper_end(force_max_newton):
+    """At ten times the largest force, y = 1 - f0 / f = 1: f is beyond every limit. (In floats y may even exceed 1.)"""
+    f0 = np.array([[10e6] * 4, [9e6] * 4])
+    largest = 0.1 / force_max_newton
+    matcher = Matcher(f0, np.array([[largest] * 4, [-largest] * 4]), force_max_newton)
+    for share, status in ((0.5, "ok"), (1.2, "overload"), (9.0, "overload")):
+        match = matcher.match(f0[0] / (1.0 - 0.1 * share), *NOISE)
+        assert (match.status, [force.site for force in match.forces]) == (status, [0])
+    within = matcher.match(f0[0] / (1.0 - 0.05), *NOISE)
+    assert within.forces[0].force_newton == pytest.approx(0.5 * force_max_newton, rel=1e-6)
