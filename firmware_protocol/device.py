@@ -19,6 +19,7 @@ from firmware_protocol.messages import (
     Configuration,
     Description,
     Identity,
+    LogLevel,
     MalformedMessageError,
     Refusal,
     RefusalCode,
@@ -43,8 +44,7 @@ class DeviceSession:
     """Bytes from the host in, answers out; the board asks `state` and `configuration` what to do.
 
     `started` counts the runs, so that a board sees a new START; a repeated START does not begin a new run. `located`
-    counts the requests to blink. While `fault` gives the reason why the board cannot count, a
-    START is refused with those words.
+    counts the requests to blink. While `fault` gives the reason why the board cannot count, START is refused with it.
 
     Raises
     ------
@@ -65,7 +65,20 @@ class DeviceSession:
         self.configuration: Configuration | None = None
         self.started = 0
         self.located = 0
-        self.fault: str | None = None
+        self._fault: str | None = None
+
+    @property
+    def fault(self) -> str | None:
+        """Reason why the board cannot count; None while it can."""
+        return self._fault
+
+    def set_fault(self, reason: str | None, board_ticks: int) -> bytes:
+        """Set or clear the fault; return the LOG that goes out where it ends a run, nothing elsewhere."""
+        self._fault = reason
+        if reason is None or self.state is not BoardState.RUNNING:
+            return b""
+        self.state = BoardState.CONFIGURED
+        return self.log(BoardLog(LogLevel.ERROR, reason), board_ticks)
 
     @property
     def waiting_bytes(self) -> int:
@@ -161,8 +174,8 @@ class DeviceSession:
             case MessageType.START:
                 if reaction.refusal is not None:
                     raise _RefusedError(reaction.refusal, "START needs a configuration")
-                if self.fault is not None:
-                    raise _RefusedError(RefusalCode.FAULT, self.fault)
+                if self._fault is not None:
+                    raise _RefusedError(RefusalCode.FAULT, self._fault)
                 self.started += self.state is not reaction.next_state
         return b""
 

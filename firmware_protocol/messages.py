@@ -39,6 +39,15 @@ class ResetCause(IntEnum):
     RESET_PIN = 5
 
 
+class LogLevel(IntEnum):
+    """How grave a line of the board's log is."""
+
+    DEBUG = 10
+    INFO = 20
+    WARNING = 30
+    ERROR = 40
+
+
 LEAST_CREDIT_BYTES = 64  # what every board takes, and all that a host sends before IDENTITY
 
 

@@ -82,7 +82,7 @@ static void configure(struct resonator_board *board, const struct resonator_pack
 
 static void begin_run(struct resonator_board *board)
 {
-    /* Frames of the last run that still wait: nobody could tell them from those of this one. */
+    /* Frames of the last run that still wait have the numbers of those of this one. */
     while (resonator_queue_oldest_frame(&board->queue) != RESONATOR_NO_CHUNK) {
         resonator_queue_drop_oldest_frame(&board->queue);
         board->output_counts.frames_dropped++;
@@ -92,7 +92,7 @@ static void begin_run(struct resonator_board *board)
     board->frame_sequence = 0;
     board->run_dropped = 0;
     board->run_skipped = 0;
-    board->run_told = 0;
+    board->run_reported = 0;
     board->open_frame = RESONATOR_NO_CHUNK;
 }
 
@@ -177,19 +177,37 @@ static void damage_found(void *context, enum resonator_defect defect, uint64_t s
     }
 }
 
+/* Of all packets that the host cannot do without. */
+static uint32_t longest_packet_bytes(const struct resonator_board *board)
+{
+    uint32_t identity_bytes = resonator_payload_bytes(resonator_put_identity, board);
+    uint32_t longest = resonator_payload_bytes(resonator_put_description, board);
+    uint32_t frame_bytes = RESONATOR_CHANNELS * RESONATOR_RECORD_BYTES;
+    if (board->description->counter_kind == RESONATOR_CHANNELISED) {
+        uint32_t tones = board->description->tones;
+        tones = tones < RESONATOR_MAX_TONES_PER_PART ? tones : RESONATOR_MAX_TONES_PER_PART;
+        frame_bytes = RESONATOR_PART_HEAD_BYTES + tones * RESONATOR_TONE_BYTES;
+    }
+    longest = identity_bytes > longest ? identity_bytes : longest;
+    return RESONATOR_OVERHEAD_BYTES + (frame_bytes > longest ? frame_bytes : longest);
+}
+
 bool resonator_init(struct resonator_board *board, const struct resonator_identity *identity,
                     const struct resonator_description *description, uint32_t boot_id,
                     const struct resonator_memory *memory)
 {
     if (boot_id == 0 || memory->input_bytes < RESONATOR_MIN_INPUT_BYTES ||
-        memory->input_bytes > RESONATOR_MAX_PACKET_BYTES || memory->chunk_count == 0 ||
-        memory->chunk_count == RESONATOR_NO_CHUNK || description->gate_ticks_step == 0) {
+        memory->input_bytes > RESONATOR_MAX_PACKET_BYTES || memory->chunk_count == RESONATOR_NO_CHUNK ||
+        description->gate_ticks_step == 0) {
         return false;
     }
     resonator_decoder_init(&board->decoder, 0, memory->input, memory->input_bytes);
     resonator_queue_init(&board->queue, memory->chunks, memory->chunk_count);
     board->identity = identity;
     board->description = description;
+    if (!resonator_queue_fits(&board->queue, longest_packet_bytes(board))) {
+        return false;
+    }
     board->boot_id = boot_id;
     board->fault = NULL;
     board->watcher = NULL;
@@ -203,7 +221,7 @@ bool resonator_init(struct resonator_board *board, const struct resonator_identi
     board->frame_sequence = 0;
     board->run_dropped = 0;
     board->run_skipped = 0;
-    board->run_told = 0;
+    board->run_reported = 0;
     board->notice_sequence = 0;
     board->temperature_known = false;
     board->temperature_millikelvin = 0;
@@ -213,10 +231,16 @@ bool resonator_init(struct resonator_board *board, const struct resonator_identi
 
 void resonator_begin(struct resonator_board *board)
 {
-    resonator_decoder_forget(&board->decoder);
-    resonator_queue_clear(&board->queue);
+    resonator_connection_ended(board);
     board->state = RESONATOR_IDLE;
     board->gate_ticks = 0;
+}
+
+void resonator_connection_ended(struct resonator_board *board)
+{
+    resonator_count_queued_as_dropped(board);
+    resonator_decoder_abandon(&board->decoder);
+    resonator_queue_clear(&board->queue);
     board->asked = false;
     board->open_frame = RESONATOR_NO_CHUNK;
     board->status_due = false;

@@ -1,7 +1,7 @@
 /* The board's side of the wire (PROTOCOL.md): bytes from the host in, answers and frames out.
  *
  * No allocation, no globals, no clock: the caller places one struct resonator_board, gives it memory for input and
- * output, tells it the ticks, and moves the bytes. All functions for one board are called from one context, or with
+ * output, passes it the ticks, and moves the bytes. All functions for one board are called from one context, or with
  * the interrupts masked that call the others; each returns soon. README.md has the order of calls.
  */
 #ifndef RESONATOR_BOARD_H
@@ -16,6 +16,7 @@
 #define RESONATOR_CHANNELS 4
 #define RESONATOR_RECORD_BYTES 44
 #define RESONATOR_TONE_BYTES 12
+#define RESONATOR_PART_HEAD_BYTES 8
 #define RESONATOR_MAX_TONES_PER_PART 744
 #define RESONATOR_MIN_INPUT_BYTES 64
 
@@ -32,7 +33,7 @@ enum resonator_reset_cause {
     RESONATOR_RESET_PIN = 5
 };
 
-enum resonator_capability { RESONATOR_CAN_TELL_TEMPERATURE = 1, RESONATOR_CAN_LOCATE = 2 };
+enum resonator_capability { RESONATOR_REPORTS_TEMPERATURE = 1, RESONATOR_CAN_LOCATE = 2 };
 
 enum resonator_log_level {
     RESONATOR_LOG_DEBUG = 10,
@@ -103,7 +104,7 @@ struct resonator_block {
     uint8_t parts;
 };
 
-/* Told what the decoder found in the host's bytes; for tests and traces. Either member may be NULL. */
+/* Receives what the decoder found in the host's bytes; for tests and traces. Either member may be NULL. */
 struct resonator_watcher {
     void *context;
     void (*packet)(void *context, const struct resonator_packet *packet);
@@ -132,14 +133,14 @@ struct resonator_board {
     const char *fault;
     const struct resonator_watcher *watcher;
     uint32_t boot_id;
-    uint64_t ticks; /* the latest the caller told */
+    uint64_t ticks; /* the latest that the caller passed */
     struct resonator_queue queue;
 
     uint32_t frame_sequence;
     uint32_t run_dropped; /* of this run, each numbered before every frame in the queue */
     uint32_t run_skipped; /* of this run, up to the next frame made */
-    uint32_t run_told;    /* what the last STATUS of this run said */
-    bool asked;           /* a sound request came: the board may speak of its own accord */
+    uint32_t run_reported; /* in the last STATUS of this run */
+    bool asked; /* this host has sent a request: frames, STATUS and LOG may go out */
     uint16_t open_frame;  /* first chunk of the frame whose parts are being queued, or RESONATOR_NO_CHUNK */
     bool status_due;
     uint32_t notice_sequence;
@@ -152,20 +153,27 @@ struct resonator_board {
 
 /* Makes a board idle with empty queues. `identity` and `description` are kept by reference.
    False, and the board must not be used: boot_id 0, fewer than RESONATOR_MIN_INPUT_BYTES or more than
-   RESONATOR_MAX_PACKET_BYTES of input, no chunks or more than 65534, gate_ticks_step 0. */
+   RESONATOR_MAX_PACKET_BYTES of input, more than 65534 chunks or too few for the longest packet of this board
+   (a frame, a full part of one, IDENTITY or DESCRIPTION), gate_ticks_step 0. */
 bool resonator_init(struct resonator_board *board, const struct resonator_identity *identity,
                     const struct resonator_description *description, uint32_t boot_id,
                     const struct resonator_memory *memory);
 
-/* A host begins afresh (USB request BEGIN, a new TCP connection): idle, output emptied, a begun packet given up.
+/* A host begins afresh (USB request BEGIN): the board is idle, its output is emptied, a begun packet is discarded.
    Stop a transfer that reads from resonator_output first. */
 void resonator_begin(struct resonator_board *board);
 
-/* Takes bytes from the host, received at `ticks`; answers go to the output queue. */
+/* The connection to the host has ended (TCP): the output is emptied, a begun packet is discarded, a run goes on.
+   Frames count as dropped until the next host has sent a request. Stop a transfer that reads from resonator_output
+   first. */
+void resonator_connection_ended(struct resonator_board *board);
+
+/* Processes bytes from the host, received at `ticks`; answers go to the output queue. */
 void resonator_receive(struct resonator_board *board, const uint8_t *bytes, uint32_t size, uint64_t ticks);
 
-/* Queues the frame of the gate that closed at `ticks` (single-tone). False: not running, or no room even after all
-   older frames were dropped; the frame then counts as dropped. Either way its number is used up while running. */
+/* Queues the frame of the gate that closed at `ticks` (single-tone). False: not running, no host has asked yet, or no
+   room even after all older frames were dropped; while running the frame then counts as dropped, and its number is
+   used up. */
 bool resonator_frame(struct resonator_board *board, uint64_t ticks,
                      const struct resonator_record records[RESONATOR_CHANNELS]);
 
@@ -179,15 +187,15 @@ void resonator_frame_skipped(struct resonator_board *board);
 /* Asks for a STATUS at the next packet boundary; call it at most once a second. */
 void resonator_status(struct resonator_board *board);
 
-/* The temperature that every later STATUS tells. */
+/* The temperature that every later STATUS carries. */
 void resonator_temperature(struct resonator_board *board, uint32_t millikelvin);
 
 /* Queues a line for a person to read. False: nobody asked the board anything yet, or no room beside the frames. */
 bool resonator_log(struct resonator_board *board, uint64_t ticks, enum resonator_log_level level, const char *text);
 
 /* The board cannot count: START is refused with this text (kept by reference) until NULL is given. A run in progress
-   ends: the board goes to configured. */
-void resonator_fault(struct resonator_board *board, const char *text);
+   ends: the board goes to configured, and the text goes out as a LOG of level 40, for which frames make room. */
+void resonator_fault(struct resonator_board *board, uint64_t ticks, const char *text);
 
 /* Bytes to send next, and how many; 0 when there are none. They stay valid until consumed. */
 uint16_t resonator_output(struct resonator_board *board, const uint8_t **bytes);

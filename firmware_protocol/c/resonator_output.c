@@ -21,6 +21,20 @@ bool resonator_make_room(struct resonator_board *board, uint32_t payload_bytes)
     return true;
 }
 
+void resonator_count_queued_as_dropped(struct resonator_board *board)
+{
+    bool in_frame = false;
+    for (uint16_t at = board->queue.first_packet; at != RESONATOR_NO_CHUNK; at = board->queue.chunks[at].next_packet) {
+        if (board->queue.chunks[at].kind == RESONATOR_KIND_FRAME) {
+            board->run_dropped++;
+            board->output_counts.frames_dropped++;
+            in_frame = true;
+        } else if (board->queue.chunks[at].kind == RESONATOR_KIND_FRAME_MORE && !in_frame) {
+            board->output_counts.parts_dropped++; /* the first parts of its frame have gone out */
+        }
+    }
+}
+
 struct resonator_head resonator_head_of(const struct resonator_board *board, uint8_t type, uint32_t sequence)
 {
     struct resonator_head head;
@@ -39,7 +53,7 @@ bool resonator_frame(struct resonator_board *board, uint64_t ticks,
         return false;
     }
     struct resonator_head head = resonator_head_of(board, RESONATOR_FRAME, board->frame_sequence++);
-    if (!resonator_make_room(board, RESONATOR_CHANNELS * RESONATOR_RECORD_BYTES)) {
+    if (!board->asked || !resonator_make_room(board, RESONATOR_CHANNELS * RESONATOR_RECORD_BYTES)) {
         board->run_dropped++;
         board->output_counts.frames_dropped++;
         return false;
@@ -56,7 +70,7 @@ static bool queue_part(struct resonator_board *board, const struct resonator_blo
     uint32_t payload_bytes = resonator_payload_bytes(resonator_put_part, part);
     if (block->part == 0) {
         board->open_frame = RESONATOR_NO_CHUNK;
-        if (!resonator_make_room(board, payload_bytes)) {
+        if (!board->asked || !resonator_make_room(board, payload_bytes)) {
             board->run_dropped++;
             board->output_counts.frames_dropped++;
             return false;
@@ -136,12 +150,20 @@ bool resonator_log(struct resonator_board *board, uint64_t ticks, enum resonator
     return true;
 }
 
-void resonator_fault(struct resonator_board *board, const char *text)
+void resonator_fault(struct resonator_board *board, uint64_t ticks, const char *text)
 {
     board->fault = text;
-    if (text != NULL && board->state == RESONATOR_RUNNING) {
-        board->state = RESONATOR_CONFIGURED;
+    board->ticks = ticks;
+    if (text == NULL || board->state != RESONATOR_RUNNING) {
+        return;
     }
+    board->state = RESONATOR_CONFIGURED;
+    board->open_frame = RESONATOR_NO_CHUNK;
+    struct resonator_log_line line = {RESONATOR_LOG_ERROR, text};
+    if (board->asked) {
+        (void)resonator_make_room(board, resonator_payload_bytes(resonator_put_log, &line));
+    }
+    (void)resonator_log(board, ticks, line.level, text);
 }
 
 /* Of this run, numbered before the next frame that goes out. */
@@ -165,7 +187,7 @@ static void make_status(struct resonator_board *board)
         (uint8_t)resonator_write_packet(board->status, sizeof board->status, &head, resonator_put_status, &status);
     board->status_read_bytes = 0;
     board->status_due = false;
-    board->run_told = status.frames_dropped;
+    board->run_reported = status.frames_dropped;
 }
 
 uint16_t resonator_output(struct resonator_board *board, const uint8_t **bytes)
@@ -174,7 +196,7 @@ uint16_t resonator_output(struct resonator_board *board, const uint8_t **bytes)
     const struct resonator_chunk *packet = first == RESONATOR_NO_CHUNK ? NULL : &board->queue.chunks[first];
     if (board->status_bytes == 0 && (packet == NULL || packet->begun == 0)) {
         bool frame_next = packet != NULL && packet->kind == RESONATOR_KIND_FRAME;
-        if (board->status_due || (frame_next && dropped_before_next_frame(board) != board->run_told)) {
+        if (board->status_due || (frame_next && dropped_before_next_frame(board) != board->run_reported)) {
             make_status(board);
         }
     }

@@ -138,20 +138,20 @@ void resonator_decoder_feed(struct resonator_decoder *decoder, const uint8_t *by
     while (size > 0) {
         /* Never 0: what waits is shorter than a packet, and a packet is no longer than the buffer. */
         uint32_t fits = (uint32_t)(decoder->capacity_bytes - decoder->waiting_bytes);
-        uint32_t taken = size < fits ? size : fits;
-        for (uint32_t i = 0; i < taken; i++) {
+        uint32_t piece = size < fits ? size : fits;
+        for (uint32_t i = 0; i < piece; i++) {
             decoder->buffer[decoder->waiting_bytes + i] = bytes[i];
         }
-        decoder->waiting_bytes = (uint16_t)(decoder->waiting_bytes + taken);
-        bytes += taken;
-        size -= taken;
+        decoder->waiting_bytes = (uint16_t)(decoder->waiting_bytes + piece);
+        bytes += piece;
+        size -= piece;
         if (decoder->waiting_bytes >= decoder->needed_bytes) {
             search(decoder, handler);
         }
     }
 }
 
-void resonator_decoder_forget(struct resonator_decoder *decoder)
+void resonator_decoder_abandon(struct resonator_decoder *decoder)
 {
     discard(decoder, decoder->waiting_bytes, RESONATOR_GARBAGE);
     decoder->waiting_bytes = 0;

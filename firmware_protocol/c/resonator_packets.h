@@ -50,12 +50,12 @@ struct resonator_packet {
     const uint8_t *payload;
 };
 
-/* Told what was found, in the order of the bytes. */
+/* Receives what was found, in the order of the bytes. */
 struct resonator_decoder_handler {
     void *context;
     /* A sound packet of this major version, or of another one (look at major; do not read its payload). */
     void (*packet)(void *context, const struct resonator_packet *packet);
-    /* A run of discarded bytes, told before the packet that ended it. */
+    /* A run of discarded bytes, reported before the packet that ended it. */
     void (*damage)(void *context, enum resonator_defect defect, uint64_t size_bytes);
 };
 
@@ -66,7 +66,7 @@ struct resonator_decoder {
     uint16_t needed_bytes; /* nothing to decide before so many wait */
     uint8_t direction;     /* bit 7 of the types this end accepts */
     enum resonator_defect run_defect;
-    uint64_t run_bytes; /* discarded and not told yet; 0: no run is open */
+    uint64_t run_bytes; /* discarded and not reported yet; 0: no run is open */
     struct resonator_byte_counts counts;
 };
 
@@ -74,11 +74,11 @@ struct resonator_decoder {
 void resonator_decoder_init(struct resonator_decoder *decoder, uint8_t direction, uint8_t *buffer,
                             uint16_t capacity_bytes);
 
-/* Takes received bytes, cut anywhere. */
+/* Decodes received bytes, cut anywhere. */
 void resonator_decoder_feed(struct resonator_decoder *decoder, const uint8_t *bytes, uint32_t size,
                             const struct resonator_decoder_handler *handler);
 
-/* Gives up a packet that has begun: its bytes are discarded. */
-void resonator_decoder_forget(struct resonator_decoder *decoder);
+/* Discards the bytes of a packet that has begun. */
+void resonator_decoder_abandon(struct resonator_decoder *decoder);
 
 #endif

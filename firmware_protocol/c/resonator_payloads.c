@@ -94,13 +94,13 @@ void resonator_put_part(struct resonator_sink *sink, const void *what)
 {
     const struct resonator_part *part = what;
     const struct resonator_block *block = part->block;
-    uint8_t bytes[8];
+    uint8_t bytes[RESONATOR_PART_HEAD_BYTES];
     bytes[0] = block->channel;
     bytes[1] = 0; /* encoding: 12 bytes a tone */
     resonator_store(bytes + 2, block->first_tone, 2);
     resonator_store(bytes + 4, block->tones, 2);
     bytes[6] = block->part;
     bytes[7] = block->parts;
-    resonator_put(sink, bytes, 8);
+    resonator_put(sink, bytes, sizeof bytes);
     resonator_put(sink, part->tones, (uint32_t)block->tones * RESONATOR_TONE_BYTES);
 }

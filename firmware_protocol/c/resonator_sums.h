@@ -37,7 +37,7 @@ static inline void resonator_sums_begin(struct resonator_sums *sums)
     sums->q2_ticks2 = 0;
 }
 
-/* Takes the stamp of an edge. False: the record is full (flag it RESONATOR_OVERFLOW), the stamp is left out. */
+/* Adds the stamp of an edge. False: the record is full (flag it RESONATOR_OVERFLOW), the stamp is left out. */
 static inline bool resonator_sums_add(struct resonator_sums *sums, uint32_t edge, uint32_t ticks)
 {
     if (sums->stamps == RESONATOR_MAX_STAMPS) {
@@ -66,14 +66,14 @@ static inline bool resonator_sums_add(struct resonator_sums *sums, uint32_t edge
     return true;
 }
 
-/* The gate closes: fills all of a record but attenuation_db256 and flags. */
+/* Fills all of a record but attenuation_db256 and flags, when the gate closes; without a stamp all of it is 0. */
 static inline void resonator_sums_record(const struct resonator_sums *sums, uint16_t stride_edges,
                                          struct resonator_record *record)
 {
     record->first_edge = sums->first_edge;
     record->first_ticks = sums->first_ticks;
     record->stamps = (uint16_t)sums->stamps;
-    record->stride_edges = stride_edges;
+    record->stride_edges = sums->stamps == 0 ? 0 : stride_edges;
     record->span_ticks = sums->last_ticks - sums->first_ticks;
     record->s1_ticks = sums->s1_ticks;
     record->s2_ticks = sums->s2_ticks;

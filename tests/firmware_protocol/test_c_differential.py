@@ -8,9 +8,8 @@ from c_reference import board_command, event_line, hexadecimal, run_commands
 
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.layouts import FROM_BOARD, MessageType
-from firmware_protocol.messages import Configuration, Description, Identity, encode_message
+from firmware_protocol.messages import BoardLog, Configuration, Description, Identity, LogLevel, encode_message
 from firmware_protocol.packets import SYNC, ByteCounts, PacketDecoder, encode_packet
-from firmware_protocol.states import BoardState
 
 STREAMS = 3_000
 BOOT_ID = 0xC0FFEE
@@ -88,7 +87,7 @@ class Differential:
             if rng.random() < 0.05:
                 self._begin()
             elif rng.random() < 0.1:
-                self._fault(rng.choice((None, "reference not locked")))
+                self._fault(rng.choice((None, "reference not locked")), rng.randrange(2**64))
 
     def _expect(self, command: str, lines: list[str]) -> None:
         self.commands.append(command)
@@ -107,11 +106,10 @@ class Differential:
         self._expect("begin", [])
         self._compare()
 
-    def _fault(self, text: str | None) -> None:
-        self._session.fault = text
-        if text is not None and self._session.state is BoardState.RUNNING:
-            self._session.state = BoardState.CONFIGURED
-        self._expect(f"fault {hexadecimal((text or '').encode())}", [])
+    def _fault(self, text: str | None, ticks: int) -> None:
+        log = self._session.set_fault(text, ticks)
+        self._expect(f"fault {ticks} {hexadecimal((text or '').encode())}", [])
+        self._expect("output 1000000", [f"output {log.hex()}"])
         self._compare()
 
     def _compare(self) -> None:
@@ -140,6 +138,7 @@ def test_every_event_answer_and_count_is_the_same() -> None:
     ):
         assert refusal.encode().hex() in text, f"{refusal} never happened"
     assert b"reference not locked".hex() in text
+    assert encode_message(BoardLog(LogLevel.ERROR, "reference not locked")).hex() in text
     assert b"speaks version 1, not".hex() in text
     printed = run_commands(both.commands)
     for line, (ours, theirs) in enumerate(zip(both.expected, printed, strict=False)):

@@ -13,9 +13,11 @@ from firmware_protocol.messages import (
     Configuration,
     Description,
     Identity,
+    LogLevel,
+    decode_message,
     encode_message,
 )
-from firmware_protocol.packets import PacketDecoder, encode_packet
+from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
 
 BOOT_ID = 99
 IDENTITY = Identity("queue", "1", "1", 0, 64, 0)
@@ -50,7 +52,7 @@ class Model:
     sequence: int = 0
     dropped: int = 0
     skipped: int = 0
-    told: int = 0
+    reported: int = 0
     notices: int = 0
     temperature: int | None = None
     building: int | None = None  # the frame whose parts are coming
@@ -127,11 +129,11 @@ class Model:
             head = self.queue[0] if self.queue else None
             following = self.next_frame()
             due = self.dropped + (self.skipped if following is None else following.skipped)
-            frame_is_next = head is not None and head.first and not head.begun and due != self.told
+            frame_is_next = head is not None and head.first and not head.begun and due != self.reported
             if not self.status and not (head and head.begun) and (self.status_due or frame_is_next):
                 status = BoardStatus(due, self.temperature, 0)
                 self.status = self.packet(MessageType.STATUS, self.notices, encode_message(status))
-                self.notices, self.told, self.status_due = self.notices + 1, due, False
+                self.notices, self.reported, self.status_due = self.notices + 1, due, False
             left = limit - len(sent)
             if self.status:
                 sent, self.status = sent + self.status[:left], self.status[left:]
@@ -166,6 +168,65 @@ def test_frames_of_the_last_run_do_not_follow_a_start() -> None:
     outputs = [line.split()[1] for line in run_commands(commands) if line.startswith("output ")]
     found = PacketDecoder(from_board=True).feed(bytes.fromhex("".join(outputs)))
     assert [packet.type for packet in found] == [0x83, 0x84, 0x90, 0x85, 0x84]
+
+
+@pytest.mark.parametrize(
+    ("description", "least_chunks"),
+    [
+        (DESCRIPTION, 3),  # a frame: 204 bytes
+        (replace(DESCRIPTION, counter_kind=1, tones=10), 3),  # a part: 28 + 8 + 120 bytes
+        (replace(DESCRIPTION, counter_kind=1, tones=1000), 132),  # a full part: 8964 bytes
+        (replace(DESCRIPTION, plate="p" * 255), 5),  # DESCRIPTION: 335 bytes with the numbers here
+    ],
+)
+def test_the_queue_must_hold_the_longest_packet(description: Description, least_chunks: int) -> None:
+    made = [
+        run_commands([board_command(IDENTITY, replace(description, queue_bytes=CHUNK_BYTES * chunks), BOOT_ID)])
+        for chunks in (least_chunks - 1, least_chunks)
+    ]
+    assert made == [["bad"], ["ok"]]
+
+
+def found_in(printed: list[str]) -> list[Packet]:
+    """Return the packets of all lines of output."""
+    sent = "".join(line.partition(" ")[2] for line in printed if line.startswith("output "))
+    found = PacketDecoder(from_board=True).feed(bytes.fromhex(sent))
+    return [packet for packet in found if isinstance(packet, Packet)]
+
+
+def running_board(chunks: int = 12) -> list[str]:
+    description = replace(DESCRIPTION, queue_bytes=CHUNK_BYTES * chunks)
+    commands = [board_command(IDENTITY, description, BOOT_ID)]
+    return [*commands, f"receive 0 {CONFIGURE.hex()}", f"receive 0 {START.hex()}", "output 1000"]
+
+
+def test_a_run_goes_on_behind_a_connection_and_its_frames_wait_for_a_request() -> None:
+    identify = encode_packet(MessageType.IDENTIFY, 1)
+    commands = [*running_board(), f"frame 1 {'00' * 176}", "output 10", f"frame 2 {'00' * 176}", "ended", "state"]
+    commands += [f"frame 3 {'00' * 176}", "skipped", "part 4 1 0 0 0 2 -", "part 4 1 0 0 1 2 -", "log 4 20 6869"]
+    commands += ["status", "output 1000"]
+    before = run_commands(commands)
+    assert before[-1] == "output "  # all that the new host gets before it asks
+    after = run_commands([*commands, f"receive 5 {identify.hex()}", f"frame 6 {'00' * 176}", "output 1000", "state"])
+    answer, status, frame = found_in(after[len(before) :])
+    assert (answer.type, status.type, frame.type) == (MessageType.IDENTITY, MessageType.STATUS, MessageType.FRAME)
+    # Two were queued, three closed without a host, one of them skipped; the first was cut within its bytes.
+    assert frame.sequence == decode_message(BoardStatus, status.payload).frames_dropped == 5
+    assert after[-1].startswith("state running 1000 1 0 5 ")
+
+
+def test_a_request_that_has_begun_ends_with_its_connection() -> None:
+    identify = encode_packet(MessageType.IDENTIFY, 1)
+    commands = [*running_board(), f"receive 5 {identify[:20].hex()}", "ended", f"receive 6 {identify.hex()}", "counts"]
+    assert run_commands(commands)[-1] == f"counts {60 + 20 + 28} {60 + 28} 0 0 20 0"
+
+
+def test_a_fault_logs_its_text_even_if_frames_fill_the_queue() -> None:
+    commands = [*running_board(chunks=4), f"frame 1 {'00' * 176}", f"fault 7 {'66' * 60}", "state", "output 1000"]
+    printed = run_commands(commands)
+    (log,) = [packet for packet in found_in(printed) if packet.type == MessageType.LOG]
+    assert (log.board_ticks, decode_message(BoardLog, log.payload)) == (7, BoardLog(LogLevel.ERROR, "f" * 60))
+    assert printed[-2].startswith("state configured 1000 1 0 1 ")  # the frame made room
 
 
 @pytest.mark.parametrize(

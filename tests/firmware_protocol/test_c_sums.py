@@ -10,7 +10,7 @@ from c_reference import run_commands
 def sums_line(stamps: list[tuple[int, int]], stride_edges: int) -> str:
     """What the record must say, from whole numbers that do not wrap."""
     if not stamps:
-        return f"sums 0 0 0 {stride_edges} 0 0 0 0 1"
+        return "sums 0 0 0 0 0 0 0 0 1"
     ticks = [t for _, t in stamps]
     offsets = [t - ticks[0] for t in ticks]
     bends = [c - 2 * b + a for a, b, c in zip(ticks, ticks[1:], ticks[2:], strict=False)]

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from c_reference import C_FOLDER, board_command, build, event_line, hexadecimal, run_commands
-from vector_files import board_of, cases, expected_events, named
+from vector_files import board_of, cases, check_sent, expected_events, named
 
 CHECKS_PROGRAM = """
 #include <stdio.h>
@@ -59,9 +59,9 @@ def test_board_sessions(case: dict[str, Any]) -> None:
             case "begin":
                 commands.append("begin")
             case "fault":
-                commands.append(f"fault {hexadecimal(step['text'].encode())}")
+                commands.append(f"fault {step['ticks']} {hexadecimal((step['text'] or '').encode())}")
         commands += ["output 100000", "state"]
     printed = [line.split() for line in run_commands(commands) if line.startswith(("output", "state"))]
     for step, sent, state in zip(case["steps"], printed[::2], printed[1::2], strict=True):
-        assert "".join(sent[1:]) == step["sends"], step
+        check_sent(step["sends"], bytes.fromhex("".join(sent[1:])))
         assert state[1] == step["state"], step

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from vector_files import VECTORS, board_of, cases, expected_events, named
+from vector_files import VECTORS, board_of, cases, check_sent, expected_events, named
 
 import firmware_protocol.packets as packets_module
 from firmware_protocol.device import DeviceSession
@@ -84,8 +84,8 @@ def test_board_sessions(case: dict[str, Any]) -> None:
             case "begin":
                 session.begin()
             case "fault":
-                session.fault = step["text"]
+                sent = session.set_fault(step["text"], step["ticks"])
         if session.started != runs:
             runs, sequence = session.started, 0
-        assert sent.hex() == step["sends"], step
+        check_sent(step["sends"], sent)
         assert session.state.value == step["state"], step

@@ -6,7 +6,7 @@ from typing import Any
 
 import firmware_protocol.packets as packets_module
 from firmware_protocol.messages import Description, Identity
-from firmware_protocol.packets import Damage, Defect, ForeignVersion, Packet
+from firmware_protocol.packets import Damage, Defect, ForeignVersion, Packet, PacketDecoder
 
 VECTORS = Path(packets_module.__file__).with_name("vectors")
 
@@ -33,6 +33,31 @@ def _event(event: dict[str, Any]) -> Packet | Damage | ForeignVersion:
             return Damage(Defect(event["defect"]), event["size_bytes"])
         case _:
             return ForeignVersion(event["major"], event["type"], event["sequence"])
+
+
+def check_sent(sends: list[Any], sent: bytes) -> None:
+    """Compare sent bytes with a step's `sends`: whole packets in hexadecimal, and messages whose texts are free."""
+    found = PacketDecoder(from_board=True).feed(sent)
+    assert sum(packet.size_bytes for packet in found if isinstance(packet, Packet)) == len(sent)
+    for expected, packet in zip(sends, found, strict=True):
+        assert isinstance(packet, Packet)
+        if isinstance(expected, str):
+            (whole,) = PacketDecoder(from_board=True).feed(bytes.fromhex(expected))
+            assert packet == whole
+        else:
+            present = {name: getattr(packet, name) for name in ("type", "sequence", "board_ticks", "boot_id")}
+            assert present | {"numbers": _numbers(packet.payload, expected["numbers"])} == expected
+
+
+def _numbers(payload: bytes, tags: Any) -> dict[str, int]:
+    """Return the numbers of a list of fields under these tags."""
+    found, position = {}, 0
+    while position < len(payload):
+        tag, size = payload[position], payload[position + 1]
+        if str(tag) in tags:
+            found[str(tag)] = int.from_bytes(payload[position + 2 : position + 2 + size], "little")
+        position += 2 + size
+    return found
 
 
 def board_of(case: dict[str, Any]) -> tuple[Identity, Description, int]:

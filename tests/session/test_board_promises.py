@@ -136,7 +136,7 @@ def test_a_reference_that_is_not_what_was_described_is_flagged_with_both_named()
 
 def test_a_fault_of_the_board_is_its_own_words_and_waited_out() -> None:
     bench = Bench(SimulatedBoard())
-    bench.board.session.fault = "the reference oscillator does not swing"
+    bench.board.session.set_fault("the reference oscillator does not swing", 0)
     with pytest.raises(LinkLostError):
         bench.run(200)
     bench.close()

@@ -181,7 +181,7 @@ int main(int count, char **words)
     demand(resonator_init(&board, &identity, &description, 1, &memory), "a sound board is refused");
     board.watcher = &watcher;
     resonator_decoder_init(&sent, RESONATOR_FROM_BOARD, sent_buffer, RESONATOR_MAX_PACKET_BYTES);
-    uint64_t received = 0, taken_total = 0, forgotten = 0;
+    uint64_t received = 0, sent_bytes = 0, abandoned = 0;
     uint32_t part = 0, parts = 1;
     for (uint64_t input = 0; input < inputs; input++) {
         uint32_t kind = drawn(32);
@@ -207,11 +207,11 @@ int main(int count, char **words)
             const uint8_t *ready;
             uint16_t size;
             while (left > 0 && (size = resonator_output(&board, &ready)) > 0) {
-                uint16_t taken = size < left ? size : (uint16_t)left;
-                resonator_decoder_feed(&sent, ready, taken, &handler);
-                resonator_consumed(&board, taken);
-                taken_total += taken;
-                left -= taken;
+                uint16_t piece = size < left ? size : (uint16_t)left;
+                resonator_decoder_feed(&sent, ready, piece, &handler);
+                resonator_consumed(&board, piece);
+                sent_bytes += piece;
+                left -= piece;
             }
         } else if (kind == 30) {
             switch (drawn(5)) {
@@ -225,21 +225,25 @@ int main(int count, char **words)
                 (void)resonator_log(&board, input, RESONATOR_LOG_INFO, "a line");
                 break;
             case 3:
-                resonator_fault(&board, drawn(2) ? "fault" : NULL);
+                resonator_fault(&board, input, drawn(2) ? "fault" : NULL);
                 break;
             default:
                 resonator_temperature(&board, drawn(400000));
                 break;
             }
         } else if (drawn(16) == 0) {
-            resonator_begin(&board);
-            forgotten += sent.waiting_bytes;
-            resonator_decoder_forget(&sent); /* the rest of a packet will not come */
+            if (drawn(2)) {
+                resonator_begin(&board);
+            } else {
+                resonator_connection_ended(&board);
+            }
+            abandoned += sent.waiting_bytes;
+            resonator_decoder_abandon(&sent); /* the rest of a packet will not come */
         }
         check_decoder(&board.decoder, received);
         check_queue(&board);
-        check_decoder(&sent, taken_total);
-        demand(sent.counts.discarded == forgotten, "the board sent what is no packet");
+        check_decoder(&sent, sent_bytes);
+        demand(sent.counts.discarded == abandoned, "the board sent what is no packet");
     }
     demand(sent.counts.echo == 0 && sent.counts.other_version == 0, "the board sent what is not a board's");
     printf("inputs %" PRIu64 ", bytes in %" PRIu64 " (accepted %" PRIu64 ", other version %" PRIu64 ", echo %" PRIu64
@@ -247,9 +251,9 @@ int main(int count, char **words)
            inputs, received, board.decoder.counts.accepted, board.decoder.counts.other_version,
            board.decoder.counts.echo, board.decoder.counts.discarded, packets_seen, damages_seen,
            damaged_bytes_seen);
-    printf("runs %" PRIu32 ", bytes out %" PRIu64 " (sound %" PRIu64 ", of packets that begin() cut %" PRIu64
+    printf("runs %" PRIu32 ", bytes out %" PRIu64 " (sound %" PRIu64 ", of packets that a new host cut %" PRIu64
            "), dropped: frames %" PRIu64 ", parts %" PRIu64 ", answers %" PRIu64 "\n",
-           board.started, taken_total, sent.counts.accepted, forgotten, board.output_counts.frames_dropped,
+           board.started, sent_bytes, sent.counts.accepted, abandoned, board.output_counts.frames_dropped,
            board.output_counts.parts_dropped, board.output_counts.answers_dropped);
     free(memory.input);
     free(memory.chunks);

@@ -2,6 +2,8 @@
 
 #include "hardware.h"
 
+#include "common/receive_ring.h"
+
 struct uart {
     volatile uint32_t data, state, control, interrupts, baud_divider;
 };
@@ -27,7 +29,7 @@ enum { TRANSMIT_PENDING = 1u, RECEIVE_PENDING = 2u };                           
 enum { SYSTICK_ENABLE = 1u, SYSTICK_INTERRUPT = 2u, SYSTICK_CORE_CLOCK = 4u };
 enum { RESET_KEY_AND_REQUEST = 0x05FA0004u };
 
-/* Memory that a reset leaves alone; see link.ld. `mark` tells it from what is in RAM after power on. */
+/* Memory that a reset leaves alone; see link.ld. `mark` distinguishes it from what is in RAM after power on. */
 struct kept {
     uint32_t mark, starts, cause, random;
 };
@@ -35,16 +37,9 @@ struct kept {
 extern volatile struct kept kept;
 static const uint32_t kept_mark = 0x52444B50u;
 
-/* Bytes as they came, each with the timer's count then: the answer to a PING tells when the PING came, not when the
-   main loop had time for it. More than a host may send before it is answered. */
-enum { RECEIVED_SLOTS = 256 };
-
-static struct {
-    uint32_t counts;
-    uint8_t byte;
-} received[RECEIVED_SLOTS];
-
-static volatile uint32_t received_in, received_out; /* in: the interrupt's; out: the main loop's */
+/* Each byte with the timer's count then: the answer to a PING carries the time at which the PING came, not when the
+   main loop had time for it. */
+static struct receive_ring received;
 static uint64_t counts;
 static uint32_t counts_seen;
 
@@ -113,31 +108,18 @@ void systick_handler(void)
 void uart_receive_handler(void)
 {
     UART0->interrupts = RECEIVE_PENDING;
-    while (UART0->state & RECEIVE_FULL) {
-        uint8_t byte = (uint8_t)UART0->data;
-        uint32_t slot = received_in;
-        if (slot - received_out == RECEIVED_SLOTS)
-            continue; /* a host that sends more than it may: damage, which the protocol finds */
-        received[slot % RECEIVED_SLOTS].byte = byte;
-        received[slot % RECEIVED_SLOTS].counts = timer_counts();
-        received_in = slot + 1;
-    }
+    while (UART0->state & RECEIVE_FULL)
+        (void)receive_ring_write(&received, (uint8_t)UART0->data, timer_counts());
 }
 
-size_t uart_take(uint8_t *bytes, size_t room, uint64_t *ticks)
+size_t uart_read(uint8_t *bytes, size_t room, uint64_t *ticks)
 {
     uint32_t last = 0;
-    size_t taken = 0;
-    while (taken < room && received_out != received_in) {
-        uint32_t slot = received_out % RECEIVED_SLOTS;
-        bytes[taken++] = received[slot].byte;
-        last = received[slot].counts;
-        received_out++;
-    }
+    size_t count = receive_ring_read(&received, bytes, room, &last);
     *ticks = hardware_ticks();
-    if (taken > 0)
+    if (count > 0)
         *ticks -= (uint64_t)(uint32_t)(counts_seen - last) * TICKS_PER_COUNT;
-    return taken;
+    return count;
 }
 
 size_t uart_send(const uint8_t *bytes, size_t count)
@@ -160,7 +142,7 @@ void hardware_sleep(void)
 {
     /* An interrupt that comes after the look wakes the processor all the same, and is served behind it. */
     __asm__ volatile("cpsid i" ::: "memory");
-    if (received_in == received_out)
+    if (receive_ring_empty(&received))
         __asm__ volatile("wfi");
     __asm__ volatile("cpsie i" ::: "memory");
 }

@@ -29,10 +29,10 @@ void hardware_restart(enum restart cause) __attribute__((noreturn));
 /* Ticks since the start. Call it from the main loop alone, and more often than the timer wraps (171 s). */
 uint64_t hardware_ticks(void);
 
-/* Take up to `room` received bytes that came together, and when the last of them came. Returns how many. */
-size_t uart_take(uint8_t *bytes, size_t room, uint64_t *ticks);
+/* Read up to `room` received bytes; `ticks` becomes the time at which the last of them came. Returns how many. */
+size_t uart_read(uint8_t *bytes, size_t room, uint64_t *ticks);
 
-/* Send as many bytes as the UART takes at once; never waits. Returns how many. */
+/* Send as many bytes as the UART accepts at once; never waits. Returns how many. */
 size_t uart_send(const uint8_t *bytes, size_t count);
 
 /* Sleep until an interrupt, at most a millisecond; returns at once while received bytes wait. */

@@ -36,7 +36,7 @@ static void receive(void)
     uint8_t bytes[32];
     uint64_t ticks;
     uint32_t started = board.started;
-    size_t count = uart_take(bytes, sizeof bytes, &ticks);
+    size_t count = uart_read(bytes, sizeof bytes, &ticks);
     if (count > 0)
         resonator_receive(&board, bytes, (uint32_t)count, ticks);
     if (board.started != started)

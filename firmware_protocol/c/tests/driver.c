@@ -1,15 +1,15 @@
 /* Runs the reference by commands, one a line on standard input, and prints what comes of them: for tests.
  *
- *   decoder DIRECTION CAPACITY_BYTES              a decoder alone; only `receive`, `forget`, `counts` then
+ *   decoder DIRECTION CAPACITY_BYTES              a decoder alone; only `receive`, `abandon`, `counts` then
  *   board BOOT_ID INPUT_BYTES CHUNKS KIND TONES REFERENCE MIN MAX STEP OSCILLATOR SPACING CAPABILITIES RESET_CAUSE
  *         PRODUCT SERIAL FIRMWARE PLATE            texts in hex, "-" for none; prints "ok" or "bad"
  *   receive TICKS HEX                             prints the events
- *   output BYTES                                  takes at most so many; prints "output HEX"
- *   hand                                          asks for output and takes none; prints "hand BYTES"
+ *   output BYTES                                  consumes at most so many; prints "output HEX"
+ *   hand                                          asks for output and consumes none; prints "hand BYTES"
  *   consumed BYTES                                says that so many of those were sent
  *   frame TICKS HEX, part TICKS CHANNEL FIRST TONES PART PARTS HEX     prints "queued 0" or "queued 1"
  *   log TICKS LEVEL HEX                           the same
- *   skipped | status | temperature MILLIKELVIN | fault HEX | begin | forget
+ *   skipped | status | temperature MILLIKELVIN | fault TICKS HEX | begin | ended | abandon
  *   sums STRIDE HEX                               stamps, 8 bytes each: edge, ticks; prints "sums" and the record
  *   counts                                        bytes: received accepted other own discarded waiting
  *   state                                         state gate_ticks started located, dropped: frames parts answers logs
@@ -161,10 +161,10 @@ static void output(void)
     uint16_t size;
     printf("output ");
     while (left > 0 && (size = resonator_output(&board, &ready)) > 0) {
-        uint16_t taken = size < left ? size : (uint16_t)left;
-        print_hex(ready, taken);
-        resonator_consumed(&board, taken);
-        left -= taken;
+        uint16_t piece = size < left ? size : (uint16_t)left;
+        print_hex(ready, piece);
+        resonator_consumed(&board, piece);
+        left -= piece;
     }
     printf("\n");
 }
@@ -246,8 +246,9 @@ static void log_line(void)
 
 static void fault(void)
 {
+    uint64_t ticks = number();
     const char *why = text(texts[4]);
-    resonator_fault(&board, why[0] == 0 ? NULL : why);
+    resonator_fault(&board, ticks, why[0] == 0 ? NULL : why);
 }
 
 static void print_counts(void)
@@ -297,8 +298,10 @@ static void carry_out(const char *command)
         resonator_consumed(&board, (uint16_t)number());
     } else if (strcmp(command, "begin") == 0) {
         resonator_begin(&board);
-    } else if (strcmp(command, "forget") == 0) {
-        resonator_decoder_forget(decoder);
+    } else if (strcmp(command, "ended") == 0) {
+        resonator_connection_ended(&board);
+    } else if (strcmp(command, "abandon") == 0) {
+        resonator_decoder_abandon(decoder);
     } else {
         fprintf(stderr, "driver: unknown command %s\n", command);
         exit(2);
