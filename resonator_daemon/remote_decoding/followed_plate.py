@@ -29,7 +29,7 @@ from resonator_daemon.publishing.topics import CONTACT_EVENT, DECODED, INFO, SIG
 from resonator_daemon.remote_decoding.plate import WAITS_AFTER_S, Publish, RemotePlate, SkinPlate, header_of
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 
-_LOOK_S = 0.1
+LOOK_S = 0.1
 
 
 class FollowedPlate:
@@ -194,7 +194,7 @@ class FollowedPlate:
     async def _end_contacts_in_silence(self) -> None:
         ended_s = -np.inf
         while True:
-            await asyncio.sleep(_LOOK_S)
+            await asyncio.sleep(LOOK_S)
             last_s = self._plate.last_s
             if self._decoder is not None and last_s > ended_s and time.monotonic() - last_s > CONTACTS_END_S:
                 ended_s = last_s

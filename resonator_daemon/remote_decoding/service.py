@@ -39,10 +39,10 @@ from resonator_daemon.remote_decoding.shared_plates import SharedPlates
 
 log = logging.getLogger(__name__)
 
-_LOOK_S = 0.1
+LOOK_S = 0.1
 _SWITCH_S = 5e-4  # of a thread that decodes, before the event loop has its turn; Python's 5 ms are half a frame
 _HEALTH_S = 1.0
-_STATE_AGAIN_S = DECODER_EXPIRY_S / 3  # with MQTT 5 a retained state expires
+STATE_AGAIN_S = DECODER_EXPIRY_S / 3  # with MQTT 5 a retained state expires
 _LAST_FRAME_S = 0.1  # to end a frame that is being decoded; a set-up takes longer, and nobody waits for it
 _ID_LENGTH_MAX = 80
 
@@ -195,7 +195,7 @@ class DecoderProcess:
         self._manager.ready(self._sentence())  # whatever it waits for may come later
         turns = 0
         while True:
-            await asyncio.sleep(_LOOK_S)
+            await asyncio.sleep(LOOK_S)
             turns += 1
             state = self._mode.condition()
             decoded = sum(plate.decoded for plate in self._mode.health().values())
@@ -209,7 +209,7 @@ class DecoderProcess:
                 self._state = state
                 log.info("%s: %s", *state)
                 self._publish_state(*state)
-            elif time.monotonic() - self._published_s > _STATE_AGAIN_S:
+            elif time.monotonic() - self._published_s > STATE_AGAIN_S:
                 self._publish_state(*state)
 
     def _sentence(self) -> str:

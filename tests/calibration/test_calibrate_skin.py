@@ -106,12 +106,6 @@ async def test_lines_to_paste(mosquitto: Mosquitto, tmp_path: Path) -> None:
         code, printed, reported = await calibrate_in_a_process("--config", config, "--seconds", "0.4")
     assert code == 0, reported
     assert "Traceback" not in reported
-    assert "plate 'left': press and shear the skin here and there, for 0.4 s" in reported
-    assert "with load" in reported
-    assert "fit 2: correlation length" in reported
-    assert printed.count("\n") == 3
-    assert "±" in printed
-    assert "frames with load: e^" in printed
     (tmp_path / "small.toml").write_text(PLATE.replace("[grid]", printed + "[grid]"))  # as the user would
     found, skin = tomllib.loads(printed), load_plate(str(tmp_path / "small.toml")).skin
     assert skin is not None

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from emulated_loads import NOMINAL, TRUE, Touches, frames, lead
 
-from firmware_protocol.layouts import SINGLE_TONE_STRUCT, single_tone_records
 from resonator_daemon.calibration.load_procedure import LoadProcedure, Prompt
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.calibration.steps import Wanted, plan_steps
@@ -93,13 +92,6 @@ def test_a_step_that_is_never_done_ends_the_calibration_with_the_reason(tmp_path
     news, printed = refused(LoadProcedure(NOMINAL, steps, 4.0), kept, tmp_path)
     assert kinds(news)[-1] == ("remove", 1)
     assert "the last load was not taken away" in printed
-
-
-def changed(payload: bytes, channel: int, **fields: int) -> bytes:
-    """Return a frame's records, that of one channel with other fields."""
-    records = list(single_tone_records(payload))
-    records[channel] = records[channel]._replace(**fields)
-    return b"".join(SINGLE_TONE_STRUCT.pack(*record) for record in records)
 
 
 def test_a_series_goes_on_without_release(tmp_path: Path) -> None:

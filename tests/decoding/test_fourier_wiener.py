@@ -50,10 +50,6 @@ def spectrum(signals: NDArray) -> NDArray:
     return fft.rfft2(signals.reshape(3, *SHAPE), norm="ortho").reshape(1, 3, -1)
 
 
-def in_space(spectrum: NDArray) -> NDArray:
-    return fft.irfft2(spectrum.reshape(3, SHAPE[0], -1), s=SHAPE, norm="ortho").ravel()
-
-
 def test_likelihood_and_posterior_are_those_of_the_joint_gaussian(problem: dict[str, NDArray]):
     noise = np.diag(np.repeat(NOISE_STD**2, SIZE // 3))
     prior_root = dense(problem["prior_root"])

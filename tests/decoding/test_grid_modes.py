@@ -101,11 +101,3 @@ def test_faint_signals_need_few_modes():
     sizes = [GridModes(whole, level).eigenvalues.size for level in LEVELS[:3]]
     assert sizes == sorted(sizes)
     assert sizes[0] < 800 < sizes[2] < 1500
-
-
-def test_rows_are_those_that_project():
-    grid = Grid((8, 10), 4e-4, 4e-4)
-    modes = GridModes(GridCovariance(PRIOR, grid, DEPTH, NOISE, SCALES[-1]), LEVELS[1])
-    chosen = np.array([0, 17, 95, 239])
-    for row, signal in zip(modes.rows(chosen), chosen, strict=True):
-        assert modes.project(np.eye(240, dtype=np.float32)[signal]) == pytest.approx(row, abs=1e-6)

@@ -50,10 +50,6 @@ def test_border_is_the_outermost_ring_and_what_lies_beyond():
     assert at_border(GRID, np.array([[5e-3, 0.0], [-0.2e-3, 0.9e-3]])).tolist() == [True, False]
 
 
-def test_sites_on_a_line_are_all_border():
-    assert at_border(GRID[:5], GRID[:5]).all()
-
-
 def test_duplicates_are_named():
     with pytest.raises(ValueError, match="sites 3 and 20"):
         refuse_duplicates(np.vstack([GRID, GRID[3]]), np.full(21, 1e-3))

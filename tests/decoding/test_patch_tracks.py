@@ -63,14 +63,3 @@ def test_one_out_of_reach_does_not_push_another_off() -> None:
     found = tracker.update([patch(1.8), replace(patch(9.0), at_border=True)])
     assert float(found[2].centroid_m[0]) == pytest.approx(1.8e-3)
     assert sorted(found) == [2, 3]
-
-
-def test_those_that_are_missing_for_a_moment_are_followed_on() -> None:
-    tracker = PatchTracker(patience=2)
-    assert tracker.ids == frozenset()
-    tracker.update([patch(0.0), patch(6.0)])
-    for _ in range(2):
-        tracker.update([patch(0.0)])
-        assert tracker.ids == {1, 2}
-    tracker.update([patch(0.0)])
-    assert tracker.ids == {1}

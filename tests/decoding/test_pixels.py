@@ -11,13 +11,6 @@ def grid(count_y, count_x, pitch_m):
     return np.column_stack([x, y]) * pitch_m
 
 
-def test_pixels_are_centred_on_the_sites_of_a_fine_grid():
-    sites_m = grid(5, 8, 4e-4)
-    lattice = PixelLattice.over(sites_m, 1e-3)
-    assert lattice.shape == (5 + 16, 8 + 16)
-    np.testing.assert_allclose(lattice.centres_m[lattice.nearest(sites_m)], sites_m, atol=1e-12)
-
-
 @pytest.mark.parametrize("pitch_m", [1e-4, 1e-3])
 def test_other_grids_get_pixels_of_two_fifths_of_the_depth(pitch_m):
     lattice = PixelLattice.over(grid(9, 9, pitch_m), 1e-3)

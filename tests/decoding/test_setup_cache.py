@@ -55,13 +55,6 @@ def test_anything_else_is_built(directory: Path, changed: dict[str, float]) -> N
     assert cached(depends_on(), build) == 101
 
 
-def test_other_libraries_build_anew(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    build = Builder()
-    cached("key", build)
-    monkeypatch.setattr(np, "__version__", "0.1")
-    assert cached("key", build) == 102
-
-
 @pytest.mark.parametrize("damage", [0, 3, 0.3, 0.9], ids=["empty", "cut", "a bit early", "a bit late"])
 def test_a_damaged_file_is_replaced_and_logged(
     directory: Path, damage: float, caplog: pytest.LogCaptureFixture

@@ -178,18 +178,6 @@ def test_a_contact_outlives_two_frames_that_show_nothing(rig: Rig, missing: int)
     assert events == (["onset"] if missing < 3 else ["onset", "release", "onset"])
 
 
-def test_a_new_start_ends_contacts_and_goes_on_with_their_numbers(rig: Rig) -> None:
-    (contact,) = follow(rig, [press()] * 3)[-1].contacts
-    (event,) = rig.contacts.reset()
-    assert (event.event, event.contact) == ("release", contact)
-    assert rig.contacts.reset() == ()
-    followed = follow(rig, [press()] * 2)
-    assert told(followed) == [(1, "onset")]
-    assert followed[1].contacts[0].id == contact.id + 1
-    follow(rig, [press(0.5, (2.3e-3, 0.0))])
-    assert len(rig.contacts.reset()) == 1  # the other had not been announced
-
-
 def gain_errors(linear: OpenPlaneDecoder, skin: Skin, *, glitch: bool = False) -> SkinContact:
     """The contact of a press whose signals have gains that are off by 10 % rms."""
     random = np.random.default_rng(5)

@@ -30,18 +30,6 @@ def events_of(reading: SurfaceReading) -> list[tuple[str, int]]:
     return [(event.event, event.contact.id) for event in reading.events]
 
 
-def test_results_are_those_of_the_decoder() -> None:
-    direct, decoder = SkinDecoder(SKIN, LINEAR, NOISE, [].append), streaming()
-    for seed in range(4):
-        reading, expected = read(decoder, pressed(seed)), direct.decode(pressed(seed), NOISE)
-        assert reading.decoder == "open-plane"
-        # Single precision; matrices that come from the cache may lie in memory otherwise.
-        np.testing.assert_allclose(reading.decoded.traction_pascal, expected.decoded.traction_pascal, atol=1.0)
-        np.testing.assert_allclose(reading.decoded.displacement_m, expected.decoded.displacement_m, atol=1e-9)
-        assert [contact.id for contact in reading.contacts] == [contact.id for contact in expected.contacts]
-        assert events_of(reading) == ([("onset", 1)] if seed == 1 else [])
-
-
 @pytest.mark.parametrize("unknown", [NAN, np.inf])
 def test_without_noise_of_every_channel_there_is_no_decoder_yet(unknown: float) -> None:
     deaf = NOISE.copy()

@@ -4,9 +4,7 @@ import numpy as np
 
 from resonator_daemon.decoding.contact_physics.support import (
     blobs,
-    dilated,
     load_support,
-    raw_support,
     swept,
 )
 
@@ -28,19 +26,6 @@ def test_noise_blobs_are_left_out_and_neighbours_come_in():
     expected[:3, :2] = True
     expected[3:, 6:] = True
     np.testing.assert_array_equal(load_support(pressure), expected)
-
-
-def test_raw_support_keeps_every_blob():
-    pressure = drawn("9....", "9....", ".....", "...2.")
-    assert raw_support(pressure)[3, 3]
-    assert not load_support(pressure)[3, 3]
-
-
-def test_dilation_takes_all_eight_neighbours_and_stops_at_the_border():
-    mask = np.zeros((5, 6), bool)
-    mask[0, 2] = True
-    assert dilated(mask, 2).sum() == 3 * 5
-    assert dilated(mask)[1, 3]
 
 
 def test_blobs_meet_at_corners():

@@ -6,10 +6,7 @@ from pathlib import Path
 import pytest
 from made_up_host import MadeUpHost
 
-from resonator_daemon.doctor.finding import Area, Check, Outcome, excused
 from resonator_daemon.doctor.load import Load
-
-CHECK = Check("a.check", Area.WIRING, "check")
 
 
 @pytest.mark.parametrize(("idle", "busy"), [(14, True), (16, False)])
@@ -27,12 +24,3 @@ def test_a_program_that_was_left_waiting_has_seen_a_busy_computer(tmp_path: Path
         halt = ctypes.PyDLL(None).usleep  # keeps the interpreter's lock: no thread of this program goes on meanwhile
         halt(80_000)
     assert load.busy().startswith("this computer is busy: it let a program that was to run wait for")
-
-
-def test_an_excuse_covers_what_is_bad_and_nothing_else() -> None:
-    for bad in (CHECK.fault("seen", "do"), CHECK.warning("seen", "do")):
-        assert excused(bad, "busy") == CHECK.not_checked("busy; seen: seen")
-        assert excused(bad, "") is bad
-    well = CHECK.ok("seen")
-    assert excused(well, "busy") is well
-    assert excused(CHECK.not_checked("why"), "busy").outcome is Outcome.NOT_CHECKED

@@ -4,6 +4,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from resonator_daemon.config import Config
 from resonator_daemon.exporting.formats import format_class
 from resonator_daemon.exporting.output import Output, Recorded
@@ -47,3 +49,11 @@ def write(form: str, path: Path, case: str, *more: Moment, times: int = 1) -> Ou
         output.add(moment)
     output.close()
     return output
+
+
+def cloud_points(data: bytes, fields: list[tuple[str, int, int]], stride: int) -> Any:
+    """Points of a cloud as records; of each field name, number of its type (MCAP's or that of ROS), and offset."""
+    names, types, offsets = zip(*fields, strict=True)
+    forms = [{3: "<u2", 4: "<u2", 7: "<f4", 8: "<f8"}[number] for number in types]
+    layout = {"names": names, "formats": forms, "offsets": offsets, "itemsize": stride}
+    return np.frombuffer(data, np.dtype(layout))  # type: ignore[call-overload]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from export_bench import METADATA, played, write
+from export_bench import METADATA, cloud_points, played, write
 from jsonschema import Draft202012Validator
 from mcap.reader import make_reader
 
@@ -16,8 +16,6 @@ from resonator_daemon.config.text import plate_text, settings_text
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.replay.recorded_pipeline import Moment
 from resonator_daemon.session.host_time import HostTime
-
-FORMS = {3: "<u2", 7: "<f4", 8: "<f8"}
 
 
 def written(case: str, path: Path, *more: Moment) -> dict[str, list[tuple[Any, Any]]]:
@@ -49,15 +47,8 @@ def written(case: str, path: Path, *more: Moment) -> dict[str, list[tuple[Any, A
 
 
 def points(cloud: dict[str, Any]) -> Any:
-    dtype = np.dtype(
-        {
-            "names": [field["name"] for field in cloud["fields"]],
-            "formats": [FORMS[field["type"]] for field in cloud["fields"]],
-            "offsets": [field["offset"] for field in cloud["fields"]],
-            "itemsize": cloud["point_stride"],
-        }
-    )
-    return np.frombuffer(base64.b64decode(cloud["data"]), dtype)
+    fields = [(field["name"], field["type"], field["offset"]) for field in cloud["fields"]]
+    return cloud_points(base64.b64decode(cloud["data"]), fields, cloud["point_stride"])
 
 
 @pytest.mark.parametrize("case", ["slide", "skin"])

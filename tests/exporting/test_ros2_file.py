@@ -6,13 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from export_bench import played, write
+from export_bench import cloud_points, played, write
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from resonator_daemon.exporting.formats.ros2 import ros_name
-
-NUMPY = {4: "<u2", 7: "<f4", 8: "<f8"}
 
 
 def written(case: str, path: Path) -> dict[str, list[Any]]:
@@ -27,17 +25,9 @@ def written(case: str, path: Path) -> dict[str, list[Any]]:
 
 
 def points(cloud: Any) -> Any:
-    fields = {field.name: (NUMPY[field.datatype], field.offset) for field in cloud.fields}
-    dtype = np.dtype(
-        {
-            "names": list(fields),
-            "formats": [form for form, _ in fields.values()],
-            "offsets": [offset for _, offset in fields.values()],
-            "itemsize": cloud.point_step,
-        }
-    )
     assert (cloud.width * cloud.point_step, cloud.height, cloud.is_bigendian) == (cloud.row_step, 1, False)
-    return np.frombuffer(bytes(cloud.data), dtype, cloud.width)
+    fields = [(field.name, field.datatype, field.offset) for field in cloud.fields]
+    return cloud_points(bytes(cloud.data), fields, cloud.point_step)
 
 
 def stamp_ns(message: Any) -> int:

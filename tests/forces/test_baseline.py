@@ -46,17 +46,6 @@ def test_a_drift_is_followed_while_untouched():
     assert mode.value == pytest.approx((1e-9 * 2000 * STEP_S,) * 4, abs=1e-10)
 
 
-def test_reset_makes_it_unknown_again():
-    mode = CommonMode(1, needed=2, reading_std=READING_STD)
-    mode.update([5.0], STEP_S)
-    mode.update([5.0], STEP_S)
-    mode.reset()
-    mode.update([1.0], STEP_S)
-    assert not mode.known
-    mode.update([1.0], STEP_S)
-    assert mode.value == pytest.approx((1.0,))
-
-
 def test_a_held_value_stays_and_grows_less_certain():
     mode = learnt(value=1e-6)
     held = mode.value

@@ -3,9 +3,8 @@ import math
 import numpy as np
 import pytest
 from brute_force_board import Ladder
-from drawn_touches import MODEL_ERROR, NOISE, Tuples, draws, match_all, matcher_of
+from drawn_touches import MODEL_ERROR, NOISE, draws, match_all, matcher_of
 
-from resonator_daemon.forces.channel_groups import partitions
 from resonator_daemon.forces.site_identification import Matcher
 from resonator_daemon.plate import load_plate
 
@@ -91,13 +90,6 @@ def test_one_channel_with_a_foreign_tone_is_left_out():
         assert f"channel {odd[row]} " in matches.matches[row].reason
 
 
-def test_a_foreign_tone_is_not_left_out_of_three_channels():
-    plate = Ladder()
-    frequency = plate.loaded_hz(4, 2.0)
-    frequency[1], frequency[3] = 10.02e6, np.nan
-    assert matcher_of(plate).match(frequency, *NOISE).status == "rejected"
-
-
 def test_two_channels_that_hear_foreign_tones_leave_too_little():
     plate = Ladder()
     frequency = plate.loaded_hz(4, 2.0)
@@ -156,15 +148,6 @@ def test_a_channel_that_names_one_of_two_sites_settles_it_for_the_other():
     assert [(force.site, force.channels) for force in match.forces] == [(0, (0, 1)), (2, (2, 3))]
 
 
-def test_two_touches_on_codes_that_overlap_are_seldom_wrong():
-    plate, count = Tuples("random"), 1000
-    captured = channels_of_the_second(count, 61)
-    site, _, frequency = two_touches(plate, captured, 62)
-    matches = match_all(matcher_of(plate), frequency)
-    named = zip(matches.matches, site.tolist(), strict=True)
-    assert np.mean([not {force.site for force in match.forces} <= set(true) for match, true in named]) <= 5e-3
-
-
 def test_one_of_two_touches_beyond_the_range_is_an_overload_beside_a_force():
     plate = Ladder()
     frequency = np.where([True, True, False, False], plate.loaded_hz(2, 1.0), plate.loaded_hz(7, 10.05))
@@ -182,10 +165,3 @@ def test_what_an_overload_and_two_sites_explain_alike_is_ambiguous():
     match = matcher.match(f0[5] / (1 - np.array([-6.3e-6, 6.3e-6] * 2) * 66.0), *NOISE)
     assert match.status == "ambiguous"
     assert match.candidates == (4, 5, 6)
-
-
-@pytest.mark.parametrize(("channels", "count"), [(1, 1), (2, 2), (3, 5), (4, 15), (5, 52)])
-def test_channels_have_as_many_partitions_as_bells_numbers_say(channels, count):
-    divided = list(partitions(tuple(range(channels))))
-    assert len({frozenset(partition) for partition in divided}) == len(divided) == count
-    assert all(sorted(c for group in partition for c in group) == list(range(channels)) for partition in divided)

@@ -74,14 +74,3 @@ def test_measured_coupling_passes_through_its_two_points_and_asks_for_ten_times_
     codes = place_codes(coupling_hz, 20, steps, np.random.default_rng(1))
     assert missing(codes, steps) == []
     assert abs(codes[0] - codes[1]) >= 12
-
-
-def test_fewer_codes_than_sites_are_refused() -> None:
-    with pytest.raises(ValueError, match="code_count 3 must be at least the number of sites, 4"):
-        place_codes(np.zeros((4, 4)), 3, np.ones((4, 4), np.int64), np.random.default_rng(0))
-
-
-def test_one_site_has_no_neighbours() -> None:
-    distance_m = distances_m(np.zeros((1, 2)))
-    codes = place_codes(default_coupling(distance_m), 1, needed_steps(distance_m), np.random.default_rng(0))
-    assert codes.tolist() == [1]

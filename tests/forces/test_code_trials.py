@@ -1,5 +1,4 @@
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -7,7 +6,6 @@ import pytest
 from resonator_daemon.forces.code_trials import (
     Codes,
     Scatter,
-    _outcomes,
     draw_plate,
     nearest_wrong,
     one_touch,
@@ -106,16 +104,6 @@ def test_a_common_shift_that_matters_is_told_to_the_matcher() -> None:
     found = one_touch(codes, unnoticed, 5000, np.random.default_rng(3))
     assert found.wrong == 0
     assert found.right > 0.9 * found.touches
-
-
-def test_outcomes_are_judged_by_all_sites_that_are_named() -> None:
-    def forces(*sites: int) -> SimpleNamespace:
-        return SimpleNamespace(forces=[SimpleNamespace(site=site) for site in sites])
-
-    pressed = np.array([[1, 2], [1, 2], [1, 2], [1, 2], [1, 2], [3, 3], [3, 3], [3, 3]])
-    named = [forces(2, 1), forces(1), forces(1, 4), forces(), forces(1, 2, 7), forces(3), forces(3, 5), forces(5)]
-    found = _outcomes(named, pressed)  # type: ignore[arg-type]
-    assert found._asdict() == {"right": 2, "partly": 1, "wrong": 4, "undecided": 1}
 
 
 def test_drawn_plates_stay_within_what_they_may_be_off_by() -> None:

@@ -4,7 +4,6 @@ from scipy.optimize import linprog
 
 from resonator_daemon.forces.codes import code_overlaps
 from resonator_daemon.forces.site_identification import Matcher
-from resonator_daemon.plate import load_plate
 
 LARGEST = 10.0
 
@@ -65,15 +64,6 @@ def test_a_ladder_overlaps_below_the_step_that_its_bands_need():
             assert pair.needed_ppm == pytest.approx(needed * 1e6, rel=1e-9)
 
 
-def test_signs_that_differ_between_neighbours_double_the_step():
-    needed = 2 * 6.3e-6 * LARGEST + 2e-6
-    sign = np.where(np.arange(16) % 2, 1, -1)[:, None]
-    for step, overlaps in ((needed * 0.99, True), (needed * 1.01, False)):
-        f0_hz, sensitivity = ladder(step)
-        found = code_overlaps(f0_hz, sensitivity * -sign, LARGEST, common_shift=0.0, margin=2e-6)
-        assert bool(found) == overlaps
-
-
 def test_the_pair_that_lacks_most_comes_first():
     f0_hz, sensitivity = ladder(300e-6)
     f0_hz[9] = f0_hz[8] * (1 - 50e-6)
@@ -89,13 +79,6 @@ def test_what_is_missing_is_told_of_the_channel_where_least_is():
     (pair,) = code_overlaps(f0_hz, sensitivity, LARGEST, common_shift=5e-6, margin=60e-6)
     assert pair.channel == 2
     assert (pair.spacing_ppm, pair.needed_ppm) == pytest.approx((50, 63 * 1.02 + 65), rel=1e-6)
-
-
-def test_the_shipped_plate_has_no_overlap_and_a_ladder_of_60_ppm_has():
-    tones = load_plate("quartz16").tones
-    allowed = {"common_shift": 50e-6, "margin": 10e-6}
-    assert code_overlaps(tones.f0_hz, tones.sensitivity, LARGEST, **allowed) == ()
-    assert len(code_overlaps(*ladder(60e-6), LARGEST, **allowed)) == 15 + 14
 
 
 def test_sites_that_a_matcher_takes_for_each_other_are_among_the_overlaps():

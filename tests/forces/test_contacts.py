@@ -49,21 +49,6 @@ def test_a_contact_keeps_identity_onset_and_peak_and_counts_its_duration():
     assert contact.touch.position_m == POSITIONS_M[1]
 
 
-def test_the_next_touch_is_another_contact():
-    contacts = tracker()
-    assert tell(contacts, 0, force(1.0)) == [("onset", 1, 0)]
-    assert tell(contacts, 1, complete=True) == [("release", 1, 0)]
-    assert tell(contacts, 2, force(1.0)) == [("onset", 2, 0)]
-
-
-def test_release_says_when_and_why():
-    contacts = tracker()
-    tell(contacts, 5, force(1.5))
-    (event,) = contacts.update(77, (), complete=True, status="ok", reason="")
-    assert (event.event, event.board_ticks, event.reason) == ("release", 77, "no longer felt")
-    assert (event.contact.peak_newton, event.contact.since_ticks) == (1.5, 5)
-
-
 def test_one_of_two_touches_ends_where_a_reading_tells_of_all():
     contacts = tracker()
     tell(contacts, 0, force(1.0, 0), force(1.0, 1), complete=True)

@@ -29,13 +29,6 @@ def test_a_ramp_is_told_of_from_five_walks_in_ten_seconds_on() -> None:
     assert not any(watch(ramp(0.95 * WALKS, 60.0)))
     told = watch(ramp(1.1 * WALKS, 60.0))
     assert all(told[round(SPAN_S / STEP_S) + 6 :])
-    assert "0.17 ppm in 10 s" in told[-1]
-
-
-def test_a_fast_one_is_told_of_after_five_seconds() -> None:
-    told = watch(ramp(5.0 * WALKS, 30.0))
-    first = next(n for n, text in enumerate(told) if text)
-    assert 5.0 <= first * STEP_S <= 6.0
 
 
 def test_it_ends_when_the_plate_is_at_rest_again() -> None:
@@ -65,12 +58,11 @@ def test_temperature_counts_where_it_is_measured() -> None:
     assert told[-1]
 
 
-@pytest.mark.parametrize("gap", [(NAN, NAN)])
-def test_a_baseline_that_is_forgotten_begins_anew(gap: tuple[float, float]) -> None:
+def test_a_baseline_that_is_forgotten_begins_anew() -> None:
     drift = DriftWatch()
     for n in range(100):
         drift.update((1e-9 * n, 0.0), NAN, n * STEP_S)
-    assert drift.update(gap, NAN, 10.0) is None
+    assert drift.update((NAN, NAN), NAN, 10.0) is None
     assert not any(drift.update((1.0 + 1e-15 * n, 0.0), NAN, 10.1 + n * STEP_S) for n in range(100))
 
 

@@ -33,10 +33,6 @@ def test_two_sites_hide_at_most_twice_what_one_reports():
     assert (bound <= 2.0).all()
 
 
-def test_a_single_site_hides_nothing():
-    assert hidden_fraction(np.array([[0.001, 0.002]]), SQUARE_M, 4.0) == pytest.approx([0.0])
-
-
 def test_the_bound_holds_for_every_touch_that_loads_the_site_most():
     rng = np.random.default_rng(2)
     sites = rng.uniform(-0.009, 0.009, (9, 2))

@@ -29,20 +29,8 @@ def test_a_common_shift_passes_for_the_force_that_least_squares_makes_of_it(sens
     assert 1e-7 * per_shift == pytest.approx(abs(newton))
 
 
-def test_equal_sensitivities_give_their_inverse_and_opposite_ones_see_nothing_common():
-    assert sites_of([[-6.25e-6] * 4]).newton_per_shift(0, (0, 1, 2, 3)) == pytest.approx(160_000.0)
-    assert sites_of([[5e-6, -5e-6, 5e-6, -5e-6]]).newton_per_shift(0, (0, 1, 2, 3)) == pytest.approx(0.0, abs=1e-6)
-
-
 def test_coefficients_that_are_not_given_are_the_default_ones_each_by_itself():
     given = np.array([[1e-7, np.nan, 0.0], [np.nan, np.nan, np.nan]])
     known = known_coefficients(given)
     assert known.tolist() == [[1e-7, DEFAULT_COEFFICIENTS[1], 0.0], list(DEFAULT_COEFFICIENTS)]
     assert np.isnan(given[1]).all()  # the plate's own array stays as it was
-
-
-def test_an_untold_calibration_covers_every_force_and_no_response():
-    sites = sites_of([[-6e-6] * 4])
-    assert sites.valid_newton == (-np.inf, np.inf)
-    assert sites.response is None
-    assert sites.sensitivity_std == 0.0

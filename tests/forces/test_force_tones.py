@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from resonator_daemon.forces.force_tones import ForceTones
-from resonator_daemon.tones.tone_merging import SIGMA_HZ
 
 # Tones in the order of frequency; sites 2, 0, 1, of which 0 and 2 have a thermometer, too.
 SITE = np.array([2, 0, 0, 2, 1])
@@ -77,17 +76,6 @@ def test_a_site_that_no_corner_hears_is_not_known_and_leaves_the_others():
     assert shifts.kelvin[2] == pytest.approx(0.0, abs=1e-6)
     offset[:, WARM_TONE[2]] = np.nan
     assert np.isnan(tones().shifts(offset, SIGMA).kelvin[2])
-
-
-def test_a_frequency_below_nothing_is_not_known():
-    offset = offsets_hz()
-    offset[:, FORCE_TONE[1]] = -2e7
-    assert np.isnan(tones().shifts(offset, SIGMA).shift[1])
-
-
-def test_a_sigma_code_is_an_eighth_of_a_power_of_two():
-    assert SIGMA_HZ.shape == (256,)
-    assert SIGMA_HZ[[128, 136, 120]].tolist() == [1.0, 2.0, 0.5]
 
 
 @pytest.mark.parametrize(

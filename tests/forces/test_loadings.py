@@ -48,11 +48,3 @@ def test_what_sites_felt_is_that_of_play_and_creep_in_small_steps():
         expected = brute_force(steps.since_s[before], forces[before], readings.time_s[index], 0.3, 0.02, 12.0)
         assert felt[index] == pytest.approx(expected, abs=2e-4)
     assert np.ptp(felt - forces[readings.step]) > 0.1
-
-
-def test_the_order_of_the_tables_does_not_matter():
-    steps = steps_of([0, 0, 0], [20, 0, 10], [[0, 1, 0], [1, 0, 0], [1, 0, 1]])
-    sorted_steps = steps_of([0, 0, 0], [0, 10, 20], [[1, 0, 0], [1, 0, 1], [0, 1, 0]])
-    felt = felt_newton(steps, steps.pressing @ MASS_NEWTON, readings_of([0], [25]), 0.1, 0.01, 20.0)
-    same = felt_newton(sorted_steps, sorted_steps.pressing @ MASS_NEWTON, readings_of([2], [25]), 0.1, 0.01, 20.0)
-    assert felt == same

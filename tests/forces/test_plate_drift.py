@@ -77,21 +77,6 @@ def test_two_newtons_held_for_ten_minutes_under_drift_stay_within_a_millinewton(
     assert stds[-1] < 1e-3
 
 
-def test_quadratic_and_cubic_terms_of_each_site_are_taken_out():
-    # Coefficients differ enough to tell theta, and b and c by as much as they are.
-    plate = Plate(16, start=4e-9)
-    rng = np.random.default_rng(16)
-    plate.coefficients = np.array(
-        [np.linspace(-3e-7, 3e-7, SITES), -1e-9 * rng.random(SITES), 2.2e-10 * rng.random(SITES)]
-    )
-    plate.drift = PlateDrift(plate.coefficients, coefficient_std=0.0, offset_std=4e-9)
-    errors, stds, elsewhere = held_for_ten_minutes(plate, sinusoid(12.0))
-    assert elsewhere == 0
-    assert abs(errors[-60:].mean()) < 1e-3
-    assert abs(errors[240:360].mean()) < 1e-3  # about the largest temperature
-    assert np.mean(np.abs(errors) <= 2 * stds) > 0.9
-
-
 def test_unknown_differences_of_coefficients_are_within_what_is_reported():
     """Forty plates with a spread of 2e-8 / K, held under 2 K: the end of the contact in standard deviations."""
     ratios, stated = [], []
@@ -267,14 +252,3 @@ def test_tare_takes_the_present_shifts_as_untouched():
     reading, error, _ = plate.frame(0.02, force=on(0.5))
     assert not reading.in_contact.any()
     assert error[PRESSED] == pytest.approx(-0.5, abs=3e-3)  # zero is reported
-
-
-def test_reset_forgets_what_was_learnt():
-    plate = Plate(15)
-    first, _, _ = plate.frame(0.02)
-    for _ in range(100):
-        plate.frame(0.02, force=on(1.0))
-    plate.drift.reset()
-    again, _, _ = plate.frame(0.02)
-    assert not again.in_contact.any()
-    assert again.expected_std == pytest.approx(first.expected_std, rel=1e-6)

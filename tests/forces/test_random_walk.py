@@ -32,10 +32,3 @@ def test_estimates_are_those_of_the_joint_gaussian():
     gain = np.linalg.solve(covariance + noise * np.eye(6), covariance[:, -1])
     assert walks.mean[0] == pytest.approx(gain @ readings)
     assert walks.variance[0] == pytest.approx(covariance[-1, -1] - gain @ covariance[:, -1])
-
-
-def test_reset_forgets():
-    walks = RandomWalks(1, start_std=3.0)
-    walks.measure(np.array([5.0]), 1.0, np.array([True]))
-    walks.reset()
-    assert (walks.mean[0], walks.variance[0]) == (0.0, 9.0)

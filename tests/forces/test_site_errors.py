@@ -101,13 +101,6 @@ def test_the_warmth_of_a_touch_ends_with_it(end):
     assert press(warm, 1.0, 20.2).systematic_newton > 0.1
 
 
-def test_sites_are_warmed_each_by_its_own_touch():
-    warm = errors(contact_std_kelvin=3.0)
-    press(warm, 1.0, 0.0, site=0)
-    assert press(warm, 1.0, 10.0, site=2).systematic_newton == 0.0
-    assert press(warm, 1.0, 10.0, site=0).systematic_newton > 0.1
-
-
 def test_the_warmth_of_a_touch_must_not_hide_it_where_sites_are_heard_untouched():
     warm = errors(contact_std_kelvin=3.0)
     press_all(warm, 1.0, 0.0, touched=True)
@@ -194,11 +187,3 @@ def test_all_sites_are_pressed_as_one_is(response):
         assert of_all[:2] == pytest.approx(of_one[:2], rel=1e-12, nan_ok=True)
         whole = [math.hypot(each.systematic_newton, each.unmodelled_newton) for each in (of_all, of_one)]
         assert whole[0] == pytest.approx(whole[1], rel=1e-12, nan_ok=True)
-
-
-def test_a_site_falls_silent_again_after_each_press():
-    warm = errors(contact_std_kelvin=3.0)
-    warm.silence(-1.0)
-    press(warm, 1.0, 0.0)
-    warm.silence(10.0)
-    assert press(warm, 1.0, 20.0).systematic_newton == 0.0

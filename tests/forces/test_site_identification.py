@@ -109,20 +109,6 @@ def test_where_codes_overlap_the_odds_are_those_of_the_two_densities():
     assert min(told.count("ok"), told.count("ambiguous")) > 20
 
 
-def test_a_tone_that_is_no_sites_is_rejected():
-    plate = Ladder()
-    match = matcher_of(plate).match(np.full(4, 10.02e6), *NOISE)
-    assert match.status == "rejected"
-    assert match.forces == ()
-
-
-def test_a_chance_excess_of_the_gate_is_not_an_overload_of_the_neighbour():
-    # Corners alike: the tone of every site is also that of its neighbour under some force beyond the range.
-    plate = Ladder(pull=0.0)
-    off = plate.loaded_hz(4, 5.0) * (1 + 4e-6 * np.array([1, -1, 1, -1]))
-    assert matcher_of(plate).match(off, *NOISE).status == "rejected"
-
-
 @pytest.mark.parametrize("pull", [0.0, 25e-6])
 @pytest.mark.parametrize("force", [10.01, 12.0, 20.0, 30.0])
 def test_a_force_beyond_the_range_is_an_overload_of_its_site(force, pull):

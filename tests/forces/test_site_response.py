@@ -74,21 +74,12 @@ def response_of(h, c, tau_s=20.0, *, off=0.0, std=0.0):
 FORCE = presses(36, 40, seed=1)
 
 
-def test_creep_is_taken_out_to_less_than_2_millinewton():
-    felt = feel(FORCE, 0.0, 0.005, 20.0)
-    touched = FORCE > TOUCH_NEWTON
-    assert rms((felt - FORCE)[touched]) == pytest.approx(0.014, abs=0.004)
-    error, noise, systematic, _ = follow(response_of(0.0, 0.005), FORCE, felt)
-    assert rms(error) < 1e-3
-    assert np.mean(np.abs(error) <= 2 * np.hypot(noise, systematic)) >= 0.93
-
-
-def test_hysteresis_is_taken_out_to_less_than_2_millinewton():
-    felt = feel(FORCE, 0.1, 0.0, 20.0)
-    touched = FORCE > TOUCH_NEWTON
-    assert rms((felt - FORCE)[touched]) == pytest.approx(0.050, abs=0.005)
-    error, noise, systematic, _ = follow(response_of(0.1, 0.0), FORCE, felt)
-    assert rms(error) < 2e-3
+@pytest.mark.parametrize(("h", "c", "untreated", "limit_newton"), [(0.0, 0.005, 0.014, 1e-3), (0.1, 0.0, 0.05, 2e-3)])
+def test_creep_and_hysteresis_are_taken_out(h, c, untreated, limit_newton):
+    felt = feel(FORCE, h, c, 20.0)
+    assert rms((felt - FORCE)[FORCE > TOUCH_NEWTON]) == pytest.approx(untreated, abs=0.005)
+    error, noise, systematic, _ = follow(response_of(h, c), FORCE, felt)
+    assert rms(error) < limit_newton
     assert np.mean(np.abs(error) <= 2 * np.hypot(noise, systematic)) >= 0.93
 
 

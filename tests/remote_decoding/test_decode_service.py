@@ -285,8 +285,8 @@ async def test_a_state_lasts_while_its_reason_changes_and_is_said_again_before_i
     tmp_path: Path, mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert DECODER_STATE.expiry_s is not None
-    assert DECODER_STATE.expiry_s / 2 > decode_service._STATE_AGAIN_S
-    monkeypatch.setattr(decode_service, "_STATE_AGAIN_S", 0.2)
+    assert DECODER_STATE.expiry_s / 2 > decode_service.STATE_AGAIN_S
+    monkeypatch.setattr(decode_service, "STATE_AGAIN_S", 0.2)
     decoder = process(tmp_path, mosquitto.url, decoding=LINEAR)
     async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand, running(decoder):
         await heard.until(lambda: [state["reason"] for state in heard.payloads(STATE)].count("hand: no info yet") >= 3)

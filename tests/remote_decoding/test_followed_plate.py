@@ -4,7 +4,6 @@ import asyncio
 import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,7 +13,6 @@ from decoder_bench import NOISE, NU, SITES_M, E, incoming, info, pressed, signal
 
 from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.config.tables import Decoding
-from resonator_daemon.decoder_process import supervisor
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.elastic import HalfSpace
@@ -148,37 +146,6 @@ async def test_only_what_is_asked_for_is_published(uncertainty: bool, displaceme
     assert (found.traction_std_pascal is not None, found.displacement_m is not None) == (uncertainty, displacement)
 
 
-async def test_of_frames_in_a_burst_the_newest_is_decoded_and_the_others_are_skipped(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(supervisor, "WAIT_MAX_NS", 0)
-    async with Followed().running() as followed:
-        await followed.prepare(info())
-        await followed.read(signals(0))
-        before = followed.account
-        for seq in range(1, 31):
-            followed.send(signals(seq))
-        assert followed.account.waiting <= 2
-        assert followed.is_exact
-        await until(lambda: bool(followed.on("decoded")) and followed.on("decoded")[-1].seq == 30)
-        account = followed.account
-    assert account.skipped - before.skipped >= 28
-    assert account.received - before.received == 30
-    assert account.received == account.decoded + account.skipped
-
-
-async def test_before_there_is_an_info_frames_are_unusable_and_it_says_so() -> None:
-    async with Followed().running() as followed:
-        assert followed.plate.condition() == ("waiting", "hand: no info yet")
-        followed.send(signals(0))
-        assert followed.account.unusable == 1
-        await followed.tell(info())
-        await until(lambda: followed.plate.condition() == ("waiting", "hand: no signals that could be decoded"))
-        await followed.prepare(info())
-        await followed.read(signals(1))
-        await until(lambda: followed.plate.condition() == ("online", "signals of hand are decoded"))
-
-
 async def test_a_plate_without_a_skin_and_one_that_cannot_be_decoded_are_told_apart() -> None:
     on_a_line = tuple(site.model_copy(update={"position_m": (1e-4 * i, 0.0)}) for i, site in enumerate(info().sites))
     async with Followed(DecodingOptions("fourier")).running() as followed:
@@ -231,7 +198,7 @@ async def test_each_decoded_frame_is_counted_by_its_age(monkeypatch: pytest.Monk
 
 async def test_contacts_end_when_signals_stop_and_only_then(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 3600.0)
-    monkeypatch.setattr(followed_plate, "_LOOK_S", 0.01)
+    monkeypatch.setattr(followed_plate, "LOOK_S", 0.01)
     interruptions: list[str] = []
     interrupt = DecoderSupervisor.interrupt
     monkeypatch.setattr(
@@ -255,33 +222,3 @@ async def test_contacts_end_when_signals_stop_and_only_then(monkeypatch: pytest.
         for seq in range(3, 5):
             await followed.read(signals(seq))
         assert followed.on("contacts/event")[2].contact.id == 2
-
-
-async def test_frames_whose_noise_nobody_knows_are_unusable() -> None:
-    deaf = np.full((3, len(SITES_M)), np.nan, np.float32)
-    async with Followed().running() as followed:
-        await followed.tell(info())
-        followed.send(signals(0, noise_std=deaf))
-        await until(lambda: followed.account.unusable == 1)
-        await followed.prepare(info())
-        await followed.read(signals(1))
-    assert len(followed.on("decoded")) == 1
-
-
-async def test_it_is_online_once_the_decoder_is_set_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path))
-    states: list[str] = []
-    async with Followed().running() as followed:
-
-        def look() -> None:
-            if (state := followed.plate.condition()[0]) != (states or [""])[-1]:
-                states.append(state)
-
-        announce = followed.plate.announce
-        monkeypatch.setattr(followed.plate, "announce", lambda note: (announce(note), look()))
-        for depth_m in (1e-3, 1.1e-3):  # of another skin the decoder is another one
-            await followed.tell(info(skin=info().skin.model_copy(update={"depth_m": depth_m})))
-            look()
-            await followed.prepare(info(skin=info().skin.model_copy(update={"depth_m": depth_m})))
-            look()
-    assert states == ["waiting", "starting", "online"] * 2

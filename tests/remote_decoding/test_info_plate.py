@@ -9,9 +9,8 @@ from typing import Any
 import cbor2
 import numpy as np
 import pytest
-from decoder_bench import SITES, SITES_M, info, signals
+from decoder_bench import info, signals
 
-from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import SiteInfo
 from resonator_daemon.remote_decoding import plate as plate_module
@@ -30,17 +29,6 @@ def plate() -> RemotePlate:
 
 def take(plate: RemotePlate, payload: bytes) -> bool:
     return plate.read_signals(payload, 1.0) is not None
-
-
-def test_sites_and_skin_come_from_info(plate: RemotePlate) -> None:
-    assert plate.problem is None
-    assert plate.skin is not None
-    np.testing.assert_array_equal(plate.skin.skin.site_positions_m, SITES_M)
-    assert plate.skin.site_ids.tolist() == list(range(100, 100 + SITES))
-    assert plate.skin.grid == info().grid
-    skin = plate.skin.skin
-    assert (skin.half_space.youngs_modulus_pascal, skin.half_space.poisson_ratio, skin.depth_m) == (2e5, 0.5, 1e-3)
-    assert (skin.gain_std, skin.prior) == (0.0, Prior(1e-3, 0.3))
 
 
 def test_what_is_decoded_has_the_header_of_its_signals(plate: RemotePlate) -> None:
@@ -87,19 +75,11 @@ def test_another_skin_is_noticed_and_the_same_one_is_not(plate: RemotePlate, cha
         (encode(info(skin=SKIN.model_copy(update={"gain_std": 1.0}))), "gain_std"),
         (encode(info(skin=SKIN.model_copy(update={"poisson_ratio": 0.7}))), "poisson_ratio"),
         (encode(info(sites=())), "no sites"),
-        (
-            encode(info(sites=(SiteInfo(site=2**63, position_m=(0.0, 0.0)),))),
-            "sites must be in 0 .. 2^63 - 1",
-        ),
+        (encode(info(sites=(SiteInfo(site=2**63, position_m=(0.0, 0.0)),))), "2^63 - 1"),
         (encode(info(sites=(SiteInfo(site=-1, position_m=(0.0, 0.0)),))), "numbers of sites"),
-        (encode(info(sites=(SiteInfo(site=10**400, position_m=(0.0, 0.0)),))), "numbers of sites"),
-        (encode(info(frame_rate_hz=0.0)), "frame_rate_hz is 0.0, must be above 0"),
-        (encode(info(frame_rate_hz=-1.0)), "frame_rate_hz is -1.0"),
-        (
-            encode(info(rates_hz={"signals": 100.0, "decoded": 100.0, "decoded/5hz": 5.0})),
-            "the daemon decodes this plate itself; set apart = true in [decoding] of its configuration",
-        ),
-        (b"[]", "info cannot be read: not a JSON object"),
+        (encode(info(frame_rate_hz=0.0)), "frame_rate_hz is 0.0"),
+        (encode(info(rates_hz={"signals": 100.0, "decoded": 100.0, "decoded/5hz": 5.0})), "apart = true"),
+        (b"[]", "not a JSON object"),
         (encode(info(frame_rate_hz=5e-324)), "frame_rate_hz is 5e-324"),
     ],
 )
@@ -137,18 +117,6 @@ def test_an_info_of_10_000_sites_and_one_of_2_mb_are_read(plate: RemotePlate) ->
     assert plate.problem is None
     assert plate.read_info(encode(info()).ljust(2_000_000))
     assert plate.problem is None
-
-
-@pytest.mark.parametrize("error", [MemoryError(), RecursionError(), ValueError()])
-def test_an_error_that_says_nothing_is_told_by_its_name(
-    plate: RemotePlate, error: Exception, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object) -> None:
-        raise error
-
-    monkeypatch.setattr(plate_module, "decode", fail)
-    assert plate.read_info(encode(info()))
-    assert plate.problem == f"info cannot be read: {type(error).__name__}()"
 
 
 def test_a_minor_version_more_is_read(plate: RemotePlate) -> None:
@@ -238,10 +206,3 @@ def test_gaps_of_one_daemon_are_missed_frames(plate: RemotePlate) -> None:
     take(plate, encode(signals(0, boot="another")))
     take(plate, encode(signals(2, boot="another")))
     assert plate.missed == 3
-
-
-def test_frames_that_cannot_be_used_do_not_count_as_signs_of_life(plate: RemotePlate) -> None:
-    take(plate, b"")
-    assert plate.last_s == -np.inf
-    take(plate, encode(signals(0)))
-    assert plate.last_s == 1.0

@@ -1,10 +1,8 @@
 """Plates whose sites can be mistaken for each other: refused with the pair, unless the file insists."""
 
-import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -60,23 +58,12 @@ def test_codes_that_overlap_are_refused_with_the_ids_and_what_is_needed(tmp_path
     refused = check(tmp_path, plate_text(50.0), verb=verb)
     assert refused.returncode == 78
     (line,) = refused.stderr.splitlines()
-    assert line.startswith(f"resonatord: {tmp_path / 'board.toml'}: plate: sites of plate 'three': ids 12 and 9 can be")
-    assert "mistaken for each other: on channel" in line
-    assert "50 ppm apart" in line
-    assert "forces up to 10 N from 288.15 to 308.15 K" in line
-    assert "codes_may_overlap" in line
+    assert all(part in line for part in ("ids 12 and 9", "50 ppm", "codes_may_overlap"))
 
 
 def test_who_insists_is_let_pass(tmp_path: Path) -> None:
     passed = check(tmp_path, plate_text(50.0, counter="codes_may_overlap = true"))
     assert (passed.returncode, "mistaken" in passed.stderr) == (0, False)
-
-
-def test_programs_get_the_sentence_as_json(tmp_path: Path) -> None:
-    refused = check(tmp_path, plate_text(50.0), "--json")
-    said: dict[str, Any] = json.loads(refused.stdout)
-    assert (refused.returncode, said["ok"]) == (78, False)
-    assert "ids 12 and 9" in said["errors"][0]
 
 
 def three(ppm_apart: float, tmp_path: Path, **parts: str) -> Plate:

@@ -2,10 +2,9 @@ import math
 
 import numpy as np
 import pytest
-from small_comb import GATE_S, GATE_TICKS, NOTHING, POSITION_M, SITES, SLOPE, K, SmallComb, spread
+from small_comb import GATE_S, GATE_TICKS, POSITION_M, SITES, SLOPE, K, SmallComb, spread
 
 from resonator_daemon.forces.site_response import SiteResponse
-from resonator_daemon.sensors.multitone_processing import MultitoneProcessing
 
 PLACE_M = (1.2e-3, -0.9e-3)  # between sites
 FAR_M = (-6.5e-3, 5.8e-3)
@@ -200,15 +199,6 @@ def test_far_sites_tell_the_plates_drift_while_it_is_touched():
     assert len(told) < SITES
 
 
-def test_drift_of_an_untouched_plate_is_no_touch():
-    comb = SmallComb().untouched()
-    readings = [comb.push(kelvin=0.5 * GATE_S * number) for number in range(1000)]  # 2.5 K in 5 s
-    assert all(reading.contacts == () and reading.sites == () for reading in readings)
-    assert readings[-1].compensation.plate_kelvin - readings[0].compensation.plate_kelvin == pytest.approx(
-        2.5, rel=0.05
-    )
-
-
 PLAY_NEWTON = 0.1
 RESPONSE = SiteResponse(PLAY_NEWTON, 0.0, 20.0, 0.1 * PLAY_NEWTON, 0.0, 0.0)
 
@@ -282,10 +272,6 @@ def test_a_restart_releases_contacts_and_learns_anew():
     assert comb.hold(spread(1.0, *PLACE_M), 20)[-1].contacts[0].touch.force_newton == pytest.approx(1.0, abs=0.01)
 
 
-def test_a_restart_before_the_first_frame_has_nothing_to_release():
-    assert SmallComb().chain.restart() == ()
-
-
 def test_missing_frames_restart_the_window_and_keep_the_contact():
     comb = SmallComb(window_frames=4).untouched()
     load = spread(1.0, *PLACE_M)
@@ -348,24 +334,3 @@ def test_the_shared_error_of_sensitivity_is_in_every_contact():
         for std in (0.0, 0.05)
     )
     assert math.sqrt(shared.systematic_newton**2 - plain.systematic_newton**2) == pytest.approx(0.2, rel=0.1)
-
-
-@pytest.mark.parametrize("which", range(4))
-def test_wrong_shapes_are_refused(which):
-    comb = SmallComb()
-    arrays = list(comb.arrays(NOTHING))
-    arrays[which] = arrays[which][:, :15]
-    with pytest.raises(ValueError, match=r"must be \(4, 16\)"):
-        comb.chain.push(0, 0, *arrays)
-
-
-@pytest.mark.parametrize("wrong", [{"window_frames": 0}, {"step_frames": 0}])
-def test_windows_and_steps_of_no_frames_are_refused(wrong):
-    with pytest.raises(ValueError, match="each at least 1"):
-        SmallComb(**wrong)
-
-
-def test_before_the_first_reading_nothing_is_known_of_what_is_taken_out():
-    chain: MultitoneProcessing = SmallComb().chain
-    assert chain.compensation.baseline == "unknown"
-    assert math.isnan(chain.compensation.plate_kelvin)

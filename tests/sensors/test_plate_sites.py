@@ -52,14 +52,6 @@ def test_windows_and_steps_are_counted_in_gates() -> None:
     assert given[-1].window_s == pytest.approx(0.04)
 
 
-def test_sites_are_in_the_order_of_the_file_with_their_codes() -> None:
-    sites = force_sites(QUARTZ)
-    assert sites.f0_hz.tolist() == [list(site.tones[0].f0_hz) for site in QUARTZ.sites]
-    assert sites.sensitivity.tolist() == [list(site.tones[0].sensitivity) for site in QUARTZ.sites]
-    assert sites.positions_m * 1e3 == pytest.approx(np.array([site.position_mm for site in QUARTZ.sites]))
-    assert sites.force_max_newton == QUARTZ.force_max_newton
-
-
 def test_what_a_plate_file_does_not_say_is_what_is_usual() -> None:
     content = QUARTZ.model_dump(mode="json", exclude_none=True)
     for table in ("calibration", "response", "thermal"):

@@ -219,10 +219,3 @@ def test_a_silent_channel_keeps_a_plate_from_being_tared():
     bench = Bench().untouched()
     bench.hold(UNTOUCHED, 40, (0, 0, NO_SIGNAL, 0))
     assert "channels are silent" in bench.chain.tare()
-
-
-def test_nothing_of_before_a_restart_is_tared():
-    bench = Bench().untouched()
-    bench.chain.restart()
-    assert "not heard" in bench.chain.tare()
-    assert bench.chain.compensation.baseline == "unknown"

@@ -66,14 +66,6 @@ def test_a_skins_common_mode_is_held_while_pressed_and_followed_while_not():
     assert followed[-1] == pytest.approx(3e-5, abs=1e-8)
 
 
-def test_a_skins_restart_forgets_the_common_mode():
-    skin = Skin()
-    for _ in range(20):
-        skin.push(NOTHING)
-    skin.chain.restart()
-    assert skin.push(some_signals()).status == "pressed_at_start"
-
-
 def test_a_frame_without_a_known_tone_has_no_signal():
     skin = Skin()
     for _ in range(20):
@@ -87,9 +79,3 @@ def test_a_frame_without_a_known_tone_has_no_signal():
     fresh = Skin().push(NOTHING, known=few)
     assert fresh.status == "no_signal"
     assert "5 tones" in fresh.reason
-
-
-def test_a_frame_of_a_wrong_shape_is_refused():
-    skin = Skin()
-    with pytest.raises(ValueError, match="must be"):
-        skin.chain.push(0, 0, np.zeros((4, 5), dtype=np.int32), VARIANCE_HZ2)

@@ -8,7 +8,6 @@ from typing import Any
 import cbor2
 import numpy as np
 import pytest
-from plates import plate_head, site, skin_table
 from report_makers import LOST, NAN, Messages, configured, gate_middle, literal
 
 from resonator_daemon.config import Config
@@ -25,12 +24,6 @@ from resonator_daemon.publishing.topics import DECODED
 from resonator_daemon.sensors.surface_messages import SurfaceMessages
 from resonator_daemon.sensors.surface_stream import SurfaceFrame
 from resonator_daemon.session.clock import Instant
-
-SCATTERED_SKIN = (
-    plate_head("one-spot", (-2, -1), (2, 1), 5, "channelised")
-    + skin_table(1.5)
-    + site(5, 1, 0.5, p_n=(1e6, -1e-11), eps_xz=(2e6, 2e-6), eps_yz=(3e6, 3e-6))
-)
 
 GATE_MIDDLE = gate_middle(10_000_000)
 
@@ -116,19 +109,6 @@ def test_decoded_keeps_each_array_in_its_place(skin_reporter: SkinReporter, disp
     assert message.grid is not None
     assert message.grid.origin_m == pytest.approx((-6.2e-3, -6.2e-3))  # 15.5 pitches from the middle
     assert message.grid.pitch_m == pytest.approx(4e-4)
-
-
-def test_a_grid_too_small_to_be_decoded_as_one_has_a_list_of_places(skin_reporter: SkinReporter) -> None:
-    measured = channelised(np.zeros((3, 1024)), window_s=0.004)
-    message = skin_reporter.decoded(measured, GATE_MIDDLE, decoded((3, 1024), displacement=False))
-    assert message.grid is None
-
-
-def test_a_skin_without_a_grid_is_decoded_at_scattered_points(tmp_path: Path) -> None:
-    reporter = SkinReporter(configured(tmp_path, SCATTERED_SKIN))
-    message = reporter.decoded(channelised(np.zeros((3, 1))), GATE_MIDDLE, decoded((3, 1), displacement=False))
-    assert message.grid is None
-    assert message.traction_pascal.shape == (3, 1)
 
 
 def surface(frame: DecodedFrame, decoder: str = "open-plane+contact", **change: Any) -> SurfaceReading:
@@ -268,12 +248,6 @@ def test_a_frame_that_was_not_decoded_says_so(skin_reporter: SkinReporter, statu
     assert (contacts["status"], contacts["contacts"]) == (status, [])
 
 
-def test_the_word_for_physics_that_was_given_up_is_of_the_wire(skin_reporter: SkinReporter) -> None:
-    frame = decoded((3, 32, 32), displacement=False, status=np.str_("constraint_dropped"), reason=np.str_("why"))
-    said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame)))
-    assert (said["status"], said["reason"]) == ("constraint_dropped", "why")
-
-
 def test_contacts_of_a_skin_are_the_contracts_literal(skin_reporter: SkinReporter) -> None:
     frame = decoded((3, 32, 32), displacement=False)
     reading_of_skin = surface(frame, contacts=(skin_contact(), skin_contact(id=4)))
@@ -323,12 +297,6 @@ def test_signals_come_with_the_noise_of_each_and_the_status_of_the_reading(skin_
     assert message.status == "settling"
 
 
-def test_an_event_that_no_frame_has_told_of_says_why(skin_reporter: SkinReporter) -> None:
-    event = SkinEvent("release", skin_contact(), "unplugged")
-    said = literal(skin_reporter.skin_event(event, MEASURED_OF_SKIN, GATE_MIDDLE))
-    assert (said["event"], said["reason"]) == ("release", "unplugged")
-
-
 class Offers:
     """Decoding that keeps what it is offered."""
 
@@ -349,12 +317,3 @@ def test_each_frame_that_is_offered_has_numbers_of_its_own(tmp_path: Path) -> No
     messages.sensor.publish(measured, GATE_MIDDLE)
     assert [message.seq for _, message in messages.published] == [0, 1, 2]
     assert [(frame.header["seq"], frame.contacts_seq) for frame in offers.frames] == [(0, 0), (1, 1), (2, 3)]
-
-
-def test_events_are_numbered_without_gaps(skin_reporter: SkinReporter) -> None:
-    events = [SkinEvent("onset", skin_contact(id=number)) for number in range(3)]
-    made = [skin_reporter.skin_event(event, MEASURED_OF_SKIN, GATE_MIDDLE) for event in events]
-    messages = skin_reporter.messages
-    for event in made[1:]:
-        messages.sensor.deliver_event((MEASURED_OF_SKIN, GATE_MIDDLE), event)
-    assert [message.seq for _, message in messages.published] == [0, 1]

@@ -78,15 +78,6 @@ def test_a_held_touch_under_a_cover_goes_on_with_its_force_and_contact(before, a
     assert readings[0].compensation.baseline == "followed"
 
 
-def test_an_untouched_cover_gives_no_force_after_a_change():
-    comb = SmallComb(window_frames=2, step_frames=1).untouched()
-    comb.chain.set_window(4, 2)
-    readings = comb.hold(frames=40)
-    assert [reading.sequence % 2 for reading in readings] == [1] * 20
-    assert {reading.status for reading in readings} == {"ok"}
-    assert all(reading.sites == () and reading.contacts == () for reading in readings)
-
-
 @pytest.mark.parametrize(("window_frames", "step_frames"), [(4, 5), (4, 0), (0, 0)])
 def test_a_step_beyond_the_window_is_refused_and_changes_nothing(window_frames, step_frames):
     bench, comb = Bench().untouched(), SmallComb(window_frames=2, step_frames=1).untouched()

@@ -122,10 +122,6 @@ def test_stamp_noise_from_second_differences():
     assert stamp_std_ticks(sums) == pytest.approx(np.sqrt(0.6**2 + 1 / 12), rel=0.02)
 
 
-def test_stamp_noise_is_never_below_rounding():
-    assert stamp_std_ticks(sums_of(range(0, 100_000, 1000))) == pytest.approx(1 / np.sqrt(12))
-
-
 @pytest.mark.parametrize("stamps", [20, 1000])
 def test_stated_counter_noise_is_the_spread_of_frequencies(stamps):
     rng = np.random.default_rng(6)
@@ -157,19 +153,6 @@ def test_end_points_and_two_means_of_stamps(steps, stride, data):
     mean = [(Fraction(sum(x[:at]), at), Fraction(sum(x[at:]), len(ticks) - at)) for x in (edges, ticks)]
     two_means = (mean[0][1] - mean[0][0]) / (mean[1][1] - mean[1][0]) * 10**9
     assert lambda_frequency_hz(halves, REFERENCE_HZ) == pytest.approx(float(two_means), rel=4e-16)
-
-
-def test_two_means_of_many_parts_are_those_of_their_halves():
-    parts = split(jittered(np.random.default_rng(11), 400, 1.0), [100] * 4, WRAP - 999, 10)
-    halves = [merge(parts[:2]), merge(parts[2:])]
-    assert lambda_frequency_hz(parts, REFERENCE_HZ) == lambda_frequency_hz(halves, REFERENCE_HZ)
-
-
-@pytest.mark.parametrize("count", [0, 1, 3])
-def test_two_means_need_an_even_number_of_parts(count):
-    parts = split([1000 * k for k in range(30)], [10] * 3, 0, 10)
-    with pytest.raises(ValueError, match=f"{count} parts, an even number"):
-        lambda_frequency_hz(parts[:count], REFERENCE_HZ)
 
 
 def test_stated_noise_of_each_estimator_is_its_spread_and_stands_in_the_known_ratio():

@@ -166,20 +166,6 @@ def test_channels_are_told_apart_and_unknown_ones_are_not_flagged():
     assert np.isnan(each[1])
 
 
-@pytest.mark.parametrize(
-    ("jitter", "stamps", "message"),
-    [
-        (0.1, 2, "2 stamps, at least 3"),
-        (-0.1, 3, "-0.1 ticks, at least 0"),
-        (np.nan, 3, "nan ticks"),
-        ([0.1, 0.1], [3, 0], "0 stamps"),
-    ],
-)
-def test_too_few_stamps_and_impossible_jitter_are_refused(jitter, stamps, message):
-    with pytest.raises(ValueError, match=message):
-        quantisation_excess(1000.0, jitter, stamps)
-
-
 def test_one_tone_is_bounded_as_many_are():
     # On either side of where lines are added up one by one, slow lines and quick ones, many harmonics and a single one.
     for jitter in (0.0, 0.05, 0.074, 0.076, 0.2, 0.29, 0.31, 0.6, 0.7):

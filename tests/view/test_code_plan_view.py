@@ -3,7 +3,6 @@
 import io
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -90,10 +89,3 @@ def test_the_object_is_strict_json() -> None:
     alone = replace(make_plan(), step=float("nan"), has_pilot=False).as_json()
     assert alone["step_ppm"] is None
     assert alone["band"]["used_hz"] == pytest.approx(9_996_217.8 - 9_935_955.6 * (1 - 49.1e-6), abs=0.1)
-
-
-@pytest.mark.parametrize(("suffix", "start"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")])
-def test_the_picture_is_written(tmp_path: Path, suffix: str, start: bytes) -> None:
-    path = tmp_path / f"codes{suffix}"
-    make_plan().write_picture(path)
-    assert path.read_bytes().startswith(start)

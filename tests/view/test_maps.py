@@ -119,11 +119,6 @@ def test_unknown_pixels_are_question_marks() -> None:
         assert [letter == "?" for letter in bottom] == [False, False, True]
 
 
-def test_without_colours_density_tells_the_traction() -> None:
-    traction = np.array([[0.0, 0.45, 1.0], [0.0, 0.45, 0.1]])
-    assert text_of(traction_map(traction, 1.0, 1, colours=False)) == [" =+"]
-
-
 def test_pooled_pixels_show_their_mean() -> None:
     traction = np.zeros((4, 5))
     traction[2:, :2] = 1.0

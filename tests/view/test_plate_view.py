@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from view_messages import NOW_NS, S, forces, health, info, site_force, state
+from view_messages import NOW_NS, S, forces, health, info, state
 
 from resonator_daemon.publishing.payloads import Lost
 from resonator_daemon.publishing.topics import FORCES, INFO, STATE_DAEMON, STATE_LINK
@@ -13,23 +13,6 @@ from resonator_daemon.view.plate_view import PlateView
 @pytest.fixture
 def view() -> PlateView:
     return PlateView("left")
-
-
-def test_nothing_is_known_before_the_first_message(view: PlateView) -> None:
-    assert view.last(FORCES) is None
-    assert view.current(FORCES, NOW_NS) is None
-    assert view.lost is None
-    assert math.isnan(view.age_s(NOW_NS))
-    assert math.isnan(view.rate_hz(FORCES, NOW_NS))
-
-
-def test_last_message_of_each_topic_is_kept(view: PlateView) -> None:
-    first, second, at_link = forces(site_force(7, 1.0)), forces(site_force(7, 2.0)), state("online")
-    for path, message in (("forces", first), ("forces", second), ("state/link", at_link)):
-        view.add(path, message, NOW_NS)
-    assert view.last(FORCES) is second
-    assert view.last(STATE_LINK) is at_link
-    assert view.last(STATE_DAEMON) is None
 
 
 def test_a_measurement_is_current_for_a_second(view: PlateView) -> None:
@@ -91,7 +74,6 @@ def test_a_new_run_starts_with_nothing(view: PlateView) -> None:
     assert view.last(INFO) is None
     assert view.lost == Lost()
     assert view.missed["forces"] == 0
-    assert view._runs.keys() == {"new"}
 
 
 def test_retained_messages_of_an_earlier_run_do_not_hide_the_present_one(view: PlateView) -> None:

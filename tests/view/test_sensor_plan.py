@@ -3,9 +3,7 @@
 import io
 import json
 import math
-import sys
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +11,7 @@ from rich.console import Console
 
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.sensor_resolution import SensorArray
-from resonator_daemon.elastic.sensor_sets import CANDIDATES, SensorSet
-from resonator_daemon.errors import UserError
-from resonator_daemon.view import sensor_plan
+from resonator_daemon.elastic.sensor_sets import SensorSet
 from resonator_daemon.view.sensor_plan import FEATURES_M, SensorPlan
 
 
@@ -38,11 +34,6 @@ def panel(lines: list[str], title_line: int, column: int) -> np.ndarray:
 
 def test_the_best_set_resolves_normal_load_and_shear() -> None:
     shown = plan("p_n", "xz", "yz")
-    assert shown.sentence() == (
-        "p_n, xz, yz, 1 mm deep and 0.4 mm apart at 30 dB: resolves normal load down to 0.706 mm, whatever the shear; "
-        "shear down to 0.739 mm, whatever the normal load; "
-        "the normal load of a touch without friction down to 0.415 mm."
-    )
     resolved = shown.as_json()["resolved"]
     array = SensorArray(SensorSet(HalfSpace(2e5, 0.5), ("p_n", "xz", "yz"), 1e-3), 0.4e-3, 30.0)
     for load, found in resolved.items():
@@ -110,38 +101,3 @@ def test_tables_and_pictures_fit_the_width() -> None:
     assert (xz[0] == 0).all()
     assert (yz[5, :2] == 0).all()
     assert (yz[0] > 0).any()
-
-
-def test_the_page_has_the_numbers_of_the_sets_of_the_paper(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sensor_plan, "FEATURES_M", ())  # of which the page has no number; they take longest
-    page = (Path(__file__).parents[2] / "docs" / "sensors.md").read_text()
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in page.splitlines()]
-    rows = [row for row in rows if row[0] in CANDIDATES]
-    assert len(rows) == 7
-    for name, signals, _, rank, blind, bandwidth, asymmetry, normal, shear in rows:
-        assert tuple(signals.split(", ")) == CANDIDATES[name]
-        found = plan.__wrapped__(*CANDIDATES[name]).as_json()
-        degrees = ", ".join(f"{math.degrees(angle):.0f}°" for angle in found["set"]["blind_directions_rad"])
-        assert (int(rank), blind) == (found["rank"], degrees or "-")
-        assert float(bandwidth) == pytest.approx(1e-3 * found["set"]["bandwidth_rad_per_m"], abs=5e-4)
-        assert float(asymmetry) == pytest.approx(found["set"]["asymmetry"], abs=5e-4)
-        for shown, load in ((normal, "normal"), (shear, "shear")):
-            finest_m = found["resolved"][load]["finest_m"]
-            assert shown == ("-" if finest_m is None else f"{1e3 * finest_m:.3f}")
-
-
-def test_pictures_have_colours_where_the_terminal_has(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sensor_plan, "FEATURES_M", FEATURES_M[:1])
-    shown = plan.__wrapped__("p_n")
-    coloured = "\n".join(rendered(shown, force_terminal=True, color_system="truecolor"))
-    assert "\x1b[38;2;" in coloured
-    assert "bright is strong" in coloured
-    assert "\x1b" not in "\n".join(rendered(shown))
-
-
-def test_without_matplotlib_one_line_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.delitem(sys.modules, "matplotlib.figure", raising=False)
-    monkeypatch.delitem(sys.modules, "resonator_daemon.view.density_figure", raising=False)
-    with pytest.raises(UserError, match=r"matplotlib.*pip install matplotlib"):
-        plan("p_n").write_picture(tmp_path / "set.png")

@@ -22,7 +22,7 @@ from view_messages import (
 
 from resonator_daemon.publishing.payloads import Lost, Message
 from resonator_daemon.view.plate_view import PlateView, TrueContact, Truth
-from resonator_daemon.view.terminal import render, summary_line
+from resonator_daemon.view.terminal import render
 
 SITES = {7: (-0.0005, 0.002), 13: (0.007, 0.0066)}
 PIXEL_M2 = 4e-4**2
@@ -94,15 +94,6 @@ def test_true_forces_stand_beside_the_measured() -> None:
     assert "13█" in text
     assert "latency p50 2.1 ms" in words(text)
     assert "latency p99 7.9 ms" in words(text)
-
-
-def test_a_true_touch_between_sites_is_shown_where_it_is() -> None:
-    truth = Truth((TrueContact(None, (0.004, 0.001), (0.0, 0.0, 10.0)),), None, None)
-    text = page(quartz16(("forces", forces())), truth=truth)
-    assert "x█" in text
-    assert "between - 10.000 N not measured" in words(text)
-    text = words(page(quartz16(("forces", forces(site_force(13, 9.0), site_force(7, 8.0)))), truth=truth))
-    assert text.index("8.000 N") < text.index("9.000 N") < text.index("between")
 
 
 def test_an_overload_and_an_unknown_force_are_no_numbers() -> None:
@@ -243,19 +234,3 @@ def test_two_plates_fit_the_terminal(width: int, height: int, color_system: str 
     plain = page(*views, truth=truth, width=width, height=height)
     assert max(map(len, plain.splitlines())) <= width
     assert ("\x1b[38;" in text) == (color_system is not None)
-
-
-def test_text_that_does_not_fit_says_so() -> None:
-    many = forces(*(site_force(number, 1.0) for number in range(1, 16)))
-    text = page(quartz16(("forces", many)), width=80, height=12)
-    assert "... more in a larger terminal" in text
-
-
-def test_summary_lines() -> None:
-    line = summary_line(quartz16(("forces", forces(site_force(7, 1.0)))), NOW_NS)
-    assert line.startswith(
-        "thumb: daemon online   link online   sensor online; site 7 1.000 N ± 0.6 ± 12 mN; status ok;"
-    )
-    line = summary_line(skin32(), NOW_NS)
-    assert "; contact 3 1.000 N normal, 500.0 mN shear, slip margin 0.42 ± 0.02; status ok, open-plane+contact" in line
-    assert "\n" not in line
