@@ -151,7 +151,7 @@ def measure(scene: Scene, frames: int) -> tuple[Floats, int]:
             marks.append(time.thread_time())
             rebuilt = decoder.rebuild()
             marks.append(time.thread_time())
-            rebuilds += rebuilt and number >= 0
+            rebuilds += bool(rebuilt) and number >= 0
         if number >= 0:
             spent_ms[number] = 1e3 * np.diff(marks)
     return spent_ms, rebuilds

@@ -15,7 +15,7 @@ from resonator_daemon.replay.case import replay_whole
 from resonator_daemon.replay.source import open_replay
 
 ASKED = 20.0  # times real time
-COMMAND = (sys.executable, "-m", "resonator_daemon")
+COMMAND = (str(Path(sys.executable).with_name("resonatord")),)
 
 
 def record(folder: Path, seconds: float) -> Path:

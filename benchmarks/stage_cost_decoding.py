@@ -2,7 +2,7 @@
 
 import json
 
-from frame_cost import SCENES, measure
+import older_names
 from stage_cost_parts import reference_us
 from threadpoolctl import threadpool_limits
 
@@ -19,6 +19,9 @@ STAGES = ("map", "contacts", "rebuilds")
 
 
 def main() -> None:
+    older_names.provide()
+    from frame_cost import SCENES, measure
+
     samples: dict[str, list[tuple[float, float]]] = {}
     for name in MEASURED:
         loop_us = reference_us()

@@ -5,15 +5,16 @@ import sys
 import time
 from pathlib import Path
 
-from replay_speed import record
+import older_names
 from stage_cost_parts import RECORDED_S, reference_us
-
-from resonator_daemon.replay.source import open_replay
 
 ROUNDS = 5
 
 
 def main(folder: Path) -> None:
+    older_names.provide()
+    from replay_speed import open_replay, record
+
     path = record(folder, RECORDED_S)
     samples = []
     for _ in range(ROUNDS):
