@@ -90,7 +90,7 @@ class ByteFaults:
     def _burst(self, packet: bytes, harm: FaultCounts) -> bytes:
         length = self._plan.burst_bits
         inner = int(self._random.integers(0, 1 << max(length - 2, 0)))
-        mask = (1 << (length - 1)) | inner << 1 | 1 if length > 1 else 1
+        mask = (1 << (length - 1)) | inner << 1 | 1
         shift = int(self._random.integers(0, 8 * len(packet) - length + 1))
         harm.bursts += 1
         harm.bits_flipped += mask.bit_count()

@@ -51,14 +51,6 @@ def config_path(tmp_path: Path, resonatord: Resonatord) -> Path:
     return path
 
 
-def test_help_names_every_verb_and_the_exit_codes() -> None:
-    run = in_a_process("--help")
-    assert run.returncode == 0
-    assert all(f"\n    {name.split()[0]}" in run.stdout for name in ALL)
-    assert "69" in run.stdout
-    assert "78" in run.stdout
-
-
 @pytest.mark.parametrize("name", ALL)
 def test_each_command_explains_itself(name: str, resonatord: Resonatord) -> None:
     run = resonatord(*name.split(), "--help")
@@ -104,14 +96,6 @@ def test_every_mistake_at_once_and_78(config_path: Path, resonatord: Resonatord)
     assert in_a_process("run", "--config", str(config_path)).returncode == 78
 
 
-def test_a_baud_rate_too_low_names_load_rate_and_what_fits(config_path: Path, resonatord: Resonatord) -> None:
-    config_path.write_text(config_path.read_text().replace("baud=4000000", "baud=2000000"))
-    run = resonatord("check", str(config_path))
-    assert run.returncode == 78
-    for number in ("2040000", "2000000", "980"):
-        assert number in run.stderr
-
-
 def test_a_missing_file_is_one_line_and_78(tmp_path: Path, resonatord: Resonatord) -> None:
     for arguments in (("run", "--config"), ("check",)):
         run = resonatord(*arguments, str(tmp_path / "none.toml"))
@@ -151,21 +135,6 @@ def test_what_cannot_be_printed_fails(arguments: tuple[str, ...]) -> None:
         )
     assert run.returncode == 1
     assert run.stderr == "resonatord: No space left on device\n"
-
-
-def test_emulate_prints_the_schema_of_scenarios_and_needs_nothing_else_for_it(resonatord: Resonatord) -> None:
-    run = resonatord("emulate", "--scenario-schema")
-    assert run.returncode == 0
-    schema = json.loads(run.stdout)
-    assert schema["$schema"].startswith("https://json-schema.org/")
-    assert set(schema["properties"]) == {"touches", "period_s", "environment_kelvin", "plate", "seed", "faults"}
-
-
-@pytest.mark.parametrize("form", [(), ("--json",)])
-def test_config_schema_prints_a_json_schema(form: tuple[str, ...], resonatord: Resonatord) -> None:
-    printed = resonatord("config", "schema", *form).stdout
-    assert {"plate", "link", "mqtt"} <= json.loads(printed)["properties"].keys()
-    assert (printed.count("\n") == 1) == bool(form)
 
 
 @pytest.mark.parametrize("form", [(), ("--json",)])

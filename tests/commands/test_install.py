@@ -9,7 +9,6 @@ import pytest
 from resonator_daemon.commands import main
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.host import install as module
-from resonator_daemon.toml_files.reading import read_toml
 
 ROOT = Path(__file__).parents[2]
 PROGRAM = Path(sys.executable).with_name("resonatord")
@@ -53,12 +52,6 @@ def test_all_is_put_below_the_prefix_once(tmp_path: Path, capsys: pytest.Capture
     assert installed(tmp_path, capsys) == dict.fromkeys(PLACES, "unchanged")
 
 
-def test_the_example_is_a_configuration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    installed(tmp_path, capsys)
-    assert main(["check", str(tmp_path / "etc/resonatord/example.toml")]) == ExitCode.DONE
-    assert "plate" in read_toml(tmp_path / "etc/resonatord/example.toml").content
-
-
 def test_a_changed_file_is_kept_and_an_old_one_is_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     installed(tmp_path, capsys)
     changed, old, gone = (
@@ -88,17 +81,6 @@ def test_a_file_of_others_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert f"{theirs}: kept: it was changed here" in capsys.readouterr().out
 
 
-def test_without_a_prefix_a_dry_run_names_the_commands(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(module, "SYSTEMD_RUNNING", Path("/nowhere"))
-    monkeypatch.setattr(subprocess, "run", lambda *_, **__: pytest.fail("a dry run runs nothing"))
-    assert main(["install", "--dry-run"]) == ExitCode.DONE
-    printed = capsys.readouterr().out
-    assert "systemd-sysusers /etc/sysusers.d/resonatord.conf: would be run\n" in printed
-    assert printed.splitlines()[-1].startswith("next: copy /etc/resonatord/example.toml")
-
-
 def test_files_that_are_no_copies_reach_everybody(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     previous = os.umask(0o077)
     try:
@@ -113,14 +95,6 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     assert main(["install", *arguments]) == ExitCode.FAILED
     (line,) = capsys.readouterr().err.splitlines()
     return line
-
-
-def test_who_may_not_write_is_told_who_may(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(os, "geteuid", lambda: 1000)
-    monkeypatch.setattr("shutil.which", lambda _: "/usr/bin/systemctl")
-    line = refusal(capsys)
-    assert line.startswith("resonatord: only root may write to /etc: sudo ")
-    assert "--dry-run" in line
 
 
 @pytest.mark.parametrize("directory", ["/home", "/root", "/tmp"])

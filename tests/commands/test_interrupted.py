@@ -12,7 +12,6 @@ from brokers import Mosquitto
 from observer import observe
 
 from resonator_daemon.commands import main
-from resonator_daemon.doctor import run as doctor_run
 
 CORPUS: Final = Path(__file__).parents[1] / "corpus"
 COMMAND: Final = (sys.executable, "-m", "resonator_daemon")
@@ -96,23 +95,3 @@ async def test_a_replay_to_a_broker_says_what_it_published(mosquitto: Mosquitto)
     count = sum(reported["messages"].values())
     assert reported["messages"]["forces"] >= 1
     assert stderr.startswith(f"resonatord: interrupted: {count} messages were played out, ")
-
-
-@pytest.mark.parametrize("form", [[], ["--json"]])
-def test_a_doctor_says_what_was_found_and_gives_no_verdict(
-    form: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(doctor_run, "check_disk", interrupt)
-    assert main(["doctor", "--broker", "mqtt://127.0.0.1:1", *form]) == 1
-    printed = capsys.readouterr()
-    if form:
-        (line,) = printed.out.splitlines()
-        reported = json.loads(line)
-        assert (reported["verb"], reported["ok"], error_of(reported)["code"]) == ("doctor", False, "interrupted")
-        count = len(reported["findings"])
-        assert {finding["id"].partition(".")[0] for finding in reported["findings"]} == {"clock"}
-        assert "verdict" not in reported
-        assert printed.err == f"resonatord: interrupted: {count} things were looked at, which is not all\n"
-    else:
-        assert printed.out.startswith("software\n")
-        assert "verdict" not in printed.out

@@ -1,7 +1,6 @@
 """`resonatord plan codes` as a user meets it."""
 
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -174,15 +173,6 @@ def test_a_step_below_the_guard_band_is_refused_with_the_pair_and_written_when_i
     assert found["trials"]["one_touch"]["undecided"] > 10
 
 
-def test_a_link_that_is_too_slow_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    code, _, complaints = plan(capsys, *GRID, "--baud", "2e6")
-    assert code == 1
-    assert complaints == [
-        "resonatord: --baud 2000000: 1000 frames/s of 204 bytes need more than 2040000; raise --baud, or lower "
-        "--frame-rate-hz"
-    ]
-
-
 def test_neighbours_get_codes_for_which_the_ladder_is_lengthened(capsys: pytest.CaptureFixture[str]) -> None:
     code, found, _ = plan(capsys, "--grid", "2x2", "--pitch-mm", "5")
     assert (code, found["neighbours_too_near"]) == (0, [])
@@ -193,24 +183,6 @@ def test_neighbours_get_codes_for_which_the_ladder_is_lengthened(capsys: pytest.
     assert min(abs(codes[0] - codes[1]), abs(codes[1] - codes[2])) * found["step_ppm"] * 10 >= 11_500
     code, found, _ = plan(capsys, "--grid", "2x2", "--pitch-mm", "5", "--band-ppm", "2000")
     assert (code, len(found["neighbours_too_near"])) == (0, 3)
-
-
-def test_without_a_pilot_the_common_shift_counts(capsys: pytest.CaptureFixture[str]) -> None:
-    _, pilot, _ = plan(capsys, *GRID)
-    _, none, _ = plan(capsys, *GRID, "--no-pilot", "--common-ppm", "15")
-    assert none["step_ppm"] == pilot["step_ppm"] + 30
-    assert none["band"]["pilot_hz"] is None
-    assert none["band"]["used_ppm"] == pytest.approx(pilot["band"]["used_ppm"] - 1000 + 15 * 30, rel=0.01)
-
-
-def test_positions_come_from_a_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    path = tmp_path / "sites.csv"
-    path.write_text("x_mm,y_mm\n0,0\n5,0\n10,2.5\n")
-    code, found, _ = plan(capsys, "--sites", str(path), "--sensitivity-ppm-per-newton", "4", "--f0-mhz", "5")
-    assert code == 0
-    assert [site["position_m"] for site in found["sites"]] == [[0, 0], [0.005, 0], [0.01, 0.0025]]
-    assert found["sites"][0]["sensitivity"] == [4e-6] * 4
-    assert all(4.99e6 < site["f0_hz"][0] < 5e6 for site in found["sites"])
 
 
 @pytest.mark.parametrize(
@@ -242,13 +214,6 @@ def test_bad_values_are_usage_errors_of_one_sentence(
     printed = capsys.readouterr()
     assert printed.out == ""
     assert complaint in printed.err.splitlines()[-1]
-
-
-def test_the_page_names_every_option_and_no_other(capsys: pytest.CaptureFixture[str]) -> None:
-    assert exit_code("plan", "codes", "--help") == 0
-    options = set(re.findall(r"--[a-z0-9-]+[a-z0-9]", capsys.readouterr().out)) - {"--help"}
-    page = (Path(__file__).parents[2] / "docs" / "codes.md").read_text()
-    assert set(re.findall(r"--[a-z0-9-]+[a-z0-9]", page)) == options
 
 
 def test_text_and_picture_are_for_people(tmp_path: Path) -> None:

@@ -1,16 +1,12 @@
 """`resonatord plan sensors` as a user meets it."""
 
 import json
-import sys
-from pathlib import Path
 
 import pytest
 from command_line import exit_code
 
 from resonator_daemon.commands import main
 from resonator_daemon.view import sensor_plan
-
-COMMAND = (sys.executable, "-m", "resonator_daemon", "plan", "sensors")
 
 
 @pytest.fixture
@@ -63,15 +59,3 @@ def test_bad_values_are_usage_errors_of_one_sentence(
 ) -> None:
     assert exit_code("plan", "sensors", *arguments) == 2
     assert complaint in capsys.readouterr().err.splitlines()[-1]
-
-
-@pytest.mark.usefixtures("one_feature")
-def test_the_picture_is_written_beside_the_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "set.svg"
-    code, printed, reported = plan_sensors(capsys, "--picture", str(path), "--json")
-    assert (code, reported) == (0, "")
-    assert json.loads(printed)["components"] == ["p_n", "xz", "yz"]
-    assert path.read_text().startswith("<?xml")
-    code, _, reported = plan_sensors(capsys, "--picture", str(tmp_path / "none" / "set.svg"))
-    assert code == 1
-    assert len(reported.splitlines()) == 1

@@ -1,7 +1,6 @@
 """`resonatord ports` and `resonatord identify` as a user meets them, with emulated boards and made-up devices."""
 
 import json
-import os
 import socket
 import threading
 from collections.abc import Iterator
@@ -9,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import exit_code
 from emulation import emulated
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
@@ -18,7 +16,6 @@ from firmware_protocol.packets import encode_packet
 from resonator_daemon.commands import main
 from resonator_daemon.links import usb_devices
 from resonator_daemon.links.carriers import serial as serial_carrier
-from resonator_daemon.links.carriers.serial import SerialTarget, open_serial
 from resonator_daemon.links.port_holders import Holders
 from resonator_daemon.session import probe as port_inquiry
 from simulators.emulator import EmulatorOptions
@@ -100,31 +97,6 @@ def test_what_looks_like_a_board_is_told_without_opening_it(
     assert asked(capsys, "ports")[1]["ports"][0]["looks_like_a_board"] is expected
 
 
-def test_ports_tells_who_holds_one(present: list[ListPortInfo], board: str, capsys: pytest.CaptureFixture[str]) -> None:
-    path = board.removeprefix("serial:").partition("?")[0]
-    present.append(serial_port(path))
-    held = open_serial(SerialTarget(path, 4_000_000))
-    assert main(["ports"]) == 0
-    assert f"held by {Path('/proc/self/comm').read_text().strip()} (pid {os.getpid()})" in capsys.readouterr().out
-    _, listed = asked(capsys, "ports")
-    assert [holder["pid"] for holder in listed["ports"][0]["held_by"]] == [os.getpid()]
-    held.close()
-
-
-@pytest.mark.undisturbed
-def test_a_board_says_who_it_is_and_what_it_can(board: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["identify", board, "--blink"]) == 0
-    lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
-    assert lines["board"] == "emulated quartz16 EMU-0001, firmware emulator"
-    assert lines["link"] == board
-    assert "1.0" in lines["protocol"]
-    assert "single-tone" in lines["counter"]
-    assert "5000 frames/s" in lines["gates"]
-    assert "1000 MHz" in lines["reference"]
-    assert lines["state"] == "quiet"
-    assert lines["blink"] == "look for it now"
-
-
 def test_for_programs_it_is_one_object(board: str, capsys: pytest.CaptureFixture[str]) -> None:
     code, printed = asked(capsys, "identify", board)
     assert code == 0
@@ -193,18 +165,3 @@ def test_who_is_no_board_is_told_with_what_came(
     assert printed["error"]["code"] == "no_board"
     assert printed["error"]["message"].startswith(f"no board answers on {stranger.link}: ")
     assert why in printed["error"]["message"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        ((), "name a LINK (see: resonatord ports) or --config FILE"),
-        (("serial:/dev/ttyACM0",), "must be serial:PATH?baud=N"),
-        (("/dev/ttyACM0",), "must say what kind of link it is"),
-    ],
-)
-def test_a_link_that_is_none_is_a_usage_error(
-    arguments: tuple[str, ...], complaint: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert exit_code("identify", *arguments) == 2
-    assert complaint in capsys.readouterr().err

@@ -116,15 +116,6 @@ def test_files_follow_each_other_and_have_what_was_measured(tmp_path: Path, monk
     assert report["messages_missing"] == 0
 
 
-def test_seconds_count_from_the_first_frame(tmp_path: Path) -> None:
-    port, output = tmp_path / "board", tmp_path / "run.mcap"
-    faults = parse_faults("silence_at_s=0,silence_for_s=0.7")  # it counts and says nothing
-    with emulated(EmulatorOptions("quartz16", pty=port, faults=faults)):
-        report = record(config(tmp_path, f"serial:{port}?baud=4000000"), RecordOptions(output, 1.0))
-    assert report["frames"] > 700
-    assert report["seconds"] >= 1.0
-
-
 def test_a_board_that_sends_no_frame_is_not_waited_for_without_end(tmp_path: Path) -> None:
     port = tmp_path / "board"
     faults = parse_faults("silence_at_s=0,silence_for_s=60")
@@ -154,17 +145,6 @@ def test_an_interrupt_ends_a_recording_in_order(tmp_path: Path) -> None:
         assert recording.damage is None
     assert StopRequested in kinds
     assert kinds[-1] is Closed
-
-
-def test_a_board_that_is_refused_is_no_recording_of_a_plate(tmp_path: Path) -> None:
-    output = tmp_path / "run.mcap"
-    with emulated(EmulatorOptions("skin32", tcp=("127.0.0.1", 0))) as emulator:
-        refused = run("--config", config(tmp_path, emulator.link.address), "--output", output, "--json")
-    assert refused.returncode == 69
-    assert "plate: the board describes skin32, the plate file has quartz16" in refused.stderr
-    assert str(output) not in refused.stderr  # there is no such file
-    assert not output.exists()
-    assert json.loads(refused.stdout)["error"]["code"] == "refused"
 
 
 @pytest.mark.parametrize(

@@ -127,21 +127,6 @@ def test_a_damaged_chunk_is_left_out_and_told_in_its_place(
     assert (word.events, word.now) == (done.events_missing, events[place + 1].now)
 
 
-def test_a_whole_file_is_not_copied(made: tuple[Path, list[WireEvent]], capsys: pytest.CaptureFixture[str]) -> None:
-    path, written = made
-    assert main(["repair", str(path), "--json"]) == 0
-    out, err = capsys.readouterr()
-    assert err == f"{path} is whole: nothing to repair\n"
-    report = json.loads(out)
-    assert (report["ok"], report["output"], report["events"], report["cut_bytes"]) == (
-        True,
-        None,
-        len(written),
-        0,
-    )
-    assert list(path.parent.iterdir()) == [path]
-
-
 def test_what_was_cut_is_said(made: tuple[Path, list[WireEvent]], capsys: pytest.CaptureFixture[str]) -> None:
     path, _ = made
     path.write_bytes(path.read_bytes()[:-1])

@@ -3,20 +3,16 @@
 import asyncio
 import json
 import os
-import re
 import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 import status_samples
-from rich.console import Console
 
 from resonator_daemon.commands import main
 from resonator_daemon.host import places
@@ -179,58 +175,6 @@ async def test_what_is_not_well_is_in_the_block(capsys: pytest.CaptureFixture[st
         assert words in page
     assert str(status_samples.NOW_NS)[:10] not in page
     assert "\x1b" not in page
-
-
-@pytest.mark.parametrize("utc_ns", [0, status_samples.NOW_NS, 2 * status_samples.NOW_NS])
-async def test_durations_do_not_depend_on_the_wall_clock(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, utc_ns: int
-) -> None:
-    monkeypatch.setattr(time, "time_ns", lambda: utc_ns)
-    monkeypatch.setattr(time, "time", lambda: utc_ns / 1e9)
-    link = status_samples.state(Condition.ONLINE, last_outage=status_samples.outage())
-    async with daemons(status_samples.status(link=link, health=status_samples.health(uptime_s=4000.0))):
-        assert await run() == 0
-    page = capsys.readouterr().out
-    for words in (
-        ", up 1 h 6 min\n",
-        "online: measuring (for 56 min 40 s)",
-        "55 min 10 s ago 1.5 s without frames, 1 500 lost",
-        "drifting: slowly (for 53 min 20 s)",
-        "connected for 5 min 0 s",
-        "38.0 MB (for 30.0 s)",
-        "hand.toml, read 58 min 20 s ago",
-    ):
-        assert words in page
-
-
-async def test_in_a_terminal_long_lines_go_on_below_their_beginning(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    config = ConfigStatus(
-        file="/etc/resonatord/left-index.toml",
-        in_use="file",
-        problems=("hand.toml:3: mqtt.url: got 3; must be text " + "that says where the broker is " * 5,),
-        loaded_t_ns=status_samples.NOW_NS,
-    )
-    monkeypatch.setattr(Console, "is_terminal", True)
-    monkeypatch.setenv("COLUMNS", "80")
-    async with daemons(status_samples.status(config=config)):
-        assert await run() == 0
-    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in capsys.readouterr().out.splitlines()]
-    assert max(map(len, lines)) <= 80
-    assert all(re.match(r"  (\w+ +|\s{11})\S", line) and line[12] == " " != line[13] for line in lines[1:])
-    text = " ".join(line[13:] for line in lines[1:])
-    assert "as it is now it cannot be used: hand.toml:3: mqtt.url: got 3; must be text" in text
-
-
-async def test_early_there_is_less_to_say(capsys: pytest.CaptureFixture[str]) -> None:
-    early: dict[str, Any] = dict.fromkeys(("health", "sensor", "link"))
-    async with daemons(status_samples.status(**early, recording=status_samples.NOT_RECORDING)):
-        assert await run() == 0
-    lines = [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()[1:]]
-    assert ["sensor", "-"] in lines
-    assert ["recording", "off"] in lines
-    assert "frames" not in [label for label, _ in lines]
 
 
 @pytest.mark.parametrize("form", [["--json"], []])

@@ -86,23 +86,6 @@ async def test_what_the_daemon_did_is_printed(mosquitto: Mosquitto, tmp_path: Pa
     }
 
 
-async def test_a_refusal_is_told_and_fails(mosquitto: Mosquitto, tare: Ask) -> None:
-    async with daemon(mosquitto.url, touched):
-        code, printed, reported = await tare(mosquitto.url)
-    assert (code, printed) == (1, "")
-    assert reported == "resonatord: not tared: site 7 is touched; release it\n"
-
-
-async def test_a_daemon_that_does_not_allow_it_says_how_it_would(mosquitto: Mosquitto, tare: Ask) -> None:
-    async with daemon(mosquitto.url, tared, allowed=()):
-        code, printed, reported = await tare(mosquitto.url)
-    assert (code, printed) == (1, "")
-    assert reported == (
-        "resonatord: not tared: tare is not permitted; "
-        'add "tare" to allow in [commands] of the daemon\'s configuration, and send it SIGHUP\n'
-    )
-
-
 async def test_an_offline_daemon_is_not_asked(mosquitto: Mosquitto, tare: Ask) -> None:
     async with daemon(mosquitto.url, tared):
         pass

@@ -1,6 +1,5 @@
 """What commands do to a daemon that is busy: under a touch, in a flood, and in a recording that is played again."""
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,6 @@ from scenarios import IDEAL, touch_text
 from service_bench import Bench, events
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.daemon.config_store import ConfigStore
-from resonator_daemon.daemon.daemon import Service
 from resonator_daemon.publishing.requests import request
 
 pytestmark = pytest.mark.undisturbed
@@ -62,39 +59,3 @@ async def test_the_window_changes_under_a_touch_that_goes_on(bench: Bench, mosqu
     np.testing.assert_allclose(steps, 10_000_000, rtol=1e-3)
     assert wrong["error"]["code"] == "window"
     assert "whole number of frame periods" in wrong["error"]["message"]
-
-
-async def test_a_recording_that_a_command_made_plays_again(bench: Bench, mosquitto: Mosquitto) -> None:
-    async with (
-        bench.emulated(scenario=bench.scenario(HELD)),
-        observe(mosquitto.url) as heard,
-        bench.running(bench.service(allow=ALL)),
-    ):
-        await heard.until(lambda: len(events(heard)) == 1)
-        started = await ask(bench, "start_recording", label="press")
-        assert started["ok"], started
-        assert (await ask(bench, "mark", text="now"))["ok"]
-        health = (await ask(bench, "health"))["health"]
-        await heard.until_count("resonator/hand/forces", len(forces(heard)) + 300)
-        stopped = await ask(bench, "stop_recording")
-        live = {message["board_ticks"]: message for message in forces(heard)}
-    path = Path(started["file"])
-    assert path.is_relative_to(os.environ["XDG_STATE_HOME"])
-    assert "press" in path.name
-    assert health["recording"]["file"] == str(path)
-    assert stopped["recording"]["events_missing"] == 0
-    assert stopped["recording"]["all_bytes"] == path.stat().st_size
-
-    replayed = bench.folder / "replay.toml"
-    replayed.write_text(
-        f'name = "again"\nplate = "quartz16"\nlink = "replay:{path}"\n[mqtt]\nurl = "{bench.broker_url}"\n'
-    )
-    again = Service(ConfigStore(replayed, bench.folder / "last-good"))
-    async with observe(mosquitto.url) as heard, bench.running(again) as service:
-        await heard.until(lambda: service.link_counters.frames >= 400)
-        await heard.until_count("resonator/again/forces", 60)
-        again = heard.payloads("resonator/again/forces")
-    same = [message for message in again if message["board_ticks"] in live]
-    assert len(same) > 40
-    for message in same:
-        assert abs(int(message["t_ns"]) - int(live[message["board_ticks"]]["t_ns"])) < 2 * message["t_unc_ns"] + 1e6

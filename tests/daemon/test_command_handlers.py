@@ -47,20 +47,6 @@ async def test_every_verb_has_a_handler(bench: Bench) -> None:
     assert bench.handlers.by_verb.keys() == VERBS.keys()
 
 
-async def test_ping_tells_who_is_there(bench: Bench) -> None:
-    first, second = await bench.ask("ping"), await bench.ask("ping")
-    assert first["daemon_boot_id"] == "9f3c"
-    assert int(second["t_ns"]) >= int(first["t_ns"]) > 1.7e18
-    assert second["uptime_s"] >= first["uptime_s"] >= 0
-
-
-async def test_health_is_the_message_itself(bench: Bench) -> None:
-    said = await bench.ask("health")
-    assert said["health"]["uptime_s"] > 0
-    assert said["health"]["messages"]["made"] >= 0
-    assert bench.daemon.acts == []
-
-
 async def test_a_snapshot_has_the_last_messages_as_they_were(bench: Bench) -> None:
     said = await bench.ask("snapshot")
     last = messages()
@@ -137,13 +123,6 @@ async def test_a_stream_that_is_not_published_has_no_rate(bench: Bench) -> None:
     assert bench.daemon.acts == []
 
 
-async def test_identify_waits_for_the_boards_word(bench: Bench) -> None:
-    assert await bench.ask("identify") == {}
-    bench.daemon.board_refuses = "no board is connected"
-    refused = await bench.refusal("identify")
-    assert (refused.code, refused.message) == ("not_located", "no board is connected")
-
-
 async def test_a_recording_from_start_to_stop(bench: Bench) -> None:
     before = datetime.now(UTC)
     started = await bench.ask("start_recording", label="drop-1")
@@ -184,10 +163,6 @@ async def test_two_at_once_make_one_recording(bench: Bench) -> None:
     assert [act[0] for act in bench.daemon.acts] == ["start"]
 
 
-async def test_a_mark_needs_a_recording(bench: Bench) -> None:
-    assert (await bench.refusal("mark", text="a")).code == "not_recording"
-
-
 async def test_a_disk_that_takes_nothing_is_said(bench: Bench) -> None:
     bench.daemon.disk_problem = "No space left on device"
     refused = await bench.refusal("start_recording")
@@ -213,11 +188,6 @@ async def test_a_recording_that_has_failed_is_not_taken_for_one_that_runs(bench:
         assert "disk full" in refused.message
     assert (await bench.ask("stop_recording"))["recording"]["failure"] == "disk full"
     assert (await bench.ask("start_recording"))["already"] is False
-
-
-async def test_a_recording_is_not_recorded_again(tmp_path: Path) -> None:
-    refused = await Bench(tmp_path, "replay:a.mcap").refusal("start_recording")
-    assert refused.message == "replay:a.mcap is a recording already"
 
 
 async def test_a_real_file_is_written(tmp_path: Path) -> None:

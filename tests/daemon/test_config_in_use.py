@@ -68,15 +68,3 @@ async def test_a_daemon_that_began_on_the_last_good_one_says_so_until_the_file_i
     path.write_text(GOOD + "[measurement]\nstep_ms = 2\n")
     await present.reload()
     assert (present.remark, present.status.in_use, present.config.measurement.step_ms) == (None, "file", 2.0)
-
-
-async def test_a_file_whose_name_is_no_text_is_told_all_the_same(tmp_path: Path) -> None:
-    path = tmp_path / "h\udcff.toml"
-    path.write_text(GOOD)
-    present = in_use(path)
-    path.write_text("wrong")
-    await present.reload()
-    status = present.status.model_dump_json()
-    assert "/h?.toml" in status
-    assert present.remark is not None
-    assert present.remark.encode().startswith(b"its changed configuration cannot be used: ")

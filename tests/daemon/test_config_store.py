@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.config.text import plate_text
-from resonator_daemon.daemon.config_store import ConfigStore, load_checked
+from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.plate import load_plate
 
@@ -88,32 +88,6 @@ def test_paths_of_the_copy_are_relative_to_the_file_as_before(path: Path) -> Non
     assert "mqtt.password_file: got 'pw'" in copy
 
 
-def test_what_is_told_of_files_names_them_from_everywhere_and_by_the_users_own_links(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path.write_text(GOOD + '[recording]\ndirectory = "runs"\n')
-    (path.parent / "way").symlink_to(path.parent)
-    monkeypatch.chdir(path.parent)
-    relative = ConfigStore(Path("way") / path.name, path.parent / "state" / "last-good")
-    loaded = relative.load()
-    assert relative.path == path.parent / "way" / path.name
-    assert loaded.config.recording.directory == path.parent / "way" / "runs"
-    (path.parent / "way" / path.name).write_text("bad\n")
-    assert relative.load().config.recording.directory == path.parent / "way" / "runs"
-
-
-def test_without_a_copy_a_bad_file_is_refused(path: Path) -> None:
-    path.write_text(GOOD.replace("tcp:", "tpc:"))
-    (message,) = refused(path)
-    assert message.startswith(f"{path}:3: link: got 'tpc://127.0.0.1:5000'; no link is called 'tpc'")
-
-
-def test_a_file_that_was_removed_is_not_wanted(path: Path) -> None:
-    store(path).load()
-    path.unlink()
-    assert refused(path) == (f"{path}: no such file; give the path of an existing TOML file",)
-
-
 def test_another_file_of_the_same_name_has_a_copy_of_its_own(path: Path) -> None:
     store(path).load()
     other = path.parent / "other" / "left.toml"
@@ -134,13 +108,6 @@ def test_the_newest_good_one_counts(path: Path) -> None:
         keeper.reload()
     assert store(path).load().config.name == "right"
     assert len(copies(path)) == 1
-
-
-def test_what_is_kept_already_is_not_written_again(path: Path) -> None:
-    store(path).load()
-    before = [copy.stat().st_ino for copy in copies(path)]
-    store(path).load()
-    assert [copy.stat().st_ino for copy in copies(path)] == before
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"\xff", b'{"format": 2}'])
@@ -184,18 +151,6 @@ def test_a_full_disk_leaves_the_old_copy(
     assert len(copies(path)) == 1
     path.write_text("bad\n")
     assert store(path).load().config.name == "left"
-
-
-def test_codes_that_overlap_are_a_problem_of_the_file(path: Path) -> None:
-    store(path).load()
-    plate = load_plate("quartz16")
-    first, second = plate.sites[:2]
-    twin = second.model_copy(update={"tones": first.tones})
-    plate = plate.model_copy(update={"sites": (first, twin, *plate.sites[2:])})
-    (path.parent / "own.toml").write_text(plate_text(plate))
-    with pytest.raises(ConfigurationError, match="can be mistaken for each other"):
-        load_checked(path)
-    assert "can be mistaken for each other" in store(path).load().problems[0]
 
 
 @pytest.mark.parametrize(

@@ -10,14 +10,11 @@ from pathlib import Path
 
 import pytest
 from brokers import Mosquitto
-from mcap.reader import make_reader
 from observer import DEADLINE_S, observe
 from service_bench import Bench
 
-from resonator_daemon.config import Mqtt
 from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.daemon.daemon import Service
-from resonator_daemon.publishing.requests import request
 from resonator_daemon.recording.reader import open_recording
 
 RESONATORD = Path(sys.executable).with_name("resonatord")
@@ -148,42 +145,3 @@ async def test_sighup_reads_the_file_again_and_sigterm_ends(tmp_path: Path, mosq
         _, said = await process.communicate()
     assert process.returncode == 0
     assert b"configuration read again: restart for link" in said
-
-
-async def test_a_command_that_a_reload_allows_is_obeyed_from_then_on(tmp_path: Path, mosquitto: Mosquitto) -> None:
-    bench = Bench(tmp_path, mosquitto.url)
-    async with observe(mosquitto.url) as heard, bench.emulated(scenario="still"):
-        service = bench.service()
-        path = bench.folder / "board.toml"
-        async with bench.running(service):
-            await heard.until_count("resonator/hand/forces", 3)
-            broker = Mqtt(url=mosquitto.url)
-            assert not (await request(broker, "hand", "tare", {}))["ok"]
-            path.write_text(path.read_text().replace("allow = []", 'allow = ["tare"]'))
-            service.reload()
-            await heard.until(lambda: "tare" in heard.payloads("resonator/hand/info")[-1]["commands"])
-            assert (await request(broker, "hand", "tare", {}))["ok"]
-
-
-async def test_what_is_measured_is_recorded_from_the_reload_on_that_wants_it(
-    tmp_path: Path, mosquitto: Mosquitto
-) -> None:
-    bench = Bench(tmp_path, mosquitto.url)
-    async with observe(mosquitto.url) as heard, bench.emulated():
-        bench.service()
-        path = bench.folder / "board.toml"
-        path.write_text(f'{path.read_text()}[recording]\ndirectory = "{tmp_path}/runs"\ncontinuous = true\n')
-        service = Service(ConfigStore(path, bench.folder / "last-good"))
-        async with bench.running(service):
-            await heard.until_count("resonator/hand/forces", 20)
-            path.write_text(path.read_text() + "derived = true\n")
-            service.reload()
-            await heard.until(
-                lambda: any(each["recording"]["files"] == 2 for each in heard.payloads("resonator/hand/health"))
-            )
-            await heard.until_count("resonator/hand/forces", len(heard.payloads("resonator/hand/forces")) + 20)
-        topics = set()
-        for file in (tmp_path / "runs").glob("*.mcap"):
-            with file.open("rb") as stream:
-                topics |= {channel.topic for _, channel, _ in make_reader(stream).iter_messages()}
-    assert {"wire", "forces"} <= topics

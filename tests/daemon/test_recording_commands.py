@@ -106,25 +106,6 @@ async def test_what_the_configuration_began_ends_with_it_and_the_log_says_so(
     assert len(caplog.messages) == 1
 
 
-async def test_another_directory_is_taken_at_once_by_what_the_configuration_began(tmp_path: Path) -> None:
-    switch = RecordingSwitch()
-    commands = RecordingCommands(config(tmp_path, continuous=True), "left", switch)
-    await commands.keep_recording()
-    await commands.adopt(config(tmp_path / "other", continuous=True), None)
-    assert switch.current is not None
-    assert switch.current.path.parent == tmp_path / "other"
-    switch.stop()
-
-
-async def test_a_reload_that_changes_nothing_of_it_begins_no_recording_that_was_stopped(tmp_path: Path) -> None:
-    switch = RecordingSwitch()
-    commands = RecordingCommands(config(tmp_path, continuous=True), "left", switch)
-    await commands.keep_recording()
-    await commands.stop(StopRecording())
-    await commands.adopt(config(tmp_path, continuous=True), None)
-    assert switch.current is None
-
-
 async def test_a_replay_is_not_recorded(tmp_path: Path) -> None:
     switch = RecordingSwitch()
     replaying = config(tmp_path, continuous=True).model_copy(update={"link": RecordingTarget("run.mcap")})

@@ -149,18 +149,3 @@ async def test_a_decoder_that_is_killed_is_restarted_and_no_event_is_missing(
     assert all((words[0], words[-1]) == ("onset", "release") for words in ended)
     sequence = [message["seq"] for message in heard.payloads("resonator/hand/contacts")]
     assert sequence == sorted(set(sequence))
-
-
-async def test_a_skin_is_not_decoded_where_nobody_wants_it_and_says_so(bench: Bench, mosquitto: Mosquitto) -> None:
-    plate = bench.folder / "small.toml"
-    plate.write_text(SMALL_SKIN)
-    async with (
-        bench.emulated(str(plate), scenario="still") as emulator,
-        observe(mosquitto.url) as heard,
-        bench.running(bench.service(str(plate), emulator.link.address, decoding='method = "off"')),
-    ):
-        await heard.until_count("resonator/hand/signals", 5)
-        await heard.until_last(
-            "resonator/hand/state/sensor", state="online", reason="all sites are read; decoding is off"
-        )
-    assert heard.raw("resonator/hand/decoded") == []

@@ -34,23 +34,11 @@ def test_a_lock_on_something_else_is_none_on_the_port(slave: int, tmp_path: Path
         assert [holder.locks for holder in port_holders(os.ttyname(slave)).processes] == [False]
 
 
-def test_a_path_that_links_to_the_port_is_the_same_port(slave: int, tmp_path: Path) -> None:
-    link = tmp_path / "board"
-    link.symlink_to(os.ttyname(slave))
-    assert [holder.pid for holder in port_holders(str(link)).processes] == [os.getpid()]
-
-
 def test_a_port_that_nobody_holds_a_file_and_nothing_have_no_holders(tmp_path: Path) -> None:
     (tmp_path / "notes").touch()
     with open(tmp_path / "notes"):
         for path in (tmp_path / "notes", tmp_path / "none"):
             assert port_holders(str(path)) == Holders((), True)
-
-
-def test_those_that_lock_are_named_alone() -> None:
-    daemon, emulator = Holder(12, "resonatord", locks=True), Holder(7, "emulator", locks=False)
-    assert str(Holders((emulator, daemon), True)) == "resonatord (pid 12)"
-    assert str(Holders((emulator, daemon._replace(locks=False)), True)) == "emulator (pid 7) and resonatord (pid 12)"
 
 
 def test_processes_that_may_not_be_looked_into_are_told_of(

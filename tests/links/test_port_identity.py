@@ -43,13 +43,6 @@ def test_what_does_not_say_all_of_it_has_no_identity(present: list[ListPortInfo]
     assert port_identity("/dev/ttyACM0") is None
 
 
-def test_an_adapter_with_one_port_has_no_interface(present: list[ListPortInfo]) -> None:
-    present.append(port("/dev/ttyUSB0", location="1-1.4"))
-    assert port_identity("/dev/ttyUSB0") == BOARD._replace(interface="")
-    present[0].location = None
-    assert port_identity("/dev/ttyUSB0") == BOARD._replace(interface="")
-
-
 def test_it_is_found_under_its_new_name(present: list[ListPortInfo]) -> None:
     present += [
         port("/dev/ttyACM0", serial_number="0043"),

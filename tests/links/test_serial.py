@@ -22,11 +22,10 @@ from serial.tools import list_ports
 
 from resonator_daemon.links.carriers import serial as serial_link
 from resonator_daemon.links.carriers.serial import SerialTarget, open_serial
-from resonator_daemon.links.link import FileDescriptorLink, LinkLostError, LinkUnavailableError
+from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.links.port_holders import Holders
 
 BAUD = 4_000_000
-AMPLE_S = 30.0
 TIOCGEXCL = 0x80045440  # asks Linux whether TIOCEXCL holds
 TCSETS2 = 0x402C542B  # sets a baud rate that has no constant
 TCGETS2 = 0x802C542A
@@ -63,15 +62,6 @@ def refusal(path: str | Path, baud: int = BAUD) -> str:
     return str(raised.value)
 
 
-def read_exactly(link: FileDescriptorLink, count: int) -> bytes:
-    data = b""
-    while len(data) < count:
-        piece = link.read(AMPLE_S)
-        assert piece, f"{len(data)} of {count} bytes came"
-        data += piece
-    return data
-
-
 @contextmanager
 def locked_elsewhere(path: str, *, lock: bool = True) -> Iterator[subprocess.Popen[str]]:
     """Let another process hold the port for as long as the context lasts."""
@@ -99,27 +89,6 @@ def failing_ioctl(request: int, code: int) -> Callable[..., Any]:
     return ioctl
 
 
-@pytest.mark.parametrize("baud", [115_200, BAUD, 2_345_678])
-def test_every_byte_value_passes_unchanged_both_ways(port: Terminal, baud: int) -> None:
-    every_byte = bytes(range(256))
-    link = open_serial(SerialTarget(port.path, baud))
-    os.write(port.master, every_byte)
-    assert read_exactly(link, 256) == every_byte
-    link.write(every_byte)
-    assert os.read(port.master, 1000) == every_byte  # and nothing was echoed before it
-    link.close()
-
-
-def test_an_open_port_is_silent_without_waiting_and_tells_a_hang_up(port: Terminal) -> None:
-    link = open_serial(SerialTarget(port.path, BAUD))
-    assert link.read(0.0) == b""
-    port.hang_up()
-    with pytest.raises(LinkLostError, match="unplugged"):
-        link.read(AMPLE_S)
-    link.close()
-    link.close()  # never fails, on a port that is gone and closed either
-
-
 def test_a_port_is_kept_from_programs_that_do_not_ask_while_it_is_open(port: Terminal) -> None:
     exclusive = array.array("i", [0])
     link = open_serial(SerialTarget(port.path, BAUD))
@@ -128,21 +97,6 @@ def test_a_port_is_kept_from_programs_that_do_not_ask_while_it_is_open(port: Ter
     link.close()
     fcntl.ioctl(port.slave, TIOCGEXCL, exclusive)
     assert exclusive[0] == 0
-
-
-def test_closing_never_fails(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
-    link = open_serial(SerialTarget(port.path, BAUD))
-    close = serial.Serial.close
-    errors = [OSError(errno.EIO, os.strerror(errno.EIO))]  # as a driver may say whose device is gone
-
-    def close_late(closed: serial.Serial) -> None:
-        close(closed)
-        if errors:  # Python closes it once more when it is collected
-            raise errors.pop()
-
-    with monkeypatch.context() as patched:
-        patched.setattr(serial.Serial, "close", close_late)
-        link.close()
 
 
 def test_a_busy_port_is_said_to_be_held_and_opens_once_it_is_free(port: Terminal) -> None:
@@ -203,14 +157,6 @@ def test_nothing_that_came_before_is_read_or_sent_back(port: Terminal, monkeypat
     link = open_serial(SerialTarget(port.path, BAUD))
     assert link.read(0.0) == b""
     assert flushed == [termios.TCIFLUSH, termios.TCOFLUSH]
-    link.close()
-
-
-def test_a_port_that_was_emptied_in_pieces_is_not_taken_for_one_that_is_gone(port: Terminal) -> None:
-    link = open_serial(SerialTarget(port.path, BAUD))
-    os.write(port.master, bytes(3000))  # so many that the link looks for more
-    assert read_exactly(link, 3000) == bytes(3000)
-    assert link.read(0.0) == b""
     link.close()
 
 
@@ -306,11 +252,6 @@ def test_a_missing_port_is_said_with_those_present(tmp_path: Path, monkeypatch: 
     assert refusal(missing) == f"no port {missing}; present: {boards}"
 
 
-def test_a_machine_without_ports_is_said_to_have_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ports_present(monkeypatch, tmp_path)
-    assert refusal(tmp_path / "ttyACM9").endswith("no serial port is present")
-
-
 @pytest.mark.parametrize("make", [Path.touch, os.mkfifo, Path.mkdir])
 def test_a_file_that_is_no_terminal_is_said_to_be_no_serial_port(tmp_path: Path, make: Callable[[Path], None]) -> None:
     path = tmp_path / "notes.txt"
@@ -358,12 +299,3 @@ def test_a_rate_that_the_driver_refuses_is_said(port: Terminal, monkeypatch: pyt
         said = refusal(port.path, 2_345_678)
     assert said.startswith(f"{port.path} cannot be set to 2345678 baud")
     open_serial(SerialTarget(port.path, BAUD)).close()  # the failure left no lock behind
-
-
-def test_a_port_that_goes_away_at_the_last_moment_is_given_back(
-    port: Terminal, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with monkeypatch.context() as patched:
-        patched.setattr(fcntl, "ioctl", failing_ioctl(termios.TIOCEXCL, errno.EIO))
-        assert f"{port.path} went away" in refusal(port.path)
-    open_serial(SerialTarget(port.path, BAUD)).close()

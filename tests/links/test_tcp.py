@@ -2,7 +2,6 @@
 
 import contextlib
 import ctypes
-import os
 import socket
 import struct
 from collections.abc import Iterator
@@ -44,13 +43,6 @@ def connected(listener: socket.socket) -> Iterator[Connected]:
 
 def target(listener: socket.socket) -> TcpTarget:
     return TcpTarget("127.0.0.1", listener.getsockname()[1])
-
-
-def test_the_socket_never_blocks_and_sends_at_once(connected: Connected) -> None:
-    descriptor = connected.link._descriptor
-    assert not os.get_blocking(descriptor)
-    with socket.socket(fileno=os.dup(descriptor)) as near:
-        assert near.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 
 def cut_off(board: socket.socket) -> None:
@@ -114,9 +106,3 @@ def test_the_next_address_of_a_host_is_tried(listener: socket.socket, monkeypatc
     monkeypatch.setattr(tcp_link, "resolve_host", lambda _host, _port, _timeout_s: addresses[:1] * 2)
     with pytest.raises(LinkUnavailableError, match=r"127\.0\.0\.2: Connection refused; 127\.0\.0\.2: Connection"):
         open_tcp(TcpTarget("board.local", port))
-
-
-@pytest.mark.parametrize("host", ["left..finger", "x" * 70])
-def test_a_name_that_no_host_can_have_is_no_crash(host: str) -> None:
-    with pytest.raises(LinkUnavailableError, match=f"tcp://{host}:5000 does not answer"):
-        open_tcp(TcpTarget(host, 5000))

@@ -3,12 +3,10 @@
 import errno
 import os
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-import usb.backend.libusb1
 from usb.core import USBError
-from usb_bench import LINK, SERIAL_NUMBER, HostError, UsbBoardEnd, UsbHost, usb_board, usb_host
+from usb_bench import LINK, HostError, UsbBoardEnd, UsbHost, usb_board, usb_host
 
 from resonator_daemon.links import usb_link
 from resonator_daemon.links.carriers.usb import UsbTarget
@@ -102,15 +100,6 @@ def test_bytes_go_both_ways_and_what_is_old_is_thrown_away(board: UsbBoardEnd, h
     host.run("link.close(); link.close()")
 
 
-def test_the_next_transfers_are_always_in_flight(board: UsbBoardEnd, host: UsbHost) -> None:
-    host.run(f"open_link({LINK!r})")
-    assert host.value("usb_transfers.TRANSFERS") == 8
-    assert host.value("link._reader._in_flight") == 8
-    board.send(b"x")
-    assert host.value("take(1)") == b"x"
-    assert host.value("link._reader._in_flight") == 8
-
-
 def test_a_stall_is_cleared(board: UsbBoardEnd, host: UsbHost) -> None:
     host.run(f"open_link({LINK!r})")
     host.run("""
@@ -124,20 +113,6 @@ link._backend.clear_halt = lambda handle, endpoint: (calls.append(endpoint), cle
         board.send(data)
         assert host.value(f"digest(take({len(data)}))") == sha256(host, data)
         assert host.value("calls") == [0x81] * times
-
-
-def test_a_stall_of_what_is_written_is_cleared_too(board: UsbBoardEnd, host: UsbHost) -> None:
-    host.run(f"open_link({LINK!r})")
-    host.run("""
-calls, write = [], link._backend.bulk_write
-def stall_once(*arguments):
-    link._backend.bulk_write = write
-    raise USBError("Pipe error", -9, errno.EPIPE)
-link._backend.bulk_write, link._backend.clear_halt = stall_once, lambda handle, endpoint: calls.append(endpoint)
-link.write(b"in the end")
-""")
-    board.wait(lambda: board.received == b"in the end")
-    assert host.value("calls") == [0x01]
 
 
 @pytest.mark.parametrize("status", ["usb_transfers._CANCELLED", "usb_transfers.Failure.STALL"])
@@ -270,29 +245,6 @@ def test_who_holds_a_board_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "expected"),
-    [
-        (USBError("No such device", -4, errno.ENODEV), "went away while it was opened"),
-        (USBError("no memory", -11, errno.ENOMEM), "cannot be opened: no memory"),
-        (NotImplementedError(UNSUPPORTED), f"cannot be opened: {UNSUPPORTED}"),
-    ],
-)
-def test_other_errors_of_opening(monkeypatch: pytest.MonkeyPatch, error: Exception, expected: str) -> None:
-    assert refused(monkeypatch, error, UsbTarget(0x1209, 1), a_board(None, 2)) == f"usb:1209:0001 {expected}"
-
-
-@pytest.mark.parametrize("call", ["get_configuration", "claim_interface", "ctrl_transfer"])
-def test_what_a_system_does_not_support_is_no_link(host: UsbHost, call: str) -> None:
-    host.run("backend = usb_link.usb_backend()")
-    host.run(f"backend.{call} = unsupported")
-    # Without its serial number, which is asked for by a control transfer, it has no other name.
-    link = "usb:1209:0001" if call == "ctrl_transfer" else LINK
-    assert refusal(host, "usb:1209:0001") == f"{link} cannot be opened: {UNSUPPORTED}"
-    host.run(f"del backend.{call}")
-    host.run(f"open_link({LINK!r})")
-
-
-@pytest.mark.parametrize(
     ("call", "source", "reason"),
     [
         ("bulk_write", "link.write(b'x')", f"unplugged ({UNSUPPORTED})"),
@@ -319,9 +271,3 @@ def test_a_board_that_may_not_be_opened(monkeypatch: pytest.MonkeyPatch, serial_
         "into /etc/udev/rules.d/70-resonatord.rules (as root, `resonatord install` does for boards of its ids), "
         "join the group resonatord and plug it in again"
     )
-
-
-def test_without_libusb(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(usb.backend.libusb1, "get_backend", lambda: None)
-    with pytest.raises(LinkUnavailableError, match=r"libusb 1\.0 cannot be loaded; .*apt-get install libusb-1\.0-0"):
-        open_usb(UsbTarget(0x1209, 0x0001, SERIAL_NUMBER))

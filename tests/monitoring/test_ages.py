@@ -79,9 +79,3 @@ def test_a_new_moment_begins_anew_and_nothing_is_older_than_the_daemon(clocks: C
     clocks.pass_s(50.0)
     later = status_at(clocks.utc_ns - S // 2, sensor=None)
     assert ages.of(later) == pytest.approx(dict.fromkeys(NAMES - {"sensor"}, 0.5) | {"started": 53.0})
-
-
-def test_what_is_not_there_has_no_age(clocks: Clocks) -> None:
-    clocks.pass_s(1.0)
-    bare = status_samples.status(daemon=None, link=None, sensor=None, recording=status_samples.NOT_RECORDING)
-    assert set(Ages().of(bare)) == {"started", "config"}

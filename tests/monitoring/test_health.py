@@ -1,8 +1,6 @@
 """Rates, losses and vital signs of the daemon, against a clock and a process that the test controls."""
 
 import asyncio
-import json
-import math
 import os
 import threading
 from pathlib import Path
@@ -14,8 +12,7 @@ import status_samples
 
 from resonator_daemon.monitoring import health
 from resonator_daemon.monitoring.health import HealthMonitor
-from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.payloads import DecoderProcessInfo, Health, LatencyInfo, Lost
+from resonator_daemon.publishing.payloads import Health, LatencyInfo, Lost
 from resonator_daemon.session.counters import LinkCounters
 
 MESSAGES = status_samples.health().messages
@@ -23,9 +20,6 @@ LATENCY = {"forces": LatencyInfo(bounds_ms=(1.0, 2.0), counts=(7, 3, 1))}
 RECORDING = status_samples.RECORDING
 COMMANDS = {"done": 2, "denied": 1}
 HEADER = {"seq": 0, "daemon_boot_id": "9f3c", "board_boot_id": None, "t_ns": 1, "t_unc_ns": 0, "lost": Lost(damaged=9)}
-DECODER = DecoderProcessInfo(
-    pid=3, restarts={}, decoded=5, skipped={"newer_frame": 10, "too_old": 7}, waiting=1, cpu_percent=1.0, rss_mb=2.0
-)
 
 
 class Process:
@@ -76,61 +70,6 @@ async def test_rates_are_those_since_the_last_call(machine: Machine) -> None:
     assert [each.uptime_s for each in made] == pytest.approx([2.0, 2.5, 2.5, 3.5])
     assert [each.cpu_percent for each in made] == [20.5, 21.0, 21.5, 22.0]
     assert {each.rss_mb for each in made} == {92.0}
-
-
-async def test_every_byte_has_one_fate(machine: Machine) -> None:
-    made = machine.health(
-        HealthMonitor(),
-        bytes_received=11111,
-        bytes_accepted=10000,
-        bytes_other_version=1000,
-        bytes_echo=100,
-        bytes_discarded=10,
-        bytes_waiting=1,
-    )
-    assert made.bytes_in == 11111 == sum(made.bytes_by_fate.values())
-    assert made.bytes_by_fate == {
-        "accepted": 10000,
-        "other_version": 1000,
-        "own_direction": 100,
-        "discarded": 10,
-        "waiting": 1,
-    }
-
-
-async def test_vitals_are_the_body_of_a_health_message(machine: Machine) -> None:
-    monitor = HealthMonitor()
-    machine.now_s += 1.0
-    made = monitor.report(
-        HEADER,
-        LinkCounters(frames=1000, parts_lost=4),
-        MESSAGES,
-        math.nan,
-        {"edges": 3},
-        LATENCY,
-        RECORDING,
-        COMMANDS,
-        DECODER,
-    )
-    payload = json.loads(encode(made))
-    expected = {
-        "uptime_s": 1.0,
-        "frames": 1000,
-        "frame_rate_hz": 1000.0,
-        "parts_lost": 4,
-        "frames_not_decoded": 17,
-        "records_unusable": {"edges": 3},
-        "clock_drift_ppm": None,  # not known yet
-        "cpu_percent": 20.5,
-        "tasks": 1,
-        "threads": 5,
-        "file_descriptors": 23,
-        "latency": {"forces": {"bounds_ms": [1.0, 2.0], "counts": [7, 3, 1]}},
-        "recording": RECORDING.model_dump(mode="json"),
-        "commands": COMMANDS,
-        "messages": MESSAGES.model_dump(),
-    }
-    assert payload | expected == payload
 
 
 async def test_what_is_held_is_counted_and_what_is_let_go_is_not() -> None:

@@ -32,10 +32,6 @@ class Course:
         return well
 
 
-def test_frames_are_well() -> None:
-    assert Course().healthy_s(Condition.ONLINE, 1000, frames=True, turns=True) == 1000
-
-
 def test_online_without_frames_is_not() -> None:
     course = Course()
     course.healthy_s(Condition.ONLINE, 100, frames=True, turns=True)
@@ -47,10 +43,6 @@ def test_a_declared_wait_lasts_as_long_as_it_is_tried(state: Condition) -> None:
     course = Course()
     assert course.healthy_s(state, 1000, frames=False, turns=True) == 1000
     assert course.healthy_s(state, 1000, frames=False, turns=False) == 60
-
-
-def test_a_start_may_take_a_minute() -> None:
-    assert Course().healthy_s(Condition.STARTING, 1000, frames=False, turns=True) == 60
 
 
 def test_a_reader_that_stands_still_is_found_though_old_frames_are_measured() -> None:

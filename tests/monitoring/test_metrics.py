@@ -1,7 +1,6 @@
 """A status as metrics: read back by the parsers of Prometheus' own client, names and kinds by its conventions."""
 
 import json
-import math
 import re
 from pathlib import Path
 from typing import Any
@@ -106,11 +105,6 @@ def test_a_figure_of_the_status_is_a_metric_in_base_units(key: Key, value: float
     assert metrics(status_samples.status())[key] == pytest.approx(value, rel=1e-9)
 
 
-def test_messages_are_not_counted_among_frames() -> None:
-    causes = {dict(labels)["cause"] for name, labels in metrics(status_samples.status()) if "frames_lost" in name}
-    assert causes == {"link_gap", "damaged", "board_overflow", "host_overrun", "ring_overflow"}
-
-
 def test_a_configuration_that_is_not_the_files_shows() -> None:
     config = ConfigStatus(
         file="f", in_use="last_good", problems=("a", "b"), loaded_t_ns=5_000_000_000, needs_restart=("link",)
@@ -120,25 +114,6 @@ def test_a_configuration_that_is_not_the_files_shows() -> None:
     assert found[of("resonatord_config_problems")] == 2
     assert found[of("resonatord_config_needs_restart")] == 1
     assert found[of("resonatord_config_load_time_seconds")] == 5
-
-
-@pytest.mark.parametrize(
-    ("change", "fires"),
-    [
-        ({}, False),
-        ({"problems": ("refused at the reload",)}, True),
-        ({"in_use": "last_good", "problems": ("refused at the start",)}, True),
-        ({"needs_restart": ("link",)}, True),
-    ],
-)
-def test_the_shipped_alert_tells_of_a_file_that_is_not_in_use(change: dict[str, Any], fires: bool) -> None:
-    (rule,) = re.findall(r"- alert: ConfigurationNotInUse\n +expr: (.+)", (DOCS / "monitoring.md").read_text())
-    config = status_samples.status().config.model_copy(update=change)
-    found = metrics(status_samples.status(config=config))
-    terms = [re.fullmatch(r"(\w+) (==|>) (\d+)", term) for term in rule.split(" or ")]
-    values = [(found[of(term[1])], term[2], float(term[3])) for term in terms if term]
-    assert len(values) == len(terms)
-    assert any(value > limit if sign == ">" else value == limit for value, sign, limit in values) is fires
 
 
 def test_what_is_down_is_zero_and_not_left_out() -> None:
@@ -163,16 +138,6 @@ def test_what_is_down_is_zero_and_not_left_out() -> None:
     }
 
 
-def test_what_is_not_known_is_left_out() -> None:
-    early = metrics(status_samples.status(health=None, sensor=None, name=None))
-    assert of("resonatord_frames_total") not in early
-    assert of("resonatord_state", part="sensor", state="online") not in early
-    assert early[of("resonatord_info", name="", version="0.1.0")] == 1
-    unknown = metrics(status_samples.status(health=status_samples.health(clock_drift_ppm=math.nan)))
-    assert of("resonatord_clock_drift_ratio") not in unknown
-    assert text_of(None) == ""
-
-
 def test_what_only_grows_is_a_counter_and_nothing_else_is() -> None:
     less = {"waiting": 0, "accepted": 10_001, "other_version": 1000, "own_direction": 100, "discarded": 10}
     account = status_samples.health().messages
@@ -187,15 +152,6 @@ def test_what_only_grows_is_a_counter_and_nothing_else_is() -> None:
             fell.add(family.name)
             assert family.type == "gauge"
     assert {"resonatord_link_waiting_bytes", "resonatord_messages_waiting", "resonatord_tasks"} <= fell
-
-
-def test_names_are_by_the_conventions() -> None:
-    for family in text_string_to_metric_families(text_of(status_samples.status())):
-        assert family.documentation
-        assert not re.search(r"_(ms|ns|us|mb|hz|ppm|percent|count)(_|$)", family.name)
-        for sample in family.samples:
-            assert sample.name.startswith(("resonatord_", "process_"))
-            assert (family.type == "counter") == sample.name.endswith("_total")
 
 
 def test_the_strict_parser_of_openmetrics_takes_it_all() -> None:
@@ -226,22 +182,6 @@ def test_every_metric_of_the_dashboard_exists() -> None:
     named = named_in(queries)
     assert len(named) > 20
     assert named <= there_are()
-
-
-def test_every_panel_has_a_unit_and_asks_the_chosen_source_for_the_chosen_daemons() -> None:
-    dashboard = json.loads((DOCS / "grafana" / "resonatord.json").read_text())
-    panels = [panel for panel in dashboard["panels"] if panel["type"] != "row"]
-    assert len({panel["id"] for panel in dashboard["panels"]}) == len(dashboard["panels"])
-    for panel in panels:
-        assert panel["datasource"]["uid"] == "${source}"
-        assert panel["fieldConfig"]["defaults"]["unit"]
-        assert panel["description"]
-        for target in panel["targets"]:
-            assert target["expr"].count("{") == target["expr"].count('daemon=~"$daemon"') > 0
-    assert {variable["name"]: variable["type"] for variable in dashboard["templating"]["list"]} == {
-        "source": "datasource",
-        "daemon": "query",
-    }
 
 
 def test_the_page_lists_every_metric_and_no_other() -> None:

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import gzip
 import http.client
 import logging
 import socket
@@ -12,7 +11,6 @@ from contextlib import asynccontextmanager
 
 import pytest
 import status_samples
-from prometheus_client.parser import text_string_to_metric_families
 
 from resonator_daemon.config import Listen
 from resonator_daemon.monitoring.metrics_server import TOGETHER, MetricsServer, MetricsTimes
@@ -60,15 +58,6 @@ async def ask(address: Listen, **options: str) -> http.client.HTTPResponse:
             await asyncio.sleep(0.001)  # it is not up yet, or is just going down to come again
 
 
-async def test_prometheus_gets_its_text(address: Listen) -> None:
-    async with serving(address):
-        response = await ask(address)
-    assert response.status == 200
-    assert response.headers["Content-Type"].startswith("text/plain; version=")
-    names = {family.name for family in text_string_to_metric_families(response.body.decode())}
-    assert {"resonatord_frames", "resonatord_link_up", "resonatord_latency_seconds"} <= names
-
-
 async def test_each_request_finds_the_status_of_its_time_taken_on_the_loops_thread(address: Listen) -> None:
     asked_in = []
 
@@ -82,26 +71,6 @@ async def test_each_request_finds_the_status_of_its_time_taken_on_the_loops_thre
         True
     ] * 3
     assert set(asked_in) == {threading.get_ident()}
-
-
-async def test_packed_where_the_client_takes_it(address: Listen) -> None:
-    async with serving(address):
-        response = await ask(address, **{"Accept-Encoding": "gzip"})
-    assert response.headers["Content-Encoding"] == "gzip"
-    assert b"resonatord_link_up" in gzip.decompress(response.body)
-
-
-async def test_nothing_can_be_done_to_the_daemon_this_way(address: Listen) -> None:
-    async with serving(address):
-        assert (await ask(address, method="POST")).status == 405
-
-
-async def test_over_ipv6(address: Listen) -> None:
-    if not socket.has_ipv6:
-        pytest.skip("no IPv6 on this machine")
-    address = Listen("::1", address.port)
-    async with serving(address):
-        assert (await ask(address)).status == 200
 
 
 async def test_a_port_that_is_taken_is_logged_once_and_served_when_it_is_free(
@@ -159,13 +128,6 @@ async def test_connections_at_once_are_bounded(address: Listen) -> None:
         for _, writer in (*idle, (reader, further)):
             writer.close()
         assert (await ask(address)).status == 200
-
-
-async def test_the_port_is_free_afterwards(address: Listen) -> None:
-    async with serving(address):
-        assert (await ask(address)).status == 200
-    with pytest.raises(ConnectionRefusedError):
-        await asyncio.to_thread(request, address)
 
 
 @pytest.mark.parametrize("path", ["/", "/x", "/metrics/", "/favicon.ico"])

@@ -4,7 +4,6 @@ import asyncio
 import json
 import os
 import socket
-import stat
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Callable
@@ -64,18 +63,6 @@ async def test_one_json_object_and_a_line_break(path: Path) -> None:
     assert answer.endswith(b"}\n")
     assert Status.model_validate_json(answer) == status_samples.status()
     assert json.loads(answer)["health"]["clock_drift_ppm"] == 3.25
-
-
-async def test_the_group_may_ask_and_nobody_else(path: Path) -> None:
-    async with serving(path):
-        await until(lambda: listens(path))
-        assert stat.S_IMODE(path.stat().st_mode) == 0o660
-
-
-async def test_the_socket_goes_with_the_daemon(path: Path) -> None:
-    async with serving(path):
-        await until(lambda: listens(path))
-    assert not path.exists()
 
 
 async def test_what_a_killed_daemon_left_is_replaced(path: Path) -> None:

@@ -13,8 +13,7 @@ from resonator_daemon.conditions import Condition
 from resonator_daemon.config.text import load_plate_text
 from resonator_daemon.links.carriers.recording import RecordingTarget
 from resonator_daemon.links.carriers.serial import SerialTarget
-from resonator_daemon.plate import load_plate
-from resonator_daemon.recording.event_replay import Pace, replay_of
+from resonator_daemon.recording.event_replay import replay_of
 from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder
 from resonator_daemon.session.board_reader import BoardReader
@@ -43,7 +42,6 @@ from resonator_daemon.session.link_events import (
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
-SKIN = load_plate("skin32")
 CORPUS = Path(__file__).parents[1] / "corpus"
 DEADLINE_S = 30.0  # far beyond what any of this takes: it ends a test that hangs
 
@@ -77,38 +75,6 @@ def test_a_board_with_faults_is_replayed_to_the_bit(tmp_path: Path) -> None:
 def replaying(path: str, woken: threading.Event) -> BoardReader:
     target = RecordingTarget(path)
     return BoardReader(target, PLATE, woken.set, replay=replay_of(target, PLATE))
-
-
-def test_a_reader_replays_instead_of_opening_a_link(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    record(
-        path, [StateAnnounced(at(0), Condition.STARTING, "first"), StateAnnounced(at(300), Condition.WAITING, "second")]
-    )
-    woken = threading.Event()
-    reader = replaying(str(path), woken)
-    reader.start()
-    arrivals: list[Arrival] = []
-    while len(arrivals) < 3:
-        assert woken.wait(DEADLINE_S)
-        woken.clear()
-        arrivals += reader.pop_arrivals()
-    reader.stop()
-    assert arrivals == [
-        LinkChange(Condition.STARTING, "first", at(0).utc_ns, at(0).utc_ns),
-        LinkChange(Condition.WAITING, "second", at(300).utc_ns, at(300).utc_ns),
-        LinkChange(Condition.LOST, f"the recording {path.name} is over", at(300).utc_ns, at(300).utc_ns),
-    ]
-
-
-def test_recorded_time_passes_as_fast_as_it_did() -> None:
-    asked_s: list[float] = []
-    pace = Pace(asked_s.append, lambda: len(asked_s) == 3)
-    assert pace(at(0))
-    assert pace(at(-5))
-    assert asked_s == []
-    assert not pace(at(3_600_000))  # each wait ends early, the third in a stop
-    assert all(3500 < wait_s <= 3600 for wait_s in asked_s)
-    assert len(asked_s) == 3
 
 
 def test_a_replay_can_be_stopped_in_a_long_silence(tmp_path: Path) -> None:
@@ -211,21 +177,6 @@ def test_what_went_as_recorded_is_no_difference(tmp_path: Path) -> None:
     assert (counters.connections, counters.host_overruns) == (2, 1)
     assert LinkChange(Condition.WAITING, "unplugged", at(2).utc_ns, at(2).utc_ns) in arrivals
     assert last_reason(arrivals) == f"the recording {path.name} is over"
-
-
-def test_an_empty_recording_is_over_at_once(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    record(path, [])
-    arrivals, _, differences = replayed(path)
-    assert (len(arrivals), differences) == (1, 0)
-
-
-def test_a_replay_that_is_stopped_leaves_the_link_closed(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    record(path, [Opened(at(0)), Sent(at(0), identify()), TimersRun(at(1), idle=True), TimersRun(at(2), idle=True)])
-    arrivals, counters, _ = replayed(path, pace=lambda now: now.monotonic_ns < at(2).monotonic_ns)
-    assert arrivals == []
-    assert counters.connections == 1
 
 
 def test_a_recording_cut_off_is_replayed_up_to_there(tmp_path: Path) -> None:

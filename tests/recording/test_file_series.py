@@ -4,45 +4,16 @@ import fcntl
 import logging
 import os
 from pathlib import Path
-from random import Random
 from types import SimpleNamespace
 
 import pytest
-from recording_bench import PLATE, at, made
+from recording_bench import PLATE, made
 
 from resonator_daemon.recording import file_series as recording_budget
 from resonator_daemon.recording.file_series import DiskSpace, NoRoomError, Series
 from resonator_daemon.recording.reader import Origin
-from resonator_daemon.session.link_events import Received
 
 LEFT = Origin(PLATE, "tcp://board:1", name="left")
-
-
-def test_the_file_before_counts_once_the_next_has_begun(tmp_path: Path) -> None:
-    series = Series(tmp_path, "left", budget_bytes=75_000)
-    room = DiskSpace(series, lambda *_: None)
-    files = []
-    for number in range(2):
-        room.begin()
-        file = series.make(LEFT, (1_800_000_000 + number) * 10**9)
-        file.write(Received(at(0), Random(number).randbytes(50_000)))
-        file.flush()
-        room.keep_budget(file)
-        file.finish()
-        file.sync()
-        files.append(file.path)
-    assert [path.exists() for path in files] == [False, True]
-    assert room.files_removed == 1
-
-
-def test_a_recording_of_another_daemon_with_this_name_before_its_time_stays(tmp_path: Path) -> None:
-    theirs = made(tmp_path, 0, says="right")
-    room = DiskSpace(Series(tmp_path, "left", budget_bytes=1), lambda *_: None)
-    own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
-    room.keep_budget(own)
-    assert theirs.exists()
-    assert room.files_removed == 0
-    own.abandon()
 
 
 def test_recordings_that_somebody_else_removes_meanwhile_are_left_out(

@@ -5,28 +5,22 @@ import os
 import resource
 import threading
 import time
-from contextlib import suppress
 from pathlib import Path
 from random import Random
 
 import pytest
-from connection_bench import DESCRIPTION, IDENTITY
 from hypothesis import given
 from hypothesis import strategies as st
-from mcap.reader import make_reader
 from mcap.writer import Writer
 from plates import with_counter
 from recording_bench import ONE_BATCH, PLATE, at, read, record
 
-from firmware_protocol.messages import Configuration
 from resonator_daemon.conditions import Condition
-from resonator_daemon.errors import UserError
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.plate import load_plate
 from resonator_daemon.recording import writer as recording_writer
 from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder, RecorderTimes
-from resonator_daemon.session.frames import BoardOnline
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import (
     Closed,
@@ -93,44 +87,6 @@ def test_every_time_and_byte_comes_back(now: HostTime, data: bytes, flag: bool) 
         assert (type(again), again) == (type(event), event)
 
 
-@given(st.binary(max_size=40))
-def test_no_bytes_do_more_than_raise_value_error(data: bytes) -> None:
-    with suppress(ValueError):
-        decode(data, 0, 0)
-
-
-def test_the_file_says_what_it_is_of_and_which_board_it_was(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    with Recorder(path, Origin(PLATE, "tcp://board:1")) as recorder:
-        recorder.put(Opened(at(0)))
-        recorder.name_board(BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False))
-    with open_recording(str(path), PLATE) as recording:
-        assert (recording.header["plate"], recording.header["link"]) == ("quartz16", "tcp://board:1")
-    with path.open("rb") as file:  # as any reader of such files
-        reader = make_reader(file)
-        assert reader.get_header().profile == "resonatord"
-        named = {metadata.name: metadata.metadata for metadata in reader.iter_metadata()}
-        ((_, channel, message),) = list(reader.iter_messages())
-    assert named["board"] == {
-        "product": "test board",
-        "serial_number": "T-1",
-        "firmware": "1.0",
-        "boot_id": "00000abc",
-    }
-    assert (channel.topic, channel.message_encoding) == ("wire", "application/octet-stream")
-    assert (message.log_time, message.publish_time) == (at(0).utc_ns, at(0).monotonic_ns)
-
-
-def test_a_file_that_is_there_is_left_alone(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    path.write_bytes(b"precious")
-    with pytest.raises(UserError, match=r"run\.mcap is there already, and nothing is overwritten"):
-        Recorder(path, Origin(PLATE, "tcp://board:1"))
-    assert path.read_bytes() == b"precious"
-    with pytest.raises(UserError, match="cannot be written: No such file or directory"):
-        Recorder(tmp_path / "no" / "run.mcap", Origin(PLATE, "tcp://board:1"))
-
-
 def test_what_does_not_fit_into_the_queue_is_counted_in_its_place(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     large = Received(at(2), bytes(10_000))
@@ -157,21 +113,6 @@ def test_the_word_of_what_is_missing_takes_room_as_well(tmp_path: Path) -> None:
     record(path, events[:2], queue_bytes=500)  # room for one of the two
     kept, _ = read(path)
     assert [event[1:] for event in kept] == [(2, 10_000)]
-
-
-def test_room_comes_back_once_events_are_written(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    deadline = time.monotonic() + DEADLINE_S
-    with Recorder(path, Origin(PLATE, "tcp://board:1"), queue_bytes=5_000) as recorder:
-        recorder.put(Received(at(0), bytes(4_000)))
-        skipped = -1
-        while recorder.counts.events_missing != skipped:
-            assert time.monotonic() < deadline
-            skipped = recorder.counts.events_missing
-            recorder.put(Received(at(1), bytes(4_000)))
-            threading.Event().wait(0.01)
-    events, _ = read(path)
-    assert sum(isinstance(event, Received) for event in events) == 2
 
 
 def test_a_disk_without_room_ends_the_recording_and_not_the_reader(tmp_path: Path) -> None:

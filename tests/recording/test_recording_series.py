@@ -13,12 +13,11 @@ from types import SimpleNamespace
 import pytest
 from recording_bench import FLUSHING, NO_PAUSE, ONE_BATCH, PLATE, at, made, read, snapshot
 
-from resonator_daemon.errors import UserError
 from resonator_daemon.recording import file_series as recording_budget
 from resonator_daemon.recording import recorder as recording
-from resonator_daemon.recording.file_series import NoRoomError, Series
+from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.reader import Origin, open_recording
-from resonator_daemon.recording.recorder import Recorder, RecorderTimes
+from resonator_daemon.recording.recorder import Recorder
 from resonator_daemon.recording.writer import Published
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import Opened, Received, SnapshotTaken, TimersRun, WireEvent
@@ -89,26 +88,6 @@ def test_a_file_ends_once_it_is_large(tmp_path: Path) -> None:
     assert recorder.counts.file_bytes == sizes[-1]
 
 
-def test_each_file_says_the_same_of_its_origin(tmp_path: Path) -> None:
-    origin = Origin(PLATE, "tcp://board:1", "left", "b00t", "5ha", "name = 'quartz16'\n", "[measurement]\n")
-    with Recorder(Series(tmp_path, "left", "press", file_max_ns=1), origin) as recorder:
-        for ms in range(2):
-            recorder.put(snapshot(at(ms)))
-    files = Series(tmp_path, "left").files()
-    assert len(files) == 2
-    for path in files:
-        assert path.name.endswith("Z-press.mcap")
-        with open_recording(str(path)) as it:
-            assert (it.plate_text, it.settings_text) == ("name = 'quartz16'\n", "[measurement]\n")
-            told = {key: it.header.get(key) for key in ("name", "daemon_boot_id", "config_sha256", "calibration_id")}
-            assert told == {
-                "name": "left",
-                "daemon_boot_id": "b00t",
-                "config_sha256": "5ha",
-                "calibration_id": PLATE.calibration.id,
-            }
-
-
 def test_a_file_that_was_cut_still_gives_the_texts_of_its_beginning(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     plate_text = Random(7).randbytes(30_000).hex()
@@ -134,17 +113,6 @@ def test_messages_give_way_to_the_link(tmp_path: Path) -> None:
     assert (recorder.counts.messages, recorder.counts.messages_missing) == (16, 4)
 
 
-def test_names_sort_by_time_and_are_never_used_twice(tmp_path: Path) -> None:
-    series = Series(tmp_path, "left")
-    utc_ns = 1_789_000_000_123_000_000
-    files = [series.make(LEFT, utc_ns) for _ in range(3)]
-    for file in files:
-        file.abandon()
-    names = [file.path.name for file in files]
-    assert names == [f"left-20260910T002640.{ms}Z.mcap" for ms in (123, 124, 125)]
-    assert [path.name for path in series.files()] == names
-
-
 def test_a_recorder_keeps_the_budget_while_it_writes(tmp_path: Path) -> None:
     old = made(tmp_path, 0, size_bytes=50_000)
     with Recorder(Series(tmp_path, "left", budget_bytes=60_000), LEFT, times=FLUSHING) as recorder:
@@ -154,16 +122,6 @@ def test_a_recorder_keeps_the_budget_while_it_writes(tmp_path: Path) -> None:
         recorder.put(Received(at(1), Random(1).randbytes(50_000)))
         wait_until(lambda: recorder.counts.files_removed == 1)
     assert not old.exists()
-
-
-def test_without_room_a_recording_is_not_begun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    disk(monkeypatch, [1])
-    with pytest.raises(NoRoomError):
-        Recorder(Series(tmp_path, "left", keep_free_bytes=2), LEFT)
-    assert list(tmp_path.iterdir()) == []
-    (tmp_path / "file").touch()
-    with pytest.raises(UserError, match="cannot be used: Not a directory"):
-        Recorder(Series(tmp_path / "file" / "deep", "left"), LEFT)
 
 
 @pytest.mark.parametrize("resumes", [True, False])
@@ -206,28 +164,6 @@ def test_a_recording_ends_before_the_disk_is_full_and_resumes_where_it_may(
         assert [level for level, _ in said] == [logging.WARNING]
 
 
-def test_a_directory_that_comes_later_is_waited_for(tmp_path: Path) -> None:
-    blocked = tmp_path / "disk"
-    blocked.touch()
-    said: list[tuple[int, str]] = []
-    with Recorder(
-        Series(blocked, "left", resumes=True),
-        LEFT,
-        log_line=log_to(said),
-        times=NO_PAUSE,
-    ) as recorder:
-        assert recorder.failure is not None
-        for ms in range(3):
-            recorder.put(snapshot(at(ms)))
-            recorder.put(Received(at(ms), b"x"))
-        wait_until(lambda: recorder.counts.events_missing == 3)
-        blocked.unlink()
-        recorder.put(snapshot(at(9)))
-        wait_until(lambda: recorder.failure is None)
-    assert contents(blocked) == [[snapshot(at(9))]]
-    assert len(said) == 2  # however often it was tried
-
-
 def test_after_an_error_a_recording_goes_on_in_a_new_file(tmp_path: Path) -> None:
     with Recorder(Series(tmp_path, "left", resumes=True), LEFT, times=NO_PAUSE) as recorder:
         recorder.put(Opened(at(0)))
@@ -240,16 +176,6 @@ def test_after_an_error_a_recording_goes_on_in_a_new_file(tmp_path: Path) -> Non
         recorder.put(snapshot(at(2)))
         wait_until(lambda: recorder.failure is None)
     assert contents(tmp_path) == [[snapshot(at(2))]]
-
-
-def test_each_file_is_synchronised_when_it_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    synchronised: list[str] = []
-    monkeypatch.setattr(os, "fsync", lambda number: synchronised.append(os.readlink(f"/proc/self/fd/{number}")))
-    with Recorder(Series(tmp_path, "left", file_max_ns=1), LEFT) as recorder:
-        for ms in range(3):
-            recorder.put(snapshot(at(ms)))
-    assert sorted(synchronised) == [str(path) for path in Series(tmp_path, "left").files()]
-    assert len(synchronised) == 3
 
 
 @pytest.mark.parametrize("how", ["removed", "moved", "replaced"])
@@ -281,17 +207,6 @@ def test_a_file_that_nobody_finds_any_more_is_said_once_and_another_begun(tmp_pa
     assert said == [(logging.WARNING, gone), (logging.INFO, f"recording goes on in {second}")]
 
 
-def test_a_file_of_a_recording_that_does_not_resume_is_not_said_to_stay_where_it_was_removed(tmp_path: Path) -> None:
-    said: list[tuple[int, str]] = []
-    with Recorder(Series(tmp_path, "left"), LEFT, log_line=log_to(said)) as recorder:
-        recorder.put(snapshot(at(0)))
-        wait_until(lambda: recorder.events == 1)
-        path = recorder.path
-        path.unlink()
-        wait_until(lambda: recorder.failure is not None)
-    assert said == [(logging.WARNING, f"{path} was removed, moved or replaced: nothing more is recorded")]
-
-
 def test_names_stay_in_order_where_the_clock_is_set_back(tmp_path: Path) -> None:
     back_ns = at(0).utc_less_monotonic_ns - 10**15
     begun = [at(0), HostTime(2 * 10**9, back_ns, 0), HostTime(3 * 10**9, back_ns, 0)]
@@ -299,15 +214,3 @@ def test_names_stay_in_order_where_the_clock_is_set_back(tmp_path: Path) -> None
         for now in begun:
             recorder.put(snapshot(now))
     assert [events[0].now for events in contents(tmp_path)] == begun
-
-
-def test_between_tries_there_is_a_pause(tmp_path: Path) -> None:
-    blocked = tmp_path / "disk"
-    blocked.touch()
-    with Recorder(Series(blocked, "left", resumes=True), LEFT, times=RecorderTimes(retry_s=3600.0)) as recorder:
-        blocked.unlink()
-        recorder.put(snapshot(at(1)))
-        recorder.put(Received(at(1), b"x"))
-        wait_until(lambda: recorder.counts.events_missing == 1)
-        assert recorder.failure is not None
-    assert not blocked.exists()

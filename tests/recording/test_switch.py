@@ -19,7 +19,7 @@ from resonator_daemon.conditions import Condition
 from resonator_daemon.errors import UserError
 from resonator_daemon.links.carriers.serial import SerialTarget
 from resonator_daemon.links.target import LinkTarget
-from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.plate import Plate
 from resonator_daemon.recording import recorder as recording
 from resonator_daemon.recording import switch as recording_switch
 from resonator_daemon.recording.file_series import Series
@@ -44,7 +44,6 @@ from simulators.emulator import Emulator, EmulatorOptions
 from simulators.faults import parse_faults
 from simulators.faults.script import Script
 
-SKIN = load_plate("skin32")
 SCHEMA = {"title": "Count", "type": "object", "properties": {"count": {"type": "integer"}}}
 ORIGIN = Origin(PLATE, "tcp://board:1")
 
@@ -79,13 +78,6 @@ def running_snapshot(folder: Path) -> SnapshotTaken:
     with emulated(options), Listener(link, PLATE, on_event=collect) as it:
         it.wait_for_frames(100)
     return snapshots[-1]
-
-
-def board_of(path: Path) -> str | None:
-    """The serial number of the board that a file says it is of; None where it says nothing."""
-    with path.open("rb") as file:
-        named = [metadata.metadata for metadata in make_reader(file).iter_metadata() if metadata.name == "board"]
-    return named[0]["serial_number"] if named else None
 
 
 def check_replay(live: list[Arrival], path: Path, plate: Plate = PLATE) -> list[Arrival]:
@@ -159,27 +151,6 @@ def test_a_recording_goes_on_through_a_hang_up(tmp_path: Path, fault: str) -> No
     assert states[0] == "online"
     assert "lost" in states[1:-1]
     assert states[:-1] == live[1 - len(states) :]
-
-
-def test_a_recording_begun_during_an_outage_goes_on_with_the_numbers(tmp_path: Path) -> None:
-    options, link = pseudo_terminal(tmp_path / "board", "unplug_at_s=0.8,unplug_for_s=1")
-    path = tmp_path / "run.mcap"
-    with emulated(options), listening(link) as (it, switch):
-        it.wait_for(lambda arrivals: any(isinstance(a, LinkChange) and a.state == "lost" for a in arrivals))
-        switch.start(path, Origin(PLATE, str(link)))
-        it.wait_for(lambda arrivals: bool(gaps(arrivals)))
-        wait_for_frames(it, 200)
-        switch.stop()
-        it.take_the_rest()
-    arrivals, counters, differences = replayed(path)
-    assert differences == 0
-    assert counters.connections >= 1
-    again = frames(arrivals)
-    (gap,) = gaps(arrivals)
-    assert gaps(it.arrivals) == [gap]
-    assert again[0].index == gap.first_index + gap.loss.total
-    live = {frame.index: frame for frame in frames(it.arrivals)}
-    assert all(same(frame, live[frame.index]) for frame in again)
 
 
 def test_one_recording_runs_at_a_time_and_no_file_is_overwritten(tmp_path: Path) -> None:
@@ -265,39 +236,6 @@ def test_what_is_kept_is_bounded_and_a_recording_begins_with_the_next_standing(t
     assert events == [Skipped(snapshot.now, 1, 7), snapshot, TimersRun(at(6), idle=True)]
 
 
-def test_what_is_kept_is_counted_anew_with_each_standing(tmp_path: Path) -> None:
-    snapshot = running_snapshot(tmp_path)
-    switch = RecordingSwitch(kept_bytes=15_500)
-    received = [Received(at(number), bytes(1_000)) for number in range(3)]
-    for _ in range(4):
-        switch.put(snapshot)
-        for event in received:
-            switch.put(event)
-    path = tmp_path / "run.mcap"
-    switch.start(path, ORIGIN)
-    summary = switch.stop()
-    assert summary is not None
-    assert (summary.events, summary.events_missing) == (4, 0)
-    assert read(path) == ([snapshot, *received], None)
-
-
-def test_a_file_names_the_board_that_sends_and_no_other(tmp_path: Path) -> None:
-    snapshot = running_snapshot(tmp_path)
-    away = snapshot._replace(snapshot=snapshot.snapshot._replace(running=None))
-    switch = RecordingSwitch()
-    board = BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False)
-    switch.name_board(board)
-    for name, before in (("nothing", Opened(at(0))), ("away", away), ("there", snapshot)):
-        switch.put(before)
-        switch.start(tmp_path / name, ORIGIN)
-        switch.stop()
-    assert {name: board_of(tmp_path / name) for name in ("nothing", "away", "there")} == {
-        "nothing": None,
-        "away": None,
-        "there": "T-1",
-    }
-
-
 def test_each_file_names_the_board_that_sends_and_has_the_last_states(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -353,23 +291,3 @@ def test_a_recording_goes_from_file_to_file_without_a_frame_twice_or_missing(tmp
     assert all(same(frame, by_index[frame.index]) for frame in seen)
     assert [frame.index for frame in seen] == [index for index in by_index if seen[0].index <= index <= seen[-1].index]
     assert len(seen) > 1200
-
-
-def test_counts_of_all_recordings_never_fall_while_one_is_closed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    switch = RecordingSwitch()
-    seen: list[tuple[int, int]] = []
-    close = Recorder.close
-
-    def look(recorder: Recorder) -> None:
-        seen.append((switch.totals.files, switch.totals.file_bytes))
-        close(recorder)
-
-    monkeypatch.setattr(Recorder, "close", look)
-    for number in (1, 2):
-        switch.start(tmp_path / f"{number}.mcap", ORIGIN)
-        assert switch.totals.files == number
-        switch.stop()
-        assert switch.totals.files == number
-    assert seen == [(1, 0), (2, 0)]

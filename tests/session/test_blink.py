@@ -10,7 +10,6 @@ from listener import Listener, check_indices, frames, gaps
 from recording_bench import PLATE, replayed
 
 from firmware_protocol.layouts import Capability
-from resonator_daemon.links.carriers.recording import RecordingTarget
 from resonator_daemon.links.carriers.serial import SerialTarget
 from resonator_daemon.recording.reader import Origin
 from resonator_daemon.recording.switch import RecordingSwitch
@@ -59,22 +58,6 @@ def test_a_board_blinks_and_counts_on(tmp_path: Path) -> None:
     assert {state for state, _ in it.states} == {"starting", "online"}
 
 
-def test_nobody_there_is_an_answer(tmp_path: Path) -> None:
-    with Listener(SerialTarget(str(tmp_path / "none"), 4000000)) as it:
-        assert answers_of(it, 1) == ["no board is connected"]
-    with Listener(RecordingTarget("none.mcap"), replay=lambda *_: None) as it:
-        assert answers_of(it, 1) == ["a recording has no board"]
-
-
-def test_a_board_that_cannot_says_so() -> None:
-    bench = online(capabilities=0)
-    bench.connection.blink(bench.host_time())
-    bench.run(10)
-    (refused,) = located(bench.arrivals)
-    assert refused is not None
-    assert "unknown message 0x07" in refused
-
-
 def test_a_request_that_is_lost_is_repeated(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     deafen(bench.board, monkeypatch)
     bench.connection.blink(bench.host_time())
@@ -101,16 +84,6 @@ def test_a_board_that_does_not_hear_is_an_answer_and_no_reason_to_stop(
     bench.check_indices()
     assert bench.gaps == []
     bench.run(1000)
-    assert len(located(bench.arrivals)) == 1
-
-
-def test_a_link_that_is_closed_before_the_answer_is_an_answer(bench: Bench) -> None:
-    bench.board.frozen = True
-    bench.connection.blink(bench.host_time())
-    bench.close()
-    assert located(bench.arrivals) == ["the link was closed before the board had answered"]
-    bench.open()
-    bench.close()
     assert len(located(bench.arrivals)) == 1
 
 

@@ -1,20 +1,17 @@
 """One opening of a link in simulated time: handshake, clock, silence, reboots."""
 
-from collections.abc import Iterable
 from dataclasses import replace
-from itertools import repeat
 
 import pytest
 from connection_bench import GATE_TICKS, IDENTITY, MS, Bench, SimulatedBoard, online
-from listener import check_indices
 
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.messages import BoardLog, Configuration, Identity, ResetCause
 from firmware_protocol.packets import encode_packet
 from resonator_daemon.conditions import Condition
 from resonator_daemon.links.link import LinkLostError
-from resonator_daemon.session.counters import FrameLoss, LinkCounters
-from resonator_daemon.session.frames import Arrival, BoardLogLine, BoardOnline, Gap, Outage
+from resonator_daemon.session.counters import FrameLoss
+from resonator_daemon.session.frames import BoardLogLine, BoardOnline, Outage
 
 
 def test_a_board_is_identified_configured_started_and_read() -> None:
@@ -40,38 +37,6 @@ def test_frames_carry_the_middle_of_their_gate() -> None:
         bound_ns = frame.gate_middle.uncertainty_ns
         assert abs(frame.gate_middle.monotonic_ns - middle_ns) <= bound_ns < GATE_TICKS // 5
         assert frame.gate_middle.utc_ns == frame.gate_middle.monotonic_ns + 10**18
-
-
-def cut_up(bench: Bench, cuts: Iterable[int]) -> list[Arrival]:
-    """Receive a second of frames, some of them lost or damaged, in pieces of these sizes; return what arrived."""
-    first = bench.frames[-1]
-    stream = b""
-    for number in range(1000):
-        frame = bench.board.session.frame(
-            first.index + 1 + number, first.board_ticks + (1 + number) * GATE_TICKS, bytes(176)
-        )
-        if number in (300, 301, 650):
-            frame = frame[:150] + b"?" + frame[151:]
-        if number not in (100, 651):
-            stream += frame
-    bench.now_ns += 1000 * MS
-    sizes, at = iter(cuts), 0
-    while at < len(stream):
-        size = next(sizes)
-        bench.connection.receive(stream[at : at + size], bench.host_time())
-        at += size
-    return bench.queue.pop_all()
-
-
-@pytest.mark.parametrize("size", [1, 203, 204, 1020, 7000])
-def test_pieces_of_any_size_make_the_same_frames_and_gaps(size: int) -> None:
-    whole, pieces = online(), online()
-    arrivals = cut_up(whole, repeat(10**6))
-    gaps = [arrival for arrival in arrivals if isinstance(arrival, Gap)]
-    assert [(gap.loss.link_gap, gap.loss.damaged) for gap in gaps] == [(1, 0), (0, 2), (1, 1)]
-    check_indices([*whole.arrivals, *arrivals])
-    assert cut_up(pieces, repeat(size)) == arrivals
-    assert pieces.counters == whole.counters
 
 
 def test_silence_is_noticed_asked_about_and_then_the_end() -> None:
@@ -108,20 +73,6 @@ def test_a_board_that_answers_pings_and_counts_nothing_is_asked_to_go_on() -> No
     assert sent
     bench.run(150)
     assert bench.board.session.started == 2
-
-
-def test_a_late_reader_does_not_call_the_board_silent() -> None:
-    bench = online()
-    said = len(bench.states)
-    data = b""
-    for _ in range(1000):  # half a second in which nobody reads
-        bench.now_ns += MS // 2
-        data += bench.board.step(b"", bench.now_ns)
-    bench.connection.receive(data, bench.host_time())
-    bench.connection.run_timers(bench.host_time(), idle=False)
-    bench.run(20)
-    assert len(bench.states) == said
-    assert bench.counters.lost.total == 0
 
 
 @pytest.mark.parametrize("idle", [True, False])
@@ -183,26 +134,6 @@ def test_a_flood_of_log_lines_is_cut_and_counted() -> None:
     assert sum(isinstance(arrival, BoardLogLine) for arrival in bench.arrivals) == 21
 
 
-def test_only_so_many_boots_are_remembered() -> None:
-    counters = LinkCounters()
-    for boot_id in (*range(20), 15):
-        counters.boot(boot_id).frames += 1
-    assert [(boot.boot_id, boot.frames) for boot in counters.boots] == [
-        *((boot_id, 1) for boot_id in (12, 13, 14, 16, 17, 18, 19)),
-        (15, 2),
-    ]
-
-
-def test_what_the_clock_set_aside_is_counted_beyond_its_boot() -> None:
-    bench = online()
-    assert bench.connection.clock is not None
-    bench.connection.clock.outliers, bench.connection.clock.restarts = 3, 2
-    bench.board.boot(8, bench.now_ns)
-    bench.run(500)
-    assert bench.states[-1][0] == "online"
-    assert (bench.counters.clock_outliers, bench.counters.clock_restarts) == (3, 2)
-
-
 def test_a_host_that_slept_asks_at_once_and_goes_on() -> None:
     bench = online()
     bench.run(5000)
@@ -259,17 +190,6 @@ def test_an_outage_with_the_same_boot_goes_on_where_it_was() -> None:
     assert outage.reason == "unplugged (Input/output error)"
     assert 1000 <= outage.frames_lost == bench.counters.lost.link_gap < 1100
     assert bench.counters.boots[0].connections == 2
-
-
-def test_the_counters_of_a_connection_are_kept_when_it_ends() -> None:
-    bench = online()
-    bench.connection.receive(b"\xa5\x5a\x01", bench.host_time())
-    before = bench.counters
-    bench.close()
-    after = bench.total
-    assert before.bytes_waiting == 3
-    assert (after.bytes_discarded, after.bytes_waiting) == (before.bytes_discarded + 3, 0)
-    assert after.bytes_received == before.bytes_received
 
 
 @pytest.mark.parametrize(

@@ -5,11 +5,10 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from connection_bench import DESCRIPTION, GATE_TICKS, IDENTITY, MS, PLATE, Bench, SimulatedBoard, board, online
+from connection_bench import DESCRIPTION, GATE_TICKS, IDENTITY, MS, PLATE, Bench, SimulatedBoard, online
 
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.messages import Configuration, encode_message
-from firmware_protocol.packets import encode_packet
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.session.compatibility import BoardRefusedError
 from resonator_daemon.session.frames import BoardOnline
@@ -73,13 +72,6 @@ def test_a_board_that_describes_itself_otherwise_than_before_is_refused(
         bench.run(200)
 
 
-def test_a_description_that_is_not_compatible_is_refused() -> None:
-    bench = Bench(board(channels=5))
-    with pytest.raises(BoardRefusedError, match="channels: the board describes 5, the plate file has 4"):
-        bench.run(200)
-    assert not bench.frames
-
-
 def test_a_plate_calibrated_with_another_board_is_refused() -> None:
     calibration = PLATE.calibration.model_copy(update={"unit": "RD-0042"})
     bench = Bench(SimulatedBoard(), plate=PLATE.model_copy(update={"calibration": calibration}))
@@ -141,10 +133,3 @@ def test_a_fault_of_the_board_is_its_own_words_and_waited_out() -> None:
         bench.run(200)
     bench.close()
     assert bench.states[-1] == ("stalled", "the board cannot count: the reference oscillator does not swing")
-
-
-def test_other_versions_are_refused_with_both_named() -> None:
-    bench = Bench(SimulatedBoard())
-    with pytest.raises(BoardRefusedError, match="the board speaks protocol 3, this daemon speaks 1") as refused:
-        bench.connection.receive(encode_packet(0x9F, 1, b"?", boot_id=7, major=3), bench.host_time())
-    assert refused.value.refused.other_protocol

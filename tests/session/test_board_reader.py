@@ -18,7 +18,6 @@ from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import load_plate
 from resonator_daemon.session.frames import (
     BoardOnline,
-    BoardRefused,
     ChannelisedFrame,
     LinkChange,
     ReaderFailed,
@@ -30,7 +29,6 @@ from simulators.faults import parse_faults
 
 pytestmark = pytest.mark.undisturbed
 
-QUARTZ = load_plate("quartz16")
 SKIN = load_plate("skin32")
 
 
@@ -71,29 +69,6 @@ def test_a_brown_out_within_a_channelised_frame_costs_that_frame() -> None:
     assert 9 <= counters.parts_lost <= 11  # of 20
     assert counters.lost.total < 200
     assert counters.messages_stale == 0
-
-
-def test_a_board_for_another_plate_is_refused(tmp_path: Path) -> None:
-    port = tmp_path / "board"
-    with emulated(EmulatorOptions("quartz16", pty=port)), Listener(SerialTarget(str(port), 4000000), SKIN) as it:
-        it.wait_for(lambda arrivals: any(isinstance(arrival, BoardRefused) for arrival in arrivals))
-    refused = next(arrival for arrival in it.arrivals if isinstance(arrival, BoardRefused))
-    assert refused.problems[0] == "plate: the board describes quartz16, the plate file has skin32"
-    assert any("single-tone" in problem and "channelised" in problem for problem in refused.problems)
-    assert it.states[-1][0] == "refused"
-    assert not frames(it.arrivals)
-
-
-def test_a_missing_port_is_waited_for(tmp_path: Path) -> None:
-    port = tmp_path / "board"
-    with Listener(SerialTarget(str(port), 4000000)) as it:
-        it.wait_for(lambda arrivals: len(arrivals) > 1)
-        assert it.states[0] == ("starting", "the link is being opened")
-        state, reason = it.states[1]
-        assert state == "waiting"
-        assert reason.startswith(f"no port {port}; ")
-        with emulated(EmulatorOptions("quartz16", pty=port)):
-            it.wait_for_frames(10)
 
 
 def test_ticks_that_the_board_cannot_have_reached_are_no_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

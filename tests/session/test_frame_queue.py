@@ -61,15 +61,6 @@ def test_gaps_that_adjoin_become_one() -> None:
     assert queue.pop_all() == [Gap(0, FrameLoss(damaged=4, ring_overflow=3)), frame(7), frame(8)]
 
 
-def test_gaps_apart_stay_apart() -> None:
-    queue = FrameQueue(2 * FRAME_BYTES, lambda: None)
-    queue.put_frames([frame(0)])
-    queue.put_frames([frame(5)])
-    for index in range(6, 8):
-        queue.put_frames([frame(index)])
-    assert queue.pop_all()[:2] == [Gap(0, FrameLoss(ring_overflow=1)), Gap(5, FrameLoss(ring_overflow=1))]
-
-
 def fresh_single_tone(index: int) -> SingleToneFrame:
     """Return a frame that shares no object with another, as those from the link."""
     big = 2**40 + index

@@ -53,11 +53,6 @@ def test_what_is_lost_is_asked_again(lost: set[int]) -> None:
     assert not found.counting
 
 
-def test_a_board_that_cannot_blink_says_so() -> None:
-    assert "unknown message 0x07" in str(probe(LossyLink(set(), capabilities=0), blink=True).refused_to_blink)
-    assert probe(LossyLink(set(), capabilities=0)).refused_to_blink is None
-
-
 def test_the_rate_is_that_between_the_quickest_exchanges_of_both_halves() -> None:
     exchanges = [
         Exchange(0, 0, 9_000),  # slow
@@ -70,11 +65,6 @@ def test_the_rate_is_that_between_the_quickest_exchanges_of_both_halves() -> Non
     elapsed_ns = 101_000_700 - 1_000_500
     assert rate.deviation_ppm == pytest.approx((101_010_700 - 1_000_600) / elapsed_ns * 1e6 - 1e6)
     assert rate.uncertainty_ppm == pytest.approx((1_000 + 1_400) / 2 / elapsed_ns * 1e6)
-
-
-@pytest.mark.parametrize("exchanges", [[], [Exchange(0, 0, 1)], [Exchange(0, 0, 1)] * 2])
-def test_too_few_exchanges_give_no_rate(exchanges: list[Exchange]) -> None:
-    assert tick_rate(exchanges, 10**12) is None
 
 
 def test_a_rate_is_plausible_within_its_bound_and_what_a_running_daemon_allows() -> None:

@@ -77,6 +77,29 @@ def test_oscillator_noise_is_common_to_the_corners_of_a_site_and_has_the_slope_o
     assert np.abs(correlation[0::2, 1::2]).max() < 0.1
 
 
+def test_a_warm_finger_shifts_its_site_and_a_temperature_tone_tells_how_warm_that_is() -> None:
+    content = PLATE.model_dump(mode="json", exclude_none=True)
+    for index, site in enumerate(content["sites"]):
+        site["tones"].append({"signal": "temperature", "sensitivity": [9e-6] * 4})
+        for number, tone in enumerate(site["tones"]):
+            tone["f0_hz"] = [9.9e6 + 4000.0 * (2 * index + number)] * 4
+    warm_plate = Plate.model_validate(content)
+    plate = emulated(
+        steady(1.0, site=7, kelvin=308.15), plate=warm_plate, temperature_coefficient=-1e-6, sensitivity_scatter=0.0
+    )
+    plate.count(0, 0, 2 * 10**7, 200)  # 16 s: three time constants
+    fields = count(plate, 20, at_s=16.0)
+    hz = frequency_hz(plate, fields).mean(axis=0)
+    f0_hz, index = warm_plate.tones.f0_hz.T, INDEX[7]
+    warmer = 10.0 * (1 - np.exp(-16.05 / 5))
+    assert hz[:, 2 * index + 1] / f0_hz[:, 2 * index + 1] - 1 == pytest.approx(np.full(4, 9e-6 * warmer), rel=1e-3)
+    force = (1 - f0_hz[:, 2 * index] / hz[:, 2 * index]) / warm_plate.tones.sensitivity[2 * index]
+    expected = 1.0 - 1e-6 * warmer / warm_plate.tones.sensitivity[2 * index, 0]
+    assert force == pytest.approx(np.full(4, expected), abs=2e-3)
+    others = [tone for tone in range(1, 32, 2) if tone != 2 * index + 1]
+    assert hz[:, others] == pytest.approx(f0_hz[:, others], abs=0.1)
+
+
 def test_plates_without_channelised_force_sites_are_refused() -> None:
     with pytest.raises(ValueError, match="quartz16 has a single-tone counter"):
         CombPlate(QUARTZ, Scenario((), None, QUARTZ), 1)
