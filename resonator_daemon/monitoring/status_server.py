@@ -73,13 +73,15 @@ class StatusServer:
         loop = asyncio.get_running_loop()
         answered = 0
         while True:
-            try:
-                async with asyncio.timeout(self._times.check_s):
-                    client, _ = await loop.sock_accept(listening.own)
-            except TimeoutError:
+            if not await _connecting(listening.own, self._times.check_s):
                 if not listening.in_place():
                     return
                 continue
+            try:
+                client, _ = listening.own.accept()
+            except BlockingIOError:  # it has left already
+                continue
+            client.setblocking(False)
             with client:
                 self._log_change(None)
                 with contextlib.suppress(OSError):  # TimeoutError is one: a client that does not read is left
@@ -132,6 +134,22 @@ class _Listening(NamedTuple):
 
     def in_place(self) -> bool:
         return all(_identity(path) == made for path, made in self.files.items())
+
+
+async def _connecting(listening: socket.socket, limit_s: float) -> bool:
+    """Return whether a client connects within a time; a limit on `sock_accept` would lose one that comes at its end."""
+    loop = asyncio.get_running_loop()
+    connecting: asyncio.Future[None] = loop.create_future()
+
+    def connects() -> None:
+        if not connecting.done():
+            connecting.set_result(None)
+
+    loop.add_reader(listening, connects)
+    try:
+        return bool((await asyncio.wait([connecting], timeout=limit_s))[0])
+    finally:
+        loop.remove_reader(listening)
 
 
 def _identity(path: Path) -> tuple[int, int] | None:

@@ -181,7 +181,6 @@ async def test_a_thousand_at_once_all_have_their_answer_and_few_are_made(path: P
     assert made <= 10 * took_s + 2
 
 
-@pytest.mark.undisturbed
 @pytest.mark.parametrize("lost", ["directory", "socket", "lock"])
 async def test_a_socket_or_lock_that_is_removed_is_made_again_and_said_once(
     path: Path, caplog: pytest.LogCaptureFixture, lost: str
