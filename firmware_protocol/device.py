@@ -1,9 +1,11 @@
 """The board's side of a session: answers to requests and packing of frames (PROTOCOL.md, sections 4, 6 and 7)."""
 
+import re
 from itertools import count
 
 from firmware_protocol.layouts import (
     BLOCK_STRUCT,
+    CHANNEL_COUNT,
     FROM_BOARD,
     PROTOCOL_MAJOR,
     TONE_STRUCT,
@@ -37,7 +39,9 @@ from firmware_protocol.packets import (
 from firmware_protocol.states import BOARD, BoardState, Reaction
 
 MAX_TONES_PER_PART = (MAX_PAYLOAD_BYTES - BLOCK_STRUCT.size) // TONE_STRUCT.size
+MAX_TONES = 255 // CHANNEL_COUNT * MAX_TONES_PER_PART  # on each channel: a frame has at most 255 parts
 PING_BYTES = 8
+SERIAL_NUMBER = re.compile("[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
 
 
 class DeviceSession:
@@ -49,12 +53,19 @@ class DeviceSession:
     Raises
     ------
     ValueError
-        If the identity promises less credit than every board gives.
+        If the identity promises less credit than every board gives, or its serial number has other characters than
+        PROTOCOL.md permits; if the description has gates of 2^32 ticks, or more tones than a frame carries.
     """
 
     def __init__(self, identity: Identity, description: Description, boot_id: int) -> None:
         if identity.credit_bytes < LEAST_CREDIT_BYTES:
             raise ValueError(f"credit_bytes must be at least {LEAST_CREDIT_BYTES}, got {identity.credit_bytes}")
+        if not SERIAL_NUMBER.fullmatch(identity.serial_number):
+            raise ValueError(f"serial_number must match {SERIAL_NUMBER.pattern}, got {identity.serial_number!r}")
+        if not 0 < description.gate_ticks_max < 1 << 32:
+            raise ValueError(f"gate_ticks_max must be 1 to 2^32 - 1, got {description.gate_ticks_max}")
+        if description.tones > MAX_TONES:
+            raise ValueError(f"tones must be at most {MAX_TONES}, got {description.tones}")
         self._identity = identity
         self._description = description
         self._boot_id = boot_id

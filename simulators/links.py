@@ -1,13 +1,16 @@
 """Links of an emulated board: a pseudo-terminal behind a stable name, and a TCP listener. Nothing here ever blocks."""
 
 import os
+import select
 import socket
+import time
 import tty
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
 _READ_BYTES = 65536
+_VANISHED_S = 10.0  # of a client that sends nothing: it gives way to another (PROTOCOL.md, section 5)
 
 
 class Link(Protocol):
@@ -127,14 +130,18 @@ class PtyLink:
 class TcpLink:
     """A listener that serves one client at a time and turns others away; port 0 picks one.
 
+    A client that has sent nothing for 10 s of `clock` (seconds) gives way to another.
+
     Raises
     ------
     OSError
         The address cannot be listened on.
     """
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, clock: Callable[[], float] = time.monotonic) -> None:
         self._host, self._port = host, port
+        self._clock = clock
+        self._received_s = 0.0  # when the client last sent something, or connected
         self.read_fds: Sequence[int] = ()
         self.write_fd: int | None = None
         self._listener: socket.socket | None = None
@@ -150,10 +157,12 @@ class TcpLink:
         """Return what the client has sent, b"" if nothing; accepts and drops clients. A second one is refused."""
         if self._client is None:
             self._client = self._accept()
+            self._received_s = self._clock()
             self._list_descriptors()
             return b""
         try:
             if data := self._client.recv(_READ_BYTES):
+                self._received_s = self._clock()
                 self._turn_away()
                 return data
         except BlockingIOError:
@@ -165,7 +174,10 @@ class TcpLink:
         return b""
 
     def _turn_away(self) -> None:
-        if (second := self._accept()) is not None:
+        if self._clock() - self._received_s >= _VANISHED_S and self._listener is not None:
+            if select.select([self._listener], [], [], 0)[0]:
+                self._drop_client()  # what is queued for it is lost; the other one is accepted by the next read
+        elif (second := self._accept()) is not None:
             second.close()
 
     def write(self, data: bytes | memoryview) -> int:

@@ -192,13 +192,30 @@ static uint32_t longest_packet_bytes(const struct resonator_board *board)
     return RESONATOR_OVERHEAD_BYTES + (frame_bytes > longest ? frame_bytes : longest);
 }
 
+/* It becomes a level of MQTT topics: letters, digits, and -, _ or . behind the first. */
+static bool serial_number_is_sound(const char *text)
+{
+    uint32_t size = 0;
+    for (; text[size] != 0; size++) {
+        char small = (char)(text[size] | 0x20);
+        bool letter = small >= 'a' && small <= 'z';
+        bool digit = text[size] >= '0' && text[size] <= '9';
+        bool mark = text[size] == '-' || text[size] == '_' || text[size] == '.';
+        if (!letter && !digit && !(mark && size > 0)) {
+            return false;
+        }
+    }
+    return size > 0 && size <= RESONATOR_MAX_SERIAL_NUMBER;
+}
+
 bool resonator_init(struct resonator_board *board, const struct resonator_identity *identity,
                     const struct resonator_description *description, uint32_t boot_id,
                     const struct resonator_memory *memory)
 {
     if (boot_id == 0 || memory->input_bytes < RESONATOR_MIN_INPUT_BYTES ||
         memory->input_bytes > RESONATOR_MAX_PACKET_BYTES || memory->chunk_count == RESONATOR_NO_CHUNK ||
-        description->gate_ticks_step == 0) {
+        description->gate_ticks_step == 0 || description->gate_ticks_max > UINT32_MAX ||
+        description->tones > RESONATOR_MAX_TONES || !serial_number_is_sound(identity->serial_number)) {
         return false;
     }
     resonator_decoder_init(&board->decoder, 0, memory->input, memory->input_bytes);

@@ -18,6 +18,8 @@
 #define RESONATOR_TONE_BYTES 12
 #define RESONATOR_PART_HEAD_BYTES 8
 #define RESONATOR_MAX_TONES_PER_PART 744
+#define RESONATOR_MAX_TONES 46872 /* on each channel */
+#define RESONATOR_MAX_SERIAL_NUMBER 63
 #define RESONATOR_MIN_INPUT_BYTES 64
 
 enum resonator_state { RESONATOR_IDLE = 0, RESONATOR_CONFIGURED = 1, RESONATOR_RUNNING = 2 };
@@ -65,7 +67,7 @@ struct resonator_description {
     uint16_t tones; /* single-tone: 1 */
     uint64_t reference_millihertz;
     uint64_t gate_ticks_min;
-    uint64_t gate_ticks_max;
+    uint64_t gate_ticks_max; /* below 2^32 */
     uint64_t gate_ticks_step; /* gates are multiples of it; at least 1 */
     const char *plate;
     uint64_t oscillator_millihertz; /* channelised only, else 0 */
@@ -154,7 +156,8 @@ struct resonator_board {
 /* Makes a board idle with empty queues. `identity` and `description` are kept by reference.
    False, and the board must not be used: boot_id 0, fewer than RESONATOR_MIN_INPUT_BYTES or more than
    RESONATOR_MAX_PACKET_BYTES of input, more than 65534 chunks or too few for the longest packet of this board
-   (a frame, a full part of one, IDENTITY or DESCRIPTION), gate_ticks_step 0. */
+   (a frame, a full part of one, IDENTITY or DESCRIPTION), gate_ticks_step 0, gate_ticks_max of 2^32 or more, too many
+   tones, a serial number with other characters than PROTOCOL.md permits. */
 bool resonator_init(struct resonator_board *board, const struct resonator_identity *identity,
                     const struct resonator_description *description, uint32_t boot_id,
                     const struct resonator_memory *memory);

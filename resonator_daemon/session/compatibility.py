@@ -13,6 +13,7 @@ from resonator_daemon.session.frames import BoardRefused
 
 _KINDS = {CounterKind.SINGLE_TONE: "single-tone", CounterKind.CHANNELISED: "channelised"}
 _REFERENCE_TOLERANCE = 1e-6  # nominal against nominal: both are written down, not measured
+_GATE_TICKS_LIMIT = 1 << 32  # times within a record have 32 bits
 _OFFSET_LIMIT_HZ = 32_767.0  # offset_hz16 reaches no further
 
 
@@ -56,6 +57,10 @@ def incompatibilities(description: Description, plate: Plate) -> tuple[str, ...]
     if description.gate_ticks_min > description.gate_ticks_max:
         low, high = description.gate_ticks_min, description.gate_ticks_max
         found.append(f"gate: the board describes at least {low} and at most {high} ticks, which no gate can be")
+    if description.gate_ticks_max >= _GATE_TICKS_LIMIT:
+        found.append(
+            f"gate: the board describes up to {description.gate_ticks_max} ticks, a record has room for 2^32 - 1"
+        )
     if description.gate_ticks_step < 1:
         found.append("gate: the board describes multiples of 0 ticks, which no gate can be")
     if found:

@@ -33,9 +33,8 @@ from resonator_daemon.session.pings import Pings
 _MS = 1_000_000
 _S = 1_000_000_000
 _ASK_AGAIN_NS = 300 * _MS
-_HANDSHAKE_NS = 3 * _S
 _SILENCE_FRAMES, _SILENCE_NS = 3, 50 * _MS
-_REOPEN_NS = 1 * _S  # of silence beyond what was noticed
+_GIVE_UP_NS = 3 * _S  # from when a board is first asked, or called silent, till the link is opened anew
 _STUCK_NS = 500 * _MS  # of bytes without a frame among them
 _SLEPT_NS = 50 * _MS
 _UNANSWERED_NS = 10 * _S  # without an answer, though frames come
@@ -194,7 +193,7 @@ class Connection:
             if now_ns - self._answered_ns > _UNANSWERED_NS and not self._unanswered and self._state.online:
                 self._unanswered = True
                 self._announce_online()
-        elif now_ns - self._opened_ns > _HANDSHAKE_NS:
+        elif now_ns - self._opened_ns > _GIVE_UP_NS:
             received = self._session.bytes.received
             received_text = f"{received} bytes came and no answer" if received else "not a byte came"
             remedy = "is it a board of this kind, and the baud rate right?"
@@ -219,7 +218,7 @@ class Connection:
             dues.append(self._next_ping_ns)
         if self._counting:
             noticed_ns = self._receiver.last_frame_ns + self._silence_ns + 1
-            dues.append(noticed_ns + _REOPEN_NS if self._state.state is Condition.STALLED else noticed_ns)
+            dues.append(noticed_ns + _GIVE_UP_NS if self._state.state is Condition.STALLED else noticed_ns)
         return min(dues)
 
     def request_stop(self) -> None:
@@ -416,7 +415,7 @@ class Connection:
 
     def _watch_silence(self, now_ns: int) -> None:
         silent_ns = now_ns - self._receiver.last_frame_ns
-        if silent_ns > self._silence_ns + _REOPEN_NS:
+        if silent_ns > self._silence_ns + _GIVE_UP_NS:
             raise LinkLostError(f"the board was silent for {silent_ns * 1e-9:.1f} s")
         if silent_ns > self._silence_ns and self._state.state is not Condition.STALLED:
             self._announce(Condition.STALLED, "the port is open and no frame comes")

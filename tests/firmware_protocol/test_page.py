@@ -2,10 +2,12 @@
 
 import re
 from collections.abc import Iterable
+from dataclasses import replace
 from enum import IntEnum
 from pathlib import Path
 
 import pytest
+from c_reference import board_command, run_commands
 
 from firmware_protocol import messages
 from firmware_protocol.device import DeviceSession
@@ -41,6 +43,7 @@ from firmware_protocol.messages import (
 )
 from firmware_protocol.packets import encode_packet
 from firmware_protocol.states import BOARD, HOST, BoardState, Cue, HostState
+from resonator_daemon.config.tables import plate_name
 
 PAGE = Path(messages.__file__).with_name("PROTOCOL.md").read_text()
 
@@ -234,3 +237,65 @@ def test_examples_are_what_the_code_sends() -> None:
         printed[last] = printed.get(last, b"") + bytes.fromhex(data)
     assert printed == examples()
     assert set(printed) == {member.name for member in MessageType}
+
+
+@pytest.mark.parametrize(
+    ("serial_number", "sound"),
+    [
+        ("RD-0042", True),
+        ("0", True),
+        ("a_b.c-9", True),
+        ("x" * 63, True),
+        ("x" * 64, False),
+        ("", False),
+        (".", False),
+        ("-1", False),
+        ("a/b", False),
+        ("a b", False),
+        ("a+", False),
+        ("é", False),
+        ("[", False),
+        ("a@", False),
+    ],
+)
+def test_serial_numbers(serial_number: str, sound: bool) -> None:
+    identity = Identity("demo", serial_number, "1.0", 0, 64)
+    assert made_in_python(identity, DESCRIPTION) is sound
+    assert made_in_c(identity, DESCRIPTION) is sound
+    if sound:
+        assert plate_name(serial_number) == serial_number  # the daemon uses it as a level of topics
+
+
+@pytest.mark.parametrize(
+    ("changes", "sound"),
+    [
+        ({"gate_ticks_max": 2**32 - 1}, True),
+        ({"gate_ticks_max": 2**32}, False),
+        ({"counter_kind": 1, "tones": 46_872}, True),
+        ({"counter_kind": 1, "tones": 46_873}, False),
+    ],
+)
+def test_limits_of_a_description(changes: dict[str, int], sound: bool) -> None:
+    identity = Identity("demo", "0042", "1.0", 0, 64)
+    description = replace(DESCRIPTION, **changes)  # type: ignore[arg-type]
+    assert made_in_python(identity, description) is sound
+    assert made_in_c(identity, description) is sound
+
+
+def test_the_longest_frame_has_63_parts_on_each_channel() -> None:
+    device = DeviceSession(Identity("demo", "0042", "1.0", 0), DESCRIPTION, BOOT)
+    parts = device.frame_parts(0, 0, [bytes(12 * 46_872)] * 4)
+    assert len(parts) == 4 * 63
+    assert max(map(len, parts)) == 8964
+
+
+def made_in_python(identity: Identity, description: Description) -> bool:
+    try:
+        DeviceSession(identity, description, BOOT)
+    except ValueError:
+        return False
+    return True
+
+
+def made_in_c(identity: Identity, description: Description) -> bool:
+    return run_commands([board_command(identity, description, BOOT)]) == ["ok"]

@@ -79,6 +79,19 @@ def test_where_no_channel_has_a_strongest_tone_no_site_is_named():
     assert "no tone is the strongest for long: channel 0: capture_switch" in crowded[-1].reason
 
 
+def test_a_board_whose_stamps_do_not_run_on_from_gate_to_gate_gives_no_force():
+    bench = Bench().untouched()
+    readings = bench.hold(PLATE.loaded_hz(3, 2.0), 200, (int(RecordFlag.STRIDE_BREAK),) * 4)
+    assert all(reading.sites == () for reading in readings[1:])
+
+
+def test_a_board_that_measures_no_level_gives_the_same_forces():
+    site_hz = PLATE.loaded_hz(3, 2.0)
+    measured = heard(level_db=PILOT_DB - 20.0).hold(site_hz, 60)[-1]
+    constant = heard(level_db=PILOT_DB).hold(site_hz, 60)[-1]
+    assert [force.force_newton for force in constant.sites] == [force.force_newton for force in measured.sites]
+
+
 @pytest.mark.parametrize("odd", range(4))
 def test_one_channel_that_another_tone_has_captured_is_left_out(odd):
     bench = Bench().untouched()

@@ -8,10 +8,12 @@ from connection_bench import GATE_TICKS, IDENTITY, MS, Bench, SimulatedBoard, on
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.messages import BoardLog, Configuration, Identity, ResetCause
 from firmware_protocol.packets import encode_packet
+from firmware_protocol.states import BoardState
 from resonator_daemon.conditions import Condition
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.session.counters import FrameLoss
 from resonator_daemon.session.frames import BoardLogLine, BoardOnline, Outage
+from simulators.faults.byte_faults import packets_in
 
 
 def test_a_board_is_identified_configured_started_and_read() -> None:
@@ -46,8 +48,34 @@ def test_silence_is_noticed_asked_about_and_then_the_end() -> None:
     assert bench.states[-1][0] == "online"
     bench.run(3)
     assert bench.states[-1] == ("stalled", "the port is open and no frame comes")
-    with pytest.raises(LinkLostError, match=r"silent for 1\.1 s"):
-        bench.run(2000)
+    bench.run(2990)  # as a board that erases flash
+    with pytest.raises(LinkLostError, match=r"silent for 3\.1 s"):
+        bench.run(20)
+
+
+def test_a_board_that_is_deaf_and_mute_for_two_and_a_half_seconds_goes_on_in_its_run() -> None:
+    bench = online()
+    bench.board.frozen = True
+    bench.run(2500)
+    bench.board.frozen = False
+    bench.board.skip_gates(bench.now_ns)
+    bench.run(300)
+    assert [state for state, _ in bench.states[-2:]] == ["stalled", "online"]
+    assert bench.board.session.started == 1
+    (gap,) = bench.gaps
+    assert gap.loss.total == pytest.approx(2500, abs=1)
+    bench.check_indices()
+
+
+def test_a_board_that_answers_no_ping_is_never_configured() -> None:
+    bench = Bench(SimulatedBoard())
+    bench.board.slip_answer = lambda answers: b"".join(
+        answer for answer in packets_in(answers) if answer[3] != MessageType.PONG
+    )
+    with pytest.raises(LinkLostError):
+        bench.run(4000)
+    assert bench.board.session.state is BoardState.IDLE
+    assert bench.board.session.counts.accepted > 0
 
 
 def test_a_board_that_was_only_late_is_online_again_with_its_outage_told() -> None:

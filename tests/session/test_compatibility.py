@@ -50,6 +50,7 @@ def test_oscillators_lie_on_a_comb() -> None:
         ({"reference_millihertz": 0}, ("reference_hz", "describes 0.0")),
         ({"gate_ticks_min": 10, "gate_ticks_max": 9}, ("gate", "at least 10 and at most 9")),
         ({"gate_ticks_min": 0, "gate_ticks_max": 0}, ("frame rate",)),
+        ({"gate_ticks_max": 2**32}, ("gate", "up to 4294967296 ticks")),
         ({"gate_ticks_step": 300_000}, ("frame rate", "300000", "1000000")),
         ({"gate_ticks_step": 0}, ("gate", "multiples of 0 ticks")),
     ],

@@ -107,6 +107,28 @@ def test_a_second_client_is_turned_away_and_the_first_stays(tcp: TcpLink) -> Non
         assert first.recv(2) == b"on"
 
 
+def test_a_client_that_vanished_gives_way_to_another() -> None:
+    now = [100.0]
+    link = TcpLink("127.0.0.1", 0, clock=lambda: now[0])
+    host, port = link.address.removeprefix("tcp://").rsplit(":", 1)
+    with connect(link) as first, ExitStack() as stack:
+        first.sendall(b"a")
+        assert select.select(link.read_fds[1:], [], [], WAIT_S)[0]
+        assert link.read() == b"a"
+        for silent_s, served in ((9.9, False), (0.2, True)):
+            now[0] += silent_s
+            second = stack.enter_context(socket.create_connection((host, int(port)), timeout=WAIT_S))
+            assert select.select(link.read_fds, [], [], WAIT_S)[0]
+            assert link.read() == b""
+            assert (link.write_fd is None) is served  # in between nobody is: what was queued ends with the first
+            if not served:
+                assert second.recv(1) == b""
+        link.read()
+        link.write(b"on")
+        assert (first.recv(1), second.recv(2)) == (b"", b"on")
+    link.close()
+
+
 def test_a_listener_that_hangs_up_refuses_until_it_is_back_on_its_port(tcp: TcpLink) -> None:
     address = tcp.address
     with connect(tcp) as client:

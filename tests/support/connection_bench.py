@@ -46,6 +46,7 @@ class SimulatedBoard:
         self.frozen = False  # nor anything else
         self.jump_ticks = 0
         self.slip: Callable[[bytes], bytes] = bytes
+        self.slip_answer: Callable[[bytes], bytes] = bytes
         self.boot(boot_id, 0)
 
     def boot(self, boot_id: int, now_ns: int) -> None:
@@ -68,7 +69,13 @@ class SimulatedBoard:
         if self.session.started != self._runs:
             self._runs = self.session.started
             self._gate_end, self._sequence = self.ticks(now_ns), 0
-        return out + answers
+        return out + self.slip_answer(answers)
+
+    def skip_gates(self, now_ns: int) -> None:
+        """Count the gates that have closed by now without sending their frames."""
+        silent, self.silent = self.silent, True
+        self._frames(now_ns)
+        self.silent = silent
 
     def _frames(self, now_ns: int) -> bytes:
         out = b""
