@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from firmware_protocol.layouts import SingleToneRecord
 from resonator_daemon.tones.frequency_estimators import Sums, frequency_hz, merge_adjacent
 from resonator_daemon.tones.gate_block import GateBlock
 from resonator_daemon.tones.record_checks import Gate
+
+_ATTENUATION: Final = SingleToneRecord._fields.index("attenuation_db256")
 
 
 class Column(NamedTuple):
@@ -29,7 +31,7 @@ class FewGates(GateBlock):
         columns: Sequence[Column],
         most: int,
         faults: list[list[int]],
-        records: Sequence[SingleToneRecord],
+        records: Sequence[tuple[int, ...]],
         reference_hz: float,
     ) -> None:
         self._columns = columns
@@ -48,19 +50,19 @@ class FewGates(GateBlock):
     def other_tones(self, pilot_hz: float, tolerance: float) -> list[list[bool]]:
         low, high = -tolerance, tolerance
         off = [
-            [not low < gate.frequency_hz / pilot_hz - 1.0 < high for gate in gates[before:]]
+            [not low < hertz / pilot_hz - 1.0 < high for _, hertz, _ in gates[before:]]
             for gates, before, _ in self._columns
         ]
         return [list(row) for row in zip(*off, strict=True)] if any(map(any, off)) else []
 
     def attenuation_db(self, gate: int) -> list[float]:
         channels = len(self._columns)
-        return [record.attenuation_db256 / 256.0 for record in self._records[gate * channels : (gate + 1) * channels]]
+        return [record[_ATTENUATION] / 256.0 for record in self._records[gate * channels : (gate + 1) * channels]]
 
     def last(self, gate: int, frames: int) -> tuple[list[list[float]], list[list[float]]]:
         held = [gates[max(before + gate + 1 - frames, 0) : before + gate + 1] for gates, before, _ in self._columns]
-        return [[one.frequency_hz for one in gates] for gates in held], [
-            [one.residual_ticks2 for one in gates] for gates in held
+        return [[hertz for _, hertz, _ in gates] for gates in held], [
+            [residual_ticks2 for _, _, residual_ticks2 in gates] for gates in held
         ]
 
     def windows(self, gates: Sequence[int], frames: Sequence[int]) -> "_FewWindows":
@@ -86,6 +88,6 @@ class _FewWindows:
             for gates, before, firsts in self._columns:
                 end = before + gate + 1
                 held = end - firsts[gate] >= count
-                sums.append(merge_adjacent([one.sums for one in gates[end - count : end]]) if held else None)
+                sums.append(merge_adjacent([sums for sums, _, _ in gates[end - count : end]]) if held else None)
             self._added = window, sums
         return self._added[1]

@@ -54,7 +54,11 @@ class Sums(NamedTuple):
         return cls(*record[:8], record.stamps - 2)
 
 
-def continues(earlier: Sums, later: Sums) -> bool:
+PlainSums = tuple[int, int, int, int, int, int, int, int, int]
+"""The fields of `Sums` without its class: made in half the time, thousands a second."""
+
+
+def continues(earlier: PlainSums, later: PlainSums) -> bool:
     """Return whether the stamps of `later` continue those of `earlier` without a missing or an extra one."""
     first_edge, first_ticks, stamps, stride_edges, span_ticks, _, _, _, _ = earlier
     next_edge, next_ticks, _, next_stride_edges, _, _, _, _, _ = later
@@ -82,7 +86,7 @@ def merge(parts: Iterable[Sums]) -> Sums:
     return merge_adjacent(checked)
 
 
-def merge_adjacent(parts: Iterable[Sums]) -> Sums:
+def merge_adjacent(parts: Iterable[PlainSums]) -> Sums:
     """Merge parts that are known to be adjacent."""
     rest = iter(parts)
     first_edge, first_ticks, stamps, stride_edges, span, s1, s2, q2, differences = next(rest)

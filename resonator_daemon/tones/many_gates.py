@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 from resonator_daemon.arrays import Floats, Integers
 from resonator_daemon.tones.frequency_estimators import FREQUENCY_JUMP, WRAP_MASK, Sums
 from resonator_daemon.tones.gate_block import GateBlock
-from resonator_daemon.tones.other_tones import end_residual_ticks2
 from resonator_daemon.tones.record_checks import Gate
 
 _EXACT_IN_64_BITS: Final = 2.0**62  # N^2 T, in which 6 (2 S2 - (N - 1) S1) has room, whatever wraps on the way
@@ -20,13 +18,13 @@ _EXACT_IN_64_BITS: Final = 2.0**62  # N^2 T, in which 6 (2 S2 - (N - 1) S1) has 
 def as_arrays(gates: Sequence[Sequence[Gate]], rows: int) -> tuple[Integers, Floats]:
     """Return the gates of each channel as the last rows of arrays: sums (8, rows, channels), lines (2, rows, channels).
 
-    The lines are frequency and slope. Rows of gates that are not there are zero.
+    The lines are frequency and residual. Rows of gates that are not there are zero.
     """
     sums, lines = np.zeros((8, rows, len(gates)), np.int64), np.zeros((2, rows, len(gates)))
     for channel, column in enumerate(gates):
         if column:
-            sums[:, -len(column) :, channel] = np.array([gate.sums[:8] for gate in column]).T
-            lines[:, -len(column) :, channel] = np.array([gate[1:3] for gate in column]).T
+            sums[:, -len(column) :, channel] = np.array([counts[:8] for counts, _, _ in column]).T
+            lines[:, -len(column) :, channel] = np.array([line for _, *line in column]).T
     return sums, lines
 
 
@@ -56,7 +54,7 @@ class ManyGates(GateBlock):
     sums
         (8, before + n, channels), as of `Gates`.
     lines
-        (2, before + n, channels): frequency and slope.
+        (2, before + n, channels): frequency and residual.
     fault
         (n, channels).
     held
@@ -87,12 +85,8 @@ class ManyGates(GateBlock):
     def gates_held(self, channel: int, count: int) -> list[Gate]:
         """Return the last `count` gates of a channel."""
         start = self._sums.shape[1] - count
-        sums, (hertz, slopes) = self._sums[:, start:, channel].T.tolist(), self._lines[:, start:, channel].tolist()
-        residuals = self._residual_ticks2[start:, channel].tolist()
-        return [
-            Gate(Sums._make((*fields, fields[2] - 2)), frequency, slope, residual_ticks2)
-            for fields, frequency, slope, residual_ticks2 in zip(sums, hertz, slopes, residuals, strict=True)
-        ]
+        sums, lines = self._sums[:, start:, channel].T.tolist(), self._lines[:, start:, channel].tolist()
+        return [((*fields, fields[2] - 2), *line) for fields, *line in zip(sums, *lines, strict=True)]
 
     def other_tones(self, pilot_hz: float, tolerance: float) -> list[list[bool]]:
         off = np.abs(self._lines[0, self._before :] / pilot_hz - 1.0) >= tolerance
@@ -104,13 +98,8 @@ class ManyGates(GateBlock):
 
     def last(self, gate: int, frames: int) -> tuple[list[list[float]], list[list[float]]]:
         end = self._before + gate + 1
-        return self._lines[0, end - frames : end].T.tolist(), self._residual_ticks2[end - frames : end].T.tolist()
-
-    @cached_property
-    def _residual_ticks2(self) -> Floats:
-        _, _, stamps, _, span, s1, _, _ = self._sums.astype(np.float64)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return end_residual_ticks2(stamps, span, s1, self._lines[1])
+        hertz, residuals = self._lines[:, end - frames : end]
+        return hertz.T.tolist(), residuals.T.tolist()
 
     def windows(self, gates: Sequence[int], frames: Sequence[int]) -> "_ManyWindows":
         """Add up windows: `frames[i]` gates that end with `gates[i]`, on each channel."""

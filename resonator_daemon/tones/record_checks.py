@@ -6,9 +6,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.layouts import SINGLE_TONE_FIELDS, RecordFlag, SingleToneRecord
+from firmware_protocol.layouts import SINGLE_TONE_FIELDS, RecordFlag
 from resonator_daemon.arrays import Floats
-from resonator_daemon.tones.frequency_estimators import FREQUENCY_JUMP, QUANTISATION_TICKS2, Sums
+from resonator_daemon.tones.frequency_estimators import FREQUENCY_JUMP, QUANTISATION_TICKS2, PlainSums
+from resonator_daemon.tones.other_tones import end_residual_ticks2
 
 STAMPS_MIN: Final = 3  # two give a slope but no estimate of its noise
 LINE_TOLERANCE: Final = 64  # stamps lie within 1/64 of the span of the line through the end points
@@ -54,29 +55,22 @@ _EXACT: Final = (
 )
 
 
-class Gate(NamedTuple):
-    """One record: its sums, and of its regression the frequency in Hz and the slope in ticks per stamp.
-
-    `residual_ticks2` is the mean square that the line leaves at first and last stamp.
-    """
-
-    sums: Sums
-    frequency_hz: float
-    slope_ticks: float
-    residual_ticks2: float
+Gate = tuple[PlainSums, float, float]
+"""One record: its sums, the frequency of its regression in Hz, and `Gates.residual_ticks2`."""
 
 
 class Gates(NamedTuple):
     """Sums, faults and frequencies of records, arrays (..., channels).
 
-    `sums` (8, ..., channels) are the integers of the records, `fault` the codes of `FAULTS`. `slope_ticks` is the
-    regression's, per stamp, `frequency_hz` follows from it, NaN where there is a fault.
+    `sums` (8, ..., channels) are the integers of the records, `fault` the codes of `FAULTS`. `frequency_hz` is the
+    regression's, NaN where there is a fault. `residual_ticks2` is the mean square that its line leaves at first and
+    last stamp.
     """
 
     sums: NDArray[np.int64]
     fault: NDArray[np.int8]
-    slope_ticks: Floats
     frequency_hz: Floats
+    residual_ticks2: Floats
 
 
 def read_gates(records: NDArray[np.void], reference_hz: float, band_hz: tuple[float, float]) -> Gates:
@@ -117,16 +111,17 @@ def read_gates(records: NDArray[np.void], reference_hz: float, band_hz: tuple[fl
         )
         frequency_hz = reference_hz * (stride_edges * slope_denominator / slope_numerator)
         within = (frequency_hz >= band_hz[0]) & (frequency_hz <= band_hz[1])
+        residual_ticks2 = end_residual_ticks2(stamps, span, s1, slope)
     if not (sound & within).all() or fault.any():
         fault = np.where(
             fault == 0, np.where(sound, np.where(within, 0, IMPOSSIBLE_FREQUENCY), IMPOSSIBLE_COUNTS), fault
         ).astype(np.int8)
         frequency_hz[fault != 0] = np.nan
-    return Gates(sums, fault, slope, frequency_hz)
+    return Gates(sums, fault, frequency_hz, residual_ticks2)
 
 
-def read_gate(record: SingleToneRecord, reference_hz: float, band_hz: tuple[float, float]) -> Gate | int:
-    """Return sums and frequency of one record, or the code of its fault, bit by bit as `read_gates` does.
+def read_gate(record: tuple[int, ...], reference_hz: float, band_hz: tuple[float, float]) -> Gate | int:
+    """Return what `read_gates` does of one record, the fields of `SingleToneRecord`, or the code of its fault.
 
     Arrays of a few records take longer than plain floats, which are rounded alike.
     """
@@ -159,11 +154,7 @@ def read_gate(record: SingleToneRecord, reference_hz: float, band_hz: tuple[floa
     frequency_hz = reference_hz * (stride_edges * slope_denominator / slope_numerator)
     if not band_hz[0] <= frequency_hz <= band_hz[1]:
         return IMPOSSIBLE_FREQUENCY
-    new_tuple = tuple.__new__  # four times a frame: without the detour of the classes
-    sums = new_tuple(
-        Sums,
-        (first_edge, first_ticks, stamps, stride_edges, span_ticks, s1_ticks, s2_ticks, q2_ticks2, stamps - 2),
-    )
     middle, half = s1 / count, slope * steps / 2  # as of `end_residual_ticks2`
     residual_ticks2 = ((middle - half) ** 2 + (span - middle - half) ** 2) / 2
-    return new_tuple(Gate, (sums, frequency_hz, slope, residual_ticks2))
+    sums = first_edge, first_ticks, stamps, stride_edges, span_ticks, s1_ticks, s2_ticks, q2_ticks2, stamps - 2
+    return sums, frequency_hz, residual_ticks2

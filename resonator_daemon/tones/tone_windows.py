@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from firmware_protocol.layouts import RecordFlag, single_tone_records
+from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag, SingleToneRecord
 from resonator_daemon.tones.few_gates import Column, FewGates
 from resonator_daemon.tones.frequency_estimators import FREQUENCY_JUMP, Sums, continues
 from resonator_daemon.tones.gate_block import GateBlock
@@ -13,7 +13,8 @@ from resonator_daemon.tones.many_gates import ManyGates, as_arrays, begins
 from resonator_daemon.tones.record_checks import RECORD, Gate, read_gate, read_gates
 
 _STRIDE_BREAK: Final = int(RecordFlag.STRIDE_BREAK)
-_NOTHING: Final = Gate(Sums(*[0] * 9), math.nan, math.nan, math.nan)
+_FLAGS: Final = SingleToneRecord._fields.index("flags")
+_NOTHING: Final[Gate] = (Sums(*[0] * 9), math.nan, math.nan)
 FEW_GATES: Final = 16  # up to so many are taken one by one: arrays take longer
 
 
@@ -56,7 +57,7 @@ class ToneWindows:
         return self._push_few(payload) if records <= FEW_GATES * self.channels else self._push_many(payload)
 
     def _push_few(self, payload: bytes) -> FewGates:
-        records = single_tone_records(payload)
+        records = list(SINGLE_TONE_STRUCT.iter_unpack(payload))
         channels, most, reference_hz, band_hz = self.channels, self.frames, self._reference_hz, self._band_hz
         columns: list[Column] = []
         codes = [0] * len(records)
@@ -70,11 +71,12 @@ class ToneWindows:
                     first = len(gates)
                 else:
                     if first < len(gates):
-                        last_sums, last_hz, _, _ = gates[-1]
+                        last_sums, last_hz, _ = gates[-1]
+                        sums, hertz, _ = read
                         if (
-                            record.flags & _STRIDE_BREAK
-                            or abs(read[1] - last_hz) > FREQUENCY_JUMP * read[1]
-                            or not continues(last_sums, read[0])
+                            record[_FLAGS] & _STRIDE_BREAK
+                            or abs(hertz - last_hz) > FREQUENCY_JUMP * hertz
+                            or not continues(last_sums, sums)
                         ):
                             first = len(gates)
                     gates.append(read)
@@ -90,7 +92,7 @@ class ToneWindows:
         gates = read_gates(records, self._reference_hz, self._band_hz)
         old_sums, old_lines = as_arrays(self._gates, before)
         sums = np.concatenate((old_sums, gates.sums), axis=1)
-        lines = np.concatenate((old_lines, (gates.frequency_hz, gates.slope_ticks)), axis=1)
+        lines = np.concatenate((old_lines, (gates.frequency_hz, gates.residual_ticks2)), axis=1)
         new = begins(sums[:, before - 1 :], lines[0, before - 1 :]) | ((records["flags"] & _STRIDE_BREAK) != 0)
         held = self._count_held(gates.fault.tolist(), new.tolist())
         block = ManyGates(before, sums, lines, gates.fault, held, records["attenuation_db256"], self._reference_hz)
