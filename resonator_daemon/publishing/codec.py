@@ -41,7 +41,8 @@ def encode(message: Message | Encoded) -> bytes:
 def encode_fields(kind: type[Measured], fields: Mapping[str, Any]) -> Encoded:
     """Encode a JSON message given as its fields, parts of it as mappings and tuples.
 
-    The result is that of the model. A model of each message would take as long as all other work on it.
+    The result is that of the model. A model of each message would take as long as all other work on it. Values of
+    another type are refused; a field that is missing is not noticed here, but in the tests of each message.
     """
     return Encoded(_serializer_of_fields(kind).to_json(fields, warnings="error"), fields["t_ns"])
 
