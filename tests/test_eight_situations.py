@@ -59,21 +59,6 @@ def states(daemon: str, link: str | None, sensor: str | None, *, boots: int = 1)
     return said
 
 
-@pytest.mark.parametrize(
-    ("told", "words"),
-    [
-        (states("online", "online", "online"), "well"),
-        (states("refused", "online", "waiting"), "daemon refused, sensor waiting"),
-        (states("starting", None, None), "daemon starting, link unknown, sensor unknown"),
-        (states("online", "refused", "drifting"), "link refused, sensor drifting"),
-        (states("online", "online", "stalled", boots=2), "sensor stalled"),
-        (states("online", "online", None), "sensor unknown"),
-    ],
-)
-def test_well_is_said_where_all_three_are_online_alone(told: dict[str, Any], words: str) -> None:
-    assert situation(told) == words
-
-
 async def test_never_started(mosquitto: Mosquitto) -> None:
     states = await seen_late(mosquitto)
     assert states == {}

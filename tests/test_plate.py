@@ -1,7 +1,6 @@
 """Plates: what ships, what a file may say, and what a wrong one is told."""
 
 import tomllib
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +10,6 @@ from pydantic import ValidationError
 
 from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.plate import Plate, load_plate
-
-SHIPPED = Path(__file__).parents[1] / "resonator_daemon" / "plates"
 
 FORCE_PLATE = """\
 format = 1
@@ -118,13 +115,6 @@ def test_explicit_tones_keep_the_order_of_the_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(tones.sensitivity[0], [-6.3e-6, -6.2e-6, -6.1e-6, 6.0e-6])
 
 
-def test_arrays_are_read_only(tmp_path: Path) -> None:
-    plate = load_plate(written(tmp_path, FORCE_PLATE))
-    for array in (plate.outline_m, plate.transducers_m, plate.site_ids, plate.site_positions_m, plate.tones.f0_hz):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 0
-
-
 def test_explicit_skin_sites_index_the_published_signals(tmp_path: Path) -> None:
     head = GRID_PLATE[: GRID_PLATE.index("[grid]")]
     plate = load_plate(written(tmp_path, head + SKIN_SITE))
@@ -154,48 +144,6 @@ def test_a_grid_is_numbered_by_its_order(tmp_path: Path) -> None:
     np.testing.assert_array_equal(plate.tones.sensitivity[:, 2], [3e-6] * 6 + [-2e-11] * 6 + [4e-6] * 6)
 
 
-def test_quartz16_spreads_its_codes_and_sites() -> None:
-    plate = load_plate("quartz16")
-    np.testing.assert_array_equal(plate.site_ids, np.arange(1, 17))
-    assert plate.tones.f0_hz.shape == plate.tones.sensitivity.shape == (16, 4)
-    mm = plate.site_positions_m * 1e3
-    distances = np.linalg.norm(mm[:, None] - mm, axis=-1)[~np.eye(16, dtype=bool)]
-    assert distances.min() >= 3.5 - 1e-9
-    assert np.abs(mm).max() <= 8.5 + 1e-9
-    ppm = (1 - plate.tones.f0_hz / 10e6) * 1e6
-    codes = np.round(ppm / 400)
-    np.testing.assert_array_equal(np.sort(codes[:, 0]), np.arange(1, 17))
-    assert (codes == codes[:, :1]).all()
-    assert not (np.diff(codes[:, 0]) > 0).all()
-    pulling_ppm = (plate.tones.f0_hz / (10e6 * (1 - 400e-6 * codes)) - 1) * 1e6
-    assert 15 < np.abs(pulling_ppm).max() <= 25.1
-    assert (np.ptp(pulling_ppm, axis=1) > 1).all()
-    k = plate.tones.sensitivity
-    assert (k == k[:, :1]).all()
-    assert k.min() == pytest.approx(-6.3e-6 * 1.3)
-    assert k.max() == pytest.approx(-6.3e-6 * 0.7)
-    assert (plate.counter.kind, plate.counter.pilot_hz, plate.counter.frame_rate_hz) == ("single-tone", 10.01e6, 1000)
-    assert (plate.force_max_newton, plate.load_sharing_exponent, plate.counter.reference_hz) == (10, 4, 1e9)
-
-
-def test_skin32_keeps_near_sites_apart_in_frequency() -> None:
-    """Tones of sites within two pitches lie at least 96 steps of 3.25 kHz apart: 312 kHz, by brute force over pairs."""
-    plate = load_plate("skin32")
-    frequency_hz = np.empty((32, 32, 3))
-    ix, iy = np.round(plate.site_positions_m[plate.tones.site_index] / 4e-4 + 15.5).astype(int).T
-    frequency_hz[iy, ix, plate.tones.signal_index] = plate.tones.f0_hz[:, 0]
-    assert np.unique(frequency_hz).size == 3072
-    assert (frequency_hz.min(), frequency_hz.max()) == (100e6, 100e6 + 3071 * 3250)
-    nearest_hz = np.inf
-    for dy, dx, a, b in product(range(3), range(-2, 3), range(3), range(3)):
-        if (dy, dx) == (0, 0) and a == b:
-            continue
-        here = frequency_hz[: 32 - dy, max(0, -dx) : 32 - max(0, dx), a]
-        there = frequency_hz[dy:, max(0, dx) : 32 + min(0, dx), b]
-        nearest_hz = min(nearest_hz, np.abs(here - there).min())
-    assert nearest_hz == 312e3
-
-
 def test_skin32_says_what_its_file_says() -> None:
     plate = load_plate("skin32")
     assert plate.skin
@@ -210,22 +158,6 @@ def test_skin32_says_what_its_file_says() -> None:
     np.testing.assert_array_equal(plate.tones.site_index[[0, 96, 1319, 2048]], [0, 1, 32, 0])
     np.testing.assert_array_equal(plate.tones.signal_index[[0, 96, 1319, 2048, 1024]], [0, 0, 0, 1, 2])
     np.testing.assert_array_equal(plate.tones.sensitivity[[0, 2048, 1024], 3], [-2.0e-11, 2.7e-6, 2.7e-6])
-
-
-def test_a_path_is_relative_to_the_file_that_names_it(tmp_path: Path) -> None:
-    written(tmp_path, FORCE_PLATE)
-    assert load_plate("plate.toml", relative_to=tmp_path).name == "two"
-
-
-def test_an_unknown_plate_is_told_the_shipped_ones() -> None:
-    with pytest.raises(ConfigurationError, match=r"'quarz16'.*quartz16, skin32.*did you mean quartz16\?"):
-        load_plate("quarz16")
-
-
-@pytest.mark.parametrize("name", ["", "a\0b", "x" * 5000, "no/such/plate.toml"])
-def test_a_name_that_is_none_is_an_operators_error(name: str) -> None:
-    with pytest.raises(ConfigurationError):
-        load_plate(name)
 
 
 @pytest.mark.parametrize(
@@ -394,11 +326,6 @@ def test_a_concave_outline_has_its_notch_outside(tmp_path: Path) -> None:
     assert refusals(tmp_path, text) == ["20: sites[1].position_mm: got [12.5, 4.0]; lies outside outline_mm"]
     load_plate(written(tmp_path, text.replace("[12.5, 4.0]", "[12.5, 3.0]")))  # on the border
     load_plate(written(tmp_path, text.replace("[12.5, 4.0]", "[14.5, 9.0]")))
-
-
-def test_a_repeated_corner_of_the_outline_encloses_nothing_more(tmp_path: Path) -> None:
-    text = FORCE_PLATE.replace("[[0, 0], [20, 0]", "[[0, 0], [0, 0], [20, 0]", 1).replace("[12.5, 4.0]", "[25, 4]")
-    assert refusals(tmp_path, text) == ["20: sites[1].position_mm: got [25.0, 4.0]; lies outside outline_mm"]
 
 
 def explicit_sites(count: int) -> dict[str, Any]:

@@ -63,13 +63,6 @@ def test_tests_and_benchmarks_run_on_the_versions_that_users_get() -> None:
     assert pinned("figures.txt").items() <= pinned("peers.txt").items()
 
 
-def test_every_dependency_has_its_reason_beside_it() -> None:
-    lines = (ROOT / "pyproject.toml").read_text().splitlines()
-    with_reason = re.compile(r'.*"(?P<dependency>[^"]+)"[\],]* +# \w+')
-    reasons = {match["dependency"] for match in map(with_reason.match, lines) if match}
-    assert {*BUILD, *TEST, *PEERS, *MAKE_PINS} - reasons == set()
-
-
 def test_no_package_index_is_named() -> None:
     files = [ROOT / "pyproject.toml", ROOT / "Makefile", ROOT / ".ci" / "run", *PINS.iterdir()]
     assert [file.name for file in files if "://" in file.read_text()] == []

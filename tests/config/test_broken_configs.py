@@ -4,16 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon.config import load_config
 from resonator_daemon.config.text import plate_text
 from resonator_daemon.daemon.config_store import load_checked
 from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.plate import load_plate
 
 TOP = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
-SERIAL = 'plate = "quartz16"\nlink = "serial:/dev/ttyACM0?baud=4000000"\n'
 SKIN = 'plate = "skin32"\nlink = "tcp://127.0.0.1:5000"\n'
-OWN = 'plate = "own.toml"\nlink = "tcp://127.0.0.1:5000"\n'
 
 
 def link(text: str) -> str:
@@ -213,13 +210,3 @@ def test_the_message_names_key_and_remedy(folder: Path, text: str, key: str, rem
     told = "\n".join(caught.value.messages)
     assert [message for message in caught.value.messages if key in message and remedy in message], told
     assert all("\n" not in message for message in caught.value.messages)
-
-
-def test_what_the_mistakes_are_made_in_is_right(folder: Path) -> None:
-    for text in (TOP, SERIAL, SKIN, OWN):
-        (folder / "board.toml").write_text(text)
-        load_config(folder / "board.toml")
-
-
-def test_there_are_a_hundred() -> None:
-    assert len({text for _, text, _, _ in BROKEN}) >= 100

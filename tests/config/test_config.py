@@ -1,6 +1,5 @@
 """Configuration: the example passes, and every mistake is told with its line, key, value, limit and remedy."""
 
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -52,31 +51,11 @@ def test_the_example_passes_and_means_what_it_says(tmp_path: Path) -> None:
     assert config.decoding.friction_coefficient is None
 
 
-def test_the_example_has_every_table_header_alone_on_its_line() -> None:
-    assert {"[mqtt]", "[measurement]", "[decoding]", "[commands]"} <= set(example_config().splitlines())
-    assert tomllib.loads(example_config()) == {
-        "name": "left-index",
-        "plate": "quartz16",
-        "link": "serial:/dev/serial/by-id/usb-RD_board_0042-if00?baud=4000000",
-        "mqtt": {"url": "mqtt://127.0.0.1:1883", "prefix": "resonator"},
-        "measurement": {"window_ms": 10, "step_ms": 5},
-        "decoding": {"method": "open-plane", "contact_physics": True, "friction_coefficient": "unknown"},
-        "commands": {"allow": ["tare"]},
-    }
-
-
 def test_what_is_left_out_has_the_values_of_the_example(tmp_path: Path) -> None:
     short, example = loaded(tmp_path, MINIMAL), loaded(tmp_path, example_config())
     assert short.name is None
     assert short.link == TcpTarget("127.0.0.1", 5000)
     assert (short.mqtt, short.measurement, short.decoding) == (example.mqtt, example.measurement, example.decoding)
-
-
-def test_a_broker_with_a_user_and_without_a_port(tmp_path: Path) -> None:
-    mqtt = loaded(tmp_path, MINIMAL + '[mqtt]\nurl = "mqtt://ann:p%40ss@broker.local"\nprefix = "lab/one"\n').mqtt
-    assert (mqtt.host, mqtt.port, mqtt.username, mqtt.password) == ("broker.local", 1883, "ann", "p@ss")
-    assert mqtt.prefix == "lab/one"
-    assert "p%40ss" not in repr(mqtt)
 
 
 FOURIER = MINIMAL + '[decoding]\nmethod = "fourier"\n'
@@ -107,34 +86,6 @@ def test_the_fourier_decoder_is_refused_on_scattered_sites(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("link", "expected"),
-    [
-        ('"usb:1209"', "must be usb:VID:PID?serial=S, ids of four hexadecimal digits as lsusb shows them"),
-        ('"usb:1209:1"', "must be usb:VID:PID?serial=S"),
-        ('"usb:1209:000g?serial=0042"', "must be usb:VID:PID?serial=S"),
-        ('"usb:1209:0001?"', "must be usb:VID:PID?serial=S"),
-        ('"usb:1209:0001?serail=0042"', "no option is called 'serail'; allowed: serial, reset; did you mean serial?"),
-        ('"usb:1209:0001?serial="', "serial must be 1 to 126 printable characters"),
-        ('"usb:1209:0001?serial=%00"', "serial must be 1 to 126 printable characters"),
-        ('"usb:1209:0001?serial=1&reset=maybe"', "reset must be yes or no, got 'maybe'"),
-        ('"serial:?baud=4000000"', "must be serial:PATH?baud=N"),
-        ('"serial:/dev/x?baud=fast"', "must be serial:PATH?baud=N"),
-        ('"serial:/dev/x?baud=0"', "must be serial:PATH?baud=N"),
-        ('"tcp://host"', "must be tcp://host:port, nothing more"),
-        ('"tcp://:5000"', "must be tcp://host:port, nothing more"),
-        ('"tcp://host:5000/path"', "must be tcp://host:port, nothing more"),
-        ('"tcp:host:5000"', "must be tcp://host:port, nothing more"),
-        ('"tcp://ho st:7000"', "host and port (1 to 65535) cannot be read"),
-    ],
-)
-def test_one_mistake_in_the_link(tmp_path: Path, link: str, expected: str) -> None:
-    (message,) = refusals(tmp_path, f'plate = "quartz16"\nlink = {link}\n')
-    assert "password" not in message  # there is none in a link
-    got = link.replace('"', "'")
-    assert message.startswith(f"2: link: got {got}; {expected}")
-
-
-@pytest.mark.parametrize(
     ("text", "link"),
     [
         ("serial:/dev/ttyACM0?baud=115200", SerialTarget("/dev/ttyACM0", 115200)),
@@ -150,13 +101,6 @@ def test_one_mistake_in_the_link(tmp_path: Path, link: str, expected: str) -> No
 def test_a_link_reads_as_it_is_written(text: str, link: LinkTarget) -> None:
     assert parse_link(text) == link
     assert str(link) == text
-
-
-def test_an_empty_file_lacks_plate_and_link(tmp_path: Path) -> None:
-    assert [message.strip().partition(";")[0] for message in refusals(tmp_path, "")] == [
-        "plate: missing",
-        "link: missing",
-    ]
 
 
 def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:

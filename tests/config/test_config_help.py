@@ -1,7 +1,6 @@
 """The schema and the explanations say of each key what the models check."""
 
 import json
-import sys
 import tomllib
 from typing import Any
 
@@ -9,7 +8,7 @@ import jsonschema
 import pytest
 
 from resonator_daemon.commands import main
-from resonator_daemon.config import Config, example_config
+from resonator_daemon.config import example_config
 from resonator_daemon.config.help import UnknownKeyError, config_keys, config_schema, explained
 from resonator_daemon.errors import ExitCode
 
@@ -56,29 +55,10 @@ def test_it_refuses_what_the_models_refuse(change: dict[str, Any], where: str) -
     assert says(MINIMAL | change) == [where]
 
 
-def test_every_table_and_key_says_what_it_is() -> None:
-    assert all(key.meaning and (key.examples or key.default) for key in config_keys())
-    assert all(table["description"] for table in SCHEMA["$defs"].values())
-    assert {key.path.partition(".")[0] for key in config_keys()} == Config.model_fields.keys()
-
-
-def test_a_key_that_is_a_quantity_has_its_unit() -> None:
-    units = {key.path: key.unit for key in config_keys() if key.unit}
-    assert units.keys() == {key.path for key in config_keys() if key.kind == "number"}
-    assert units["measurement.window_ms"] == "milliseconds"
-    assert units["recording.budget_mb"] == "megabytes, 10^6 bytes"
-
-
 def test_what_a_reload_takes() -> None:
     live = {key.path for key in config_keys() if key.live}
     assert {"measurement.step_ms", "commands.allow", "recording.derived"} <= live
     assert live.isdisjoint({"name", "plate", "link", "mqtt.url", "decoding.method", "metrics.listen"})
-
-
-def test_a_key_and_a_table_and_all() -> None:
-    assert [key.path for key in explained("mqtt.url")] == ["mqtt.url"]
-    assert [key.path for key in explained("measurement")] == ["measurement.window_ms", "measurement.step_ms"]
-    assert explained("") == config_keys()
 
 
 @pytest.mark.parametrize(
@@ -123,15 +103,3 @@ def test_the_verbs_print_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert said["verb"] == "config explain"
     (key,) = said["keys"]
     assert (key["path"], key["limits"], key["live"]) == ("mqtt.prefix", "at most 200 characters", False)
-
-
-@pytest.mark.parametrize("arguments", [[], ["mqtt"]])
-def test_a_terminal_gets_lines_that_fit_it(
-    arguments: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole = run(capsys, "explain", *arguments)
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
-    monkeypatch.setenv("COLUMNS", "80")
-    wrapped = run(capsys, "explain", *arguments)
-    assert max(map(len, whole.splitlines())) > 80 >= max(map(len, wrapped.splitlines()))
-    assert wrapped.split() == whole.split()

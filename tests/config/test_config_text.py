@@ -43,11 +43,6 @@ def test_a_calibrated_plate_loads_back_equal() -> None:
     assert load_plate_text(plate_text(plate), ORIGIN) == plate
 
 
-def test_defaults_are_written_out() -> None:
-    """Another version may have others."""
-    assert "transient_s = -2e-07" in plate_text(load_plate("fingertip400"))
-
-
 def test_settings_load_back_equal(tmp_path: Path) -> None:
     base = 'plate = "skin32"\nlink = "tcp://127.0.0.1:1"\n'
     for table in (
@@ -80,12 +75,3 @@ def test_parts_that_do_not_suit_each_other(tmp_path: Path) -> None:
     settings = load_settings_text("[measurement]\nwindow_ms = 10.5\n[decoding]\n", ORIGIN)
     with pytest.raises(ConfigurationError, match=r"measurement\.window_ms: got 10\.5; must be a whole number of frame"):
         config_of(load_plate("quartz16"), settings, LINK)
-
-
-def test_damaged_texts_are_an_operators_error() -> None:
-    with pytest.raises(ConfigurationError, match=r"run\.mcap/plate\.toml:1: not TOML"):
-        load_plate_text("format = ", ORIGIN)
-    with pytest.raises(ConfigurationError, match=r"run\.mcap/plate\.toml: format: missing"):
-        load_plate_text("", ORIGIN)
-    with pytest.raises(ConfigurationError, match="measurement: missing"):
-        load_settings_text("", ORIGIN)

@@ -41,16 +41,6 @@ def refusals(tmp_path: Path, table: str) -> list[str]:
     return [f"{int(line) - FIRST + 1}:{text}".replace(f"{tmp_path}/", "") for line, _, text in messages]
 
 
-def test_addresses_with_and_without_tls(tmp_path: Path) -> None:
-    for url, host, port, tls in (
-        ("mqtt://broker", "broker", 1883, False),
-        ("mqtts://broker", "broker", 8883, True),
-        ("mqtts://[::1]:99", "::1", 99, True),
-    ):
-        mqtt = loaded(tmp_path, f'url = "{url}"\n').mqtt
-        assert (mqtt.host, mqtt.port, mqtt.tls) == (host, port, tls)
-
-
 @pytest.mark.usefixtures("_files")
 def test_files_are_found_beside_the_configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir("/")
@@ -182,18 +172,6 @@ def test_only_regular_files_that_can_be_read(tmp_path: Path, monkeypatch: pytest
         with pytest.raises(UnusableFileError) as caught:
             read_password(BrokerFile("closed", tmp_path / "closed"))
     assert str(caught.value).endswith("closed: permission denied; let the daemon's user read it")
-
-
-@pytest.mark.usefixtures("_files")
-def test_every_mistake_of_the_table_comes_at_once(tmp_path: Path) -> None:
-    table = 'url = "mqtts://h:0"\npassword_file = "gone"\nca_file = "password"\nkey_file = "left.key"\n'
-    assert [message.partition(" got")[0] for message in refusals(tmp_path, table)] == [
-        "1: mqtt.url:",
-        "2: mqtt.password_file:",
-        "2: mqtt.password_file:",
-        "3: mqtt.ca_file:",
-        "4: mqtt.key_file:",
-    ]
 
 
 @pytest.mark.usefixtures("_files")

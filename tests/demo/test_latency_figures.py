@@ -1,12 +1,10 @@
 """Latencies, and what is missing, from messages and a truth that the test makes; and how they are told."""
 
 import json
-from typing import Any
 
 import numpy as np
 
 from resonator_daemon.demo.latency_figures import Arrival, Gates, measure, read_gates
-from resonator_daemon.demo.latency_report import LatencyReport
 from resonator_daemon.monitoring.latency import BOUNDS_MS
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import Decoded, Lost
@@ -67,41 +65,3 @@ def test_arrays_are_read_from_their_beginning() -> None:
     )
     latency = measure([Arrival(ends_ns(2) + 3_000_000, encode(decoded)[:512])], truth(3), gates_apart=1)
     np.testing.assert_allclose(latency.milliseconds, [3.0])
-
-
-def report(**fields: Any) -> LatencyReport:
-    arrivals = [message(seq, seq, late_ms) for seq, late_ms in enumerate((1.5, 1.6, 1.7, 30.0))]
-    reported: dict[str, Any] = {
-        "plate": "quartz16",
-        "topic": "forces",
-        "apart": False,
-        "broker": "Mosquitto",
-        "seconds": 4.0,
-        "latency": measure(arrivals, truth(10), gates_apart=1),
-        "daemon_counts": None,
-        "cpu_percent_by_part": {"resonatord run": 33.0},
-        "load_average": 1.0,
-    }
-    return LatencyReport(**(reported | fields))
-
-
-def test_the_histogram_has_bars_by_count_and_the_daemons_own_beside() -> None:
-    counts = [0] * (len(BOUNDS_MS) + 1)
-    counts[BOUNDS_MS.index(1.0)] = 77
-    rows = report(daemon_counts=tuple(counts)).in_words().splitlines()
-    bins = {row.split(" ms ")[0].strip(): row for row in rows if row.strip().startswith("<=")}
-    assert list(bins) == [f"<= {bound_ms:g}" for bound_ms in BOUNDS_MS if 1.0 <= bound_ms <= 35.0]
-    assert bins["<= 1"].endswith(" 77")
-    assert bins["<= 2"].count("█") == 40
-    assert 12 <= bins["<= 35"].count("█") <= 14
-    assert "daemon" not in report().in_words().split("\n", 3)[3]
-
-
-def test_words_and_json_tell_the_same() -> None:
-    reported = report()
-    assert reported.as_json()["latency_ms"]["p50"] == 1.65
-    assert "p50 1.65 ms" in reported.in_words()
-    assert "4 messages, 1 over 20 ms, 0 missing" in reported.in_words()
-    assert json.loads(json.dumps(reported.as_json()))["histogram"]["bounds_ms"] == list(BOUNDS_MS)
-    assert reported.as_json()["count"] == 4
-    assert reported.as_json()["over_20_ms"] == 1

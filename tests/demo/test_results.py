@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from resonator_daemon.demo.results import delays, failures, in_words
+from resonator_daemon.demo.results import delays, failures
 
 LOST = dict.fromkeys(
     ("link_gap", "damaged", "board_overflow", "host_overrun", "ring_overflow", "publish_dropped", "skipped_late"), 0
@@ -66,12 +66,3 @@ def test_what_came_late_is_none() -> None:
         "5 messages not received (gaps in seq): skipped under load, not decoded, or lost on the way",
         "messages late: latency 80 ms (99th percentile)",
     ]
-
-
-def test_words_name_parts_losses_and_late_touches() -> None:
-    lossy = plate(lost=LOST | {"link_gap": 3}, contacts_late=2, parts_lost=1)
-    result = {"seconds": 20.0, "broker": "mosquitto", "cores": 0.5, "cpu_percent_by_part": {"broker": 3.0}}
-    words = in_words(result | {"plates": {"quartz16": lossy}})
-    assert "lost: link gap 3, parts 1" in words
-    assert "touches: 9 of 9 found at the right site, 2 of them late" in words
-    assert "  3.0 %  broker" in words

@@ -74,25 +74,6 @@ def test_a_touch_of_20_mn_counts_and_less_does_not(run: Run) -> None:
     assert run.found() == (1, 0, 0)
 
 
-def test_shear_does_not_make_a_touch(run: Run) -> None:
-    run.truth(touch(0.019, shear=(0.03, 0.03)))
-    assert run.found() == (0, 0, 0)
-
-
-def test_an_onset_at_another_site_does_not_find_the_touch(run: Run) -> None:
-    run.ramp(0.0, 1.0)
-    run.onset(frame_end_ns(1) + 10 * MS, site=8)
-    assert run.found() == (1, 0, 0)
-
-
-def test_a_skin_is_touched_anywhere(tmp_path: Path) -> None:
-    skin = Run(tmp_path / "skin.jsonl", touched_anywhere=True)
-    skin.ramp(0.0, 1.0, site=None)
-    skin.onset(frame_end_ns(1) + 10 * MS, site=8)
-    assert skin.found() == (1, 1, 0)
-    skin.close()
-
-
 def test_each_touch_needs_an_onset_of_its_own_time(run: Run) -> None:
     for number in range(3):
         run.ramp(0.0, 1.0, id=number + 1, site=number + 5)
@@ -112,13 +93,6 @@ def test_force_errors_are_pooled_over_windows_against_their_mean_truth(run: Run)
     run.forces(2, (7, 1.996))
     run.forces(3, (7, 2.512))
     assert run.result().force_error_newton_rms == pytest.approx(math.sqrt((9 + 16 + 144) / 3) * 1e-3)
-
-
-def test_a_touch_that_lasts_part_of_a_window_counts_by_its_mean(run: Run) -> None:
-    run.truth()
-    run.truth(touch(0.4))
-    run.forces(1, (7, 0.21))
-    assert run.result().force_error_newton_rms == pytest.approx(0.010)
 
 
 def test_only_forces_above_5_percent_of_their_own_touchs_peak_count(run: Run) -> None:

@@ -51,14 +51,6 @@ def table(path: Path) -> Iterator[TruthTable]:
     table.close()
 
 
-def test_a_file_that_is_not_there_yet_is_read_once_it_is(path: Path, table: TruthTable) -> None:
-    table.read_on()
-    assert table.lines == []
-    append(path, text_of(0))
-    table.read_on()
-    assert len(table.lines) == 1
-
-
 def test_lines_keep_ticks_and_time_exactly(path: Path, table: TruthTable) -> None:
     append(path, text_of(1, touch((0.1, 0.0, 1.2))))
     table.read_on()
@@ -89,12 +81,6 @@ def test_a_window_is_the_gates_up_to_its_last(path: Path, table: TruthTable) -> 
     window = table.window(7000, 3)
     assert window is not None
     assert window[0].board_ticks == 5000
-
-
-def test_a_window_that_began_before_the_file_is_not_there(path: Path, table: TruthTable) -> None:
-    append(path, "".join(map(text_of, range(6))))
-    table.read_on()
-    assert table.window(6000, 3) is None
 
 
 SHAPE = NY, NX = 20, 32

@@ -94,34 +94,9 @@ def test_several_lines_stay_one_message(handler: JournalHandler, journal_socket:
     assert (first["MESSAGE"], first["PRIORITY"], following["MESSAGE"]) == ("first\nPRIORITY=0\nlast", "6", "next")
 
 
-@pytest.mark.parametrize(
-    ("level", "priority"), [(logging.DEBUG, 7), (logging.ERROR, 3), (logging.CRITICAL, 2), (35, 4)]
-)
-def test_levels_are_syslogs(level: int, priority: int, handler: JournalHandler, journal_socket: socket.socket) -> None:
-    handler.handle(line("", level))
-    assert fields(journal_socket.recv(1 << 20))["PRIORITY"] == str(priority)
-
-
-def test_a_traceback_comes_along(handler: JournalHandler, journal_socket: socket.socket) -> None:
-    record = line("it failed", logging.ERROR)
-    try:
-        raise ValueError("why")
-    except ValueError:
-        record.exc_info = sys.exc_info()
-    handler.handle(record)
-    message = fields(journal_socket.recv(1 << 20))["MESSAGE"]
-    assert message.startswith("it failed\nTraceback")
-    assert message.endswith("ValueError: why")
-
-
 def test_nothing_for_a_terminal_to_obey(handler: JournalHandler, journal_socket: socket.socket) -> None:
     handler.handle(line("board:\x1b[31m\ud800 x\ty\x00 20 µs"))
     assert fields(journal_socket.recv(1 << 20))["MESSAGE"] == r"board:\x1b[31m\ud800 x" + "\ty" + r"\x00 20 µs"
-
-
-def test_a_long_value_is_cut_between_characters(handler: JournalHandler, journal_socket: socket.socket) -> None:
-    handler.handle(line("x" + "µ" * 100_000))
-    assert fields(journal_socket.recv(1 << 20))["MESSAGE"] == "x" + "µ" * 16_383
 
 
 def test_a_full_journal_is_not_waited_for_and_what_is_lost_is_said(

@@ -1,7 +1,6 @@
 """New files are whole or not there, whoever interrupts the verb that makes them."""
 
 import signal
-import threading
 from pathlib import Path
 
 import pytest
@@ -46,19 +45,6 @@ def test_what_a_process_ignores_it_goes_on_ignoring() -> None:
         assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)
-
-
-def test_a_thread_that_can_have_no_handlers_does_without() -> None:
-    done = []
-
-    def work() -> None:
-        with interruptible("nothing is kept"):
-            done.append(True)
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert done == [True]
 
 
 def test_a_file_gets_its_name_once_it_is_whole(tmp_path: Path) -> None:

@@ -65,15 +65,6 @@ def test_a_reload_tells_when_it_began(manager_socket: socket.socket) -> None:
     assert before_us <= int(began_us) <= after_us
 
 
-def test_an_abstract_address() -> None:
-    name = f"resonatord-test-{os.getpid()}"
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
-        listening.bind(f"\0{name}")
-        listening.setblocking(False)
-        ServiceManager({"NOTIFY_SOCKET": f"@{name}"}).alive()
-        assert heard(listening) == ["WATCHDOG=1"]
-
-
 @pytest.mark.parametrize("text", ["a\nREADY=1", "a\rREADY=1", "a\x1b[31mREADY=1", "a\u2028READY=1", "a\ud800READY=1"])
 def test_a_text_of_others_stays_one_line(text: str, manager_socket: socket.socket) -> None:
     manager = ServiceManager(environment(manager_socket))
@@ -81,11 +72,6 @@ def test_a_text_of_others_stays_one_line(text: str, manager_socket: socket.socke
     (message,) = heard(manager_socket)
     assert message.startswith("STATUS=a")
     assert message.isprintable()
-
-
-def test_a_long_text_leaves_room_for_what_comes_with_it(manager_socket: socket.socket) -> None:
-    ServiceManager(environment(manager_socket)).ready("µ" * 5000)
-    assert heard(manager_socket) == ["READY=1\nSTATUS=" + "µ" * 500]
 
 
 def test_a_full_queue_delays_what_is_said(manager_socket: socket.socket) -> None:

@@ -72,29 +72,6 @@ def test_no_numbers_follow_from_it(tmp_path: Path, capsys: pytest.CaptureFixture
         assert not output.exists()
 
 
-def test_with_a_configuration_it_is_said_once(
-    tmp_path: Path, config: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
-) -> None:
-    right, path = tmp_path / "right.jsonl", flipped(tmp_path / "bent.mcap", in_plate())
-    assert run("replay", RECORDING, "--config", config, "--to", right) == 0
-    assert caplog.messages == []
-    output = tmp_path / "out.jsonl"
-    assert run("replay", path, "--config", config, "--to", output, "--json") == 0
-    assert caplog.messages == [f"{path}: its attachment plate.toml is damaged; the configuration counts"]
-    told = json.loads(capsys.readouterr().out)
-    assert (told["damage"], told["differences"]) == (None, 0)
-    assert without_reasons(output) == without_reasons(right)
-    caplog.clear()
-    assert run("export", path, "--config", config, "--output", tmp_path / "out.npz") == 0
-    assert caplog.messages == [f"{path}: its attachment plate.toml is damaged; the configuration counts"]
-
-
-def without_reasons(path: Path) -> list[object]:
-    """All messages but states, which name the file."""
-    messages = [json.loads(line) for line in path.read_text().splitlines()]
-    return [message for message in messages if not message["topic"].startswith("state/")]
-
-
 @pytest.mark.parametrize("name", [b"plate.toml", b"settings.toml"])
 def test_each_byte_counts(tmp_path: Path, name: bytes) -> None:
     content = content_of(name)
@@ -136,19 +113,3 @@ def test_advice_is_not_about_a_file_that_lies_in_the_recording(
     said = capsys.readouterr().err
     assert "force_mix_newton" in said
     assert said.endswith(f"\nresonatord: {path}: its plate.toml cannot be used; give --config FILE\n")
-
-
-def test_a_repair_leaves_it_out_and_says_so(tmp_path: Path, config: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = flipped(tmp_path / "bent.mcap", in_plate())
-    copy = tmp_path / "copy.mcap"
-    assert run("repair", path, "--output", copy, "--json") == 0
-    said = capsys.readouterr()
-    told = json.loads(said.out)
-    assert (told["damaged_attachments"], told["carries_config"], told["unreadable"]) == (["plate.toml"], False, 0)
-    assert (told["ended"], told["cut_bytes"]) == (True, 0)
-    assert said.err.startswith(f"{path}: its attachment plate.toml is damaged and left out; {copy} has ")
-    assert said.err.endswith("; it does not carry its plate file and settings: replay it with --config FILE\n")
-    with open_recording(str(copy)) as recording:
-        assert (recording.plate_text, recording.damaged_attachments) == (None, ())
-        assert recording.settings_text is not None
-    assert run("replay", copy, "--config", config, "--to", tmp_path / "out.jsonl") == 0

@@ -1,7 +1,6 @@
 """`resonatord replay` as a user meets it: to a broker, to a file, a part of a recording, and what cannot be played."""
 
 import asyncio
-import io
 import json
 import os
 import pty
@@ -15,12 +14,10 @@ import pytest
 from brokers import Amqtt, Mosquitto
 from command_line import exit_code
 from commanded import commanded, state
-from mcap.reader import make_reader
 from observer import Observer, observe
 
 from resonator_daemon.commands import main
 from resonator_daemon.publishing.topics import STATE_DAEMON
-from resonator_daemon.recording.reader import PLATE_FILE
 from resonator_daemon.replay.case import read_expected
 
 CORPUS = Path(__file__).parents[1] / "corpus"
@@ -67,15 +64,6 @@ def test_all_messages_go_to_a_file(tmp_path: Path, capsys: pytest.CaptureFixture
     )
 
 
-def test_arrays_are_rows_of_numbers(capsys: pytest.CaptureFixture[str]) -> None:
-    assert replay(CORPUS / "skin" / "recording.mcap", "--to", "-", "--until", 3) == 0
-    messages = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    (first, *_) = [message["payload"] for message in messages if message["topic"] == "decoded"]
-    rows = first["traction_pascal"]
-    assert (len(rows), len(rows[0]), len(rows[0][0])) == (3, 7, 7)
-    assert all(isinstance(value, float) for value in rows[2][0])
-
-
 def test_a_part_begins_with_the_states_that_held(tmp_path: Path) -> None:
     whole, part = tmp_path / "whole.jsonl", tmp_path / "part.jsonl"
     assert replay(TOUCHES, "--to", whole) == 0
@@ -88,11 +76,6 @@ def test_a_part_begins_with_the_states_that_held(tmp_path: Path) -> None:
     start = before.index(streamed[0])
     assert before[start : start + len(streamed)] == streamed
     assert 0.3 < counted(streamed)["forces"] / COUNTS["forces"] * 4.2 < 1.2
-
-
-def test_a_mark_that_is_not_there_is_said_with_those_that_are(capsys: pytest.CaptureFixture[str]) -> None:
-    assert replay(TOUCHES, "--to", "-", "--from", "lunch") == 2
-    assert f"{TOUCHES} has no mark 'lunch'; its marks: 'half time'. A number" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("part", "words"), [(("--from", "1e6"), "from 1000000 s"), (("--until", "0"), "until 0 s")])
@@ -178,14 +161,6 @@ def test_step_by_step_waits_for_enter(tmp_path: Path) -> None:
     assert 2 <= len(lines(output)) <= 6
 
 
-def test_steps_need_a_terminal(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO())
-    assert exit_code("replay", TOUCHES, "--step", "--to", tmp_path / "steps.jsonl") == 2
-    assert "no terminal" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("case", ["cut-off", "bit-flipped"])
 def test_a_damaged_file_is_played_up_to_there(case: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert replay(CORPUS / case / "recording.mcap", "--to", "-") == 1
@@ -228,26 +203,3 @@ def test_what_cannot_be_replayed_is_one_line(tmp_path: Path, capsys: pytest.Capt
 )
 def test_what_does_not_go_together_is_a_matter_of_usage(arguments: tuple[str, ...]) -> None:
     assert exit_code("replay", *arguments) == 2
-
-
-def test_a_broker_that_the_command_line_names_is_looked_for_there(capsys: pytest.CaptureFixture[str]) -> None:
-    assert replay(TOUCHES, "--url", "mqtt://127.0.0.1:1", "--json") == 69
-    said = capsys.readouterr()
-    assert said.err.startswith("resonatord: no broker at 127.0.0.1:1 (")
-    assert said.err.endswith("; see --url\n")
-    assert json.loads(said.out)["error"]["code"] == "no_broker"
-
-
-def test_a_configuration_that_names_the_broker_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "hand.toml"
-    with TOUCHES.open("rb") as file:
-        texts = {attachment.name: attachment.data for attachment in make_reader(file).iter_attachments()}
-    (tmp_path / PLATE_FILE).write_bytes(texts[PLATE_FILE])
-    path.write_text(
-        f'plate = "{PLATE_FILE}"\nlink = "tcp://127.0.0.1:9"\n[mqtt]\nurl = "mqtt://127.0.0.1:1"\n'
-        "[measurement]\nwindow_ms = 100\nstep_ms = 10\n"
-    )
-    assert replay(TOUCHES, "--config", str(path)) == 69
-    assert capsys.readouterr().err.endswith("; see mqtt.url\n")
-    assert replay(TOUCHES, "--config", str(path), "--url", "mqtt://127.0.0.1:1") == 69
-    assert capsys.readouterr().err.endswith("; see --url\n")

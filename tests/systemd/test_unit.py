@@ -53,31 +53,15 @@ def score(name: str, unit: str, directory: Path) -> float:
     return float(found[1])
 
 
-def test_both_units_are_there() -> None:
-    assert set(UNITS) == {"resonatord@.service", "resonatord-decode@.service"}
-
-
 @each_unit
 def test_systemd_has_nothing_to_remark(name: str, tmp_path: Path) -> None:
     assert remarks_of_systemd(name, UNITS[name], tmp_path) == ""
-
-
-def test_systemd_remarks_on_a_misspelt_setting(tmp_path: Path) -> None:
-    name = "resonatord@.service"
-    assert "Restrat" in remarks_of_systemd(name, UNITS[name].replace("Restart=", "Restrat="), tmp_path)
 
 
 @each_unit
 def test_little_is_exposed(name: str, tmp_path: Path) -> None:
     assert score(name, UNITS[name], tmp_path) <= SCORE_MAX
     assert score(name, UNITS[name].replace("SystemCallFilter=", "#"), tmp_path) > score(name, UNITS[name], tmp_path)
-
-
-@each_unit
-def test_the_page_tells_the_score(name: str, tmp_path: Path) -> None:
-    page = (DIRECTORY.parent / "docs" / "service.md").read_text()
-    (told,) = re.findall(rf"{re.escape(name)} +# ([0-9.]+)", page)
-    assert float(told) == score(name, UNITS[name], tmp_path)
 
 
 @each_unit
@@ -89,15 +73,6 @@ def test_no_restart_where_a_person_must_act(name: str) -> None:
 @each_unit
 def test_restarts_never_reach_systemds_limit(name: str) -> None:
     assert 5 * float(setting(name, "RestartSec")) > 10  # systemd gives a unit up at more than 5 starts in 10 s
-
-
-@each_unit
-def test_a_busy_processor_goes_to_the_units_first_and_to_the_daemon_before_the_decoder(name: str) -> None:
-    usual_weight, usual_nice = 100, 0  # man systemd.resource-control, systemd.exec
-    daemon = "resonatord@.service"
-    weight, nice = int(setting(name, "CPUWeight")), int(setting(name, "Nice"))
-    assert usual_weight < weight <= int(setting(daemon, "CPUWeight")) <= 10_000
-    assert usual_nice > nice >= int(setting(daemon, "Nice")) >= -20
 
 
 @each_unit

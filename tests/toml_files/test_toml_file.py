@@ -1,6 +1,5 @@
 """Reading TOML: what a message says of the file, the line and the key."""
 
-import errno
 import os
 from pathlib import Path
 
@@ -16,7 +15,6 @@ from resonator_daemon.toml_files.reading import (
     load_model,
     parse_toml,
     read_toml,
-    shown,
 )
 
 
@@ -73,11 +71,6 @@ def test_a_quoted_key_cannot_break_the_line(tmp_path: Path) -> None:
     assert messages(tmp_path, b'"a\\nb" = 1\n') == [': "a\\nb": unknown key; allowed: branches, trunk']
 
 
-def test_a_table_that_is_none(tmp_path: Path) -> None:
-    assert messages(tmp_path, b"trunk = 5\n") == [":1: trunk: got 5; must be a table of keys"]
-    assert messages(tmp_path, b"[branches]\n")[0].startswith(":1: branches: got a table; must be a list")
-
-
 @pytest.mark.parametrize(
     ("data", "expected"),
     [
@@ -106,16 +99,6 @@ def test_a_missing_file_a_directory_and_an_impossible_path(tmp_path: Path) -> No
         read_toml(tmp_path / ("x" * 5000))
 
 
-def test_values_are_shown_short_and_without_a_password() -> None:
-    assert shown("mqtt://ann:se/cr@t@host:1") == "'mqtt://***@host:1'"
-    assert shown(["mqtt://ann:secret@host"]) == "['mqtt://***@host']"
-    assert shown({"a": 1}) == "a table"
-    assert shown(list(range(12))) == "[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, ...]"
-    assert len(shown("x" * 1000)) == 120
-    assert shown(10**5000) == "a huge number"
-    assert shown("a\nb") == "'a\\nb'"
-
-
 def test_what_is_no_file_of_settings_is_not_read_to_its_end(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for place in (tmp_path / "pipe", Path("/dev/zero")):
@@ -138,16 +121,6 @@ def test_what_windows_programs_write(tmp_path: Path) -> None:
         read_toml(path)
 
 
-def test_a_file_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-
-    (tmp_path / "tree.toml").touch()
-    monkeypatch.setattr(Path, "open", refuse)
-    with pytest.raises(ConfigurationError, match=r"tree\.toml: permission denied; let the user who runs this read it"):
-        read_toml(tmp_path / "tree.toml")
-
-
 class Told(Table):
     depth_mm: Number = Field(description="how deep", examples=[2])
     leaf: Leaf = Leaf()
@@ -156,13 +129,6 @@ class Told(Table):
 def test_what_is_missing_is_told_with_an_example() -> None:
     with pytest.raises(ConfigurationError, match=r"^x: depth_mm: missing; give how deep, as depth_mm = 2$"):
         load_model(Told, parse_toml("", Path("x")))
-
-
-def test_a_key_of_the_top_in_a_table_belongs_above() -> None:
-    with pytest.raises(
-        ConfigurationError, match=r"^x:2: trunk\.branches: unknown key; did you mean branches\? It belongs above"
-    ):
-        load_model(Tree, parse_toml("[trunk]\nbranches = 1\n", Path("x")))
 
 
 def test_messages_are_bounded(tmp_path: Path) -> None:

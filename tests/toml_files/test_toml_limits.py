@@ -68,10 +68,6 @@ def test_dots_of_texts_comments_and_numbers_are_no_keys(text: str) -> None:
     parse_toml(text, PATH)
 
 
-def test_signs_that_terminals_obey_are_not_shown() -> None:
-    assert refusal('"\x1b[2J".' + "a." * 20 + "a=1").isprintable()
-
-
 @pytest.mark.parametrize(
     ("unit", "limit", "what"),
     [
@@ -100,12 +96,6 @@ def test_too_many_tables_are_refused(monkeypatch: pytest.MonkeyPatch, line: str,
     assert "more than 60 names in [headers] and dotted keys" in found.sentence
 
 
-def test_rows_of_numbers_are_no_tables(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(toml_limits, "MAX_NAMES", 2)
-    text = "a = [\n" + "  [1.5, 2.5],\n  [1, 2],\n  1.5,\n  2.5\n,  2.5 # a\n," * 10 + "]\n"
-    assert len(parse_toml(text, PATH).content["a"]) == 50
-
-
 @pytest.mark.parametrize("sign", ["1", "a", "-"])
 def test_a_number_or_name_of_many_signs_is_refused(sign: str) -> None:
     assert excess(f"a = {sign * LONGEST_WORD}") is None
@@ -123,8 +113,3 @@ def test_brackets_within_each_other_are_refused_from_a_depth_on(opening: str, cl
 
     parse_toml(nested(MAX_NESTED), PATH)
     assert f" more than {MAX_NESTED} brackets within each other; close" in refusal(nested(MAX_NESTED + 1))
-
-
-def test_headers_and_rows_are_not_within_each_other() -> None:
-    parse_toml("[[a]]\n[a.b]\nc = [[1, 2], [3, 4]]\n" * (2 * MAX_NESTED), PATH)
-    parse_toml("a = [\n" + '["b", {c = 1}],\n' * (2 * MAX_NESTED) + "]", PATH)
