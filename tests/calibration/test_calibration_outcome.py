@@ -59,6 +59,7 @@ def test_ideal_sites_get_the_true_codes(tmp_path: Path) -> None:
     printed = " ".join(notes(NOMINAL, WANTED, outcome, record))
     assert "values kept: sites 1, 2, 3, 4, 5, 6, 8, 9, 10, 11, 13, 14, 15, 16" in printed
     assert "taken as 298.15 K" in printed
+    assert "one mass alone" not in printed
 
 
 def test_hysteresis_and_creep_are_fitted_from_loading_and_unloading(tmp_path: Path) -> None:

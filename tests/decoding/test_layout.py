@@ -22,6 +22,9 @@ def test_grid():
     assert grid is not None
     assert grid.shape == (4, 5)
     assert (grid.pitch_x_m, grid.pitch_y_m) == pytest.approx((4e-4, 6e-4))
+    two_rows = as_grid(GRID[:10])
+    assert two_rows is not None
+    assert two_rows.shape == (2, 5)
 
 
 @pytest.mark.parametrize(

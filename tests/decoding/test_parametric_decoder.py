@@ -106,6 +106,16 @@ def test_one_site_alone_cannot_tell_a_place() -> None:
     assert np.isnan(decoded.traction_pascal).all()
 
 
+def test_more_signals_than_unknowns_are_needed() -> None:
+    sites = np.array([[0.0, 0.0], [5e-3, 0.0], [0.0, 5e-3]])
+    frame = signals(np.array([2e-3, 2e-3]), 2e-3, sites_m=sites)
+    three = ParametricDecoder(SKIN, sites, 2e-3, 1e-3 * float(np.abs(frame).max()))
+    frame[0, 1:] = np.nan
+    assert three.decode(frame).status != "no_signal"
+    frame[1, 1] = np.nan
+    assert three.decode(frame).status == "no_signal"  # six signals, six unknowns
+
+
 def test_gain_errors() -> None:
     told, untold = (
         Scores(decoder(2e-3, 60, gain_std), 2e-3, noise_std(2e-3, 60), 0.2, 25, gain_std=0.05)

@@ -100,5 +100,6 @@ def test_refuses() -> None:
     ):
         with pytest.raises(ValueError, match=match):
             PatchFinder(positions, area, depth)
-    with pytest.raises(ValueError, match="traction_std_pascal has shape"):
-        FINDER.find(np.zeros((3, 1024)), np.zeros((3, 1023)))
+    for traction, std in ((np.zeros((3, 1024)), np.zeros((3, 1023))), (STD, STD[:2]), (STD, np.zeros((1, 1, 3, 1024)))):
+        with pytest.raises(ValueError, match="traction_std_pascal has shape"):
+            FINDER.find(traction, std)

@@ -69,6 +69,8 @@ def test_announces_again_after_recovery(discs: DiscModel, spot: PressedSpot) -> 
     down, up = np.full(6, 0.85), np.full(6, 0.4)
     events, *_ = follow(SlipWatch(discs, Friction(MU, 0.03)), spot, np.concatenate([up, down, down, up, down]), 4)
     assert [(index, event.event) for index, event in events] == [(7, "incipient_slip"), (25, "incipient_slip")]
+    events, *_ = follow(SlipWatch(discs, Friction(MU, 0.03)), spot, np.full(3, 0.85), 4)  # low from its first frame on
+    assert [index for index, _ in events] == [1]
 
 
 def test_a_contact_that_is_gone_is_forgotten(discs: DiscModel, spot: PressedSpot) -> None:

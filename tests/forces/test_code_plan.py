@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from resonator_daemon.forces.code_plan import Limits, force_noise, guard_band, ladder_hz, stamp_noise
+from resonator_daemon.forces.code_plan import Limits, force_noise, guard_band, stamp_noise
 
 LIMITS = Limits(
     force_max_newton=10.0,
@@ -44,11 +44,6 @@ def test_each_cause_has_its_share_of_the_step() -> None:
         }
     )
     assert 1e6 * guard.step == pytest.approx(189.0 + 2 * math.sqrt(13.8))
-
-
-def test_codes_go_down_from_the_tone_that_no_site_has() -> None:
-    tones_hz = ladder_hz(10e6, 400e-6, np.array([1, 16, 2]))
-    np.testing.assert_allclose(tones_hz, [9_996_000.0, 9_936_000.0, 9_992_000.0], rtol=1e-12)
 
 
 @pytest.mark.parametrize(

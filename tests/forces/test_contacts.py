@@ -79,12 +79,6 @@ def test_a_contact_unknown_for_longer_than_stated_is_released_for_that_reason():
     assert contacts.contacts == ()
 
 
-def test_a_touch_after_a_gap_that_was_too_long_is_another_contact():
-    contacts = tracker()
-    tell(contacts, 0, force(1.0))
-    assert tell(contacts, TIMEOUT + 1, force(1.0)) == [("release", 1, 0), ("onset", 2, 0)]
-
-
 def test_a_touch_that_is_told_of_without_a_force_does_not_keep_its_contact():
     contacts = tracker()
     tell(contacts, 0, force(1.0))

@@ -3,12 +3,9 @@
 import math
 
 import numpy as np
-import pytest
-from plate_bench import PlateBench
 
 from resonator_daemon.forces.baseline import COMMON_MODE_WALK
 from resonator_daemon.forces.drift_watch import SPAN_S, WALKS, DriftWatch
-from resonator_daemon.plate import load_plate
 
 NAN = math.nan
 STEP_S = 0.1
@@ -64,24 +61,6 @@ def test_a_baseline_that_is_forgotten_begins_anew() -> None:
         drift.update((1e-9 * n, 0.0), NAN, n * STEP_S)
     assert drift.update((NAN, NAN), NAN, 10.0) is None
     assert not any(drift.update((1.0 + 1e-15 * n, 0.0), NAN, 10.1 + n * STEP_S) for n in range(100))
-
-
-@pytest.mark.parametrize(
-    ("environment_kelvin", "drifts"),
-    [(((0.0, 298.15), (180.0, 300.15)), False), (((0.0, 298.15), (5.0, 308.15)), True)],
-    ids=["2 K in three minutes", "10 K in five seconds"],
-)
-def test_an_emulated_plate(environment_kelvin: tuple[tuple[float, float], ...], drifts: bool) -> None:
-    bench, drift = PlateBench(load_plate("comb16"), (), environment_kelvin=environment_kelvin), DriftWatch()
-    told = (
-        drift.update(
-            moment.reading.compensation.common_mode,
-            moment.reading.compensation.plate_kelvin,
-            moment.reading.board_ticks / 250e6,
-        )
-        for moment in bench.play(1.3 * SPAN_S)
-    )
-    assert any(told) is drifts
 
 
 def test_with_time_that_goes_backwards_it_begins_anew() -> None:

@@ -108,15 +108,6 @@ def test_a_single_touch_is_not_split():
     assert np.mean(np.array(ratios) <= 7.815) == pytest.approx(0.95, abs=0.02)
 
 
-def test_three_touches_far_apart_are_found():
-    position, force = SITES_M[[3, 12, 9]], [1.0, 2.0, 0.5]
-    touches = SpreadFit(SITES_M, DEPTH_M, model_error=0.015).fit(site_force(position, force), VARIANCE)
-    assert touches.status == "ok"
-    order = np.argsort(touches.force_newton)
-    assert touches.force_newton[order] == pytest.approx([0.5, 1.0, 2.0], rel=0.02)
-    assert touches.position_m[order] == pytest.approx(position[[2, 0, 1]], abs=1e-4)
-
-
 def test_noise_alone_is_no_touch():
     rng = np.random.default_rng(5)
     fit = SpreadFit(SITES_M, DEPTH_M, model_error=0.015)
@@ -149,12 +140,3 @@ def test_forces_that_no_touches_explain_are_rejected():
     touches = SpreadFit(SITES_M, DEPTH_M, model_error=0.0).fit(pressed_everywhere, VARIANCE)
     assert touches.status == "rejected"
     assert len(touches.force_newton) <= 4
-
-
-def test_sites_on_a_line_and_few_of_them_do():
-    line = np.column_stack([np.linspace(-4e-3, 4e-3, 5), np.zeros(5)])
-    touches = SpreadFit(line, DEPTH_M, model_error=0.0).fit(np.array([0.1, 0.3, 1.0, 0.3, 0.1]), np.full(5, 1e-2))
-    assert len(touches.force_newton) <= 1
-    two = SpreadFit(line[:2], DEPTH_M, model_error=0.0).fit(np.array([1.0, 1.0]), np.full(2, 1e-6))
-    assert two.status == "rejected"
-    assert len(two.force_newton) == 0
