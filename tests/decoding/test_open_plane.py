@@ -242,15 +242,10 @@ def test_shapes_of_signals(decoder):
     ("change", "message"),
     [
         ({"site_positions_m": np.zeros((3, 64))}, r"site_positions_m has shape \(3, 64\)"),
-        ({"site_positions_m": np.full((64, 2), np.nan)}, "site_positions_m holds nan"),
         ({"query_positions_m": np.zeros(2)}, "query_positions_m has shape"),
         ({"depth_m": 0.0}, "depth_m spans 0.0"),
-        ({"depth_m": np.ones(63)}, r"depth_m has shape \(63,\)"),
         ({"noise_std": 0.0}, "noise_std spans 0.0"),
-        ({"noise_std": -1e-5}, "noise_std spans -1e-05"),
-        ({"noise_std": np.nan}, "noise_std spans nan"),
         ({"noise_std": np.ones((2, 64))}, r"noise_std has shape \(2, 64\)"),
-        ({"gain_std": -0.1}, "gain_std is -0.1"),
         ({"gain_std": 1.0}, "gain_std is 1.0"),
     ],
 )

@@ -254,13 +254,9 @@ def test_when_a_map_misleads() -> None:
     [
         ({"site_positions_m": SITES_M[:2]}, "2 sites make 6 signals, must be more than 6, the unknowns"),
         ({"site_positions_m": SITES_M[[0, 1, 2, 1]]}, "sites 1 and 3 are both at"),
-        ({"site_positions_m": np.full((4, 2), np.nan)}, "site_positions_m holds nan"),
         ({"query_positions_m": np.zeros((3, 3))}, r"query_positions_m has shape \(3, 3\)"),
-        ({"query_positions_m": np.full((3, 2), np.inf)}, "query_positions_m holds inf, must be finite"),
         ({"depth_m": 0.0}, "depth_m spans 0.0"),
-        ({"depth_m": np.nan}, "depth_m spans nan"),
         ({"noise_std": 0.0}, "noise_std spans 0.0"),
-        ({"noise_std": np.ones((2, 16))}, r"noise_std has shape \(2, 16\)"),
         ({"gain_std": 1.0}, "gain_std is 1.0"),
     ],
 )

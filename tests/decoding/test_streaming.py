@@ -7,13 +7,67 @@ from typing import Any
 
 import numpy as np
 import pytest
-from contact_scenes import DEPTH_M
-from streaming_bench import LINEAR, NAN, NOISE, SHAPE, SKIN, Floats, SubstituteDecoder, marked, pressed
+from contact_scenes import DEPTH_M, NU, E, grid_positions
+from skin_scenes import noisy, press
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding import Decoded
+from resonator_daemon.decoding import streaming as streaming_module
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
+from resonator_daemon.decoding.skin_contacts import SkinEvent
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
 from resonator_daemon.decoding.streaming import StreamingDecoder, UndecodableError
+from resonator_daemon.elastic import HalfSpace
+
+SHAPE, SITES = (12, 12), 144
+SKIN = Skin(HalfSpace(E, NU), grid_positions(SHAPE), DEPTH_M)
+NOISE = np.tile([[2.0**-7], [2.0**-8], [2.0**-8]], SITES)  # powers of two, which rounding keeps
+LINEAR = DecodingOptions(contact_physics=False)
+
+
+class SubstituteDecoder:
+    """In the place of the real one: knows its noise, and answers with the first signal as chi2."""
+
+    name, shape = "substitute", (SITES,)
+
+    def __init__(self, skin: Skin, wanted: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]) -> None:
+        self.built_for = noise_std
+
+    def fits(self, noise_std: Floats) -> bool:
+        return bool(noise_std[0, 0] == self.built_for[0, 0])
+
+    def decode_map(self, signals: Floats, noise_std: Floats) -> Decoded:
+        return Decoded(signals, signals, None, False, 0.0, float(signals[0, 0]), "ok", "")
+
+    def read_contacts(self, decoded: Decoded) -> SurfaceReading:
+        return SurfaceReading(self.name, decoded)
+
+    def succeed(self, other: "SubstituteDecoder") -> tuple[SkinEvent, ...]:
+        return ()
+
+    def rebuild(self) -> bool:
+        return False
+
+
+def pressed(seed: int = 0) -> Floats:
+    """A frame of 1 N with some shear in the middle."""
+    signals = press(shear_newton=(0.3, 0.0), sites_m=SKIN.site_positions_m)
+    return noisy(signals, np.random.default_rng(seed), NOISE)
+
+
+def marked(value: float) -> Floats:
+    return np.full((3, SITES), value)
+
+
+@pytest.fixture
+def substitute(monkeypatch: pytest.MonkeyPatch) -> Callable[[type[SubstituteDecoder]], None]:
+    """Put another decoder in the place of the real one, and keep none in files."""
+
+    def put(decoder: type[SubstituteDecoder]) -> None:
+        monkeypatch.setattr(streaming_module, "SkinDecoder", decoder)
+        monkeypatch.setattr(streaming_module, "cached", lambda _, build: build())
+
+    return put
 
 
 def streaming(wanted: DecodingOptions = LINEAR, skin: Skin = SKIN, **options: Any) -> StreamingDecoder:
@@ -30,7 +84,7 @@ def events_of(reading: SurfaceReading) -> list[tuple[str, int]]:
     return [(event.event, event.contact.id) for event in reading.events]
 
 
-@pytest.mark.parametrize("unknown", [NAN, np.inf])
+@pytest.mark.parametrize("unknown", [np.nan, np.inf])
 def test_without_noise_of_every_channel_there_is_no_decoder_yet(unknown: float) -> None:
     deaf = NOISE.copy()
     deaf[1] = unknown

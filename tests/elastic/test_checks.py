@@ -33,13 +33,9 @@ IMAGES = np.zeros((3, 8, 8))
     "ask",
     [
         lambda bad: BODY.transfer_matrix("stress", "traction", bad(np.ones(2)), 0.0, 1.0),
-        lambda bad: BODY.transfer_matrix("stress", "traction", 1.0, bad(np.ones(2)), 1.0),
-        lambda bad: BODY.transfer_matrix("stress", "traction", 1.0, 0.0, bad(np.ones(2))),
         lambda bad: SurfaceFields(BODY, (8, 8), PITCH, "p_n", 1e-3)(bad(IMAGES)),
-        lambda bad: SurfaceFields(BODY, (8, 8), PITCH, "p_n", bad(np.ones(1))),
         lambda bad: SURFACE.displacement_m(bad(IMAGES)),
         lambda bad: press(SURFACE, bad(BOWL), load_newton=0.1),
-        lambda bad: press(SURFACE, BOWL, load_newton=0.1, start_pascal=bad(BOWL)),
         lambda bad: FrictionalContact(SURFACE, bad(BOWL), 0.5),
         lambda bad: FrictionalContact(SURFACE, BOWL, 0.5).step(
             FrictionalContact(SURFACE, BOWL, 0.5).apart, load_newton=bad(np.ones(3))
@@ -47,7 +43,6 @@ IMAGES = np.zeros((3, 8, 8))
         lambda bad: solve_regions(SURFACE, bad(IMAGES), np.full((3, 8, 8), np.nan)),
         lambda bad: MIXED.field(bad(IMAGES), "p_n"),
         lambda bad: ARRAY.load_to_error("normal", bad(np.ones(2)), 0.0),
-        lambda bad: ARRAY.features_m("normal", bad(np.ones(2))),
     ],
 )
 @pytest.mark.parametrize(

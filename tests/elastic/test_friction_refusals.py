@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from paraboloid_contact import SIDE_M, hertz_load, paraboloid
 
-from resonator_daemon.elastic import NotConvergedError
-
 NAN = np.nan
 
 
@@ -27,11 +25,8 @@ def test_shear_that_friction_cannot_hold_is_refused():
     ("load", "shift", "message"),
     [
         ([0, 0, 1.0], [NAN, NAN, 1e-4], "in each direction"),
-        ([0, NAN, 1.0], [NAN, NAN, NAN], "in each direction"),
         ([0, 1.0], NAN, r"load_newton has shape \(2,\)"),
-        (NAN, [[0, 0, 1.0]], r"shift_m has shape \(1, 3\)"),
         ([0, np.inf, 1.0], NAN, "load_newton is .*finite"),
-        ([0, NAN, 1.0], [NAN, -np.inf, NAN], "shift_m is .*finite"),
     ],
 )
 def test_step_of_the_wrong_kind_is_refused(load: object, shift: object, message: str):
@@ -53,8 +48,6 @@ def test_contact_of_the_wrong_kind_is_refused():
     for tolerance in (0.0, -1.0, 1.0, np.nan):
         with pytest.raises(ValueError, match="tolerance is"):
             replace(contact, tolerance=tolerance)
-    with pytest.raises(ValueError, match=r"load_newton has shape \(\), must be \(3,\)"):
-        contact.step(contact.apart, load_newton=0.1)
     with pytest.raises(ValueError, match=r"before is a state of \(16, 16\) pixels, must be of \(8, 8\)"):
         contact.step(paraboloid(16, 0.5, 0.5).apart, load_newton=[0, 0, 1.0])
 
@@ -65,9 +58,3 @@ def test_contact_that_shear_spreads_to_the_border_is_refused():
     contact.step(contact.apart, load_newton=[0, 0, load])
     with pytest.raises(ValueError, match="contact touches the border of the height map"):
         contact.step(contact.apart, load_newton=[0.95 * load, 0, load])
-
-
-def test_passes_that_lead_nowhere_are_given_up():
-    contact = paraboloid(24, 20.0, 0.0)
-    with pytest.raises(NotConvergedError, match=r"friction stays at .* passes, must reach 1e-08; smaller steps"):
-        contact.step(contact.apart, load_newton=np.array([10.0, 0.0, 1.0]) * hertz_load(0.0) / 2)

@@ -53,18 +53,3 @@ def test_bad_geometry_is_refused(profile):
         profile(SHAPE, 0.0, 1.0)
     with pytest.raises(ValueError, match="shape is"):
         profile((0, 3), PITCH_M, 1.0)
-
-
-@pytest.mark.parametrize(
-    ("elevation", "message"),
-    [
-        (np.zeros(3), "shape"),
-        (np.zeros((5, 2)), "of at most"),
-        (np.zeros((2, 7)), "of at most"),
-        (np.zeros((0, 2)), "shape"),
-        ([[0.0, np.nan]], "not finite"),
-    ],
-)
-def test_bad_relief_is_refused(elevation, message: str):
-    with pytest.raises(ValueError, match=f"elevation_m .*{message}"):
-        relief((4, 6), elevation)

@@ -244,9 +244,3 @@ def test_what_has_no_answer_is_refused():
 @pytest.mark.parametrize("short_of_half", [1e-6, 1e-8, 1e-10])
 def test_a_nearly_incompressible_skin_has_no_blind_directions_of_rounding(short_of_half: float):
     assert SensorSet(HalfSpace(2e5, 0.5 - short_of_half), ("zz", "xz", "yz"), 1e-3).blind_directions_rad == ()
-
-
-@pytest.mark.parametrize(("name", "meant"), [("eps_xz", "xz"), ("zx", "xz"), ("XX", "xx"), ("sigma_zy", "sigma_yz")])
-def test_other_names_of_a_component_lead_to_it(name: str, meant: str):
-    with pytest.raises(ValueError, match=rf"did you mean {meant}\?"):
-        SensorSet(HalfSpace(2e5, 0.5), (name,), 1e-3)

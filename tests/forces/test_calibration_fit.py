@@ -234,3 +234,9 @@ def test_one_load_gives_k_with_the_f0_of_the_plate_file():
     assert np.abs(bench.k_error(fit)).max() < 6e-3
     assert (fit.f0_hz == bench.f0).all()
     assert np.isnan(fit.f0_std).all()
+
+
+def test_too_few_loadings_tell_no_scatter():
+    fit = Bench(11, 2).calibrate(ONE_BY_ONE[:4], 1e-3)
+    assert np.isnan([fit.model_error, fit.model_error_std]).all()
+    assert np.isfinite(fit.sensitivity_std).all()

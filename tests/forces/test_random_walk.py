@@ -4,14 +4,6 @@ import pytest
 from resonator_daemon.forces.random_walk import RandomWalks
 
 
-def test_the_first_reading_is_taken_whole_and_the_next_ones_are_averaged():
-    walks = RandomWalks(1)
-    for reading in (1.0, 2.0, 6.0):
-        walks.measure(np.array([reading]), 0.25, np.array([True]))
-    assert walks.mean[0] == pytest.approx(3.0)
-    assert walks.variance[0] == pytest.approx(0.25 / 3)
-
-
 def test_only_walks_that_were_read_change():
     walks = RandomWalks(2, start_std=2.0)
     walks.measure(np.array([1.0, np.nan]), np.array([4.0, np.nan]), np.array([True, False]))

@@ -140,3 +140,11 @@ def test_forces_that_no_touches_explain_are_rejected():
     touches = SpreadFit(SITES_M, DEPTH_M, model_error=0.0).fit(pressed_everywhere, VARIANCE)
     assert touches.status == "rejected"
     assert len(touches.force_newton) <= 4
+
+
+def test_touches_too_near_to_each_other_are_not_told_apart():
+    near_m = np.array([[0.0, 0.0], [1.2e-3, 0.0]])
+    for heavy in (1.0, 3.0, 6.0):
+        found = SpreadFit(SITES_M, DEPTH_M, model_error=0.0).fit(site_force(near_m, [1.0, heavy]), 1e-6 * VARIANCE)
+        apart = np.linalg.norm(found.position_m[:, None] - found.position_m, axis=2) + np.eye(len(found.position_m))
+        assert apart.min(initial=1.0) >= 0.5 * DEPTH_M

@@ -150,21 +150,16 @@ def test_no_absurdity_anywhere_in_info_raises(plate: RemotePlate) -> None:
 
 HOSTILE = [
     b"",
-    b"{}",
     b"\xa0",
     b"\x9f" * 100_000,  # arrays in arrays
-    b"\xd8\x28" * 10_000,
     encode(signals(0))[:-1],
     encode(signals(0)) + b"\x00",
     encode(signals(0, np.zeros((3, 4)), noise_std=np.ones((3, 4), np.float32))),
     encode(signals(0, np.zeros((3, 12, 12)), noise_std=np.ones((3, 12, 12), np.float32))),
     encode(signals(0, status="settling")),
     encode(signals(0).model_copy(update={"seq": 2**63})),
-    encode(signals(0).model_copy(update={"seq": -1})),
     encode(signals(0, t_unc_ns=2**63)),
     encode(signals(0, lost={"link_gap": 2**70})),
-    encode(signals(0, lost={"publish_dropped": -1})),
-    cbor2.dumps({"seq": "x" * 1000}),
     cbor2.dumps(cbor2.CBORTag(40, [[2**40, 2**40], cbor2.CBORTag(85, b"")])),
     cbor2.dumps(cbor2.CBORTag(2, b"\xff" * 10_000)),
 ]

@@ -82,13 +82,6 @@ def test_bars_beside_a_touched_site_are_measured_left_and_true_right() -> None:
     assert line_with(-0.001, None) == "▁12"
 
 
-def test_labels_that_would_run_into_each_other_give_way_to_circles_and_touched_ones_never() -> None:
-    crowd = [untouched(str(number), (number - 15.5) * 1e-3, 0.001) for number in (15, 16, 17, 18)]
-    assert "15oo " in text_of(site_map(SQUARE_M, crowd, 10.0, rows=12, columns_max=80))[5]
-    crowd[2] = crowd[2]._replace(measured_newton=10.0)
-    assert " o█17 " in text_of(site_map(SQUARE_M, crowd, 10.0, rows=12, columns_max=80))[5]
-
-
 @pytest.mark.parametrize(("x", "y"), [(0, 0), (3, 0), (0, 5), (2, 4), (1, 1)])
 def test_a_pressed_pixel_lies_where_it_is_on_the_skin(x: int, y: int) -> None:
     traction = np.zeros((6, 4))
@@ -117,15 +110,6 @@ def test_unknown_pixels_are_question_marks() -> None:
         top, bottom = text_of(traction_map(traction, 1.0, 1, colours=colours))
         assert "?" not in top
         assert [letter == "?" for letter in bottom] == [False, False, True]
-
-
-def test_pooled_pixels_show_their_mean() -> None:
-    traction = np.zeros((4, 5))
-    traction[2:, :2] = 1.0
-    traction[:, 4] = 1.0  # the last column has no neighbour to share with
-    assert pixels_of(traction_map(traction, 1.0, 2, colours=True)) == [[BRIGHT, DARK, BRIGHT], [DARK, DARK, BRIGHT]]
-    half = traction_map(np.array([[0.0, 0.9]] * 4), 1.0, 2, colours=False)
-    assert text_of(half) == ["="]
 
 
 def test_pooling_is_the_least_that_fits() -> None:

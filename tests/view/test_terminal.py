@@ -138,33 +138,11 @@ def test_states_come_with_reason_and_duration_unless_online() -> None:
     assert "sensor drifting for 2 h 0 min: 0.3 ppm/s" in text
 
 
-def test_rates_and_costs() -> None:
-    view = quartz16()
-    for number in range(201):
-        view.add("forces", forces(seq=number), NOW_NS + number * S // 200)
-    text = words(page(view, at_ns=NOW_NS + S))
-    for figure in ("frames 1000.0/s", "forces 200/s", "processor 21 %", "memory 92 MB", "clock drift +1.50 ppm"):
-        assert figure in text
-    assert "latency" not in text
-    unknown = page(quartz16(("health", health(clock_drift_ppm=math.nan))))
-    assert "clock drift -" in words(unknown)
-
-
 def test_losses_are_told_by_cause() -> None:
     assert "nothing lost" in page(quartz16())
     lost = Lost(link_gap=3, publish_dropped=20)
     view = quartz16(("forces", forces(seq=1, lost=lost)), ("forces", forces(seq=6, lost=lost)))
     assert "lost: link gap 3, publish dropped 20, missed by this view 4" in words(page(view))
-
-
-def test_beside_the_truth_losses_are_those_since_the_measurement_began() -> None:
-    view = quartz16(("forces", forces(lost=Lost(link_gap=3, damaged=2))))
-    began = Truth((), None, None, losses={"link_gap": 0, "damaged": 1, "parts": 0})
-    assert "lost: damaged 1" in words(page(view, truth=began))
-    assert "link gap" not in words(page(view, truth=began))
-    view = quartz16(("health", health(parts_lost=2, frames_not_decoded=5)))
-    assert "lost: parts 2, not decoded 5" in words(page(view))
-    assert "losses unknown" in page(PlateView("left"))
 
 
 def beside_the_map(text: str, columns: int = 34) -> str:
@@ -192,13 +170,6 @@ def test_doubts_about_the_surface_are_said() -> None:
     assert "contacts unknown normal shear towards margin status" in beside
     assert "?" * 32 in text
     assert "nan" not in text
-
-
-def test_measured_and_true_maps_share_one_scale() -> None:
-    truth = Truth((), skin_tractions()[2] / 2, None)
-    row = page(skin32(), truth=truth).splitlines()[6]
-    shades = " .:-=+*#%@"
-    assert (shades.index(row[:32].strip()), shades.index(row[34:66].strip())) == (3, 1)
 
 
 SCATTERED = {number: ((number % 5 - 2) * 4e-3, (number // 5 - 2) * 4e-3) for number in range(25)}
