@@ -16,6 +16,7 @@ from tomlkit.items import Table
 from resonator_daemon.calibration.coupling import CoupledSite
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.errors import UsageError
+from resonator_daemon.host.new_file import NoNewFileError, check_new
 from resonator_daemon.host.whole_file import fresh_name, replace_file
 from resonator_daemon.plate import FORCE_SIGNAL, load_plate, shipped_plates
 from resonator_daemon.toml_files.reading import read_toml
@@ -83,7 +84,9 @@ class PlateFile:
         Raises
         ------
         UsageError
-            The plate came with the daemon and no output is named; the output cannot be written, or exists.
+            The plate came with the daemon and no output is named.
+        NoNewFileError
+            The output cannot be written, or exists.
         """
         name = read_toml(config_path).content["plate"]
         if name in shipped_plates():
@@ -95,10 +98,10 @@ class PlateFile:
             source = config_path.parent / name
         target = source if output is None else output
         if target.exists() and not source.samefile(target):
-            raise UsageError(f"--output: {target} exists already; name a new file")
+            check_new(target)
         directory = target.resolve().parent
         if not directory.is_dir() or not os.access(directory, os.W_OK):
-            raise UsageError(f"{target}: {directory} is no directory that can be written to")
+            raise NoNewFileError(f"{target}: {directory} is no directory that can be written to")
         return cls(source, target)
 
     @property

@@ -38,9 +38,9 @@ def main(words: Sequence[str] | None = None) -> int:
     except UserError as error:
         print_error(*error.messages)
         return error.exit_code
-    except BrokenPipeError:
-        sys.stderr.close()  # whoever read the output has gone
-        return ExitCode.FAILED
+    except BrokenPipeError:  # the reader of the output has what it wants, as `head`
+        _discard_output()
+        return ExitCode.DONE
     except UnicodeEncodeError as error:  # the streams print everything: it is the name of a file
         what = f"{error.object!a} cannot name a file in this locale, whose encoding is {error.encoding}"
         print_error(f"{what}; set LC_ALL=C.UTF-8")
@@ -58,7 +58,8 @@ def make_parser(words: Sequence[str] = ()) -> argparse.ArgumentParser:
         description="Acquisition daemon for a quartz-resonator tactile plate: counts to forces, sites, contacts and "
         "surface traction, published over MQTT.",
         epilog="Exit codes: 0 done, or stopped where a command runs until it is stopped; 1 the run failed (touches or "
-        "frames lost) or was interrupted; 2 usage; 69 link or broker cannot ever work; 78 configuration. "
+        "frames lost) or was interrupted; 2 usage; 69 link or broker cannot ever work; 78 configuration, or an output "
+        "that is there already or cannot be made. "
         "Start with: resonatord demo",
     )
     _add_commands(parser, sys.modules[__name__], words)
@@ -98,6 +99,13 @@ def _add_commands(parser: argparse.ArgumentParser, package: ModuleType, words: S
 
 
 class _Parser(argparse.ArgumentParser):
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse, with an error where the command does not have an argument: argparse prints the usage of all."""
+        namespace, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return namespace, unknown
+
     def print_help(self, file: Any = None) -> None:
         """Print the help; OSError where it cannot be written, which argparse ignores."""
         if file is None and sys.stdout is not None:

@@ -3,9 +3,12 @@
 import argparse
 import dataclasses
 import math
+import os.path
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
+
+from resonator_daemon.errors import ConfigurationError, UsageError
 
 T = TypeVar("T")
 
@@ -55,6 +58,17 @@ def link_target(text: str) -> object:
         return parse_link(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text!r}: {error}") from error
+
+
+def check_plate_name(name: str) -> None:
+    """Raise UsageError where `--plate` names neither a shipped plate nor a file."""
+    from resonator_daemon.plate import load_plate, shipped_plates
+
+    try:
+        if name not in shipped_plates() and not os.path.exists(name):
+            load_plate(name)
+    except ConfigurationError as error:
+        raise UsageError(f"--plate: {error}") from error
 
 
 def picture(text: str) -> Path:

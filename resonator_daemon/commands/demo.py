@@ -7,7 +7,7 @@ import argparse
 import logging
 import sys
 
-from resonator_daemon.commands._argument_types import positive
+from resonator_daemon.commands._argument_types import check_plate_name, positive
 from resonator_daemon.errors import ExitCode
 
 
@@ -28,5 +28,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
     logging.getLogger().setLevel(logging.ERROR)  # view and result show the rest
     plates = tuple(arguments.plate or ("quartz16", "skin32"))
+    for plate in plates:
+        check_plate_name(plate)
     headless = arguments.headless or arguments.json or not sys.stdout.isatty()
     return run_demo(DemoOptions(plates, arguments.seconds, headless=headless, json=arguments.json))

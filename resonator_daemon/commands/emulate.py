@@ -10,8 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from resonator_daemon.commands._argument_types import options_of, positive
-from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.commands._argument_types import check_plate_name, options_of, positive
+from resonator_daemon.errors import ExitCode, UsageError, UserError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,11 +57,12 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     from simulators.emulator import run as emulate
     from simulators.faults import parse_faults
 
+    check_plate_name(arguments.plate)
     try:
         with suppress(KeyboardInterrupt):
             emulate(options_of(EmulatorOptions, arguments, faults=parse_faults(arguments.faults)))
     except ValueError as error:
-        raise UserError(*str(error).split("\n")) from error  # a line for each mistake
+        raise UsageError(*str(error).split("\n")) from error  # a line for each mistake
     except OSError as error:
         raise UserError(str(error)) from error
     return ExitCode.DONE

@@ -171,9 +171,9 @@ class _LinkRecording:
         if self._recorder.failure is not None:
             raise RecordingEndedError(self._recorder.failure)
         result = self.result()
+        if self._stopped and not result["frames"]:
+            raise InterruptedCommandError("interrupted before a frame came; no file is kept")
         if seconds is not None and self._stopped and result["seconds"] < seconds:
-            if not result["frames"]:
-                raise InterruptedCommandError("interrupted before a frame came; no file is kept")
             words = f"{result['seconds']:.1f} of {seconds:g} s are recorded, which stay"
             raise InterruptedCommandError(f"interrupted: {words}", result)
         if not result["frames"]:

@@ -13,6 +13,7 @@ from resonator_daemon.errors import ConfigurationError, UsageError
 from resonator_daemon.forces.code_plan import Limits, stamp_noise
 from resonator_daemon.forces.force_sites import DEFAULT_COEFFICIENT_STD
 from resonator_daemon.forces.site_identification import MODEL_ERROR
+from resonator_daemon.host.new_file import NoNewFileError, check_new
 from resonator_daemon.planning.plate_file import PILOT_ABOVE, Layout, PlateDraft, grid_layout, plate_layout, read_layout
 from resonator_daemon.plate import FORCE_SIGNAL, Plate, load_plate
 from resonator_daemon.sensors.plate_sites import force_sites
@@ -156,12 +157,12 @@ def _check_options(options: argparse.Namespace) -> None:
             "--output does not go with --no-pilot: the daemon learns the common mode of a plate with captured tones "
             "from its pilot; leave one of them out"
         )
-    if options.output is not None and options.output.exists():
-        findings.append(f"--output: {options.output} exists already; name a new file")
-    elif options.output is not None and not options.output.resolve().parent.is_dir():
-        findings.append(f"--output: {options.output.resolve().parent} is no directory; make it first")
     if findings:
         raise UsageError(*findings)
+    if options.output is not None:
+        check_new(options.output)
+        if not (directory := options.output.resolve().parent).is_dir():
+            raise NoNewFileError(f"{options.output}: {directory} is no directory; make it first")
 
 
 def _named_plate(name: str | None) -> Plate | None:

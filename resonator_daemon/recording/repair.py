@@ -20,7 +20,7 @@ from mcap.records import (
 from mcap.writer import CompressionType, Writer
 
 from resonator_daemon.errors import ExitCode, UserError
-from resonator_daemon.host.new_file import NewFile
+from resonator_daemon.host.new_file import NewFile, check_new
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.recording.mcap_attachments import DamagedAttachment
 from resonator_daemon.recording.mcap_messages import CHUNK_BYTES
@@ -99,12 +99,8 @@ def repair(path: Path, copy: Path) -> Repaired:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except BlockingIOError as error:
                 raise RepairError(f"{path} is being written; stop that first") from error
-        if os.path.lexists(copy):
-            raise RepairError(f"{copy} is there already, and nothing is overwritten; name another file with --output")
-        try:
-            new = NewFile(copy)
-        except UserError as error:
-            raise RepairError(str(error)) from error
+        check_new(copy)
+        new = NewFile(copy)
         try:
             done = _copy(file, new.file)
             if not done.events:

@@ -77,9 +77,9 @@ class Lines:
         self._removable = False
         try:
             self._file.write(line(published) + "\n")
-        except BrokenPipeError:
-            raise
         except OSError as error:
+            if self._file is sys.stdout and isinstance(error, BrokenPipeError):
+                raise  # the reader has what it wants, as `head`
             raise self._failed(error) from error
 
     def _failed(self, error: OSError) -> OutputFailedError:

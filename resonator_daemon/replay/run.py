@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from resonator_daemon.config import Config, Mqtt, plate_name
-from resonator_daemon.errors import ConfigurationError, InterruptedCommandError
+from resonator_daemon.errors import ConfigurationError, InterruptedCommandError, UsageError
 from resonator_daemon.host.new_file import interruptible
 from resonator_daemon.host.printable import printable
 from resonator_daemon.publishing.payloads import Info
@@ -116,9 +116,9 @@ async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[d
     if options.output is not None:
         output, boot_id, speed = Lines(options.output), None, options.speed or math.inf
     else:
-        name = options.name or _recorded_name(path, config)
+        name = _given(options.name) if options.name else _recorded(path, config)
         named_by = "--url" if config is None or options.url is not None else "mqtt.url"
-        output = AtBroker(_broker(options.url, config), _sound(name), path.name, named_by=named_by)
+        output = AtBroker(_broker(options.url, config), name, path.name, named_by=named_by)
         boot_id, speed = output.daemon_boot_id, options.speed or 1.0
         summary["name"] = name
     with open_replay(path, config, boot_id) as replaying:
@@ -191,8 +191,16 @@ def _recorded_name(path: Path, config: Config | None) -> str:
     raise ConfigurationError(f"{path} has neither the name of a daemon nor the serial number of a board; give --name")
 
 
-def _sound(name: str) -> str:
+def _recorded(path: Path, config: Config | None) -> str:
+    name = _recorded_name(path, config)
     try:
         return plate_name(name)
     except ValueError as error:
         raise ConfigurationError(f"name {name!r} {error}; give another by --name") from error
+
+
+def _given(name: str) -> str:
+    try:
+        return plate_name(name)
+    except ValueError as error:
+        raise UsageError(f"--name: {name!r} {error}") from error

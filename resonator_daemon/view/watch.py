@@ -17,7 +17,7 @@ from rich.live import Live
 from rich.text import Text
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.errors import UserError
+from resonator_daemon.errors import UsageError
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.subscriber import subscribe
 from resonator_daemon.toml_files.reading import shown
@@ -65,14 +65,14 @@ def broker_at(url: str, prefix: str) -> Mqtt:
 
     Raises
     ------
-    UserError
+    UsageError
         The address or the prefix cannot be used.
     """
     try:
         return Mqtt(url=url, prefix=prefix)
     except ValidationError as error:
         findings = [(f["loc"][0], shown(f["input"]), f["msg"].removeprefix("Value error, ")) for f in error.errors()]
-        raise UserError(*(f"--{key}: got {value}; {sentence}" for key, value, sentence in findings)) from None
+        raise UsageError(*(f"--{key}: got {value}; {sentence}" for key, value, sentence in findings)) from None
 
 
 def _discard_stdout() -> None:

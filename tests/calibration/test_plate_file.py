@@ -17,6 +17,7 @@ from resonator_daemon.calibration.plate_file import (
     write_plate_file,
 )
 from resonator_daemon.errors import ConfigurationError, UsageError
+from resonator_daemon.host.new_file import NoNewFileError
 from resonator_daemon.plate import load_plate
 
 RECORD = Record(
@@ -119,7 +120,7 @@ def test_the_plates_own_file_is_changed_and_no_other(tmp_path: Path) -> None:
     config = config_of(tmp_path, "mine.toml")
     assert PlateFile.of(config, None).output == tmp_path / "mine.toml"
     assert PlateFile.of(config, tmp_path / "mine.toml").output == tmp_path / "mine.toml"
-    with pytest.raises(UsageError, match=r"other\.toml exists already"):
+    with pytest.raises(NoNewFileError, match=r"other\.toml is there already"):
         PlateFile.of(config, tmp_path / "other.toml")
-    with pytest.raises(UsageError, match="no directory that can be written to"):
+    with pytest.raises(NoNewFileError, match="no directory that can be written to"):
         PlateFile.of(config, tmp_path / "nowhere" / "mine.toml")

@@ -120,7 +120,7 @@ def test_emulate_refuses_in_one_line(
     tmp_path: Path, arguments: tuple[str, ...], complaint: str, resonatord: Resonatord
 ) -> None:
     run = resonatord("emulate", *arguments, "--pty", str(tmp_path / "board"))
-    assert run.returncode == 78
+    assert run.returncode == 2
     assert len(run.stderr.splitlines()) == 1
     assert complaint in run.stderr
 

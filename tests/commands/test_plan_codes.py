@@ -201,7 +201,6 @@ def test_neighbours_get_codes_for_which_the_ladder_is_lengthened(capsys: pytest.
         ((*GRID, "--picture", "codes.gif"), "'codes.gif' must end in .svg, .png or .pdf"),
         ((*GRID, "--band-ppm", "1000"), "--band-ppm 1000: pilot and largest force alone need 1082; widen the band"),
         ((*GRID, "--no-pilot", "--output", "new.toml"), "--output does not go with --no-pilot"),
-        ((*GRID, "--output", "/"), "exists already; name a new file"),
         ((*GRID, "--keep-codes"), "--keep-codes needs --plate"),
         (("--plate", "quartz16", "--keep-codes", "--step-ppm", "9"), "--step-ppm does not go with --keep-codes"),
         (("--plate", "skin32"), "'skin32' has a channelised counter of p_n, eps_xz, eps_yz"),

@@ -12,6 +12,7 @@ from mcap.writer import CompressionType, Writer
 from recording_bench import ONE_BATCH
 
 from resonator_daemon.commands import main
+from resonator_daemon.host.new_file import NoNewFileError
 from resonator_daemon.plate import load_plate
 from resonator_daemon.recording import recorder as recording
 from resonator_daemon.recording.reader import DAMAGE, Mark, Origin, open_recording
@@ -136,11 +137,10 @@ def test_what_was_cut_is_said(made: tuple[Path, list[WireEvent]], capsys: pytest
     assert out == ""
     left_out = "its end is missing, and its last 7 bytes are left out"
     assert err == f"{path}: {left_out}; {copy} has 31 events up to 2026-09-10T00:26:41.030Z\n"
-    assert main(["repair", str(path), "--json"]) == 1  # the copy is there
+    assert main(["repair", str(path), "--json"]) == 78  # the copy is there
     out, err = capsys.readouterr()
-    assert err == f"resonatord: {copy} is there already, and nothing is overwritten; name another file with --output\n"
-    assert json.loads(out)["error"]["code"] == "not_repaired"
-    assert main(["repair", str(path), "--output", str(path)]) == 1
+    assert json.loads(out)["error"]["code"] == "output"
+    assert main(["repair", str(path), "--output", str(path)]) == 78
     assert "is there already" in capsys.readouterr().err
 
 
@@ -156,7 +156,7 @@ def test_what_cannot_be_repaired_is_said(made: tuple[Path, list[WireEvent]], tmp
         match="is no recording, or nothing of it was written; name a file that `resonatord record` has written",
     ):
         repair(tmp_path / "text", tmp_path / "copy.mcap")
-    with pytest.raises(RepairError, match="cannot be written: No such file or directory"):
+    with pytest.raises(NoNewFileError, match="cannot be written: No such file or directory"):
         repair(path, tmp_path / "none" / "copy.mcap")
     with path.open("rb") as file:
         fcntl.flock(file, fcntl.LOCK_EX)

@@ -1,0 +1,110 @@
+"""Exit codes that all commands share: wrong arguments, an output that is there, a reader that left, Ctrl-C."""
+
+import shlex
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from command_line import exit_code
+
+RECORDING = Path(__file__).parents[1] / "corpus" / "touches" / "recording.mcap"
+PROGRAM = (sys.executable, "-m", "resonator_daemon")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "demo --plate nope",
+        "emulate --plate nope --pty board",
+        "emulate --plate quartz16 --pty board --scenario nope",
+        "emulate --plate quartz16 --pty board --faults nope=1",
+        "watch --url nonsense",
+        "watch --prefix a#b",
+        "replay run.mcap --url mqtt://host:0",
+        "replay run.mcap --name a/b",
+        "doctor --url nonsense --link tcp://127.0.0.1:9",
+        "identify nope",
+        "export run.mcap --output run.foo",
+        "config explain nope",
+        "plan codes --grid nope --pitch-mm 5",
+    ],
+)
+def test_a_wrong_value_of_an_argument_is_a_matter_of_usage(
+    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run.mcap").write_bytes(RECORDING.read_bytes())
+    assert exit_code(*shlex.split(line)) == 2
+    printed = capsys.readouterr()
+    assert (printed.out, "Traceback" in printed.err) == ("", False)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "record --config board.toml --output there --seconds 1",
+        "replay run.mcap --to there",
+        "replay run.mcap --save-case there",
+        "export run.mcap --output there --format mcap",
+        "repair cut.mcap --output there",
+        "plan codes --grid 4x4 --pitch-mm 5 --output there",
+        "calibrate --config board.toml --masses-grams 100 --output there",
+    ],
+)
+def test_an_output_that_is_there_is_not_overwritten(
+    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    recorded = RECORDING.read_bytes()
+    (tmp_path / "run.mcap").write_bytes(recorded)
+    (tmp_path / "cut.mcap").write_bytes(recorded[: len(recorded) // 2])
+    (tmp_path / "board.toml").write_text('plate = "quartz16"\nlink = "tcp://127.0.0.1:9"\n')
+    (tmp_path / "there").write_bytes(b"mine")
+    assert exit_code(*shlex.split(line)) == 78
+    assert "is there already" in capsys.readouterr().err
+    assert (tmp_path / "there").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("command", ["decode", "config explain", "plan codes", "status"])
+def test_an_unknown_argument_has_the_usage_of_its_command_printed(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    required = {"decode": "--config board.toml", "plan codes": "--grid 4x4 --pitch-mm 5"}.get(command, "")
+    assert exit_code(*shlex.split(f"{command} {required} --foo")) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"usage: resonatord {command} ")
+    assert "unrecognized arguments: --foo" in error
+
+
+@pytest.mark.parametrize("line", [f"replay {RECORDING} --to -", "schema"])
+def test_a_reader_that_leaves_ends_it_well(line: str) -> None:
+    """As `| head -c 1` does; the rest is more than a pipe holds."""
+    command = subprocess.Popen([*PROGRAM, *shlex.split(line)], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert command.stdout is not None
+    assert command.stderr is not None
+    assert command.stdout.read(1) == b"{"
+    command.stdout.close()
+    stderr = command.stderr.read()
+    command.stderr.close()
+    assert command.wait(60) == 0, stderr
+    assert b"Error" not in stderr
+
+
+@pytest.mark.parametrize("seconds", [(), ("--seconds", "5")])
+def test_ctrl_c_before_a_board_counts_interrupts_a_recording(seconds: tuple[str, ...], tmp_path: Path) -> None:
+    config = tmp_path / "board.toml"
+    config.write_text(f'plate = "quartz16"\nlink = "serial:{tmp_path}/board?baud=4000000"\n')
+    output = tmp_path / "run.mcap"
+    command = [*PROGRAM, "record", "--config", str(config), "--output", str(output), *seconds, "--json"]
+    record = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert record.stderr is not None
+    for line in record.stderr:
+        if "no port" in line:
+            break
+    record.send_signal(signal.SIGINT)
+    stdout, stderr = record.communicate(timeout=60)
+    assert record.returncode == 1, stderr
+    assert '"code": "interrupted"' in stdout
+    assert not output.exists()
