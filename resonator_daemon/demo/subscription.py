@@ -8,7 +8,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import Final
 from urllib.parse import urlsplit
 
@@ -46,8 +46,11 @@ class Subscription:
         self._on_arrival = on_arrival
         self._sending = threading.Lock()
         try:
-            self._socket = socket.create_connection((parts.hostname or "", parts.port or 1883), _TIMEOUT_S)
-            self._subscribe(filters)
+            with ExitStack() as undo:
+                address = (parts.hostname or "", parts.port or 1883)
+                self._socket = undo.enter_context(socket.create_connection(address, _TIMEOUT_S))
+                self._subscribe(filters)
+                undo.pop_all()
         except OSError as error:
             raise UserError(f"the broker at {url} refuses the connection of the demo: {error}") from error
         self._thread = threading.Thread(target=self._receive, name="subscription", daemon=True)

@@ -220,7 +220,7 @@ def open_recording(path: str, plate: Plate | None = None) -> Recording:
     except OSError as error:
         raise LinkUnavailableError(f"recording {path}: {error.strerror}") from error
     try:
-        records = ChunkReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES).records
+        records = ChunkReader(file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records
         header = read_header(path, records)
         check_format(path, header)
         attachments, damaged, records = _attachments(records)

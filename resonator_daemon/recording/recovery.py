@@ -117,7 +117,7 @@ class Records:
             yield hole
 
     def _outer(self) -> Iterator[McapRecord]:
-        reader = _BoundedReader(self._file, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
+        reader = _BoundedReader(self._file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES)
         records = iter(reader.records)
         while True:
             try:

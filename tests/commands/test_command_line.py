@@ -15,6 +15,7 @@ from observer import observe
 
 from resonator_daemon.commands import command_names
 from resonator_daemon.config import load_config
+from resonator_daemon.demo.run import DemoOptions
 from resonator_daemon.publishing.asyncapi import document
 
 COMMAND = (sys.executable, "-m", "resonator_daemon")
@@ -178,3 +179,17 @@ async def test_run_starts_with_nothing_there_and_stops_on_sigterm(config_path: P
     assert daemon.returncode == 0
     assert "Traceback" not in stderr
     assert link["reason"].startswith("no port /dev/serial/by-id/usb-RD_board_0042-if00; ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "terminal", "headless"),
+    [((), True, False), (("--headless",), True, True), (("--json",), True, True), ((), False, True)],
+)
+def test_the_demo_has_a_view_in_a_terminal_alone(
+    arguments: tuple[str, ...], terminal: bool, headless: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[DemoOptions] = []
+    monkeypatch.setattr("resonator_daemon.demo.run.run_demo", lambda options: seen.append(options) or 0)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
+    assert exit_code("demo", *arguments) == 0
+    assert [(options.plates, options.headless) for options in seen] == [(("quartz16", "skin32"), headless)]

@@ -20,10 +20,12 @@ class Bench:
     def __init__(self, *batches: list[Arrival]) -> None:
         self.batches = list(batches)
         self.handled: list[int] = []
+        self.pops = 0
         self.over: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.loop = ArrivalLoop(self.pop, self.handle, nullcontext, self.over)
 
     def pop(self) -> list[Arrival]:
+        self.pops += 1
         return self.batches.pop(0) if self.batches else []
 
     def handle(self, arrival: object) -> None:
@@ -55,10 +57,13 @@ async def test_what_arrives_while_others_are_handled_needs_no_later_arrival() ->
     assert bench.handled == list(range(PART_ARRIVALS + 11))
 
 
-async def test_it_can_be_woken_from_another_thread() -> None:
+async def test_it_is_woken_from_another_thread_and_idle_afterwards() -> None:
     bench = Bench(lines(0, 2))
     await asyncio.to_thread(bench.loop.wake)
     await bench.until(2)
+    for _ in range(10):
+        await asyncio.sleep(0)
+    assert bench.pops == 2
 
 
 async def test_what_the_handler_raises_ends_the_service() -> None:

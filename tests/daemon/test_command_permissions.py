@@ -62,6 +62,7 @@ async def test_each_command_does_what_it_says(bench: Bench) -> None:
         assert set(info["commands"]) == set(VERBS)
         pong = await ask("ping")
         assert pong["daemon_boot_id"] == info["daemon_boot_id"]
+        assert 0 < pong["uptime_s"] < 600
         assert (await ask("health"))["health"]["frames"] > 0
         assert len((await ask("tare"))["common_mode"]) == 4
         assert (await ask("identify"))["ok"]

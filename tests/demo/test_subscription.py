@@ -4,9 +4,11 @@ import asyncio
 from queue import Queue
 
 import aiomqtt
+import pytest
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.demo.subscription import Subscription
+from resonator_daemon.errors import UserError
 from resonator_daemon.publishing.receiver import Arrival
 
 
@@ -39,3 +41,14 @@ async def test_it_publishes_beside_receiving(broker) -> None:
     received = [await asyncio.to_thread(arrivals.get, timeout=20) for _ in range(2)]
     assert [(each.topic, each.payload) for each in received] == [("a/x", b"{}"), ("a/y", b"x" * 200)]
     await asyncio.to_thread(subscription.close)
+
+
+async def test_a_broker_that_refuses_the_demo_is_a_users_error() -> None:
+    async def refuse(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(b"\x20\x02\x00\x05")
+        writer.close()
+
+    async with await asyncio.start_server(refuse, "127.0.0.1", 0) as server:
+        url = f"mqtt://127.0.0.1:{server.sockets[0].getsockname()[1]}"
+        with pytest.raises(UserError):
+            await asyncio.to_thread(Subscription, url, {"a": 0}, lambda _: None)

@@ -238,9 +238,10 @@ def test_bytes_that_come_one_by_one_are_not_taken_one_by_one(tmp_path: Path) -> 
     faults = parse_faults("split_bytes=1")
     with (
         emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
-        Listener(SerialTarget(str(port), 4000000), on_event=tap) as it,
+        Listener(SerialTarget(str(port), 4000000), on_event=tap, step_frames=(50,)) as it,
     ):
         it.wait_for_frames(300)
         counters = it.reader.counters()
     assert counters.lost.damaged == counters.lost.link_gap == 0
     assert sum(reads) / len(reads) > 10
+    assert it.wakes < 20 < len(reads)  # one for each step and for each change of the link

@@ -7,10 +7,13 @@ import pytest
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.layouts import Capability
 from firmware_protocol.messages import CounterKind, Description, Identity
+from firmware_protocol.packets import encode_packet
+from resonator_daemon.session import probe as probe_module
 from resonator_daemon.session.clock import Exchange
-from resonator_daemon.session.probe import TickRate, probe, tick_rate
+from resonator_daemon.session.probe import NoBoardError, TickRate, probe, tick_rate
 
 IDENTITY = Identity("board", "0042", "1.0", 0)
+FRAME = encode_packet(0x90, 7, bytes(176), boot_id=5)
 
 
 class LossyLink:
@@ -71,3 +74,35 @@ def test_a_rate_is_plausible_within_its_bound_and_what_a_running_daemon_allows()
     assert TickRate(-1040.0, 41.0).plausible
     assert not TickRate(-1040.0, 39.0).plausible
     assert not TickRate(1040.0, 39.0).plausible
+
+
+class Answering:
+    """A link that answers each request with the same bytes, or with the request itself."""
+
+    overruns = 0
+
+    def __init__(self, says: bytes | None) -> None:
+        self._says = says
+        self._answers = b""
+
+    def write(self, data: bytes) -> None:
+        self._answers += data if self._says is None else self._says
+
+    def read(self, timeout_s: float) -> bytes:
+        threading.Event().wait(0.0 if self._answers else timeout_s)
+        answers, self._answers = self._answers, b""
+        return answers
+
+    def reset(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.parametrize(("says", "is_a_board"), [(None, False), (b"", False), (FRAME, True)])
+def test_who_sends_packets_but_no_identity_is_a_board(
+    says: bytes | None, is_a_board: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(probe_module, "ANSWER_S", 0.05)
+    with pytest.raises(NoBoardError) as refused:
+        probe(Answering(says))
+    assert refused.value.is_a_board == is_a_board

@@ -19,7 +19,8 @@ class Listener:
 
     def __init__(self, link: LinkTarget, plate: object = QUARTZ, **options: object) -> None:
         self._woken = threading.Event()
-        self.reader = BoardReader(link, plate, self._woken.set, **options)  # type: ignore[arg-type]
+        self.wakes = 0
+        self.reader = BoardReader(link, plate, self._wake, **options)  # type: ignore[arg-type]
         self.arrivals: list[Arrival] = []
 
     def __enter__(self) -> "Listener":
@@ -28,6 +29,10 @@ class Listener:
 
     def __exit__(self, *_: object) -> None:
         self.reader.stop()
+
+    def _wake(self) -> None:
+        self.wakes += 1
+        self._woken.set()
 
     def wait_for(self, enough: Callable[[list[Arrival]], bool]) -> list[Arrival]:
         """Wait until there are enough arrivals; return them."""
