@@ -54,7 +54,7 @@ USB := umockdev-run:umockdev /usr/lib/*/girepository-1.0/UMockdev-1.0.typelib:gi
 COMPILER := gcc:gcc /usr/include/stdio.h:libc6-dev
 # What programs in C subscribe and read payloads with.
 EXAMPLES := /usr/include/mosquitto.h:libmosquitto-dev /usr/include/cbor.h:libcbor-dev /usr/include/cjson/cJSON.h:libcjson-dev
-FIRMWARE := arm-none-eabi-gcc:gcc-arm-none-eabi qemu-system-arm:qemu-system-arm
+FIRMWARE := arm-none-eabi-gcc:gcc-arm-none-eabi qemu-system-arm:qemu-system-arm cmake:cmake
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile | expand -t 20

@@ -13,7 +13,7 @@ RING_BITS = 6
 START = 2**32 + 2**32 - 7000  # the counter wraps within the run
 
 
-def record_of(stamps: list[tuple[int, int]], flags: int) -> SingleToneRecord:
+def record_of(stamps: list[tuple[int, int]], flags: int, stride: int = STRIDE) -> SingleToneRecord:
     """Return the sums of (edge, ticks), by their definition."""
     if not stamps:
         return SingleToneRecord(*[0] * 9, flags | RecordFlag.NO_SIGNAL)
@@ -21,7 +21,7 @@ def record_of(stamps: list[tuple[int, int]], flags: int) -> SingleToneRecord:
     x = [t - ticks[0] for t in ticks]
     q2 = sum((c - 2 * b + a) ** 2 for a, b, c in zip(ticks, ticks[1:], ticks[2:], strict=False))
     sums = (sum(x), sum(k * each for k, each in enumerate(x)), q2)
-    return SingleToneRecord(stamps[0][0] % 2**32, ticks[0] % 2**32, len(stamps), STRIDE, x[-1], *sums, 0, flags)
+    return SingleToneRecord(stamps[0][0] % 2**32, ticks[0] % 2**32, len(stamps), stride, x[-1], *sums, 0, flags)
 
 
 def printed_records(line: str) -> tuple[int, list[SingleToneRecord]]:
