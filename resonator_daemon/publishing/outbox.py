@@ -125,7 +125,6 @@ class Outbox:
         if stream.size_bytes > self._size_max(client, now_s):
             self._drop_too_large(packets.topic, stream.size_bytes, client.limits.packet_bytes_max)
         elif packets.perishable:
-            self._drop_late(now_s)
             self._put(self._streams, stream)
         else:
             self._put(self._reports, stream)
@@ -203,6 +202,7 @@ class Outbox:
 
     def _pump(self) -> None:
         """Send while the socket takes it; acknowledged messages first, as they are few, but only some at a time."""
+        self._drop_late(monotonic())
         try:
             for _ in range(_TOGETHER):
                 client = self._client
@@ -236,7 +236,6 @@ class Outbox:
     def _send_streams(self, client: BrokerConnection) -> bool:
         """Send the streams that wait, as many as one write should hold; return whether more can be sent now."""
         now_s = monotonic()
-        self._drop_late(now_s)
         packets: list[bytes] = []
         size_bytes = 0
         for stream in chain(self._reports, self._streams):

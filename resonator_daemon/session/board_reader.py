@@ -13,7 +13,6 @@ from resonator_daemon.links.link import Link, LinkLostError, LinkUnavailableErro
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate
 from resonator_daemon.session.compatibility import BoardRefusedError
-from resonator_daemon.session.connection import Connection
 from resonator_daemon.session.counters import FrameLoss, LinkCounters
 from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.frames import Arrival, BlinkAnswered, ControlRequest, LinkChange, Outage, ReaderFailed
@@ -250,6 +249,7 @@ class BoardReader:
         machine = self._machine
         now = read_host_time()
         machine.apply(Opened(now))
+        connection = machine.opened
         overruns = 0
         self._link_open = self._serving = True
         try:
@@ -261,7 +261,8 @@ class BoardReader:
                     self._blink_due = False
                     machine.apply(BlinkRequested(now))
                     self._send(link, now)  # apart from a ping, so that whoever joins here knows its number
-                pieces = self._read(link, machine.opened)
+                due_ns = connection.due_ns()
+                pieces = self._read(link, due_ns, gather=connection.pings.await_answer)
                 if not pieces:
                     now = read_host_time()  # silence ends before a thread that was kept waiting looks
                     if data := link.read(0.0):
@@ -275,9 +276,9 @@ class BoardReader:
                     self._pacing.has_read(self._queue.newest)
                 if pieces:
                     now = read_host_time()
-                if not pieces or now.monotonic_ns >= machine.opened.due_ns():
+                if not pieces or now.monotonic_ns >= due_ns:
                     machine.apply(TimersRun(now, idle=not pieces))
-                if pieces and len(pieces[-1].data) < _FEW_BYTES and machine.opened.within_packet:
+                if pieces and len(pieces[-1].data) < _FEW_BYTES and connection.within_packet:
                     # A UART with a short queue hands on some bytes at a time, and each would cost a turn of all this.
                     time.sleep(_GATHER_S)
             self._request_stop(link)
@@ -291,7 +292,7 @@ class BoardReader:
         finally:
             self._serving = False
             self._wake_now()
-            was_online = machine.opened.was_online
+            was_online = connection.was_online
             with self._blink_lock:
                 self._link_open = False
                 unasked, self._blink_due = self._blink_due, False
@@ -304,13 +305,13 @@ class BoardReader:
         while self._requests:
             self._machine.apply(ControlRequested(now, *self._requests.popleft()))
 
-    def _read(self, link: Link, connection: Connection) -> list[Received]:
-        """Read until a timer is due; while an answer is awaited all that is there, each piece with its time."""
+    def _read(self, link: Link, due_ns: int, *, gather: bool) -> list[Received]:
+        """Read until a timer is due; `gather`: all that is there, each piece with its time."""
         now_ns = time.monotonic_ns()
-        due_ns = min(connection.due_ns(), now_ns + _POLL_NS)
+        due_ns = min(due_ns, now_ns + _POLL_NS)
         newest = self._queue.newest
         sleep_ns = 0
-        if newest is not None and not connection.pings.await_answer:
+        if newest is not None and not gather:
             sleep_ns = self._pacing.sleep_ns(now_ns, newest, self._queue.step_frames, due_ns)
         self._wake_now()
         if sleep_ns:
@@ -322,7 +323,7 @@ class BoardReader:
         pieces: list[Received] = []
         while len(pieces) < _PIECES and (data := link.read(timeout_s)):
             pieces.append(Received(read_host_time(), data))
-            if not connection.pings.await_answer or len(data) < _FEW_BYTES:
+            if not gather or len(data) < _FEW_BYTES:
                 break  # so few are the last of what there was, or a line hands them on one by one
             timeout_s = _QUICK_S
         return pieces
