@@ -261,6 +261,13 @@ def test_taring_takes_what_is_felt_for_none():
     assert force[1] - 2.0 == pytest.approx(5e-8 / K[5], rel=0.1)
 
 
+def test_a_light_load_that_was_tared_leaves_no_force_when_it_goes():
+    comb = SmallComb().untouched()
+    comb.hold(spread(0.012, *PLACE_M), 30)
+    assert comb.chain.tare() is None
+    assert all(reading.sites == () for reading in comb.hold(frames=60)[5:])
+
+
 def test_a_restart_releases_contacts_and_learns_anew():
     comb = SmallComb().untouched()
     comb.hold(spread(1.0, *PLACE_M), 20)

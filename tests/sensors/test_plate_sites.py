@@ -89,6 +89,7 @@ def test_what_a_calibration_says_is_taken() -> None:
     assert (warmth.coefficient_std, warmth.transient_s, warmth.contact_time_s) == (3e-9, -1e-7, 7.0)
     assert warmth.contact_std_kelvin.tolist() == [4.0] * 16
     assert (sites.model_error, sites.sensitivity_std, sites.valid_newton) == (0.02, 0.001, (0.1, 8.0))
+    assert sites.valid_kelvin == pytest.approx((290.0 - 298.15, 305.0 - 298.15))
     response = sites.response
     assert response is not None
     assert (response.hysteresis_newton, response.creep_fraction, response.creep_time_s) == (0.1, 0.005, 20.0)
