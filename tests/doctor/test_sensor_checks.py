@@ -224,6 +224,7 @@ def test_a_tone_out_of_its_band_is_named(comb: Capture, comb16: Plate) -> None:
         ("[faults]\nbit_error_rate = 1e-5\n", "link.errors"),
         ('[[faults.events]]\nwhat = "freeze"\nat_s = 0.3\nfor_s = 0.2\n', "link.steady"),
         ("[plate]\ndrop_rate = 0.02\n", "link.overflow"),
+        ('[[faults.events]]\nwhat = "unplug"\nat_s = 0.3\nfor_s = 0.1\n', "link.steady"),
     ],
 )
 def test_what_befalls_the_link_is_told_apart(tmp_path: Path, scenario: str, id: str) -> None:

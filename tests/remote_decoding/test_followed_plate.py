@@ -229,6 +229,7 @@ async def test_frames_whose_noise_is_not_known_are_unusable_and_none_is_skipped(
         await followed.tell(info())
         followed.send(signals(0, noise_std=np.full((3, len(SITES_M)), np.nan, np.float32)))
         await until(lambda: followed.account.unusable == 1)
+        assert followed.account.skipped == 0
         await followed.prepare(info())
         assert followed.plate.process_info().pid is not None
         await followed.read(signals(1))
