@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -19,7 +18,6 @@ from emulated_loads import COMB_TRUE, TRUE, Touches, comb_text, nominal_text, tr
 from emulation import emulated
 
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY
-from resonator_daemon.links.carriers.serial import SerialTarget, open_serial
 from resonator_daemon.plate import load_plate
 from simulators.emulator import EmulatorOptions
 
@@ -234,19 +232,6 @@ def test_a_bad_load_is_asked_for_once_more_and_a_person_is_asked_to_accept(desk:
     assert "step 3 (300 g on site 7) does not fit the others" in reported
     assert [line["step"] for line in printed if line.get("event") == "captured"] == [1, 2, 3, 4, 5, 3]
     assert sensitivity_error(desk) < 3e-3
-
-
-def test_a_port_that_the_daemon_holds_is_refused_at_once(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
-    with desk.board():
-        link = open_serial(SerialTarget(str(desk.port), 4_000_000))
-        code, _, reported = desk.say(capsys, *LOADS)
-        link.close()
-    assert code == 69
-    assert re.search(r"is held by \S+ \(pid \d+\); close it there", reported)
-    assert "stop the daemon that runs on it" in reported
-    code, _, reported = desk.say(capsys, *LOADS)  # no board at all
-    assert code == 69
-    assert f"no port {desk.port}" in reported
 
 
 def test_what_cannot_be_calibrated_is_refused(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import pytest
 from emulated_loads import NOMINAL
-from plates import with_tables
 
 from resonator_daemon.calibration.steps import Wanted, plan_steps
 from resonator_daemon.errors import ExitCode, UsageError
@@ -70,9 +69,3 @@ def test_a_sweep_comes_last_with_the_heaviest_mass() -> None:
 )
 def test_what_cannot_be_asked_for_is_refused_with_value_and_limit(wanted: dict[str, object], printed: str) -> None:
     assert printed in refused(replace(USUAL, **wanted))
-
-
-def test_ids_with_gaps_are_listed_one_by_one() -> None:
-    plate = with_tables(NOMINAL, sites=NOMINAL.model_dump(mode="json", exclude_none=True)["sites"][::5])
-    with pytest.raises(UsageError, match="has no site 7; it has 1, 6, 11, 16"):
-        plan_steps(replace(USUAL, sites=(7,)), plate)

@@ -265,14 +265,6 @@ def test_a_touch_on_irregular_sites_is_one_contact(irregular: SkinDecoder, centr
     np.testing.assert_allclose(contact.patch.centroid_m, centre_m, atol=5e-5)
 
 
-def test_sums_over_a_map_that_was_only_cut_have_wide_error_bars_and_say_so(physics: SkinDecoder) -> None:
-    for seed in range(3):
-        reading = physics.decode(frame(seed), NOISE)
-    (contact,) = reading.contacts
-    assert "are being prepared" in reading.decoded.reason
-    assert contact.patch.force_std_newton[2] > 0.05 * contact.patch.force_newton[2]
-
-
 def test_at_the_border_error_bars_say_how_little_is_known(long: SkinDecoder) -> None:
     edge_m = float(SITES_M[:, 0].max())
     (contact,) = settled(long, press(1.0, (edge_m - 2e-4, 0.0))).contacts

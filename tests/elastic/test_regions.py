@@ -151,14 +151,6 @@ def test_displacements_known_all_over_a_periodic_surface_need_a_resultant():
         solve_regions(compliance, unknown, given, resultant_newton=[0.0, np.nan, 0.0])
 
 
-def test_tractions_known_everywhere_are_just_applied():
-    traction = np.random.default_rng(1).normal(size=(3, 5, 6))
-    solution = solve_regions(surface(0.3, (5, 6)), traction, np.full((3, 5, 6), np.nan))
-    np.testing.assert_array_equal(solution.traction_pascal, traction)
-    matrix = dense_compliance((5, 6), 0.3, MU, PITCH_M, periodic=False)
-    np.testing.assert_allclose(solution.displacement_m.ravel(), matrix @ traction.ravel(), rtol=1e-11)
-
-
 def test_refuses_bad_input():
     compliance = surface(0.3, (4, 5))
     traction, displacement = np.zeros((3, 4, 5)), np.full((3, 4, 5), np.nan)

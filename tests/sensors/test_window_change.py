@@ -31,20 +31,6 @@ def test_a_held_touch_of_one_tone_goes_on_with_its_force_and_contact(before, aft
     assert readings[0].compensation.common_mode == last.compensation.common_mode
 
 
-@pytest.mark.parametrize(("before", "after"), WINDOWS)
-def test_an_untouched_plate_stays_untouched_and_is_followed_again(before, after):
-    bench = Bench(window_frames=before, step_frames=5, error=CLOCK_ERROR).untouched()
-    bench.chain.set_window(after, 5)
-    readings = bench.hold(UNTOUCHED, 100)
-    assert {reading.status for reading in readings} == {"ok"}
-    assert all(reading.sites == () and reading.events == () for reading in readings)
-    assert readings[-1].compensation.baseline == "followed"
-    assert readings[-1].compensation.common_mode == pytest.approx([CLOCK_ERROR] * 4, abs=3e-8)
-    pressed = bench.hold(PLATE.loaded_hz(3, 1.0), 40)
-    assert events(pressed) == [("onset", 3)]
-    assert abs(pressed[-1].sites[0].force_newton - 1.0) < 6 * pressed[-1].sites[0].noise_newton
-
-
 def test_a_step_of_one_tone_can_change_alone():
     bench = Bench(step_frames=5).untouched()
     bench.chain.set_window(10, 2)

@@ -153,16 +153,3 @@ def test_a_tone_that_a_press_moves_is_no_resync(swing_hz):
         assert tones.offset_hz[0] == pytest.approx(
             slopes(times_s.ravel(), turns.reshape(-1, 1))[0], abs=2e-5 * swing_hz
         )
-
-
-def test_shapes_and_gates_that_do_not_fit_are_refused():
-    good = np.zeros((3, 2), np.int32), np.zeros((3, 2), np.int32), np.ones((3, 2)), np.ones((3, 2), bool)
-    assert merge_tones(*good, 0.01).offset_hz.tolist() == [0.0, 0.0]
-    for index, part in enumerate(good):
-        wrong = [*good[:index], part[:, :1], *good[index + 1 :]]
-        with pytest.raises(ValueError, match=r"must be \(k, \.\.\.\)"):
-            merge_tones(*wrong, 0.01)
-    with pytest.raises(ValueError, match="k > 0"):
-        merge_tones(*(part[:0] for part in good), 0.01)
-    with pytest.raises(ValueError, match=r"gate_s 0\.0 must be above 0"):
-        merge_tones(*good, 0.0)
