@@ -14,7 +14,6 @@ from long_run_judge import (
     Leg,
     Sample,
     Seen,
-    Trend,
     account_off,
     judge,
     leg_of,
@@ -22,11 +21,8 @@ from long_run_judge import (
     trend,
 )
 from long_run_log import Cause, LogJudge
-from scipy.signal import lfilter
 
 from simulators.faults import parse_faults
-
-HOUR_S = 3600.0
 
 
 def samples(count: int, **changing: Any) -> list[Sample]:
@@ -121,28 +117,6 @@ def test_peaks_that_an_allocator_keeps_are_no_leak_and_what_is_lost_in_it_is_see
     assert missed(well(samples=samples(960, rss_mb=120.0 + peaks_mb))) == []
     holes_mb = 1.1 * KEPT_MB * np.arange(960) / 720  # 720 of them are judged
     assert missed(well(samples=samples(960, rss_mb=120.0 + peaks_mb + holes_mb))) == ["memory of the process"]
-
-
-@pytest.mark.parametrize("correlation", [0.0, 0.8])
-def test_slope_and_standard_error_are_those_of_the_noise(correlation: float) -> None:
-    draw = np.random.default_rng(5)
-    at_s, slopes, stated = 30.0 * np.arange(400), [], []
-    for _ in range(200):
-        noise = lfilter([1.0], [1.0, -correlation], draw.normal(0.0, 1.0, 400))
-        found = trend(at_s, 2.0 * at_s / HOUR_S + noise)
-        assert found is not None
-        slopes.append(found.per_hour)
-        stated.append(found.std_per_hour)
-    assert np.mean(slopes) == pytest.approx(2.0, abs=0.1)
-    assert 0.8 < np.mean(stated) / np.std(slopes) < 1.4
-
-
-def test_a_rise_counts_that_is_certain_and_large() -> None:
-    assert rises(Trend(1.0, 0.3, 2.0), 0.5)
-    for small in (Trend(1.0, 0.4, 2.0), Trend(1.0, 0.1, 0.4), Trend(-1.0, 0.1, -2.0)):
-        assert not rises(small, 0.5)
-    assert trend([0.0, 30.0, 60.0, 90.0, 120.0], [7.0] * 5) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
-    assert trend([0.0, 30.0], [1.0, 2.0]) is None
 
 
 HEALTH: dict[str, Any] = {

@@ -125,15 +125,6 @@ def test_a_program_that_services_cannot_see_may_look_and_prepare(
     assert files_in(tmp_path) == PLACES
 
 
-@pytest.mark.parametrize(
-    ("program", "written"),
-    [("/opt/r d/bin/resonatord", r"/opt/r\x20d/bin/resonatord"), ("/opt/100%/resonatord", "/opt/100%%/resonatord")],
-)
-def test_a_path_is_written_as_units_have_it(program: str, written: str) -> None:
-    unit = "ExecStart=/opt/resonatord/bin/resonatord run --config /etc/resonatord/%i.toml\n"
-    assert module.started_by(unit, Path(program)) == f"ExecStart={written} run --config /etc/resonatord/%i.toml\n"
-
-
 def test_a_wheel_has_the_files(tmp_path: Path) -> None:
     """The one copy is in systemd/; the package reaches it by a link."""
     build = ["egg_info", "--egg-base", str(tmp_path), "build_py", "--build-lib", str(tmp_path / "built")]

@@ -1,8 +1,6 @@
 """`resonatord plan codes` as a user meets it."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,6 @@ from resonator_daemon.commands import main
 from resonator_daemon.plate import load_plate
 from resonator_daemon.sensors import code_check
 
-COMMAND = (sys.executable, "-m", "resonator_daemon")
 GRID = ("--grid", "4x4", "--pitch-mm", "5")
 FEW = ("--touches", "500")
 
@@ -213,18 +210,3 @@ def test_bad_values_are_usage_errors_of_one_sentence(
     printed = capsys.readouterr()
     assert printed.out == ""
     assert complaint in printed.err.splitlines()[-1]
-
-
-def test_text_and_picture_are_for_people(tmp_path: Path) -> None:
-    path = tmp_path / "codes.svg"
-    run = subprocess.run(
-        [*COMMAND, "plan", "codes", *GRID, *FEW, "--picture", str(path)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert (run.returncode, run.stderr) == (0, "")
-    for words in ("a step must hold", "51% of 4000000 baud", "oscillator mN", "undecided", "pilot"):
-        assert words in run.stdout
-    assert path.read_text().startswith("<?xml")

@@ -78,14 +78,6 @@ def test_nothing_runs_and_it_says_where_it_looked(home: Path, capsys: pytest.Cap
     assert json.loads(capsys.readouterr().out) == {"verb": "status", "daemons": [], "problems": []}
 
 
-async def test_a_block_for_each_daemon(capsys: pytest.CaptureFixture[str]) -> None:
-    async with daemons(status_samples.status(), status_samples.status(instance="foot", name=None)):
-        assert await run() == 0
-    foot, hand = capsys.readouterr().out.split("\n\n")
-    assert foot.startswith("(its name comes from the board)   process 4711, resonatord 0.1.0, up ")
-    assert hand.startswith("left-index   process 4711")
-
-
 @pytest.mark.parametrize("name", ["left-index", "hand"])
 async def test_one_of_many_by_its_name_or_its_files(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     async with daemons(status_samples.status(), status_samples.status(instance="foot", name="sole")):

@@ -1,6 +1,5 @@
 """What the daemon does for each command, on stand-ins of its parts."""
 
-import asyncio
 import json
 from datetime import UTC, datetime
 from pathlib import Path
@@ -156,26 +155,12 @@ async def test_recordings_may_be_asked_for_again(bench: Bench) -> None:
     assert refused.code == "recording"
 
 
-async def test_two_at_once_make_one_recording(bench: Bench) -> None:
-    both = await asyncio.gather(*(bench.ask("start_recording", label="a") for _ in range(2)))
-    assert [said["already"] for said in both] == [False, True]
-    assert both[0]["file"] == both[1]["file"]
-    assert [act[0] for act in bench.daemon.acts] == ["start"]
-
-
 async def test_a_disk_that_takes_nothing_is_said(bench: Bench) -> None:
     bench.daemon.disk_problem = "No space left on device"
     refused = await bench.refusal("start_recording")
     assert refused.code == "recording_failed"
     assert "No space left on device" in refused.message
     assert "directory in [recording]" in refused.hint
-
-
-async def test_a_directory_that_cannot_be_made_is_said(bench: Bench) -> None:
-    bench.directory.parent.write_text("a file")
-    refused = await bench.refusal("start_recording")
-    assert refused.code == "recording_failed"
-    assert str(bench.directory.parent) in refused.message
 
 
 async def test_a_recording_that_has_failed_is_not_taken_for_one_that_runs(bench: Bench) -> None:

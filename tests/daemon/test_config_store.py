@@ -4,7 +4,6 @@ import errno
 import logging
 import os
 import stat
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -151,27 +150,6 @@ def test_a_full_disk_leaves_the_old_copy(
     assert len(copies(path)) == 1
     path.write_text("bad\n")
     assert store(path).load().config.name == "left"
-
-
-@pytest.mark.parametrize(
-    ("make", "said"),
-    [
-        (os.mkfifo, "is no regular file; remove it"),
-        (lambda copy: copy.symlink_to("/dev/zero"), "is no regular file; remove it"),
-        (lambda copy: copy.mkdir(), "Is a directory"),
-    ],
-)
-def test_a_copy_that_is_no_file_is_refused_and_stops_nothing(
-    path: Path, make: Callable[[Path], None], said: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    store(path).load()
-    (copy,) = copies(path)
-    copy.unlink()
-    make(copy)
-    assert store(path).load().in_use == "file"
-    assert said in caplog.text
-    path.write_text("name = 5\n")
-    assert refused(path)[-1].endswith(f"{said}; no last good copy")
 
 
 def test_a_plate_that_changes_alone_is_kept_anew(path: Path) -> None:

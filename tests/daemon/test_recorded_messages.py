@@ -7,7 +7,6 @@ from command_stand_ins import messages
 from jsonschema import validate
 
 from resonator_daemon.daemon.recorded_messages import RecordedMessages
-from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.topics import TOPICS
 from resonator_daemon.recording.writer import Published
 
@@ -25,13 +24,3 @@ def test_states_are_recorded_and_what_is_measured_where_it_is_wanted(derived: bo
     for one in taken:
         validate(json.loads(one.payload), one.schema)
         assert one.utc_ns == published[one.topic].model_dump()["t_ns"]
-
-
-def test_what_is_wanted_may_change_and_what_is_encoded_already_is_recorded_as_it_is() -> None:
-    taken: list[Published] = []
-    contacts = messages()["contacts"].model_dump_json().encode()
-    recorded = RecordedMessages(taken.append, derived=False)
-    recorded.derived = True
-    recorded.record(TOPICS["contacts"], Encoded(contacts, t_ns=7))
-    recorded.record(TOPICS["decoded"], Encoded(b"arrays are not recorded", t_ns=7))
-    assert [(one.topic, one.utc_ns, one.payload) for one in taken] == [("contacts", 7, contacts)]

@@ -18,12 +18,10 @@ from typing import Any
 
 import pytest
 import serial
-from serial.tools import list_ports
 
 from resonator_daemon.links.carriers import serial as serial_link
 from resonator_daemon.links.carriers.serial import SerialTarget, open_serial
 from resonator_daemon.links.link import LinkUnavailableError
-from resonator_daemon.links.port_holders import Holders
 
 BAUD = 4_000_000
 TIOCGEXCL = 0x80045440  # asks Linux whether TIOCEXCL holds
@@ -106,19 +104,6 @@ def test_a_busy_port_is_said_to_be_held_and_opens_once_it_is_free(port: Terminal
     assert said == f"{port.path} is held by {name} (pid {os.getpid()}); close it there"
     held.close()
     open_serial(SerialTarget(port.path, BAUD)).close()
-
-
-@pytest.mark.parametrize(
-    ("all_seen", "ending"),
-    [(True, "another program; close it there"), (False, "this user may not look at; as root: fuser -v {path}")],
-)
-def test_a_holder_that_is_not_found_is_said_so(
-    port: Terminal, monkeypatch: pytest.MonkeyPatch, all_seen: bool, ending: str
-) -> None:
-    held = open_serial(SerialTarget(port.path, BAUD))
-    monkeypatch.setattr(serial_link, "port_holders", lambda _path: Holders((), all_seen))
-    assert refusal(port.path).endswith(ending.format(path=port.path))
-    held.close()
 
 
 def test_a_port_that_another_program_has_open_without_a_lock_is_not_shared(
@@ -230,26 +215,6 @@ def test_losses_of_the_driver_are_counted_from_the_opening_on(port: Terminal, mo
     gone, buffer_overrun = False, 100
     link.close()
     assert link.overruns == 5  # nobody asks a descriptor that may be another's
-
-
-def ports_present(monkeypatch: pytest.MonkeyPatch, root: Path, devices: tuple[str, ...] = ()) -> Path:
-    """Let the machine have these ports, and a directory of ports by id, which is returned."""
-    monkeypatch.setattr(serial_link, "BY_ID", root / "dev/serial/by-id")
-    present = [SimpleNamespace(device=device) for device in devices]
-    monkeypatch.setattr(list_ports, "comports", lambda: present)
-    by_id = root / "dev/serial/by-id"
-    by_id.mkdir(parents=True)
-    return by_id
-
-
-def test_a_missing_port_is_said_with_those_present(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    by_id = ports_present(monkeypatch, tmp_path, ("/dev/ttyUSB1", "/dev/ttyACM0"))
-    missing = tmp_path / "ttyACM9"
-    assert refusal(missing) == f"no port {missing}; present: /dev/ttyACM0, /dev/ttyUSB1"
-    for name in ("usb-RD_board_0043-if00", "usb-RD_board_0042-if00"):
-        (by_id / name).touch()
-    boards = f"{by_id}/usb-RD_board_0042-if00, {by_id}/usb-RD_board_0043-if00"
-    assert refusal(missing) == f"no port {missing}; present: {boards}"
 
 
 @pytest.mark.parametrize("make", [Path.touch, os.mkfifo, Path.mkdir])

@@ -162,11 +162,6 @@ def test_a_board_that_does_not_begin(board: UsbBoardEnd, host: UsbHost) -> None:
     host.run(f"open_link({LINK!r})")
 
 
-def test_a_board_of_another_protocol(host: UsbHost) -> None:
-    host.run("usb_link.PROTOCOL_MAJOR = 2")
-    assert refusal(host, LINK) == f"{LINK} refuses to begin with protocol 2; its firmware may speak another one"
-
-
 def test_another_board_is_named_with_what_is_there(host: UsbHost) -> None:
     there = f"present: {LINK}"
     for other in ("usb:1209:0001?serial=0043", "usb:1209:0002?serial=0042", "usb:1208:0001"):
@@ -259,15 +254,3 @@ def test_what_a_system_does_not_support_ends_a_link(
     board.link.stall()
     assert loss(host, source) == reason
     host.run("link._backend.release_interface = unsupported; link.close()")
-
-
-@pytest.mark.parametrize("serial_number", [None, "0042"])
-def test_a_board_that_may_not_be_opened(monkeypatch: pytest.MonkeyPatch, serial_number: str | None) -> None:
-    # Whom the kernel refuses cannot be tried by root: this is what libusb says then.
-    error = USBError("Access denied", -3, errno.EACCES)
-    assert refused(monkeypatch, error, UsbTarget(0x1209, 1, serial_number), a_board(None, 2)) == (
-        "/dev/bus/usb/999/002 (1209:0001) may not be opened by this user; put "
-        'SUBSYSTEM=="usb", ATTR{idVendor}=="1209", ATTR{idProduct}=="0001", GROUP="resonatord", MODE="0660" '
-        "into /etc/udev/rules.d/70-resonatord.rules (as root, `resonatord install` does for boards of its ids), "
-        "join the group resonatord and plug it in again"
-    )

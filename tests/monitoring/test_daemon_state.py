@@ -1,10 +1,7 @@
 """The daemon's own state: connections to the broker, and another daemon of the same name."""
 
-import itertools
 import json
 import logging
-from collections import deque
-from collections.abc import Callable
 
 import pytest
 
@@ -95,14 +92,6 @@ def test_the_conflict_is_over_when_the_other_has_gone(
     assert len(restored) == 2  # the other had written over everything
 
 
-def test_a_will_that_comes_late_is_answered(
-    state: DaemonState, said: list[DaemonStanding], restored: list[None]
-) -> None:
-    state.receive(incoming("old", "offline"))
-    assert [standing.reason for standing in said] == ["measuring"]
-    assert len(restored) == 1
-
-
 def test_retained_states_and_earlier_connections_are_no_conflict(
     state: DaemonState, said: list[DaemonStanding]
 ) -> None:
@@ -125,51 +114,3 @@ def test_retained_states_and_earlier_connections_are_no_conflict(
 def test_garbage_is_passed_over(state: DaemonState, said: list[DaemonStanding], payload: bytes) -> None:
     state.receive(Incoming("resonator/hand/state/daemon", payload, False, None, None))
     assert said == []
-
-
-class Pair:
-    """Two daemons on a broker that hands each message to both, in any order between the two."""
-
-    def __init__(self) -> None:
-        self.queues: dict[str, deque[Incoming]] = {"aa": deque(), "bb": deque()}
-        self.last: dict[str, str] = {}
-        self.sent = 0
-        self.states = {name: DaemonState(name, self._publisher(name), lambda: None) for name in self.queues}
-
-    def _publisher(self, name: str) -> Callable[[DaemonStanding], None]:
-        def publish(standing: DaemonStanding) -> None:
-            self.sent += 1
-            self.last[name] = standing.reason
-            for queue in self.queues.values():
-                queue.append(incoming(name, standing.condition))
-
-        return publish
-
-    def deliver(self, name: str) -> None:
-        if self.queues[name]:
-            self.states[name].receive(self.queues[name].popleft())
-
-    def settle(self) -> None:
-        for _ in range(100):
-            self.deliver("aa")
-            self.deliver("bb")
-
-
-@pytest.mark.parametrize("order", list(itertools.product("ab", repeat=4)))
-def test_both_learn_of_each_other_and_then_fall_silent(order: tuple[str, ...]) -> None:
-    pair = Pair()
-    for name, state in pair.states.items():
-        state.become(Condition.ONLINE, "measuring", 1)
-        state.connected(1)
-        for who in order:
-            pair.deliver(2 * who)
-        assert name in pair.last
-    pair.settle()
-    assert not any(pair.queues.values())
-    assert pair.sent <= 8
-    assert "boot id bb" in pair.last["aa"]
-    assert "boot id aa" in pair.last["bb"]
-    pair.states["bb"].become(Condition.OFFLINE, "stopped", 2)
-    pair.deliver("aa")
-    pair.settle()
-    assert pair.last["aa"] == "measuring"

@@ -225,10 +225,3 @@ async def test_a_name_of_another_door_does_not_get_in(name: str, door: str, plat
     with pytest.raises(BrokerError) as refused:
         await Client(broker, None, None).connect()
     assert refused.value.code == ReasonCode(PacketTypes.CONNACK, "Not authorized").value
-
-
-async def test_a_password_does_not_take_the_place_of_a_certificate(plates: Plates) -> None:
-    right = plates.way_in("left", "people")
-    broker = right.model_copy(update={"url": f"mqtts://localhost:{plates.ports['certificates']}"})
-    with pytest.raises(BrokerError, match=r"mqtt\.certificate_file"):
-        await Client(broker, None, None).connect()

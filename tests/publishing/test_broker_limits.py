@@ -35,20 +35,6 @@ async def test_messages_beyond_the_packet_size_are_dropped_and_said_once_per_top
     assert "the broker takes 2000" in said[0]
 
 
-async def test_an_event_that_is_too_large_does_not_stay_on_disk(tmp_path: Path) -> None:
-    async with scripted_broker() as (url, script):
-        script.connack = PACKET_SIZE + (2000).to_bytes(4, "big")
-        for made in (1, 0):
-            async with publishing(url, spool_directory=tmp_path) as left:
-                if made:
-                    large = Messages.event(1).model_copy(update={"reason": "x" * 3000})
-                    left.publish(LEFT, topics.CONTACT_EVENT, large)
-                    await until(lambda: left.account.spooled == 1 or bool(left.account.dropped))
-                await until(lambda: left.connected and left.account.waiting == 0)
-                assert left.account.dropped == ({"too_large": 1} if made else {})
-                assert left.account.spooled == left.account.recovered == 0
-
-
 async def test_the_packet_size_is_met_to_the_byte() -> None:
     for spare, taken in ((0, 1), (-1, 0)):
         async with scripted_broker() as (url, script):

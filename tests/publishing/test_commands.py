@@ -11,7 +11,6 @@ from mqtt_helpers import until
 from resonator_daemon.publishing.commands import (
     AT_ONCE,
     COMPLAINTS_AT_ONCE,
-    CORRELATION_BYTES_MAX,
     RESPONSE_TOPIC_BYTES_MAX,
     WAITING_MAX,
     CommandRefusedError,
@@ -92,12 +91,6 @@ def incoming(
     correlation: bytes | None = None,
 ) -> Incoming:
     return Incoming(f"{BASE}/cmd/{verb}", payload, retained, response_topic, correlation)
-
-
-async def test_a_handler_gets_a_checked_request(bench: Bench) -> None:
-    (said,) = await bench.ask(incoming("mark", b'{"text": "touched by hand"}'))
-    assert bench.asked == [Mark(text="touched by hand")]
-    assert said == {"verb": "mark", "ok": True, "t_ns": "7"}
 
 
 @pytest.mark.parametrize(
@@ -181,12 +174,6 @@ async def test_answers_go_elsewhere_and_below_the_own_rsp(bench: Bench, topic: s
     (said,) = await bench.ask(incoming(response_topic=topic, correlation=b"17"))
     assert (bench.sent[0].topic, bench.sent[0].correlation) == (topic, b"17")
     assert said["ok"] is True
-
-
-async def test_correlation_data_are_not_a_way_to_have_much_sent(bench: Bench) -> None:
-    sizes = (CORRELATION_BYTES_MAX, CORRELATION_BYTES_MAX + 1)
-    await bench.ask(*(incoming(correlation=bytes(size)) for size in sizes))
-    assert [answer.correlation for answer in bench.sent] == [bytes(CORRELATION_BYTES_MAX), None]
 
 
 async def test_a_retained_command_is_nobodys(bench: Bench) -> None:

@@ -206,13 +206,3 @@ async def test_answers_of_a_connection_that_is_over_are_withdrawn() -> None:
         assert left.account.dropped == {"withdrawn": 2}
         await until(lambda: left.account.waiting == 0)
     assert "asker" not in {message.topic for message in script.received}
-
-
-async def test_a_message_that_cannot_be_sent_stops_no_other(mosquitto) -> None:
-    async with publishing(mosquitto.url) as left:
-        await until(lambda: left.connected)
-        left.answer(Outgoing("not/a/+/topic", b"{}"))
-        left.answer(Outgoing("asker", b"{}", correlation=b"7"))
-        await until(lambda: left.account.waiting == 0)
-        assert left.account.dropped == {"refused": 1}
-        assert left.account.acknowledged == 1

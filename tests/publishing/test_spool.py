@@ -148,15 +148,6 @@ def test_a_full_disk_changes_nothing_and_is_no_defect(tmp_path: Path, monkeypatc
         kept.close()
 
 
-def test_the_file_shrinks_when_everything_is_sent(tmp_path: Path) -> None:
-    kept = Spool(tmp_path)
-    kept.open()
-    kept.append(events(*range(1000), size_bytes=1000), START, 0)
-    kept.delete([(1, number) for number in range(1000)])
-    kept.close()
-    assert (tmp_path / spool.FILE).stat().st_size < 100_000
-
-
 @pytest.mark.parametrize("lost", ["directory", "database alone", "replaced"])
 def test_a_file_that_was_removed_is_made_again_with_all_that_waits(tmp_path: Path, lost: str) -> None:
     directory = tmp_path / "kept" / "spool"

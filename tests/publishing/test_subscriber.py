@@ -54,16 +54,6 @@ async def test_without_full_rate_the_copies_for_people_arrive_under_the_name_of_
     assert {(each.path, each.message.seq) for each in arrived} == {("decoded", 1), ("forces", 1), ("health", 9)}
 
 
-async def test_a_prefix_of_several_levels_and_no_other_prefix(mosquitto) -> None:
-    at = Mqtt(url=mosquitto.url, prefix="lab/bench")
-    async with aclosing(subscribe(at)) as received, aiomqtt.Client("127.0.0.1", at.port) as client:
-        for topic in ("lab/left/state/link", "lab/bench/left/state/other", "lab/bench/left/state/link"):
-            state = Messages.state("online", topic).model_dump_json()
-            await client.publish(topic, state, qos=1, retain=True)
-        plate, path, message = await anext(received)
-        assert (plate, path, message.reason) == ("left", "state/link", "lab/bench/left/state/link")
-
-
 async def test_what_cannot_be_read_is_passed_over_and_logged(mosquitto, caplog: pytest.LogCaptureFixture) -> None:
     at = Mqtt(url=mosquitto.url)
     async with aclosing(subscribe(at)) as received, aiomqtt.Client("127.0.0.1", at.port) as client:

@@ -13,7 +13,7 @@ import pytest
 import trustme
 from brokers import Mosquitto
 from mosquitto_passwords import password_line
-from mqtt_helpers import QUICK, scripted_broker, until
+from mqtt_helpers import QUICK, until
 from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.config import Mqtt
@@ -334,13 +334,3 @@ async def test_who_is_refused_asks_without_a_name_once_only(logged_once: LoggedO
         broker = Mqtt(url=f"mqtt://robot:sesame@127.0.0.1:{port}")
         await logged_once(broker, "'robot' (Not authorized); see mqtt.username, mqtt.password_file")
     assert [name for _, name in record.flags[:5]] == [TO_NOBODY, "robot", "robot", "robot", "robot"]
-
-
-async def test_after_a_broker_was_away_it_is_not_asked_without_a_name_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    async with scripted_broker() as (url, script):
-        broker = Mqtt(url=url.replace("//", "//robot:sesame@"))
-        async with keeping_connected(broker, monkeypatch) as attempts:
-            await until(lambda: attempts.connected)
-            script.hang_up()
-            await until(lambda: len(attempts.served) == 2)
-        assert [b"robot" in connect for connect in script.greetings] == [False, True, True]

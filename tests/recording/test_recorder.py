@@ -100,21 +100,6 @@ def test_what_does_not_fit_into_the_queue_is_counted_in_its_place(tmp_path: Path
     assert recorder.counts.events_missing == 3
 
 
-def test_the_word_of_what_is_missing_takes_room_as_well(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    events: list[WireEvent] = [Received(at(0), bytes(10_000)), *(Opened(at(number)) for number in range(1, 20))]
-    recorder = record(path, events, queue_bytes=10 * 300, times=ONE_BATCH)
-    kept, _ = read(path)
-    assert kept[:-1] == [Skipped(at(1), 1, 10_000), *(Opened(at(number)) for number in range(1, 10))]
-    assert isinstance(kept[-1], Skipped)
-    assert kept[-1][1:] == (10, 0)
-    assert recorder.counts.events_missing == 11
-    path = tmp_path / "small.mcap"
-    record(path, events[:2], queue_bytes=500)  # room for one of the two
-    kept, _ = read(path)
-    assert [event[1:] for event in kept] == [(2, 10_000)]
-
-
 def test_a_disk_without_room_ends_the_recording_and_not_the_reader(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -16,7 +16,7 @@ from recording_bench import FLUSHING, NO_PAUSE, ONE_BATCH, PLATE, at, made, read
 from resonator_daemon.recording import file_series as recording_budget
 from resonator_daemon.recording import recorder as recording
 from resonator_daemon.recording.file_series import Series
-from resonator_daemon.recording.reader import Origin, open_recording
+from resonator_daemon.recording.reader import Origin
 from resonator_daemon.recording.recorder import Recorder
 from resonator_daemon.recording.writer import Published
 from resonator_daemon.session.host_time import HostTime
@@ -86,22 +86,6 @@ def test_a_file_ends_once_it_is_large(tmp_path: Path) -> None:
     assert recorder.events == sum(map(len, contents(tmp_path)))
     assert recorder.all_bytes == sum(sizes)
     assert recorder.counts.file_bytes == sizes[-1]
-
-
-def test_a_file_that_was_cut_still_gives_the_texts_of_its_beginning(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    plate_text = Random(7).randbytes(30_000).hex()
-    with Recorder(
-        path, Origin(PLATE, "tcp://board:1", plate_text=plate_text, settings_text="[decoding]\n")
-    ) as recorder:
-        recorder.put(Received(at(0), bytes(1000)))
-    whole = path.read_bytes()
-    begun = whole.index(b"[decoding]") + 20
-    path.write_bytes(whole[:begun])
-    with open_recording(str(path), PLATE) as it:
-        assert (it.plate_text, it.settings_text) == (plate_text, "[decoding]\n")
-        assert list(it.events()) == []
-        assert it.damage == "cut off"
 
 
 def test_messages_give_way_to_the_link(tmp_path: Path) -> None:

@@ -161,6 +161,15 @@ def test_a_case_that_was_edited_badly_is_said_in_one_line(
     assert line.endswith("; save the case anew")
 
 
+def test_a_recording_that_cannot_be_replayed_is_a_difference(tmp_path: Path) -> None:
+    case = tmp_path / "refused"
+    shutil.copytree(CORPUS / "refused", case)
+    (case / "recording.mcap").write_bytes(b"nothing")
+    verdict = check(case)
+    assert verdict.differences == 1
+    assert "is no recording" in str(verdict.first[0].difference.got)
+
+
 @pytest.mark.parametrize(
     "content",
     [b"", b"nothing", gzip.compress(b""), gzip.compress(b"[]\n"), None],

@@ -78,18 +78,6 @@ def test_a_part_begins_with_the_states_that_held(tmp_path: Path) -> None:
     assert 0.3 < counted(streamed)["forces"] / COUNTS["forces"] * 4.2 < 1.2
 
 
-@pytest.mark.parametrize(("part", "words"), [(("--from", "1e6"), "from 1000000 s"), (("--until", "0"), "until 0 s")])
-def test_a_part_in_which_nothing_is_is_said(
-    part: tuple[object, ...], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert replay(TOUCHES, "--to", tmp_path / "part.jsonl", *part) == 1
-    assert capsys.readouterr().err.endswith(f"resonatord: {TOUCHES}: it gives no messages {words}\n")
-    assert list(tmp_path.iterdir()) == []
-    arguments = ["export", str(TOUCHES), "--output", str(tmp_path / "part.csv"), "--topics", "forces"]
-    assert main([*arguments, *map(str, part)]) == 1
-    assert capsys.readouterr().err.endswith(f"resonatord: {TOUCHES}: it gives no messages of forces {words}\n")
-
-
 @pytest.mark.parametrize("part", [("--from", 5, "--until", 2), ("--from", "half time", "--until", "half time")])
 def test_a_part_that_ends_before_it_begins_is_a_matter_of_usage(
     part: tuple[object, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]

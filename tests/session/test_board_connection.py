@@ -6,7 +6,7 @@ import pytest
 from connection_bench import GATE_TICKS, IDENTITY, MS, Bench, SimulatedBoard, online
 
 from firmware_protocol.layouts import MessageType
-from firmware_protocol.messages import BoardLog, Configuration, Identity, ResetCause
+from firmware_protocol.messages import BoardLog, Configuration, ResetCause
 from firmware_protocol.packets import encode_packet
 from firmware_protocol.states import BoardState
 from resonator_daemon.conditions import Condition
@@ -218,22 +218,6 @@ def test_an_outage_with_the_same_boot_goes_on_where_it_was() -> None:
     assert outage.reason == "unplugged (Input/output error)"
     assert 1000 <= outage.frames_lost == bench.counters.lost.link_gap < 1100
     assert bench.counters.boots[0].connections == 2
-
-
-@pytest.mark.parametrize(
-    ("data", "came"),
-    [(b"", "not a byte came; is it a board"), (b"+OK ready\r\n" * 100, "1100 bytes came and no answer; is it a")],
-)
-def test_nobody_there_is_said_with_what_came(data: bytes, came: str) -> None:
-    bench = Bench(SimulatedBoard(Identity("x", "x", "x", 0)))
-    bench.board.frozen = True
-    bench.connection.receive(data, bench.host_time())
-    with pytest.raises(LinkLostError, match="no board answers"):
-        bench.run(4000)
-    bench.close()
-    assert bench.states[-1][0] == "stalled"
-    assert bench.states[-1][1].startswith(f"no board answers: {came}")
-    assert (bench.total.bytes_accepted, bench.total.bytes_discarded) == (0, len(data))
 
 
 @pytest.mark.parametrize("lost", ["IDENTITY", "DESCRIPTION", "CONFIGURED", "STARTED"])

@@ -37,14 +37,6 @@ def test_it_begins_at_a_hundred_a_second_and_calms_down_to_one() -> None:
         assert all(abs(period - mean_ns) <= span_ns for period in periods)
 
 
-def test_having_learnt_it_asks_half_as_often() -> None:
-    pacing = PingPacing()
-    pacing.update(S, 5e5, 799)
-    assert pacing.next_ns(0) == PingPacing().next_ns(0)
-    pacing.update(2 * S, 6.1e5, 800)  # above what it could: pings help
-    assert pacing.next_ns(0) - PingPacing().next_ns(0) == 10 * MS
-
-
 def rapid(pacing: PingPacing) -> bool:
     return pacing.next_ns(0) < 100 * MS
 

@@ -1,21 +1,17 @@
 """The whole emulator in real time, read by the host's end of the protocol."""
 
-import json
 import os
-import signal
 import socket
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from emulation import emulated
-from wire_host import WAIT_S, Host, opened, truths
+from wire_host import Host, opened, truths
 
 from firmware_protocol.host import FramePart
-from simulators.emulator import SERIAL_NUMBER, EmulatorOptions
+from simulators.emulator import EmulatorOptions
 
 
 @pytest.mark.undisturbed
@@ -100,19 +96,3 @@ def test_the_scenario_fixes_the_seed_unless_another_is_given(
         assert sum(report["dropped_by_cause"].values()) == report["frames_dropped"]
         assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
     assert (lost[0] == lost[1]) == seeds_alike
-
-
-def test_on_usb_it_says_with_what_to_start_a_host() -> None:
-    program = (
-        "from simulators.emulator import EmulatorOptions, run; run(EmulatorOptions('quartz16', usb=True, json=True))"
-    )
-    command = [sys.executable, "-c", program]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        first = json.loads(process.stdout.readline())
-        process.send_signal(signal.SIGTERM)
-        _, errors = process.communicate(timeout=WAIT_S)
-    assert process.returncode == 0, errors
-    assert first["link"] == f"usb:1209:0001?serial={SERIAL_NUMBER}"
-    assert first["environment"].keys() == {"LD_PRELOAD", "UMOCKDEV_DIR"}
-    assert f"UMOCKDEV_DIR={first['environment']['UMOCKDEV_DIR']}" in errors

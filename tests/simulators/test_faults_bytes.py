@@ -93,22 +93,6 @@ def test_lost_bytes_are_counted_and_may_reach_over_packets() -> None:
     assert counts.bits_flipped == 0
 
 
-def test_pieces_in_the_wrong_order_hold_all_bytes_and_hit_their_frame() -> None:
-    wire = Wire(reorder_rate=0.1)
-    content = np.random.default_rng(3)
-    hit, cuts = [], set()
-    for sequence in range(2000):
-        packet = encode_packet(MessageType.FRAME, sequence, content.bytes(176))
-        data = wire.send(packet)
-        assert sorted(data) == sorted(packet)
-        if data != packet:
-            hit.append(sequence)
-            cuts.add((packet * 2).index(data))
-    assert wire.counts.frame_sequences_hit == hit
-    assert wire.counts.chunks_reordered == len(hit) == pytest.approx(200, abs=50)
-    assert len(cuts) > 80
-
-
 def test_duplicates_are_whole_and_listed() -> None:
     wire = Wire(duplicate_rate=0.05, bit_error_rate=1e-4, reorder_rate=0.05)
     decoder = PacketDecoder(from_board=True)

@@ -3,7 +3,6 @@
 import os
 import select
 import socket
-import stat
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -79,21 +78,6 @@ def test_pulling_the_plug_ends_the_host_and_its_return_has_the_same_name(pty: tu
     with serial.Serial(str(path), 4_000_000, timeout=WAIT_S) as port:
         link.write(b"again")
         assert port.read(5) == b"again"
-
-
-def test_closing_takes_its_own_name_away_and_no_other(tmp_path: Path) -> None:
-    before = open_fds()
-    path = tmp_path / "board"
-    first = PtyLink(path)
-    with pytest.raises(FileExistsError, match="is in use; remove it or name another"):
-        PtyLink(path)
-    path.unlink()
-    second = PtyLink(path)
-    first.close()
-    assert stat.S_ISCHR(path.stat().st_mode)
-    second.close()
-    assert os.listdir(tmp_path) == []
-    assert open_fds() == before
 
 
 def test_a_second_client_is_turned_away_and_the_first_stays(tcp: TcpLink) -> None:

@@ -58,17 +58,6 @@ def test_ideal_sites_without_noise_feel_the_force_and_nothing_else() -> None:
     assert [frames.relative_shift.shape, frames.sensitivity_factor.shape] == [(30, SITES + 1), (30, SITES, 4)]
 
 
-def test_coefficients_of_the_plate_file_go_before_drawn_ones() -> None:
-    raw = PLATE.model_dump(mode="json", exclude_none=True)
-    raw["sites"][5]["tones"][0]["temperature_coefficients"] = [1e-6, 2e-7, 3e-8]
-    given = made(Plate.model_validate(raw), Physics.model_validate({"white_fm": 0.0, "flicker_fm": 0.0}))
-    drawn = made(PLATE, Physics.model_validate({"white_fm": 0.0, "flicker_fm": 0.0}))
-    warm = [advance(sites, 1, kelvin=REFERENCE_KELVIN + 2).relative_shift[0] for sites in (given, drawn)]
-    assert warm[0][5] == pytest.approx(2e-6 + 8e-7 + 2.4e-7, abs=1e-9)
-    others = np.arange(SITES + 1) != 5
-    assert np.array_equal(warm[0][others], warm[1][others])
-
-
 def test_a_warm_finger_heats_the_touched_site_and_not_the_plate() -> None:
     sites = made(PLATE, physics(temperature_coefficient=-3e-7))
     advance(sites, 1)

@@ -67,10 +67,6 @@ def test_a_dotted_key_and_an_inline_table_have_the_line_of_their_first_word(tmp_
     assert messages(tmp_path, b'\n\r\ntrunk = {depth_mm = "a"}\n')[0].startswith(":3: trunk.depth_mm: got 'a'")
 
 
-def test_a_quoted_key_cannot_break_the_line(tmp_path: Path) -> None:
-    assert messages(tmp_path, b'"a\\nb" = 1\n') == [': "a\\nb": unknown key; allowed: branches, trunk']
-
-
 @pytest.mark.parametrize(
     ("data", "expected"),
     [
