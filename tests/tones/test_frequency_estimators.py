@@ -2,7 +2,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from brute_force_board import REFERENCE_HZ, WRAP, Channel, record_of
+from brute_force_board import REFERENCE_HZ, WRAP, record_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -52,28 +52,6 @@ def test_merged_parts_equal_one_long_gate_exactly(lengths, interval, first_edge,
     assert merged[:7] == whole[:7]
     assert merged.q2_ticks2 == sum(part.q2_ticks2 for part in parts)
     assert merged.second_differences == sum(lengths) - 2 * len(lengths)
-
-
-@pytest.mark.parametrize("start", [WRAP - 5_500_000, WRAP - 1, 123])
-def test_ten_gates_of_1_ms_merge_to_one_of_10_ms_across_both_wraps(start):
-    rng = np.random.default_rng(3)
-    channel = Channel(rng, 10, WRAP - 55_555, start)
-    frames = [Sums.of(channel.gate(9.9876e6, start + (k + 1) * 1_000_000)) for k in range(10)]
-    rng = np.random.default_rng(3)
-    whole = Sums.of(Channel(rng, 10, WRAP - 55_555, start).gate(9.9876e6, start + 10_000_000))
-    merged = merge(frames)
-    # Both draw the same jitter one after another, so that the stamps are the same.
-    assert merged[:7] == whole[:7]
-    assert merge([merge(frames[:4]), merge(frames[4:])]) == merged
-
-
-def test_a_merge_may_span_more_ticks_than_the_counter_holds():
-    interval, stamps = 100_000_000, 20
-    ticks = [7 + k * interval for k in range(5 * stamps)]  # 10^10 ticks, more than two wraps
-    merged = merge(split(ticks, [stamps] * 5, 11, 10))
-    assert merged.span_ticks == 99 * interval > 2 * WRAP
-    assert merged[:7] == sums_of(ticks, 11, 10)[:7]
-    assert frequency_hz(merged, REFERENCE_HZ) == 100.0
 
 
 @pytest.mark.parametrize(
