@@ -77,6 +77,7 @@ def test_evidence_of_noise_is_the_density_of_white_noise(centred: Scene):
         density = -0.5 * np.log(2 * np.pi * std**2) - 0.5 * (frame[known] / std) ** 2
         decoded = fourier_decoder(centred, 30).decode(np.where(known, frame, np.nan))
         assert decoded.log_evidence == pytest.approx(density.sum(), rel=0.02)
+        assert not decoded.border_contact
 
 
 # --- noise of the channels, fixed scale
