@@ -122,3 +122,8 @@ def test_what_a_beat_leaves_is_told_whatever_ramp_is_under_it():
     expected = np.sqrt((differences**2).mean() / 20.0 - 0.1**2) / 100.0
     for ramp in (0.0, 40.0 * gate, 40.0 * gate - 3.0 * gate**2):
         assert beat_std_hz((1e7 + ramp + beat).tolist(), 0.1) == pytest.approx(expected, rel=1e-5)
+
+
+def test_three_gates_tell_of_no_beat():
+    assert beat_std_hz([1.0, 5.0, 1.0], 0.0) == 0.0
+    assert beat_std_hz([1.0, 5.0, 1.0, 5.0], 0.0) > 0
