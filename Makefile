@@ -54,7 +54,8 @@ USB := umockdev-run:umockdev /usr/lib/*/girepository-1.0/UMockdev-1.0.typelib:gi
 COMPILER := gcc:gcc /usr/include/stdio.h:libc6-dev
 # What programs in C subscribe and read payloads with.
 EXAMPLES := /usr/include/mosquitto.h:libmosquitto-dev /usr/include/cbor.h:libcbor-dev /usr/include/cjson/cJSON.h:libcjson-dev
-FIRMWARE := arm-none-eabi-gcc:gcc-arm-none-eabi qemu-system-arm:qemu-system-arm cmake:cmake
+FIRMWARE := arm-none-eabi-gcc:gcc-arm-none-eabi qemu-system-arm:qemu-system-arm cmake:cmake g++:g++ \
+  /usr/lib/arm-none-eabi/include/stdio.h:libnewlib-arm-none-eabi
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile | expand -t 20
@@ -84,11 +85,24 @@ test: .venv/test-stamp  ## linter, formatter check, type checker, import contrac
 	  step pytest --last-failed -m undisturbed
 	fi
 
-test-firmware: .venv/test-stamp  ## the C reference as a board program under QEMU, and the daemon against it
+test-firmware: .venv/test-stamp build/pico-sdk  ## the C reference under QEMU, the daemon against it; board programs for STM32 and RP2040 compiled
 	$(debian-packages)
 	debian-packages $(FIRMWARE)
 	.venv/bin/pytest -m firmware tests/firmware
 	.venv/bin/python benchmarks/firmware.py
+
+PICO_SDK := @xpack-3rd-party/raspberrypi-pico-sdk@2.3.0-5
+PICO_SDK_SHA512 := 082f30dac4285ddd422b075311c73d636cbc9fe0cf6a43413d940998f8b1d99e461e26cf42aaf491f26c3bd50a08c5403fa57ed1881fccef37dc3062688ff73d
+
+build/pico-sdk:  # the Pico SDK as an npm package, without TinyUSB; PICO_SDK_PATH names another. Without either its tests are skipped
+	@[ -n "$${PICO_SDK_PATH:-}" ] && exit 0
+	mkdir -p build
+	cd build
+	archive=$$(npm pack --silent $(PICO_SDK) 2>/dev/null) || { echo "no Pico SDK: npm is missing or cannot fetch $(PICO_SDK)" >&2; exit 0; }
+	echo "$(PICO_SDK_SHA512)  $$archive" | sha512sum --check --quiet
+	tar xzf "$$archive"
+	mv package pico-sdk
+	rm "$$archive"
 
 coverage: .venv/test-stamp  ## all tests once more, slower, with the branches that they do not reach
 	$(debian-packages)

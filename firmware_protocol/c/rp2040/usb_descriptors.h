@@ -1,0 +1,8 @@
+#ifndef RP2040_USB_DESCRIPTORS_H
+#define RP2040_USB_DESCRIPTORS_H
+
+enum { USB_CDC_INTERFACE, USB_CDC_DATA_INTERFACE, USB_VENDOR_INTERFACE, USB_INTERFACES };
+
+extern const char *usb_serial_number;
+
+#endif
