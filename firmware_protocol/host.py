@@ -1,8 +1,9 @@
 """The host's side of a session: which request comes next and what the board's packets mean (PROTOCOL.md, section 4)."""
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from firmware_protocol.layouts import (
     BLOCK_STRUCT,
@@ -113,8 +114,17 @@ class MessageCounts:
     stale: int = 0  # frames outside a run, answers nobody waits for
     malformed: int = 0
     unknown: int = 0
+    frames_outside_run: int = 0  # of those that are stale
 
 
+class PacketRefusal(NamedTuple):
+    """Why a sound packet is refused: a code for programs, and a sentence with what came and what is needed."""
+
+    code: Literal["frame_length", "frame_part", "message_fields", "frame_kind", "frame_ticks"]
+    text: str
+
+
+_REFUSALS_MAX = 16  # reasons with their own text
 _FRAME = int(MessageType.FRAME)  # compared with every packet: a plain integer, as the next two
 _FRAME_PART = int(MessageType.FRAME_PART)
 _TONE_12 = int(BlockEncoding.TONE_12)
@@ -134,12 +144,20 @@ _CUES: Mapping[tuple[int, int], Cue] = {
 _ANSWERS = {*(answer for _, answer in _HANDSHAKE), MessageType.STOPPED, MessageType.LOCATED, MessageType.REFUSED}
 
 
+def _refusal(packet: Packet, error: MalformedMessageError) -> PacketRefusal:
+    kind = MessageType(packet.type)
+    if kind is MessageType.FRAME:
+        return PacketRefusal("frame_length", str(error))
+    return PacketRefusal("frame_part" if kind is MessageType.FRAME_PART else "message_fields", f"{kind.name}: {error}")
+
+
 class HostSession:
     """Bytes from the board in, events out; bytes for the board in `data_to_send`.
 
     A new session asks the board who it is. After Described, call `configure`; after Started, frames follow.
     The caller has the clock: when `awaits_answer` has been true for 300 ms and no answer came it calls `ask_again`.
     Requests that the board has no room for wait here until it has.
+    `refusals` counts packets whose check sum is right, and that break the protocol, by what is wrong with them.
     """
 
     def __init__(self) -> None:
@@ -151,6 +169,7 @@ class HostSession:
         self.state = HostState.IDENTIFYING
         self.bytes = self._decoder.counts
         self.messages = MessageCounts()
+        self.refusals: Counter[PacketRefusal] = Counter()
         self._pending: Request | None = self._requests.send(MessageType.IDENTIFY)  # which the state waits for
 
     def restore(self, described: Described, configuration: Configuration, number: int) -> None:
@@ -249,11 +268,23 @@ class HostSession:
                         self._read_part(found, events)
                     else:
                         self._interpret(found, events)
-                except MalformedMessageError:
+                except MalformedMessageError as error:
                     self.messages.malformed += 1
+                    self.refuse(_refusal(found, error))
             elif isinstance(found, Damage) or found.type & FROM_BOARD:
                 events.append(found)
         return events
+
+    def refuse(self, refusal: PacketRefusal, count: int = 1) -> None:
+        """Count packets that are refused for this reason; of many different reasons the code alone is kept."""
+        if refusal not in self.refusals and len(self.refusals) >= _REFUSALS_MAX:
+            refusal = refusal._replace(text="in various ways")
+        self.refusals[refusal] += count
+
+    @property
+    def most_refused(self) -> PacketRefusal | None:
+        """The most frequent refusal of this session; None if there is none."""
+        return max(self.refusals, key=self.refusals.__getitem__, default=None)
 
     def _move(self, cue: Cue, payload: bytes = b"") -> None:
         step = HOST.get((self.state, cue))
@@ -285,6 +316,7 @@ class HostSession:
         match packet.type:
             case MessageType.FRAME | MessageType.FRAME_PART if self.state is not HostState.RUNNING:
                 self.messages.stale += 1
+                self.messages.frames_outside_run += 1
             case MessageType.FRAME:
                 raise MalformedMessageError(f"a frame has {_FRAME_BYTES} bytes, got {len(packet.payload)}")
             case MessageType.FRAME_PART:

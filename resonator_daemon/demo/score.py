@@ -188,9 +188,8 @@ class PlateScore:
         self._newest_seq[path] = seq
 
     def _count(self, losses: Mapping[str, int]) -> None:
-        for cause, count in losses.items():
-            if count > self._losses[cause]:  # a state may come after messages that were made later
-                self._losses[cause] = count
+        if sum(losses.values()) >= sum(self._losses.values()):  # a state may come after messages that were made later
+            self._losses.update(losses)
 
     def join(self) -> None:
         """Compare the messages whose truth has been written by now."""

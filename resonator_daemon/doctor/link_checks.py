@@ -14,12 +14,15 @@ from resonator_daemon.session.probe import ProbeResult, round_trip_s
 OPENS: Final = Check("link.opens", Area.WIRING, "link")
 ANSWERS: Final = Check("board.answers", Area.WIRING, "board answers")
 TALKS: Final = Check("board.answers", Area.SENSOR, "board answers")  # it is there, and answers something else
+MESSAGES: Final = Check("board.messages", Area.SENSOR, "messages of the board")  # sound packets, otherwise filled
+PINGS: Final = Check("board.pings", Area.SENSOR, "answers to pings")
 FITS: Final = Check("board.fits", Area.SENSOR, "board and plate file")
 UNIT: Final = Check("board.unit", Area.SENSOR, "board that was calibrated")
 REFERENCE: Final = Check("board.reference", Area.SENSOR, "reference of the board")
 ROUND_TRIP: Final = Check("link.round_trip", Area.WIRING, "round trip to the board")
 RESET: Final = Check("board.reset", Area.WIRING, "last reset of the board")
 
+FRAMES: Final = Check("board.frames", Area.SENSOR, "frames of the board")
 COUNTS: Final = Check("board.counts", Area.SENSOR, "board counts")
 STEADY: Final = Check("link.steady", Area.WIRING, "link stays")
 ERRORS: Final = Check("link.errors", Area.WIRING, "errors on the cable")
@@ -91,6 +94,14 @@ def _nothing_came(capture: Capture) -> Iterator[Finding]:
     elif account.bytes_discarded > _GARBAGE_FAULT * max(account.bytes_received, 1):
         yield _garbage(account.bytes_discarded, account.bytes_received, 0, 0)
         yield from not_checked((COUNTS, *rest), "too little arrives undamaged")
+    elif refusals := account.refusals.most_common(1):
+        ((refused, count),) = refusals
+        yield FRAMES.fault(
+            f"{count} packets are refused ({refused.code}): {refused.text}",
+            FIRMWARE,
+            Amount(float(count), 0.0, "packets"),
+        )
+        yield from not_checked((COUNTS, ERRORS, *rest), "no frame could be read")
     else:
         yield COUNTS.fault(
             f"it answers, and no frame came within {OPEN_S:g} s: {capture.link}",
@@ -139,6 +150,7 @@ def _errors(capture: Capture) -> Finding:
     return ERRORS.warning(evidence, CABLE, Amount(hit / frames, ERRORS_FAULT))
 
 
+FIRMWARE: Final = "update the board's firmware: what it sends does not have the form that PROTOCOL.md gives"
 CABLE: Final = (
     "exchange the cable, keep it away from motors, ground both ends; on a line with a baud rate, see that both ends "
     "have the same"
@@ -198,9 +210,7 @@ def _reference(probed: ProbeResult) -> Finding:
 def _round_trip(probed: ProbeResult) -> Finding:
     times_s = round_trip_s(probed)
     if times_s is None:
-        return ROUND_TRIP.fault(
-            "it identifies itself, and answers no ping", "start the board anew, or update its firmware"
-        )
+        return PINGS.fault("it identifies itself, and answers no ping", FIRMWARE)
     shortest_s, median_s = times_s
     evidence = (
         f"{shortest_s * 1e3:.2f} ms at best, {median_s * 1e3:.2f} ms in the middle (limit {_ROUND_TRIP_S * 1e3:g})"

@@ -35,6 +35,8 @@ class PlateReading:
         Whether a site is counted in the place of the pilot.
     scatter_radian
         (4,): standard deviation of an edge, as phase of the tone; NaN of a counter that has no edges.
+    gates_counted
+        (4,): share of gates in which a channel counts a tone, whether it runs on from the gate before or not.
     """
 
     time_s: float
@@ -44,6 +46,7 @@ class PlateReading:
     pair_noise: Floats
     touched: bool
     scatter_radian: Floats
+    gates_counted: Floats
 
 
 def plate_reading(reading: ToneReading, expected: ExpectedTones) -> PlateReading:
@@ -68,6 +71,7 @@ def plate_reading(reading: ToneReading, expected: ExpectedTones) -> PlateReading
         _pair_noise(gate_hz, reading.gate_std_hz),
         touched,
         reading.scatter_radian,
+        np.isfinite(reading.gate_hz).mean(axis=(0, 2)),
     )
 
 

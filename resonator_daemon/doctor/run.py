@@ -188,8 +188,11 @@ class _Diagnosis:
                 probed = probe(opened)
             busy = load.busy()
         except NoBoardError as error:
-            check = link_checks.TALKS if error.is_a_board else link_checks.ANSWERS
-            yield check.fault(str(error), "check power, cable and baud rate, and that it is this port")
+            if error.refused is not None:
+                yield link_checks.MESSAGES.fault(str(error), link_checks.FIRMWARE)
+            else:
+                check = link_checks.TALKS if error.is_a_board else link_checks.ANSWERS
+                yield check.fault(str(error), "check power, cable and baud rate, and that it is this port")
             yield from not_checked(_AFTER_OPENING, "no board answers")
             return
         finally:
@@ -201,8 +204,10 @@ class _Diagnosis:
         answered = list(link_checks.check_probe(probed, plate, busy))
         yield from answered
         faults = {finding.id for finding in answered if finding.outcome is Outcome.FAULT}
-        if plate is None or link_checks.FITS.id in faults:
+        if plate is None or faults & {link_checks.FITS.id, link_checks.PINGS.id}:
             reason = "name a --config FILE" if plate is None else "the board does not serve this plate"
+            if link_checks.PINGS.id in faults:
+                reason = "frames of a board that answers no ping have no time"
             yield from not_checked((*link_checks.OF_A_CAPTURE, *sensor_checks.OF_THE_PLATE), reason)
             return
         capture = capture_board(link, plate, self._options.seconds, self._show, self._host)

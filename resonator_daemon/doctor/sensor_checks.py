@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.arrays import Floats
@@ -15,6 +16,7 @@ from resonator_daemon.plate import SKIN_SIGNALS, Plate
 from resonator_daemon.sensors.expected_tones import ExpectedTones
 
 CHANNELS: Final = Check("sensor.channels", Area.SENSOR, "channels")
+STAMPS: Final = Check("board.stamps", Area.SENSOR, "stamps from gate to gate")
 AT_REST: Final = Check("sensor.at_rest", Area.SENSOR, "plate at rest")
 TONES: Final = Check("sensor.tones", Area.SENSOR, "tones")
 NOISE: Final = Check("sensor.noise", Area.SENSOR, "noise floor")
@@ -25,6 +27,7 @@ CALIBRATION: Final = Check("sensor.calibration", Area.SENSOR, "calibration recor
 OF_THE_PLATE: Final = (CHANNELS, AT_REST, TONES, NOISE, CROSS_TALK, DRIFT, TEMPERATURE)
 
 _COUNTED_SHARE: Final = 0.5  # of the readings, in which a tone that is alive is counted
+_GATES_SHARE: Final = 0.9  # of the gates with a steady tone, of a board whose stamps do not run on
 _NOISE_WARNING, _NOISE_FAULT = 3.0, 10.0  # over what counter and oscillator give
 # What a counter takes for a signal is three times as strong as its noise; where they are equal, edges are lost.
 _SCATTER_WARNING_RADIAN, _SCATTER_FAULT_RADIAN = 1.0 / 3.0, 1.0
@@ -56,7 +59,7 @@ def check_plate(capture: Capture, plate: Plate) -> Iterator[Finding]:
         yield from not_checked((CHANNELS, TONES, NOISE, CROSS_TALK, DRIFT), "the plate is touched")
     else:
         shift, std, strange_hz = shift[quiet], std[quiet], strange_hz[quiet]
-        yield _channels(shift, strange_hz, expected)
+        yield _channels(shift, strange_hz, np.mean([reading.gates_counted for reading in capture.readings], axis=0))
         yield _tones(shift, strange_hz, expected)
         scatter_radian = np.array([reading.scatter_radian for reading in capture.readings])[quiet]
         yield _worse(_noise(shift, std, plate, expected), _scatter(scatter_radian))
@@ -119,14 +122,25 @@ def _at_rest(
     return AT_REST.ok("nothing touches it")
 
 
-def _channels(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Finding:
+def _channels_named(channels: NDArray[np.intp]) -> str:
+    return f"channel{'s' * (len(channels) > 1)} {', '.join(map(str, channels))}"
+
+
+def _channels(shift: Floats, strange_hz: Floats, gates_counted: Floats) -> Finding:
     """Judge each channel by the share of all tones that it counts, wherever they are."""
     counted = np.isfinite(shift).mean(axis=(0, 1)) + np.isfinite(strange_hz).mean(axis=0)
-    dead = [str(channel + 1) for channel in range(CHANNEL_COUNT) if counted[channel] < _COUNTED_SHARE]
+    dead = np.flatnonzero(counted < _COUNTED_SHARE)
     least = f"a channel counts as alive that counts {100 * _COUNTED_SHARE:.0f} % of its tones"
-    if dead:
+    if len(dead) and (gates_counted[dead] >= _GATES_SHARE).all():
+        return STAMPS.fault(
+            f"{_channels_named(dead)}: {100 * gates_counted[dead].min():.0f} % of the gates count a tone, and no gate "
+            "continues the one before",
+            "correct the firmware: the edge index and the ticks of stamps run on from gate to gate (PROTOCOL.md)",
+            Amount(float(counted.min()), _COUNTED_SHARE),
+        )
+    if len(dead):
         return CHANNELS.fault(
-            f"channel {', '.join(dead)} of {CHANNEL_COUNT} counts too little; {least}",
+            f"{_channels_named(dead)} of 0 to {CHANNEL_COUNT - 1}: too few tones counted; {least}",
             "check the transducer, its plug and its amplifier; if all channels are dead, the drive of the plate",
             Amount(float(counted.min()), _COUNTED_SHARE),
         )
@@ -187,9 +201,7 @@ def _noise(shift: Floats, std: Floats, plate: Plate, expected: ExpectedTones) ->
     by_channel = np.nanmedian(ratio, axis=0) if len(ratio) > 1 else ratio[0]
     channel = int(np.nanargmax(by_channel))
     worst = float(by_channel[channel])
-    evidence = (
-        f"{worst:.1f} times what counter and oscillator give, on channel {channel + 1} (limit {_NOISE_WARNING:g})"
-    )
+    evidence = f"{worst:.1f} times what counter and oscillator give, on channel {channel} (limit {_NOISE_WARNING:g})"
     outcome = graded(worst, _NOISE_WARNING, _NOISE_FAULT)
     residuals = plate.calibration.residuals
     if residuals and plate.signals != SKIN_SIGNALS:
@@ -211,7 +223,7 @@ def _scatter(scatter_radian: Floats) -> Finding:
     worst = float(by_channel[channel])
     return NOISE.judged(
         graded(worst, _SCATTER_WARNING_RADIAN, _SCATTER_FAULT_RADIAN),
-        f"edges scatter by {worst:.2f} rad of the tone on channel {channel + 1} (limit {_SCATTER_WARNING_RADIAN:.2f})",
+        f"edges scatter by {worst:.2f} rad of the tone on channel {channel} (limit {_SCATTER_WARNING_RADIAN:.2f})",
         "the signal drowns: look at transducer, amplifier, shield and supply of that channel",
         Amount(worst, _SCATTER_WARNING_RADIAN, "rad"),
     )
@@ -227,11 +239,16 @@ def _cross_talk(pair_noise: Floats) -> Finding:
     if not np.isfinite(pair_noise).any():
         return CROSS_TALK.not_checked("no two channels count the same tone")
     mean = known_mean(pair_noise, axis=0)
+    if np.nanmax(mean) < 1.0 / _ALIKE_WARNING:
+        return CROSS_TALK.not_checked(
+            "all channels differ by less than the noise that the counter states: they count a signal without jitter, "
+            "as of a generator"
+        )
     pair = int(np.nanargmin(mean))
     alike = 1.0 / max(float(mean[pair]), 1e-6)
     first, second = PAIRS[pair]
     evidence = (
-        f"channels {first + 1} and {second + 1} are the most alike: their difference has {100 / max(alike, 1.0):.0f} % "
+        f"channels {first} and {second} are the most alike: their difference has {100 / max(alike, 1.0):.0f} % "
         f"of the variance that noise of their own would give (limit {100 / _ALIKE_WARNING:.0f} %)"
     )
     return CROSS_TALK.judged(

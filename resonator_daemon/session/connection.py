@@ -2,7 +2,18 @@
 
 from itertools import groupby
 
-from firmware_protocol.host import Described, Frame, FramePart, HostEvent, HostSession, Located, Pong, Rebooted, Started
+from firmware_protocol.host import (
+    Described,
+    Frame,
+    FramePart,
+    HostEvent,
+    HostSession,
+    Located,
+    PacketRefusal,
+    Pong,
+    Rebooted,
+    Started,
+)
 from firmware_protocol.layouts import PROTOCOL_MAJOR
 from firmware_protocol.messages import BoardLog, BoardStatus, Configuration, Refusal, RefusalCode
 from firmware_protocol.packets import Damage, ForeignVersion
@@ -29,6 +40,7 @@ from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_snapshot import ConnectionSnapshot
 from resonator_daemon.session.link_state import LinkState
 from resonator_daemon.session.pings import Pings
+from resonator_daemon.session.refusal_watch import RefusalWatch
 
 _MS = 1_000_000
 _S = 1_000_000_000
@@ -38,6 +50,10 @@ _GIVE_UP_NS = 3 * _S  # from when a board is first asked, or called silent, till
 _STUCK_NS = 500 * _MS  # of bytes without a frame among them
 _SLEPT_NS = 50 * _MS
 _UNANSWERED_NS = 10 * _S  # without an answer, though frames come
+
+
+def _refused_text(refused: PacketRefusal) -> str:
+    return f"packets are refused ({refused.code}): {refused.text}"
 
 
 class Connection:
@@ -74,7 +90,8 @@ class Connection:
         self._state = state
         self._gate_ticks = gate_ticks(plate)
         self._session = HostSession()
-        self._receiver = FrameReceiver(plate, numbering, queue, counters)
+        self._receiver = FrameReceiver(plate, numbering, queue, counters, self._session.refuse)
+        self._refusals = RefusalWatch(self._session.refusals, opened.monotonic_ns)
         self.pings = Pings()
         self._blink = BlinkRequests(queue)
         self._log_lines = BoardLogFilter(queue, counters)
@@ -194,11 +211,13 @@ class Connection:
                 self._unanswered = True
                 self._announce_online()
         elif now_ns - self._opened_ns > _GIVE_UP_NS:
-            received = self._session.bytes.received
-            received_text = f"{received} bytes came and no answer" if received else "not a byte came"
-            remedy = "is it a board of this kind, and the baud rate right?"
-            self._announce(Condition.STALLED, f"no board answers: {received_text}; {remedy}")
+            self._announce(Condition.STALLED, self._silence())
             raise LinkLostError("no board answers")
+        if self._refusals.update(now_ns):
+            if self._state.online:
+                self._announce_online()
+            elif self._counting and self._state.state is Condition.STALLED:
+                self._announce(Condition.STALLED, self._no_frame())
         if not self._session.awaits_answer:
             self._next_ask_ns = now_ns + _ASK_AGAIN_NS
         elif now_ns >= self._next_ask_ns:
@@ -244,11 +263,27 @@ class Connection:
         counters.bytes_waiting += session.waiting_bytes
         counters.messages_stale += session.messages.stale
         counters.messages_malformed += session.messages.malformed
+        counters.refusals.update(session.refusals)
         counters.messages_unknown += session.messages.unknown + self._receiver.assembler.unplaced_parts
         outliers, restarts = self._clock_counts
         clock = self.clock
         counters.clock_outliers += outliers + (clock.outliers if clock else 0)
         counters.clock_restarts += restarts + (clock.restarts if clock else 0)
+
+    def _silence(self) -> str:
+        """Return why the handshake came to no end."""
+        received = self._session.bytes.received
+        if refused := self._session.most_refused:
+            return f"no board answers: its packets are refused ({refused.code}): {refused.text}; update its firmware"
+        if self.described is not None and self._session.state is HostState.DESCRIBED:
+            serial_number = self.described.identity.serial_number
+            return f"board {serial_number} identifies itself and answers no ping (no_pong); update its firmware"
+        received_text = f"{received} bytes came and no answer" if received else "not a byte came"
+        return f"no board answers: {received_text}; is it a board of this kind, and the baud rate right?"
+
+    def _no_frame(self) -> str:
+        refused = self._refusals.most_frequent
+        return "the port is open and no frame comes" + (f"; {_refused_text(refused)}" if refused else "")
 
     def _announce(self, state: Condition, reason: str) -> None:
         self._state.announce(state, reason, self._now.utc_ns)
@@ -372,6 +407,8 @@ class Connection:
                 sentences.append(self._rate_doubt)
             if self._unanswered:
                 sentences.append(f"no ping was answered for {_UNANSWERED_NS // _S} s: is the line to the board broken?")
+            if refused := self._refusals.most_frequent:
+                sentences.append(_refused_text(refused))
             self._announce(Condition.ONLINE, "; ".join(sentences))
 
     def _ping(self, clock: BoardClock) -> None:
@@ -418,5 +455,5 @@ class Connection:
         if silent_ns > self._silence_ns + _GIVE_UP_NS:
             raise LinkLostError(f"the board was silent for {silent_ns * 1e-9:.1f} s")
         if silent_ns > self._silence_ns and self._state.state is not Condition.STALLED:
-            self._announce(Condition.STALLED, "the port is open and no frame comes")
+            self._announce(Condition.STALLED, self._no_frame())
             self._next_ping_ns = now_ns  # whether it is alive at all: if so it is asked to go on

@@ -1,6 +1,9 @@
 """Where every byte and every frame of a link went."""
 
+from collections import Counter
 from dataclasses import dataclass, field, fields, replace
+
+from firmware_protocol.host import PacketRefusal
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +61,7 @@ class LinkCounters:
     host_overruns: int = 0  # reports of the host's driver that it had no room
     clock_outliers: int = 0  # pings that contradicted the others
     clock_restarts: int = 0
+    refusals: Counter[PacketRefusal] = field(default_factory=Counter)  # of malformed messages, by reason
     lost: FrameLoss = field(default_factory=FrameLoss)
     boots: list[BootCounters] = field(default_factory=list)  # the latest, the present one last
 
@@ -68,4 +72,4 @@ class LinkCounters:
         return boot
 
     def copy(self) -> "LinkCounters":
-        return replace(self, boots=[replace(boot) for boot in self.boots])
+        return replace(self, refusals=self.refusals.copy(), boots=[replace(boot) for boot in self.boots])

@@ -10,6 +10,7 @@ from resonator_daemon.session.frames import Gap
 _HALF_RANGE, _RANGE = 1 << 31, 1 << 32
 _QUEUED_NS = 30_000_000_000  # far beyond what any queue on the way can hold
 _SETTLED_FRAMES = 2  # from the second on, their spacing has been looked at
+_NOTHING_LOST = FrameLoss()
 _CLOCKS_AGREE = 5e-4  # share of an outage by which ticks and the host's clock may differ: rates, and their drift
 
 
@@ -23,12 +24,16 @@ class Accepted:
 
 
 class NumberingSnapshot(NamedTuple):
-    """State of `FrameNumbering`; `last`: boot id, board ticks and time of the last frame."""
+    """State of `FrameNumbering`; `last`: boot id, board ticks and time of the last frame.
+
+    `unexplained`: frames counted as link_gap and as damaged since the board's last report.
+    """
 
     next_index: int
     next_sequence: int
     dropped_by_board: int
     last: tuple[int, int, Instant] | None
+    unexplained: tuple[int, int] = (0, 0)
 
 
 class BrokenSpacingError(Exception):
@@ -61,6 +66,7 @@ class FrameNumbering:
         self._discarded_bytes = 0
         self._dropped_by_board = 0
         self._dropped_counted = 0
+        self._unexplained = (0, 0)
         self._overrun = False
         self._last: tuple[int, int, Instant] | None = None  # boot id, board ticks, time
         self._frames_of_run = 0
@@ -73,6 +79,7 @@ class FrameNumbering:
         self._next_sequence = 0
         self._discarded_bytes = 0
         self._dropped_by_board = self._dropped_counted = 0
+        self._unexplained = (0, 0)
         self._overrun = False
         self._frames_of_run = 0
         self._resuming = self._last is not None
@@ -85,10 +92,12 @@ class FrameNumbering:
 
     def snapshot(self) -> NumberingSnapshot:
         """Return the state; within a run only while `settled`."""
-        return NumberingSnapshot(self._next_index, self._next_sequence, self._dropped_by_board, self._last)
+        return NumberingSnapshot(
+            self._next_index, self._next_sequence, self._dropped_by_board, self._last, self._unexplained
+        )
 
     def restore(self, snapshot: NumberingSnapshot) -> None:
-        self._next_index, self._next_sequence, self._dropped_by_board, self._last = snapshot
+        self._next_index, self._next_sequence, self._dropped_by_board, self._last, self._unexplained = snapshot
         self._dropped_counted = self._dropped_by_board
         self._discarded_bytes, self._overrun, self._resuming = 0, False, False
         self._frames_of_run = _SETTLED_FRAMES
@@ -100,6 +109,8 @@ class FrameNumbering:
     def dropped_by_board(self, frames_since_start: int) -> None:
         """Set the board's own count of frames that it could not send before the next one."""
         self._dropped_by_board = max(frames_since_start, self._dropped_by_board)
+        if self._dropped_by_board == self._dropped_counted:
+            self._unexplained = (0, 0)
 
     def overrun(self) -> None:
         """Note a loss by the host's driver; the next frame shows whether frames were among it."""
@@ -128,9 +139,9 @@ class FrameNumbering:
             if self._resuming:
                 loss += FrameLoss(link_gap=max(0, self._gates_away(boot_id, board_ticks, time) - 1 - missing))
                 self._resuming = False
-            if lost := loss.total:
+            if loss != _NOTHING_LOST:
                 gap = Gap(index, loss)
-                index += lost
+                index += loss.total
         self._next_index = index + 1
         self._next_sequence = (sequence + 1) % _RANGE
         self._last = (boot_id, board_ticks, time)
@@ -172,13 +183,25 @@ class FrameNumbering:
         return round(by_board if boot_id == last_boot_id and agrees else by_host)
 
     def _causes(self, missing: int) -> FrameLoss:
-        overflow = min(missing, self._dropped_by_board - self._dropped_counted)
+        reported = self._dropped_by_board - self._dropped_counted
+        overflow = min(missing, reported)
         self._dropped_counted = self._dropped_by_board  # its report ends with this frame
+        correction = self._correction(reported - overflow)
+        if reported:
+            self._unexplained = (0, 0)
         left = missing - overflow
         # Fragments too: a frame that arrived in part was damaged, one that never arrived is a gap of the link.
         damaged = min(left, -(-self._discarded_bytes // self._frame_bytes))
         overrun = self._overrun
         self._discarded_bytes, self._overrun = 0, False
         if overrun:
-            return FrameLoss(host_overrun=left, board_overflow=overflow)
-        return FrameLoss(link_gap=left - damaged, damaged=damaged, board_overflow=overflow)
+            return FrameLoss(host_overrun=left, board_overflow=overflow) + correction
+        link_gap, damaged_before = self._unexplained
+        self._unexplained = (link_gap + left - damaged, damaged_before + damaged)
+        return FrameLoss(link_gap=left - damaged, damaged=damaged, board_overflow=overflow) + correction
+
+    def _correction(self, dropped_before: int) -> FrameLoss:
+        """Return what attributes earlier losses to the board, whose report of them had been lost; its sum is 0."""
+        link_gap = min(dropped_before, self._unexplained[0])
+        damaged = min(dropped_before - link_gap, self._unexplained[1])
+        return FrameLoss(link_gap=-link_gap, damaged=-damaged, board_overflow=link_gap + damaged)

@@ -1,8 +1,9 @@
 """Frames from the wire to the frame queue: assembled, given time and number, and counted."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Final
 
-from firmware_protocol.host import Frame, FramePart
+from firmware_protocol.host import Frame, FramePart, PacketRefusal
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.plate import Plate
 from resonator_daemon.session.clock import BoardClock, Instant, TickScale
@@ -14,6 +15,9 @@ from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.frames import ChannelisedFrame, SingleToneFrame
 from resonator_daemon.session.host_time import HostTime
 
+_NOT_IN_PARTS: Final = PacketRefusal("frame_kind", "FRAME came, and the plate needs FRAME_PART")
+_IN_PARTS: Final = PacketRefusal("frame_kind", "FRAME_PART came, and the plate needs FRAME")
+_TICKS: Final = PacketRefusal("frame_ticks", "board_ticks of a frame are more than 30 s from those of the pings")
 _FRAME_AGE_NS = 30_000_000_000  # far beyond what any buffer on the way can hold
 
 
@@ -21,10 +25,19 @@ class FrameReceiver:
     """Receiver of the frames of one connection; numbering, queue and counters outlive it.
 
     `assembler` puts parts of frames together. `last_frame_ns` is the monotonic time at which the last frame was
-    received, `newest_ticks` the newest tick count in any message of this boot.
+    received, `newest_ticks` the newest tick count in any message of this boot. `refuse` counts frames that cannot be
+    received, by reason.
     """
 
-    def __init__(self, plate: Plate, numbering: FrameNumbering, queue: FrameQueue, counters: LinkCounters) -> None:
+    def __init__(
+        self,
+        plate: Plate,
+        numbering: FrameNumbering,
+        queue: FrameQueue,
+        counters: LinkCounters,
+        refuse: Callable[[PacketRefusal, int], None],
+    ) -> None:
+        self._refuse = refuse
         self._gate_ticks = gate_ticks(plate)
         self._in_parts = plate.counter.frames_in_parts
         self.assembler = FrameAssembler(len(plate.tones.f0_hz))
@@ -53,6 +66,7 @@ class FrameReceiver:
         """
         if self._in_parts:
             self._counters.messages_malformed += len(frames)
+            self._refuse(_NOT_IN_PARTS, len(frames))
             return []
         begun = []
         scale, half_gate_ticks = clock.scale, self._gate_ticks // 2
@@ -78,6 +92,7 @@ class FrameReceiver:
         """Put parts of channelised frames together; return the frames that are over."""
         if not self._in_parts:
             self._counters.messages_malformed += len(parts)
+            self._refuse(_IN_PARTS, len(parts))
             return []
         return self.assembler.add(parts)
 
@@ -142,6 +157,7 @@ class FrameReceiver:
         middle = scale.at(frame.board_ticks - self._gate_ticks // 2)
         if not self._may_be(middle, now):
             self._counters.messages_malformed += 1
+            self._refuse(_TICKS, 1)
             return None
         accepted = self._number(frame, boot_id, middle)
         if accepted is None:

@@ -83,7 +83,10 @@ Frame = SingleToneFrame | ChannelisedFrame
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Gates that are missing between the frame before and the frame after."""
+    """Gates that are missing between the frame before and the frame after.
+
+    `loss` also corrects the causes of earlier gaps, if the board's report of them came late. A correction's sum is 0.
+    """
 
     first_index: int
     loss: FrameLoss

@@ -4,7 +4,7 @@ import statistics
 import time
 from typing import NamedTuple
 
-from firmware_protocol.host import Described, HostEvent, HostSession, Located, Pong, Rebooted
+from firmware_protocol.host import Described, HostEvent, HostSession, Located, PacketRefusal, Pong, Rebooted
 from firmware_protocol.layouts import PROTOCOL_MAJOR, PROTOCOL_MINOR
 from firmware_protocol.messages import Refusal
 from firmware_protocol.packets import ForeignVersion
@@ -21,12 +21,14 @@ _POLL_S = 0.01
 class NoBoardError(Exception):
     """Nothing on the link gives a board's answers; the text has what came instead.
 
-    `is_a_board`: it uses this protocol all the same, in another version or with a refusal.
+    `is_a_board`: it uses this protocol all the same, in another version or with a refusal. `refused`: what is wrong
+    with its packets, None where none was refused.
     """
 
-    def __init__(self, text: str, *, is_a_board: bool = False) -> None:
+    def __init__(self, text: str, *, is_a_board: bool = False, refused: PacketRefusal | None = None) -> None:
         super().__init__(text)
         self.is_a_board = is_a_board
+        self.refused = refused
 
 
 class TickRate(NamedTuple):
@@ -127,7 +129,7 @@ class _Probe:
             self._described,
             tuple(_round_trip_ns(exchange) * 1e-9 for exchange in self._exchanges),
             tick_rate(self._exchanges, self._described.description.reference_millihertz),
-            counting=self._session.messages.stale > 0,  # frames come that this session did not start
+            counting=self._session.messages.frames_outside_run > 0,  # that this session did not start
             refused_to_blink=self._refused_to_blink if self._blink_answered else "it does not answer",
         )
 
@@ -165,7 +167,8 @@ class _Probe:
 
     def _no_board(self) -> NoBoardError:
         received = self._session.bytes
-        return NoBoardError(self._silence(), is_a_board=received.accepted > 0 and not received.echo)
+        is_a_board = received.accepted > 0 and not received.echo
+        return NoBoardError(self._silence(), is_a_board=is_a_board, refused=self._session.most_refused)
 
     def _silence(self) -> str:
         received = self._session.bytes.received
@@ -173,6 +176,8 @@ class _Probe:
             return "not a byte came; is the board powered, and is it this port?"
         if self._session.bytes.echo:
             return "only our own requests came back: this is a loop, or a terminal that echoes, and no board"
+        if refused := self._session.most_refused:
+            return f"its packets are refused ({refused.code}): {refused.text}; update the firmware of the board"
         if self._session.bytes.accepted:
             return f"packets came ({received} bytes) and no answer to who it is; start the board anew"
         return f"{received} bytes came and no packet among them; is it a board of this kind, and the baud rate right?"

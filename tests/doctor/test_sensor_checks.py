@@ -1,12 +1,14 @@
 """Plate and counter: an emulated plate that is well, and its frames changed to what broken ones would send."""
 
 import dataclasses
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 from emulation import emulated
 
+from firmware_protocol.host import PacketRefusal
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.doctor.capture import Capture, capture_board
 from resonator_daemon.doctor.finding import Finding, Outcome
@@ -80,9 +82,9 @@ def test_a_channel_that_hears_nothing_is_dead(calm: Capture, quartz16: Plate) ->
         shift[:, 2] = np.nan
         return shift
 
-    findings = judged(changed(calm, shift=deaf), quartz16)
+    findings = judged(changed(calm, shift=deaf, gates_counted=np.array([1.0, 1.0, 0.0, 1.0])), quartz16)
     assert bad(findings) == {"sensor.channels": Outcome.FAULT}
-    assert "channel 3 of 4" in findings["sensor.channels"].evidence
+    assert "channel 2 of 0 to 3" in findings["sensor.channels"].evidence
 
 
 @pytest.mark.parametrize(("times", "outcome"), [(5.0, Outcome.WARNING), (30.0, Outcome.FAULT)])
@@ -105,7 +107,7 @@ def test_edges_that_scatter_more_than_those_of_a_signal_do_are_told(
     scatter = np.array([0.1, 0.1, scatter_radian, 0.1])
     findings = judged(changed(calm, scatter_radian=scatter), quartz16)
     assert bad(findings) == expected
-    assert not expected or "on channel 3" in findings["sensor.noise"].evidence
+    assert not expected or "on channel 2" in findings["sensor.noise"].evidence
 
 
 def test_noise_above_what_the_calibration_left_is_a_warning(calm: Capture, quartz16: Plate) -> None:
@@ -120,7 +122,23 @@ def test_two_channels_that_are_too_much_alike_hear_each_other(
 ) -> None:
     findings = judged(changed(calm, pair_noise=np.array([1, 1, 1, share, 1, 1.0])), quartz16)
     assert bad(findings) == {"sensor.cross_talk": outcome}
-    assert "channels 2 and 3" in findings["sensor.cross_talk"].evidence
+    assert "channels 1 and 2" in findings["sensor.cross_talk"].evidence
+
+
+def test_signals_without_jitter_are_no_cross_talk(calm: Capture, quartz16: Plate) -> None:
+    """A generator on all inputs: every difference is far below what rounding to ticks is taken to give."""
+    findings = judged(changed(calm, pair_noise=np.array([0.01, 0.02, 0.01, 1e-4, 0.03, 0.1])), quartz16)
+    assert bad(findings) == {}
+    assert findings["sensor.cross_talk"].outcome is Outcome.NOT_CHECKED
+
+
+def test_gates_that_do_not_continue_each_other_are_the_firmwares(calm: Capture, quartz16: Plate) -> None:
+    """An edge index that begins anew with each gate: each gate has its tone, and no reading has one."""
+    nothing = np.full((1, CHANNEL_COUNT), np.nan)
+    findings = judged(changed(calm, shift=nothing, std=nothing), quartz16)
+    assert bad(findings) == {"board.stamps": Outcome.FAULT}
+    silent = judged(changed(calm, shift=nothing, std=nothing, gates_counted=np.zeros(CHANNEL_COUNT)), quartz16)
+    assert bad(silent) == {"sensor.channels": Outcome.FAULT}
 
 
 def test_a_drift_is_a_warning(calm: Capture, quartz16: Plate) -> None:
@@ -270,6 +288,15 @@ def test_dropped_frames_are_judged_by_their_share(calm: Capture, frames: int, ou
     )
     capture = dataclasses.replace(calm, before=before, after=after, frame_rate_hz=1.0)
     assert {finding.id: finding.outcome for finding in check_capture(capture)}["link.overflow"] is outcome
+
+
+def test_frames_that_are_refused_are_named_with_their_code(calm: Capture) -> None:
+    refused = PacketRefusal("frame_length", "a frame has 176 bytes, got 175")
+    counters = dataclasses.replace(calm.before, refusals=Counter({refused: 900}))
+    capture = dataclasses.replace(calm, seconds=0.0, before=counters, after=counters, link="no frames")
+    found = {finding.id: finding for finding in check_capture(capture)}
+    assert {name for name, finding in found.items() if finding.outcome is Outcome.FAULT} == {"board.frames"}
+    assert "frame_length" in found["board.frames"].evidence
 
 
 def test_a_board_that_does_not_count_is_the_sensors(calm: Capture) -> None:

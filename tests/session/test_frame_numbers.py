@@ -60,13 +60,37 @@ def test_what_the_board_dropped_is_its_own_cause_and_counted_once() -> None:
     assert accept(it, 12) == (12, Gap(10, FrameLoss(board_overflow=1, link_gap=1)))
 
 
-def test_what_a_lost_status_would_have_told_is_not_put_on_a_later_gap() -> None:
+def test_a_report_after_a_lost_one_corrects_the_causes_of_the_earlier_gap() -> None:
     it = numbering()
     accept(it, 0)
-    assert accept(it, 4) == (4, Gap(1, FrameLoss(link_gap=3)))  # the board dropped these; nobody heard it say so
-    it.dropped_by_board(3)
-    assert accept(it, 5) == (5, None)
-    assert accept(it, 8) == (8, Gap(6, FrameLoss(link_gap=2)))
+    it.discarded(30)  # the board's report
+    assert accept(it, 5) == (5, Gap(1, FrameLoss(link_gap=3, damaged=1)))
+    it.dropped_by_board(6)  # 4 before, and 2 now
+    corrected = FrameLoss(link_gap=-3, damaged=-1, board_overflow=6)
+    assert accept(it, 8) == (8, Gap(6, corrected))
+    assert accept(it, 11) == (11, Gap(9, FrameLoss(link_gap=2)))
+    it.dropped_by_board(7)
+    assert accept(it, 12) == (12, Gap(12, FrameLoss(link_gap=-1, board_overflow=1)))
+    assert accept(it, 13) == (13, None)
+
+
+def test_a_report_settles_the_causes_of_what_was_lost_before() -> None:
+    it = numbering()
+    accept(it, 0)
+    accept(it, 4)
+    it.dropped_by_board(0)  # once a second, also without a drop
+    accept(it, 5)
+    it.dropped_by_board(2)
+    assert accept(it, 7) == (7, Gap(6, FrameLoss(board_overflow=1)))  # the frame that is still to come has the rest
+
+
+def test_unexplained_losses_are_in_the_snapshot() -> None:
+    it, later = numbering(), numbering()
+    accept(it, 0)
+    accept(it, 4)
+    later.restore(it.snapshot())
+    later.dropped_by_board(3)
+    assert accept(later, 5) == (5, Gap(5, FrameLoss(link_gap=-3, board_overflow=3)))
 
 
 def test_what_the_hosts_driver_lost_is_a_cause_of_its_own() -> None:
