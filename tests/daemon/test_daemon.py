@@ -182,9 +182,9 @@ async def test_a_stalled_event_loop_loses_no_frame(bench: Bench, mosquitto: Mosq
 
 
 async def test_a_serial_number_that_is_no_topic_needs_a_name(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("simulators.emulator.SERIAL_NUMBER", "EMU+1")
+    monkeypatch.setattr("simulators.emulator.SERIAL_NUMBER", "decoder")
     async with bench.emulated(scenario="still"):
-        with pytest.raises(ConfigurationError, match=r"serial number .EMU\+1. .*; set name in the configuration"):
+        with pytest.raises(ConfigurationError, match=r"serial number .decoder. .*; set name in the configuration"):
             await bench.service(name=None).run()
 
 
