@@ -87,18 +87,6 @@ def test_hysteresis_and_creep_are_fitted_from_loading_and_unloading(tmp_path: Pa
     assert "hysteresis and creep were not fitted" in " ".join(printed)
 
 
-def test_without_the_response_fitted_the_record_covers_what_it_does_to_forces(tmp_path: Path) -> None:
-    wanted = WANTED
-    physics = f"{IDEAL}hysteresis_fraction = 0.01\ncreep_fraction = 0.005\n"
-    procedure, outcome = calibrated(wanted, Touches(physics=physics), tmp_path)
-    record = recorded(wanted, procedure, outcome)
-    error = np.abs(sensitivity_errors(record)).max()
-    assert error > 4e-3  # creep that had no time to come
-    assert record.sensitivity_std < 2 * error
-    assert error < record.sensitivity_std
-    assert error * record.force_newton[1] < min(site.residual_newton for site in record.sites)
-
-
 def test_a_sweep_gives_temperature_coefficients_against_the_pilot(tmp_path: Path) -> None:
     wanted = Wanted(sites=(7,), hold_s=0.5, kelvin=296.15, temperatures_kelvin=(288.15, 308.15))
     given = "temperature_coefficients = [-1.0e-6, 2.0e-9, 1.08e-10]\n"
