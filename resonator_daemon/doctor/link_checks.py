@@ -51,7 +51,7 @@ def check_probe(probed: ProbeResult, plate: Plate | None, busy: str = "") -> Ite
         yield _fits(probed, plate)
         yield _unit(probed, plate)
     yield _reference(probed)
-    yield excused(_round_trip(probed), busy)
+    yield excused(_round_trip(probed), busy if probed.round_trips_s else "")  # late is not never
     yield _reset(probed)
 
 

@@ -86,7 +86,7 @@ def test_answers_that_wait_for_a_latency_timer_are_a_warning_unless_this_compute
     assert (waits.outcome, waits.value) == (Outcome.WARNING, pytest.approx(8.3, abs=0.3))  # ms
     assert judged(late, None, "this computer is busy")["link.round_trip"].outcome is Outcome.NOT_CHECKED
     none = answers._replace(round_trips_s=())
-    assert bad(judged(none, None)) == {"board.pings": Outcome.FAULT}
+    assert bad(judged(none, None, "this computer is busy")) == {"board.pings": Outcome.FAULT}
 
 
 @pytest.mark.parametrize(
