@@ -135,8 +135,7 @@ class CommandHandlers:
 
     async def _set_window(self, request: SetWindow) -> SetWindowAnswer:
         self._adjustable_sensor()
-        step_ms = self._parts.measurement().step_ms if request.step_ms is None else request.step_ms
-        measurement = Measurement(window_ms=request.window_ms, step_ms=step_ms)
+        measurement = self._parts.measurement().model_copy(update=request.model_dump(exclude_none=True))
         spans_ms = {"window_ms": measurement.window_ms, "step_ms": measurement.step_ms}
         if problems := timing_problems(spans_ms, self._plate):
             faults = "; ".join(f"{key}: got {value:g}; {sentence}" for key, value, sentence in problems)

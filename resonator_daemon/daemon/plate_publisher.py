@@ -95,17 +95,23 @@ class PlatePublisher:
             identifier=f"resonatord-{broker.prefix}-{name}-{self._daemon_boot_id}",
             make_will=self._make_will,
             subscriptions=(
-                Subscription(self._commands.topic_filter, 1, self._commands.receive),
+                Subscription(self._commands.topic_filter, 1, self._commands.receive, retain_as_published=True),
                 Subscription(full_topic(broker.prefix, name, STATE_DAEMON.path), 1, daemon_state.receive),
             ),
             spool_directory=state_directory() / "spool" / quote(broker.prefix, safe="") / name,
             on_connected=daemon_state.connected,
+            conflict=lambda: daemon_state.conflict,
             stream_wait_max_s=FRESH_S,
         )
         self._publisher.retain(full_topic(broker.prefix, name, SCHEMA_PATH), asyncapi.encoded(), JSON)
         for topic, message in self._waiting.items():
             self._publisher.publish(self._base, topic, message)
         self._waiting.clear()
+
+    def republish(self) -> None:
+        """Publish again what is retained."""
+        if self._publisher is not None:
+            self._publisher.republish()
 
     async def run(self) -> None:
         """Keep connected until `close`."""
@@ -117,11 +123,6 @@ class PlatePublisher:
         self._allowed = verbs
         if self._commands is not None:
             self._commands.allowed = verbs
-
-    def republish(self) -> None:
-        """Publish again what is retained."""
-        if self._publisher is not None:
-            self._publisher.republish()
 
     def set_rate(self, path: str, rate_hz: float | None) -> None:
         """Lower the rate of a stream; None: no longer."""

@@ -58,6 +58,11 @@ class DaemonState:
         self._ended = False
 
     @property
+    def conflict(self) -> bool:
+        """Whether another daemon publishes under this name."""
+        return bool(self._others)
+
+    @property
     def standing(self) -> DaemonStanding:
         reason = self._reason
         if self._others:

@@ -26,6 +26,7 @@ from resonator_daemon.publishing.topics import (
     STATE_DAEMON,
     STATE_LINK,
     STATE_SENSOR,
+    Topic,
 )
 from resonator_daemon.publishing.units import UNITS
 from resonator_daemon.publishing.verbs import permitted
@@ -56,6 +57,7 @@ class StateMessages:
         self._sensor = sensor
         self._headers = headers
         self.allowed: Collection[str] = config.commands.allow
+        self._last_ns: dict[Topic[State], tuple[int, int]] = {}
 
     def daemon_state(self, standing: DaemonStanding, utc_ns: int) -> State:
         return State(
@@ -78,16 +80,25 @@ class StateMessages:
                 reason=outage.reason,
             )
         return State(
-            **self._headers.of(STATE_LINK, link.utc_ns),
+            **self._in_order(STATE_LINK, link.utc_ns, link.since_utc_ns),
             state=Condition(link.state),
             reason=link.reason,
-            since_t_ns=link.since_utc_ns,
             last_outage=last_outage,
             boots=boots,
         )
 
     def sensor_state(self, condition: Condition, reason: str, since_utc_ns: int, utc_ns: int) -> State:
-        return State(**self._headers.of(STATE_SENSOR, utc_ns), state=condition, reason=reason, since_t_ns=since_utc_ns)
+        return State(**self._in_order(STATE_SENSOR, utc_ns, since_utc_ns), state=condition, reason=reason)
+
+    def _in_order(self, topic: Topic[State], utc_ns: int, since_utc_ns: int) -> dict[str, Any]:
+        """Return header and `since_t_ns` of a state, neither earlier than in the message before.
+
+        A state that frames show bears the time of their gates, one that their absence shows that of the host.
+        """
+        last_ns, last_since_ns = self._last_ns.get(topic, (utc_ns, since_utc_ns))
+        t_ns, since_t_ns = max(utc_ns, last_ns), max(since_utc_ns, last_since_ns)
+        self._last_ns[topic] = t_ns, since_t_ns
+        return {**self._headers.of(topic, t_ns), "since_t_ns": since_t_ns}
 
     def info(self, board: BoardOnline, limits_hz: Mapping[str, float], utc_ns: int) -> Info:
         """Return what the plate is; `limits_hz` are rates of topics that were lowered by a command."""

@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.properties import Properties
+from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing import connection_errors
@@ -278,10 +279,16 @@ class BrokerConnection:
         self._watch_writable()
         return begun, complete
 
-    def subscribe(self, topic_filter: str, qos: int = 1) -> asyncio.Future[str | None]:
+    def subscribe(
+        self, topic_filter: str, qos: int = 1, *, retain_as_published: bool = False
+    ) -> asyncio.Future[str | None]:
         """Subscribe; the result is the reason for which the broker refuses it, or None."""
         refused: asyncio.Future[str | None] = self._loop.create_future()
-        _, number = self._client.subscribe(topic_filter, qos)
+        if self.version is MQTT_5:
+            options = SubscribeOptions(qos, retainAsPublished=retain_as_published)
+            _, number = self._client.subscribe(topic_filter, options=options)
+        else:
+            _, number = self._client.subscribe(topic_filter, qos)
         if number is None:
             refused.set_result("no connection")
         else:

@@ -55,7 +55,7 @@ class _Asked(NamedTuple):
     payload: bytes
     topic: str
     correlation: bytes | None
-    strange_topic: str | None  # where the answer was asked for and does not go
+    refused: "CommandRefusedError | None" = None  # whatever the request is
 
 
 class Commands:
@@ -109,10 +109,7 @@ class Commands:
         return f"{self._base}/cmd/+"
 
     def receive(self, message: Incoming) -> None:
-        """Queue a command; returns at once. Retained messages, and messages after `close`, are ignored.
-
-        So is what comes after `close`.
-        """
+        """Queue a command; returns at once. Retained messages, and messages after `close`, are ignored."""
         if message.retained:
             return
         if self._closed:
@@ -141,13 +138,19 @@ class Commands:
         word = message.topic.removeprefix(f"{self._base}/cmd/")
         verb = word if _WORD.fullmatch(word) else "unknown"
         topic, correlation = message.response_topic, message.correlation
+        refused = None
+        if word not in VERBS or word not in self._handlers:
+            allowed = nearest(word, permitted(self.allowed))
+            refused = CommandRefusedError("unknown_verb", f"no command is called {_quoted(word)}", allowed)
         if correlation is not None and len(correlation) > CORRELATION_BYTES_MAX:
+            size = f"correlation data of {len(correlation)} bytes, at most {CORRELATION_BYTES_MAX}"
+            refused = CommandRefusedError("correlation", size, "send shorter correlation data; they are not repeated")
             correlation = None
-        if topic is None:
-            return _Asked(verb, message.payload, f"{self._base}/rsp/{verb}", correlation, None)
-        if not self._may_answer_to(topic):
-            return _Asked(verb, message.payload, f"{self._base}/rsp/{verb}", correlation, topic)
-        return _Asked(verb, message.payload, topic, correlation, None)
+        if topic is not None and not self._may_answer_to(topic):
+            below = f"use a topic outside {self._base.rpartition('/')[0]}/, or below {self._base}/rsp/"
+            refused = CommandRefusedError("response_topic", f"answers do not go to {_quoted(topic)}", below)
+            topic = None
+        return _Asked(verb, message.payload, topic or f"{self._base}/rsp/{verb}", correlation, refused)
 
     def _may_answer_to(self, topic: str) -> bool:
         """Whether a topic can be published to and is none of a daemon's own, which others believe."""
@@ -187,17 +190,9 @@ class Commands:
                 finishing.add_done_callback(self._finishing.discard)
 
     def _begin(self, asked: _Asked) -> Answer | Coroutine[Any, Any, Answer]:
-        if asked.strange_topic is not None:
-            raise CommandRefusedError(
-                "response_topic",
-                f"answers do not go to {asked.strange_topic[:_SHOWN_LENGTH_MAX]!a}",
-                f"use a topic outside {self._base.rpartition('/')[0]}/, or below {self._base}/rsp/",
-            )
-        verb, handler = VERBS.get(asked.verb), self._handlers.get(asked.verb)
-        if verb is None or handler is None:
-            raise CommandRefusedError(
-                "unknown_verb", f"no command is called {asked.verb!r}", nearest(asked.verb, permitted(self.allowed))
-            )
+        if asked.refused is not None:
+            raise asked.refused
+        verb, handler = VERBS[asked.verb], self._handlers[asked.verb]
         if verb.changes and asked.verb not in self.allowed:
             raise CommandRefusedError(
                 "not_permitted",
@@ -255,11 +250,12 @@ def _request(verb: Verb, payload: bytes) -> Request:
             "payload", "; ".join(_sentence(verb, found) for found in findings), "see docs/mqtt.md and the topic schema"
         ) from None
     except ValueError as error:
-        raise CommandRefusedError("payload", str(error), "send {} for a command without fields") from None
+        hint = "see docs/mqtt.md and the topic schema" if payload else "send {} for a command without fields"
+        raise CommandRefusedError("payload", str(error), hint) from None
 
 
 def _sentence(verb: Verb, error: ErrorDetails) -> str:
-    where = ".".join(_shown(key) if isinstance(key, str) else str(key) for key in error["loc"])
+    where = ".".join(_key(key) if isinstance(key, str) else str(key) for key in error["loc"])
     match error["type"]:
         case "extra_forbidden":
             known = list(verb.request.model_fields)
@@ -267,12 +263,17 @@ def _sentence(verb: Verb, error: ErrorDetails) -> str:
         case "missing":
             return f"{where}: missing; give a value"
         case "value_error":
-            return f"{where}: got {_shown(error['input'])}; {error['ctx']['error']}"
+            return f"{where}: got {_quoted(error['input'])}; {error['ctx']['error']}"
         case _:
             message = error["msg"].replace("Input should be", "must be", 1).replace("String should", "must", 1)
-            return f"{where}: got {_shown(error['input'])}; {message}"
+            return f"{where}: got {_quoted(error['input'])}; {message}"
 
 
-def _shown(value: object) -> str:
-    text = value if isinstance(value, str) and _WORD.fullmatch(value) else json.dumps(value)
+def _key(name: str) -> str:
+    return name if _WORD.fullmatch(name) else _quoted(name)
+
+
+def _quoted(value: object) -> str:
+    """Return a value as JSON, which distinguishes texts from numbers, in ASCII and cut to a length."""
+    text = json.dumps(value)
     return text if len(text) <= _SHOWN_LENGTH_MAX else f"{text[: _SHOWN_LENGTH_MAX - 3]}..."

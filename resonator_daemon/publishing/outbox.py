@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+from collections.abc import Collection, KeysView
 from itertools import chain
 from pathlib import Path
 from time import monotonic
@@ -136,9 +137,13 @@ class Outbox:
             log.warning("broker keeps no retained messages: who subscribes later sees no states")
         self.events.connected()
 
-    def republish(self) -> None:
-        """Send the retained messages again."""
-        again = {topic: packet for topic, packet in self._retained.items() if topic not in self._states}
+    @property
+    def retained_topics(self) -> KeysView[str]:
+        return self._retained.keys()
+
+    def republish(self, topics: Collection[str]) -> None:
+        """Send the last message of retained topics again."""
+        again = {topic: self._retained[topic] for topic in topics if topic not in self._states}
         self._account.enqueued += len(again)
         self._account.republished += len(again)
         self._states.update(again)

@@ -24,6 +24,7 @@ from resonator_daemon.publishing.outbox import Outbox, Packet
 from resonator_daemon.publishing.packed_properties import pack, properties_of
 from resonator_daemon.publishing.payloads import Header, MessageAccount, State
 from resonator_daemon.publishing.reconnection import connection_session, keep_connected
+from resonator_daemon.publishing.retained_topics import RetainedTopics
 from resonator_daemon.publishing.stream_packets import StreamPackets
 from resonator_daemon.publishing.topics import JSON, MessageT, Topic
 
@@ -38,6 +39,7 @@ class Subscription(NamedTuple):
     topic_filter: str
     qos: int
     handle: Callable[[Incoming], None]
+    retain_as_published: bool = False  # with MQTT 5: `Incoming.retained` is that of the sender
 
     def matches(self, topic: str) -> bool:
         shared = self.topic_filter.startswith("$share/")
@@ -84,6 +86,8 @@ class Publisher:
         Called with the number of each connection, before the retained messages are sent again.
     on_denied
         Called with filter and reason when the broker refuses a subscription.
+    conflict
+        Returns whether another publisher uses the same topics: what it overwrites is not restored.
     stream_wait_max_s
         How long a measured message may wait for the socket, in seconds; older ones are skipped.
     times
@@ -100,6 +104,7 @@ class Publisher:
         spool_directory: Path | None = None,
         on_connected: Callable[[int], None] = ignore,
         on_denied: Callable[[str, str], None] = ignore,
+        conflict: Callable[[], bool] = lambda: False,
         stream_wait_max_s: float = math.inf,
         times: ConnectionTimes | None = None,
     ) -> None:
@@ -116,6 +121,7 @@ class Publisher:
         self._connections = 0
         self._account = Account()
         self._outbox = Outbox(self._account, spool_directory, stream_wait_max_s)
+        self._retained = RetainedTopics(self._outbox.republish, conflict)
         self._paces: dict[str, Pace] = {}  # of main topics that are slowed down, by path
         self._streams: dict[tuple[str, str], _Stream] = {}  # by base and path
         self._denied: set[str] = set()  # filters whose refusal was logged
@@ -178,7 +184,7 @@ class Publisher:
         name = f"{base}/{topic.path}"
         if self._make(name, Cause.CLOSED if self._closed else None):
             if topic.retained:
-                self._outbox.put_state(Packet(name, encode(message), properties_of(topic)))
+                self._put_retained(Packet(name, encode(message), properties_of(topic)))
             else:
                 self._outbox.put_event(name, message)
 
@@ -189,12 +195,12 @@ class Publisher:
     def retain(self, full_topic: str, payload: bytes, content_type: str) -> None:
         """Publish a document that is no message, to be kept by the broker."""
         if self._make(full_topic, Cause.CLOSED if self._closed else None):
-            self._outbox.put_state(Packet(full_topic, payload, pack(content_type=content_type)))
+            self._put_retained(Packet(full_topic, payload, pack(content_type=content_type)))
 
     def republish(self) -> None:
-        """Send again the last message of each retained topic, because somebody else wrote over them."""
+        """Send again the last message of each retained topic, because another publisher wrote over them."""
         if self._client is not None and not self._closed:
-            self._outbox.republish()
+            self._outbox.republish(self._outbox.retained_topics)
 
     def answer(self, outgoing: Outgoing) -> None:
         """Send an answer to a command, after all events: a flood of commands costs nobody an event."""
@@ -224,6 +230,7 @@ class Publisher:
             await keep_connected(self._broker, session, self._closing, times=self._times)
         finally:
             self._closed = True
+            self._retained.close()
             self._outbox.close()
             try:
                 await self._outbox.events.close()
@@ -263,6 +270,12 @@ class Publisher:
         if refused is not None:
             self._account.drop(refused, topic)
         return refused is None
+
+    def _put_retained(self, packet: Packet) -> None:
+        if packet.topic not in self._outbox.retained_topics and self._client is not None:
+            self._client.subscribe(packet.topic)
+        self._retained.published(packet.topic, packet.payload)
+        self._outbox.put_state(packet)
 
     def _publish_stream(self, base: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
         """Queue the message and its decimated copy, the same bytes, each where its pace lets it pass."""
@@ -305,7 +318,7 @@ class Publisher:
             ),
             on_completed=self._outbox.published,
             on_writable=self._outbox.pump_soon,
-            on_message=self._received if self._subscriptions else None,
+            on_message=self._received,
             on_denied=self._denied_by_broker,
             times=self._times,
         )
@@ -317,9 +330,14 @@ class Publisher:
         self._connections += 1
         self._outbox.connected(client, at_once=at_once)
         for subscription in self._subscriptions:
-            client.subscribe(subscription.topic_filter, subscription.qos)
+            client.subscribe(
+                subscription.topic_filter, subscription.qos, retain_as_published=subscription.retain_as_published
+            )
+        subscribed = {subscription.topic_filter for subscription in self._subscriptions}
+        for topic in self._outbox.retained_topics - subscribed:
+            client.subscribe(topic)
         self._on_connected(self._connections)
-        self._outbox.republish()
+        self._outbox.republish(self._outbox.retained_topics)
         try:
             await asyncio.wait([client.lost])
         finally:
@@ -327,6 +345,7 @@ class Publisher:
             self._outbox.disconnected()
 
     def _received(self, message: Incoming) -> None:
+        self._retained.receive(message)
         for subscription in self._subscriptions:
             if subscription.matches(message.topic):
                 try:

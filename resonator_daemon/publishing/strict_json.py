@@ -10,12 +10,13 @@ DIGITS_MAX: Final = 20  # of a 64 bit integer
 
 
 def read_object(data: bytes) -> dict[str, Any]:
-    """Read the object in UTF-8; nothing at all counts as an empty one.
+    """Read the object in UTF-8.
 
     Raises
     ------
     ValueError
-        Too long, not JSON, not an object, nested too deep, a key twice, or a number that no double or 64 bits hold.
+        Empty, too long, not JSON, not an object, nested too deep, a key twice, or a number that no double or 64 bits
+        hold.
     """
     if len(data) > PAYLOAD_BYTES_MAX:
         raise ValueError(f"payload of {len(data)} bytes, at most {PAYLOAD_BYTES_MAX}")
@@ -24,7 +25,7 @@ def read_object(data: bytes) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise ValueError(f"the payload is not UTF-8: byte 0x{data[error.start]:02x} at {error.start}") from None
     if not text:
-        return {}
+        raise ValueError("the payload is empty")
     try:
         content = _DECODER.decode(text)
     except json.JSONDecodeError as error:

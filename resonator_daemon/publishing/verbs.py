@@ -23,6 +23,7 @@ ErrorCode = Literal[
     "not_permitted",
     "payload",
     "response_topic",
+    "correlation",
     "too_many",
     "busy",
     "timeout",
@@ -182,7 +183,9 @@ class MarkAnswer(Answer):
 class SetWindow(Request):
     """Set how long is counted for one force and how often one is published; until the daemon ends."""
 
-    window_ms: float = Field(gt=0, le=1000, allow_inf_nan=False)
+    window_ms: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)] | None = Field(
+        None, description="as it was where not given"
+    )
     step_ms: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)] | None = Field(
         None, description="as it was where not given"
     )

@@ -280,6 +280,20 @@ def test_a_skin_that_is_decoded_elsewhere_has_its_signals_alone(tmp_path: Path) 
     assert set(literal(messages.states.info(BOARD, {}, 1))["rates_hz"]) == {"signals", "signals/5hz"}
 
 
+def test_states_never_go_back_in_time(messages: Messages) -> None:
+    """Frames show that the link is back: the middle of their gate lies before the moment that showed their absence."""
+    waiting = messages.states.sensor_state(Condition.WAITING, "", 2_000, 2_000)
+    online = messages.states.sensor_state(Condition.ONLINE, "", 1_500, 1_600)
+    later = messages.states.sensor_state(Condition.DRIFTING, "", 1_900, 2_100)
+    link = messages.states.link_state(LinkChange(Condition.ONLINE, "", 1_000, 1_000), None, 1)
+    assert [(state.t_ns, state.since_t_ns) for state in (waiting, online, later, link)] == [
+        (2_000, 2_000),
+        (2_000, 2_000),
+        (2_100, 2_000),
+        (1_000, 1_000),
+    ]
+
+
 def test_the_link_tells_its_last_outage_and_the_boards_boots(messages: Messages) -> None:
     said = literal(messages.states.link_state(ONLINE, Outage(1, 3_000_000_000, 2900, "unplugged"), 2))
     assert said["boots"] == 2

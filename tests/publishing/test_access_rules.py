@@ -50,7 +50,7 @@ WRITES = {
     "nobody": set(),
 }
 READS = {
-    "left": below("left", paths={"cmd/tare", "state/daemon"}),
+    "left": below("left", paths={"cmd/tare", "info", "schema", "state/daemon", "state/link", "state/sensor"}),
     "decoder": below(*BOTH, paths={"signals", "info", "state/daemon", "state/link", "state/sensor"})
     | {"resonator/decoder/a/state"},
     "operator": {topic for topic in EVERYTHING if topic.startswith("resonator")},

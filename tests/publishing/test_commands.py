@@ -98,6 +98,8 @@ def incoming(
     [
         (b'{"txt": "a"}', "text: missing; give a value; txt: unknown key; allowed: text; did you mean text?"),
         (b'{"text": 7}', "text: got 7; must be a valid string"),
+        (b'{"text": ["7"]}', 'text: got ["7"]; must be a valid string'),
+        (b"", "the payload is empty"),
         (b'{"text": ""}', 'text: got ""; must have at least 1 character'),
         (b'{"text": "a\\nb"}', 'text: got "a\\nb"; must be printable characters, without line breaks and control'),
         (b'{"text": "a", "at\\u0000": 1}', '"at\\u0000": unknown key; allowed: text'),
@@ -112,6 +114,22 @@ async def test_a_request_that_is_not_the_verbs_is_refused_with_every_finding(
     assert said["error"]["code"] == "payload"
     assert sentence in said["error"]["message"]
     assert bench.asked == []
+
+
+async def test_an_empty_payload_alone_is_answered_with_how_to_send_none(bench: Bench) -> None:
+    hints = [(await bench.ask(incoming("mark", payload)))[0]["error"]["hint"] for payload in (b"", b"[]", b"NaN")]
+    assert ["{}" in hint for hint in hints] == [True, False, False]
+
+
+async def test_correlation_data_that_are_too_long_are_refused(bench: Bench) -> None:
+    (said,) = await bench.ask(incoming(correlation=b"x" * 30_000))
+    assert (said["error"]["code"], bench.sent[0].correlation, bench.asked) == ("correlation", None, [])
+
+
+async def test_a_verb_outside_ascii_is_named(bench: Bench) -> None:
+    (said,) = await bench.ask(incoming("täre"))
+    assert (said["verb"], said["error"]["code"]) == ("unknown", "unknown_verb")
+    assert json.dumps("täre") in said["error"]["message"]
 
 
 async def test_what_changes_something_needs_permission(bench: Bench) -> None:

@@ -36,11 +36,7 @@ async def test_a_command_is_answered(broker: Mosquitto | Amqtt) -> None:
         answer = await request(Mqtt(url=broker.url), "left", "mark", {"text": "warm"})
         assert answer == {"verb": "mark", "ok": True, "t_ns": "4"}
         answer = await request(Mqtt(url=broker.url), "left", "explode", {})
-        assert answer["error"] == {
-            "code": "unknown_verb",
-            "message": "no command is called 'explode'",
-            "hint": "allowed: ping, health, snapshot, mark",
-        }
+        assert answer["error"]["code"] == "unknown_verb"
 
 
 async def test_response_topic_and_correlation_of_mqtt_5_are_honoured(mosquitto: Mosquitto) -> None:

@@ -10,7 +10,6 @@ from resonator_daemon.publishing.strict_json import NESTING_MAX, PAYLOAD_BYTES_M
 @pytest.mark.parametrize(
     ("data", "content"),
     [
-        (b"", {}),
         (b"{}", {}),
         (b' {"a": [1, -2.5e3, null, true, "\xc3\xa9"]}\n', {"a": [1, -2500.0, None, True, "é"]}),
         (b'{"a": {"a": 1}}', {"a": {"a": 1}}),

@@ -1,0 +1,75 @@
+"""What other clients do to retained topics and to the topics of commands, on Mosquitto and the embedded broker."""
+
+import json
+import time
+from urllib.parse import urlsplit
+
+import aiomqtt
+from mqtt_helpers import LEFT, Messages, publishing, until
+from observer import observe
+from paho.mqtt.enums import MQTTProtocolVersion
+
+from resonator_daemon.publishing import topics
+from resonator_daemon.publishing.mqtt_messages import Incoming
+from resonator_daemon.publishing.publisher import Subscription
+
+ONLINE = Messages.state("online", "all is well")
+LINK, SENSOR, SCHEMA = f"{LEFT}/state/link", f"{LEFT}/state/sensor", f"{LEFT}/schema"
+
+
+def client(url: str, version: MQTTProtocolVersion = MQTTProtocolVersion.MQTTv311) -> aiomqtt.Client:
+    parts = urlsplit(url)
+    return aiomqtt.Client(parts.hostname or "", parts.port or 1883, protocol=aiomqtt.ProtocolVersion(version))
+
+
+async def test_retained_topics_that_another_overwrites_or_clears_are_restored(broker) -> None:
+    async with publishing(broker.url) as left, client(broker.url) as other:
+        left.publish(LEFT, topics.STATE_LINK, ONLINE)
+        left.retain(SCHEMA, b"{}", "application/json")
+        await until(lambda: left.connected)
+        left.publish(LEFT, topics.STATE_SENSOR, ONLINE)  # after the connection
+        await until(lambda: left.account.waiting == 0)
+        before = left.account.restored
+        await other.publish(LINK, b"junk", qos=1, retain=True)
+        await other.publish(SENSOR, b"", qos=1, retain=True)
+        await other.publish(SCHEMA, b"", qos=1, retain=True)
+        await until(lambda: left.account.restored == before + 3 and left.account.waiting == 0)
+        async with observe(broker.url, f"{LEFT}/#") as late:
+            for topic in (LINK, SENSOR):
+                await late.until_last(topic, state="online")
+            assert await late.until_count(SCHEMA, 1) == [b"{}"]
+
+
+async def test_a_flood_on_a_retained_topic_draws_a_message_a_second(broker, caplog) -> None:
+    async with publishing(broker.url) as left, client(broker.url) as other:
+        left.publish(LEFT, topics.STATE_LINK, ONLINE)
+        await until(lambda: left.connected and left.account.waiting == 0)
+        before, begun_s = left.account.restored, time.monotonic()
+        for number in range(200):
+            await other.publish(LINK, b"junk %d" % number, qos=1, retain=True)
+        async with observe(broker.url, LINK) as late:
+            await late.until(lambda: bool(late.raw(LINK)) and late.raw(LINK)[-1][:1] == b"{")
+        took_s = time.monotonic() - begun_s
+        assert 1 <= left.account.restored - before <= 2 + took_s
+    assert len([record for record in caplog.records if LINK in record.getMessage()]) == 1
+
+
+async def test_own_messages_that_come_back_are_not_restored(broker) -> None:
+    async with observe(broker.url, LINK) as observer, publishing(broker.url) as left:
+        await until(lambda: left.connected)
+        for number in range(4):
+            left.publish(LEFT, topics.STATE_LINK, Messages.state("online", str(number)))
+            await observer.until_last(LINK, reason=str(number))
+        assert left.account.restored == 0
+
+
+async def test_a_retained_command_is_marked_also_when_it_arrives_live(mosquitto) -> None:
+    heard: list[Incoming] = []
+    subscription = Subscription(f"{LEFT}/cmd/+", 1, heard.append, retain_as_published=True)
+    async with publishing(mosquitto.url, subscriptions=(subscription,)) as left, client(mosquitto.url) as other:
+        await until(lambda: left.connected)
+        await other.publish(f"{LEFT}/cmd/tare", json.dumps({}), qos=1, retain=True)
+        await other.publish(f"{LEFT}/cmd/tare", b"", qos=1, retain=True)
+        await other.publish(f"{LEFT}/cmd/ping", b"{}", qos=1)
+        await until(lambda: len(heard) >= 3)
+    assert [message.retained for message in heard] == [True, True, False]
