@@ -89,6 +89,7 @@ static void begin_pio(void)
     for (uint32_t channel = 0; channel < RESONATOR_CHANNELS; channel++) {
         pio_sm_config settings = capture_program_get_default_config(program_offset);
         sm_config_set_jmp_pin(&settings, FIRST_PIN + channel);
+        dma_channel_abort(again_channel[channel]); /* first, so that it cannot start the other one anew */
         dma_channel_abort(data_channel[channel]);
         pio_sm_init(pio0, channel, program_offset + capture_offset_low, &settings);
         load(channel, STRIDE_EDGES - 1, pio_y); /* and osr keeps it, as it is loaded last below */

@@ -6,7 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* Set the clocks: 168 MHz out of a crystal of 8 MHz. False: the crystal does not oscillate, it runs on 16 MHz. */
+/* Set the clocks: 168 MHz out of a crystal of 8 MHz. False: the crystal does not oscillate, all runs on 16 MHz. */
 bool hardware_begin(void);
 
 /* Return a random boot id, never 0. */

@@ -91,7 +91,7 @@ int main(void)
     identity.reset_cause = hardware_reset_cause();
     if (!resonator_init(&board, &identity, &description, hardware_boot_id(), &memory))
         hardware_restart();
-    if (!crystal) /* 16 MHz: ticks and the baud rate are wrong, by 168 / 16 */
+    if (!crystal) /* 16 MHz everywhere: ticks are wrong by 84 / 16, the baud rate by 42 / 16 */
         resonator_fault(&board, capture_ticks(), "the crystal does not oscillate");
     for (;;) {
         receive();
