@@ -102,10 +102,13 @@ Kelvin = Annotated[Number, Field(ge=100, le=600)]
 _Corners = _of_length(CHANNEL_COUNT, "one for each corner")
 
 
+CounterType = Literal["single-tone", "channelised"]
+
+
 class Counter(Table):
     """What the board counts, and against which clock."""
 
-    kind: Literal["single-tone", "channelised"]
+    kind: CounterType
     reference_hz: Annotated[Hertz, Field(default_factory=lambda seen: _default(seen, 1e9, 250e6))]
     frame_rate_hz: Annotated[
         Number, Field(gt=0, le=100_000, default_factory=lambda seen: _default(seen, 1000.0, 100.0))

@@ -5,6 +5,7 @@ from typing import Literal
 from pydantic import Field
 
 from resonator_daemon.conditions import Condition
+from resonator_daemon.plate import CounterType
 from resonator_daemon.publishing.measured_payloads import Grid
 from resonator_daemon.publishing.payload_types import Float, Header, Int64, Message
 
@@ -93,9 +94,7 @@ class Info(Header):
     product: str = Field(description="of the board, as it reports it")
     serial_number: str | None = Field(description="of the board; null where it has none")
     firmware: str = Field(description="version of the board's firmware")
-    counter: Literal["single-tone", "channelised"] = Field(
-        description="`single-tone`: one captured tone per corner; `channelised`: one per site"
-    )
+    counter: CounterType = Field(description="`single-tone`: one captured tone per corner; `channelised`: one per site")
     frame_rate_hz: float = Field(description="frames of the board")
     window_s: float = Field(description="length of a window of `forces`; of a skin each frame is one")
     step_s: float = Field(description="from window to window")

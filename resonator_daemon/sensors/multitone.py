@@ -1,5 +1,7 @@
 """Sensor whose counter counts all tones of force sites at once."""
 
+from typing import Final
+
 from resonator_daemon.arrays import Floats
 from resonator_daemon.forces.force_tones import ForceTones
 from resonator_daemon.sensors.expected_tones import ExpectedTones, force_tones
@@ -30,3 +32,6 @@ class MultitoneSensor(ForceSensor):
             step_frames=self.step_frames,
             spread_width_m=plate.spread_width_m,
         )
+
+
+SENSOR: Final = MultitoneSensor

@@ -47,3 +47,6 @@ class SingleToneSensor(ForceSensor):
             step_frames=self.step_frames,
             load_sharing_exponent=plate.load_sharing_exponent,
         )
+
+
+SENSOR: Final = SingleToneSensor

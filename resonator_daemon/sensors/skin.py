@@ -188,3 +188,6 @@ class SkinSensor(Sensor[SkinReading]):
     def contacts_header(self, origin: Origin) -> MeasuredFields:
         """Return the header of one more message on `contacts` about a frame."""
         return self._output.header(CONTACTS, *origin)
+
+
+SENSOR: Final = SkinSensor

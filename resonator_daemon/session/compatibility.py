@@ -11,7 +11,6 @@ from firmware_protocol.messages import CounterKind, Description
 from resonator_daemon.plate import Plate
 from resonator_daemon.session.frames import BoardRefused
 
-_KINDS = {CounterKind.SINGLE_TONE: "single-tone", CounterKind.CHANNELISED: "channelised"}
 _REFERENCE_TOLERANCE = 1e-6  # nominal against nominal: both are written down, not measured
 _GATE_TICKS_LIMIT = 1 << 32  # times within a record have 32 bits
 _OFFSET_LIMIT_HZ = 32_767.0  # offset_hz16 reaches no further
@@ -39,10 +38,11 @@ def oscillator_hz(description: Description) -> NDArray[np.float64]:
 def incompatibilities(description: Description, plate: Plate) -> tuple[str, ...]:
     """Return a sentence for each property of the board that is incompatible with the plate file."""
     reference_hz = description.reference_millihertz / 1e3
-    kind = _KINDS.get(CounterKind(description.counter_kind)) if description.counter_kind in set(CounterKind) else None
+    kinds = {kind.value: kind.name.lower().replace("_", "-") for kind in CounterKind}
+    number = description.counter_kind
     pairs: list[tuple[str, object, object]] = [
         ("plate", description.plate, plate.name),
-        ("counter kind", kind or f"number {description.counter_kind}", plate.counter.kind),
+        ("counter kind", kinds.get(number, f"number {number}"), plate.counter.kind),
         ("channels", description.channels, CHANNEL_COUNT),
     ]
     if abs(reference_hz / plate.counter.reference_hz - 1) > _REFERENCE_TOLERANCE:
