@@ -11,7 +11,7 @@ from firmware_protocol.device import DeviceSession
 from firmware_protocol.messages import Configuration, encode_message
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.session.compatibility import BoardRefusedError
-from resonator_daemon.session.frames import BoardOnline
+from resonator_daemon.session.frames import BoardLogLine, BoardOnline
 
 
 def test_a_board_that_does_nothing_but_start_anew_is_given_up() -> None:
@@ -133,3 +133,20 @@ def test_a_fault_of_the_board_is_its_own_words_and_waited_out() -> None:
         bench.run(200)
     bench.close()
     assert bench.states[-1] == ("stalled", "the board cannot count: the reference oscillator does not swing")
+
+
+def test_a_fault_in_a_run_is_logged_at_once_reported_and_followed_by_a_new_run() -> None:
+    bench = online()
+    log = bench.board.session.set_fault("reference lost", bench.board.ticks(bench.now_ns))
+    bench.connection.receive(log, bench.host_time())
+    with pytest.raises(LinkLostError):
+        bench.run(500)
+    assert BoardLogLine(40, "reference lost") in bench.arrivals + bench.queue.pop_all()
+    bench.board.session.set_fault(None, 0)
+    frames = len(bench.frames)
+    bench.reopen()
+    bench.run(300)
+    assert bench.states[-1][0] == "online"
+    assert bench.board.session.started == 2
+    assert len(bench.frames) > frames + 100
+    bench.check_indices()
