@@ -29,6 +29,7 @@ class PatchTracker:
 
     Attributes
     ----------
+    patience
     last_id
         The largest that was given so far; the next one follows it.
     """
@@ -36,7 +37,7 @@ class PatchTracker:
     def __init__(self, patience: int = 2) -> None:
         if patience < 0:
             raise ValueError(f"patience is {patience}, must be at least 0")
-        self._patience = patience
+        self.patience = patience
         self._tracks: dict[int, _Track] = {}
         self.last_id = 0
 
@@ -64,7 +65,7 @@ class PatchTracker:
             track.missed += 1
         for column, i in id_of.items():
             self._tracks[i] = _Track(centroids_m[column], max(patches[column].radius_m, _LEAST_REACH_M))
-        self._tracks = {i: track for i, track in self._tracks.items() if track.missed <= self._patience}
+        self._tracks = {i: track for i, track in self._tracks.items() if track.missed <= self.patience}
         return {i: patches[column] for column, i in id_of.items()}
 
 

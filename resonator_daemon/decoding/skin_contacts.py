@@ -40,7 +40,7 @@ class SkinEvent:
 
     event: Literal["onset", "release", "incipient_slip", "gross_slip"]
     contact: SkinContact
-    reason: str = ""  # of a release that no frame shows
+    reason: str = ""  # of a release
 
 
 @dataclass
@@ -82,11 +82,11 @@ class SkinContacts:
         self.tracker = PatchTracker()
         self.friction_estimate: float | None = None
         self._tracks: dict[int, _Track] = {}
-        self.reset()
+        self._watch = SlipWatch(self._model, self._friction)
 
-    def reset(self) -> tuple[SkinEvent, ...]:
-        """End all contacts: what follows has nothing in common with what was."""
-        ended = tuple(SkinEvent("release", track.last) for track in self._tracks.values() if track.announced)
+    def reset(self, reason: str) -> tuple[SkinEvent, ...]:
+        """End all contacts for this reason: what follows has nothing in common with what was."""
+        ended = tuple(SkinEvent("release", track.last, reason) for track in self._tracks.values() if track.announced)
         self.tracker.clear()
         self._tracks = {}
         self._watch = SlipWatch(self._model, self._friction)
@@ -157,7 +157,8 @@ class SkinContacts:
         for i in [i for i in self._tracks if i not in self.tracker.ids]:
             track = self._tracks.pop(i)
             if track.announced:
-                events.append(SkinEvent("release", track.last))
+                reason = f"not found in {self.tracker.patience + 1} frames in a row"
+                events.append(SkinEvent("release", track.last, reason))
         return events
 
 

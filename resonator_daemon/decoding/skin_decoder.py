@@ -70,20 +70,20 @@ class SkinDecoder:
         above = np.count_nonzero(known & (ratios > 1.0 / _NOISE_CHANGE), axis=1)
         return bool(((below >= half) & (above >= half)).all())
 
-    def reset(self) -> tuple[SkinEvent, ...]:
-        """Discard the frames before; return the ends of their contacts."""
+    def reset(self, reason: str) -> tuple[SkinEvent, ...]:
+        """Discard the frames before; return the releases of their contacts, for this reason."""
         if self._estimator.physics is not None:
             self._estimator.physics.reset()
-        return self.contacts.reset()
+        return self.contacts.reset(reason)
 
     def number_from(self, last_contact_id: int) -> None:
         """Continue the numbers of contacts after those of an earlier decoder."""
         self.contacts.tracker.last_id = last_contact_id
 
     def succeed(self, other: "SkinDecoder") -> tuple[SkinEvent, ...]:
-        """Replace another decoder: return the ends of its contacts, and continue its numbers."""
+        """Replace another decoder: return the releases of its contacts, and continue its numbers."""
         self.number_from(other.contacts.tracker.last_id)
-        return other.reset()
+        return other.reset("the decoder was set up again, for another noise")
 
     def decode(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
         """Read a frame, both arrays (3, n): its map and its contacts."""

@@ -105,7 +105,7 @@ class StreamingDecoder:
         """End all contacts because frames have stopped arriving; return their releases, None if there are none."""
         if self._decoder is None:
             return None
-        events = self._ended + tuple(replace(event, reason=reason) for event in self._decoder.reset())
+        events = self._ended + self._decoder.reset(reason)
         self._ended = ()
         return nothing_decoded(self._decoder, "no_signal", reason, events) if events else None
 
@@ -140,7 +140,8 @@ def failed(decoder: SkinDecoder, error: Exception) -> SurfaceReading:
     if repr(error) not in _logged and len(_logged) < _LOGGED_MAX:  # the frames that follow may fail in the same way
         _logged.add(repr(error))
         log.error("frames cannot be decoded", exc_info=error)
-    return nothing_decoded(decoder, "rejected", f"decoder failed: {error!r}", decoder.reset())
+    reason = f"decoder failed: {error!r}"
+    return nothing_decoded(decoder, "rejected", reason, decoder.reset(reason))
 
 
 def nothing_decoded(decoder: SkinDecoder, status: str, reason: str, events: tuple[SkinEvent, ...]) -> SurfaceReading:

@@ -130,6 +130,7 @@ class ContactEvent(Measured):
     reason: str = Field(
         "",
         description="why a contact is released, empty for other events: its force has fallen, it is `no longer felt`, "
+        "under a skin it was not found in 3 frames in a row or its decoder was set up again or failed, "
         "nothing was known of it for too long, no frames or signals came for 0.5 s, or the board started anew",
     )
     contact: EventContact = Field(

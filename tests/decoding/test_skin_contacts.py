@@ -38,7 +38,7 @@ def built() -> Rig:
 @pytest.fixture
 def rig(built: Rig) -> Rig:
     """Nothing is left of the test before but the ids that were given."""
-    built.contacts.reset()
+    built.contacts.reset("test")
     built.physics.reset()
     built.contacts.friction_estimate = None
     return built
@@ -72,6 +72,7 @@ def test_a_press_sets_on_at_its_second_frame_and_is_released_once(rig: Rig, phys
     followed = follow(rig, [NOTHING] * 5 + [press(0.3)] * 8 + [NOTHING] * 8, physics=physics)
     events = told(followed)
     assert [event for _, event in events] == ["onset", "release"]
+    assert [bool(event.reason) for frame in followed for event in frame.events] == [False, True]
     assert events[0][0] == 6
     assert 13 < events[1][0] <= 16
     assert [len(frame.contacts) for frame in followed[6:13]] == [1] * 7

@@ -44,7 +44,7 @@ def physics_built() -> SkinDecoder:
 @pytest.fixture
 def physics(physics_built: SkinDecoder) -> SkinDecoder:
     """Nothing is left of the test before."""
-    physics_built.reset()
+    physics_built.reset("test")
     return physics_built
 
 
@@ -155,7 +155,7 @@ def test_contact_physics_waits_for_the_other_thread_then_solves(physics: SkinDec
     assert first.chi2 == pytest.approx(float(linear.decode(frame(), NOISE).decoded.chi2), rel=1e-3)
     scale = np.abs(synchronous.traction_pascal).max()
     np.testing.assert_allclose(solved.traction_pascal.reshape(3, -1), synchronous.traction_pascal, atol=0.02 * scale)
-    physics.reset()
+    physics.reset("test")
     assert physics.decode(frame(), NOISE).decoded.chi2 == first.chi2  # it waits again
 
 
@@ -181,9 +181,9 @@ def test_frames_give_contacts_and_a_new_start_ends_them(physics: SkinDecoder) ->
     (contact,) = readings[2].contacts
     np.testing.assert_allclose(contact.patch.force_newton, [0.3, 0.0, 1.0], atol=0.03)
     assert physics.decode(np.full((3, SITES), np.nan), NOISE).decoded.status == "no_signal"
-    (event,) = physics.reset()
-    assert (event.event, event.contact) == ("release", contact)
-    assert physics.reset() == ()
+    (event,) = physics.reset("unplugged")
+    assert (event.event, event.contact, event.reason) == ("release", contact, "unplugged")
+    assert physics.reset("test") == ()
     assert physics.decode(frame(), NOISE).contacts == ()
 
 
@@ -192,9 +192,9 @@ def test_a_successor_goes_on_counting_and_tells_how_contacts_end(linear: SkinDec
         (*_, last) = physics.decode(frame(seed), NOISE).contacts or [None]
     assert last is not None
     successor = pickle.loads(pickle.dumps(linear))
-    successor.reset()
+    successor.reset("test")
     (event,) = successor.succeed(physics)
-    assert (event.event, event.contact.id) == ("release", last.id)
+    assert (event.event, event.contact.id, bool(event.reason)) == ("release", last.id, True)
     for seed in range(2):
         contacts = successor.decode(frame(seed), NOISE).contacts
     assert [contact.id for contact in contacts] == [last.id + 1]
@@ -236,7 +236,7 @@ def long_built() -> SkinDecoder:
 
 @pytest.fixture
 def long(long_built: SkinDecoder) -> SkinDecoder:
-    long_built.reset()
+    long_built.reset("test")
     return long_built
 
 
@@ -258,7 +258,7 @@ def irregular() -> SkinDecoder:
 
 @pytest.mark.parametrize("centre_m", [(0.0, 0.0), (-1.3e-3, 1.0e-3)])
 def test_a_touch_on_irregular_sites_is_one_contact(irregular: SkinDecoder, centre_m: tuple[float, float]) -> None:
-    irregular.reset()
+    irregular.reset("test")
     (contact,) = settled(irregular, press(1.0, centre_m, sites_m=IRREGULAR_M)).contacts
     assert contact.patch.force_newton[2] == pytest.approx(1.0, abs=5.0 * contact.patch.force_std_newton[2])
     assert contact.patch.force_std_newton[2] < 0.02
