@@ -14,6 +14,7 @@ import argparse
 import importlib
 import io
 import os
+import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -27,7 +28,10 @@ from resonator_daemon.host.journal import set_up_logging
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run one command; return its exit code."""
-    words = sys.argv[1:] if words is None else words
+    if words is None:
+        words = sys.argv[1:]
+        # As Ctrl-C, until a command that runs for long has handlers of its own.
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         arguments = make_parser(words).parse_args(words)  # which may print help and exit
         _set_up_output()
@@ -38,6 +42,9 @@ def main(words: Sequence[str] | None = None) -> int:
     except UserError as error:
         print_error(*error.messages)
         return error.exit_code
+    except KeyboardInterrupt:  # while the command is loaded
+        print_error("interrupted")
+        return ExitCode.FAILED
     except BrokenPipeError:  # the reader of the output has what it wants, as `head`
         _discard_output()
         return ExitCode.DONE

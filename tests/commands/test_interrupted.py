@@ -95,3 +95,27 @@ async def test_a_replay_to_a_broker_says_what_it_published(mosquitto: Mosquitto)
     count = sum(reported["messages"].values())
     assert reported["messages"]["forces"] >= 1
     assert stderr.startswith(f"resonatord: interrupted: {count} messages were played out, ")
+
+
+@pytest.mark.parametrize("stop", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(
+    ("arguments", "loaded", "code"),
+    [
+        (("run", "--config", "hand.toml"), "asyncio.events", 0),
+        (("schema",), "pydantic_core", 1),
+    ],
+)
+def test_a_signal_while_modules_load_ends_it_without_a_traceback(
+    arguments: tuple[str, ...], loaded: str, code: int, stop: signal.Signals
+) -> None:
+    """Python prints each module as it is loaded."""
+    command = (sys.executable, "-X", "importtime", *COMMAND[1:], *arguments)
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    assert any(line.split("|")[-1].strip() == loaded for line in process.stderr)
+    process.send_signal(stop)
+    stderr = process.communicate(timeout=60)[1]
+    assert process.returncode == code
+    assert [line for line in stderr.splitlines() if not line.startswith("import time:")] == [
+        "resonatord: interrupted"
+    ] * code
