@@ -6,29 +6,12 @@ import pytest
 from command_line import exit_code
 
 from resonator_daemon.commands import main
-from resonator_daemon.view import sensor_plan
-
-
-@pytest.fixture
-def one_feature(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is found for each width of a feature takes longest, and is the same for one as for four."""
-    monkeypatch.setattr(sensor_plan, "FEATURES_M", sensor_plan.FEATURES_M[1:2])
 
 
 def plan_sensors(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
     """Return exit code, stdout and stderr."""
     code = main(["plan", "sensors", *arguments])
     return code, *capsys.readouterr()
-
-
-@pytest.mark.usefixtures("one_feature")
-def test_text_says_what_is_felt(capsys: pytest.CaptureFixture[str]) -> None:
-    asked = ("--set", "p_n,xz,yz", "--depth-mm", "1", "--pitch-mm", "0.4", "--snr-db", "30")
-    code, printed, reported = plan_sensors(capsys, *asked)
-    assert (code, reported) == (0, "")
-    assert "resolves normal load down to" in printed
-    assert "Power density" in printed
-    assert plan_sensors(capsys) == (0, printed, "")  # these are the defaults
 
 
 def test_json_is_one_object_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:

@@ -249,11 +249,6 @@ def test_without_a_contact_the_linear_map_is_shown(told, linear):
     assert told.net_loads([np.arange(32 * 32)], (0.0, 0.0)) == [None]
 
 
-def test_an_empty_stack_gives_an_empty_stack(told):
-    decoded = told.decode(np.zeros((0, 3, 1024)), displacement=True)
-    assert (decoded.traction_pascal.shape, decoded.status.shape) == ((0, 3, 1024), (0,))
-
-
 def test_gain_errors_that_are_told_do_not_look_like_broken_bounds():
     linear = OpenPlaneDecoder(SKIN, grid_positions(), DEPTH_M, NOISE_STD, gain_std=0.02)
     decoder = ContactDecoder(linear, 0.5)
@@ -351,16 +346,3 @@ def test_a_contact_that_rests_wants_no_new_matrices(linear):
         decoder.decode(frame_of(contact, 20, seed)[0])
         wanted += decoder.rebuild()
     assert wanted <= 2
-
-
-def test_what_is_found_about_a_contact_that_has_ended_is_forgotten(linear):
-    signals, _ = frame_of(full_slip(0.65), 20)
-    decoder = ContactDecoder(linear, 0.5, background=True)
-    decoder.decode(signals)
-    decoder.rebuild()
-    decoder.decode(signals)
-    decoder.decode(np.zeros_like(signals))
-    assert decoder.rebuild()
-    still, _ = frame_of(scene(), 20)
-    decoded = decoder.decode(still)
-    assert (decoded.status, decoded.reason) == ("ok", "")

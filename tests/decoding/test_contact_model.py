@@ -67,29 +67,6 @@ def test_flat_as_summed_point_loads() -> None:
     assert np.linalg.norm(flat.signals(centre, 2e-3).value - expected) < 1e-4 * np.linalg.norm(expected)
 
 
-@pytest.mark.parametrize(
-    ("sites", "depth", "radius", "match"),
-    [
-        (np.zeros(3), 1e-3, 1e-3, "site_positions_m has shape"),
-        ([[0.0, np.nan]], 1e-3, 1e-3, "site_positions_m holds nan"),
-        (np.zeros((2, 2)), [1e-3] * 3, 1e-3, "depth_m has shape"),
-        (np.zeros((2, 2)), 0.0, 1e-3, "depth_m spans"),
-        (np.zeros((2, 2)), 1e-3, np.nan, "radius_max_m spans"),
-    ],
-)
-def test_refuses(sites: object, depth: object, radius: float, match: str) -> None:
-    with pytest.raises(ValueError, match=match):
-        DiscModel(HalfSpace(E, NU), sites, depth, radius)  # type: ignore[arg-type]
-
-
-def test_refuses_unknown_profiles_and_places_off_the_table(discs: DiscModel) -> None:
-    with pytest.raises(ValueError, match="profile is 'round'"):
-        DiscModel(HalfSpace(E, NU), SITES_M, DEPTH_M, 1e-3, "round")  # type: ignore[arg-type]
-    for x_m, radius_m, match in ((0.0, 7e-3, "radius_m is"), (0.1, 1e-3, "outside"), (np.nan, 1e-3, "outside")):
-        with pytest.raises(ValueError, match=match):
-            discs.signals(np.array([x_m, 0.0]), radius_m)
-
-
 def test_sites_too_far_apart_for_a_table_are_refused():
     with pytest.raises(ValueError, match=r"sites span 283 depths, must be at most 200; is a depth of 0.001 m meant"):
         DiscModel(HalfSpace(2e5, 0.5), [[0.0, 0.0], [0.2, 0.2]], 1e-3, 5e-3)

@@ -226,18 +226,6 @@ def test_what_no_load_makes_is_rejected(decoder):
     assert np.isnan(decoded.traction_pascal).all()
 
 
-def test_shapes_of_signals(decoder):
-    frame = frames(scene(), 1)[0]
-    flat = decoder.decode(frame)
-    stack = decoder.decode(np.stack([frame, frame]).reshape(2, 1, *GRID))
-    assert stack.traction_pascal.shape == (2, 1, *GRID)
-    assert stack.traction_pascal[1, 0].reshape(3, -1) == pytest.approx(flat.traction_pascal)
-    assert stack.status.shape == (2, 1)
-    for shape in ((3, 1023), (2, 1024), (3, 31, 33), (1024,)):
-        with pytest.raises(ValueError, match=r"signals have shape .* must be \(\.\.\., 3, 1024\)"):
-            decoder.decode(np.zeros(shape))
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -1,6 +1,5 @@
 """The parametric contact fit on 16 jittered sites, on contacts whose signals come from closed forms in space."""
 
-from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -227,15 +226,6 @@ def test_evidence() -> None:
     assert decoder(3e-3, 20).decode(frame).log_evidence == pytest.approx(expected, abs=0.1)
 
 
-def test_a_stack_decodes_as_its_frames_do() -> None:
-    frame = signals(np.zeros(2), 2e-3)
-    stack = decoder(2e-3, 40).decode(np.stack([frame, frame])[:, None], displacement=True)
-    assert stack.traction_pascal.shape == stack.traction_std_pascal.shape == (2, 1, 3, len(QUERIES_M))
-    np.testing.assert_array_equal(stack.traction_pascal[1, 0], decoder(2e-3, 40).decode(frame).traction_pascal)
-    with pytest.raises(ValueError, match=r"signals have shape \(3, 15\), must be"):
-        decoder(2e-3, 40).decode_with_patch(frame[:, 1:])
-
-
 def test_when_a_map_misleads() -> None:
     def sites(count: int, pitch_mm: float) -> Floats:
         axis = np.arange(count) * pitch_mm * 1e-3
@@ -247,20 +237,3 @@ def test_when_a_map_misleads() -> None:
     assert sparse_reason(sites(8, 3.1), 1e-3) == (
         "parametric contact fit: sites 3.1 mm apart at a depth of 1 mm, a map needs at most 3 depths"
     )
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"site_positions_m": SITES_M[:2]}, "2 sites make 6 signals, must be more than 6, the unknowns"),
-        ({"site_positions_m": SITES_M[[0, 1, 2, 1]]}, "sites 1 and 3 are both at"),
-        ({"query_positions_m": np.zeros((3, 3))}, r"query_positions_m has shape \(3, 3\)"),
-        ({"depth_m": 0.0}, "depth_m spans 0.0"),
-        ({"noise_std": 0.0}, "noise_std spans 0.0"),
-        ({"gain_std": 1.0}, "gain_std is 1.0"),
-    ],
-)
-def test_refuses(change: dict[str, object], message: str) -> None:
-    build: Callable[..., ParametricDecoder] = ParametricDecoder
-    with pytest.raises(ValueError, match=message):
-        build(**({"half_space": SKIN, "site_positions_m": SITES_M, "depth_m": 2e-3, "noise_std": 1e-5} | change))

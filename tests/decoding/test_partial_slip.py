@@ -104,21 +104,3 @@ def test_stick_ratio_near_gross_slip_has_a_wide_error() -> None:
     ratio, std = stick_ratio(0.0, 0.008)
     assert ratio == 0.0
     assert std == pytest.approx(0.1)
-
-
-def test_refuses(discs: DiscModel) -> None:
-    frame = SCENE.signals
-    with pytest.raises(ValueError, match="signals have shape"):
-        fit_partial_slip(discs, frame[:2], 1.0, [about(SCENE)])
-    with pytest.raises(ValueError, match="starts is empty"):
-        fit_partial_slip(discs, frame, 1.0, [])
-    with pytest.raises(ValueError, match="noise_std reaches"):
-        fit_partial_slip(discs, frame, 0.0, [about(SCENE)])
-    with pytest.raises(ValueError, match="2 sites make 6 signals"):
-        fit_partial_slip(DiscModel(HalfSpace(E, NU), SITES_M[:2], DEPTH_M, 3e-3), frame[:, :2], 1.0, [about(SCENE)])
-    with pytest.raises(ValueError, match="must be finite"):
-        fit_partial_slip(discs, frame, 1.0, [ContactStart((np.nan, 0.0), 1e-3)])
-    with pytest.raises(ValueError, match="friction coefficient is 0"):
-        Friction(0.0)
-    with pytest.raises(ValueError, match="standard deviation of the friction is -1"):
-        Friction(0.5, -1.0)

@@ -89,17 +89,3 @@ def test_irregular_places_with_areas_of_their_own() -> None:
     assert patch.area_m2 == pytest.approx(areas[inside].sum())
     np.testing.assert_allclose(patch.force_newton, 1e4 * areas[inside].sum() * np.array([0.1, 0.0, 1.0]))
     np.testing.assert_array_equal(patch.places, np.flatnonzero(inside))
-
-
-def test_refuses() -> None:
-    for positions, area, depth, match in (
-        (np.zeros((1, 2)), 1e-7, 1e-3, "positions_m has shape"),
-        (SITES_M, np.ones(3), 1e-3, "cell_area_m2 has shape"),
-        (SITES_M, 0.0, 1e-3, "cell_area_m2 spans"),
-        (SITES_M, 1e-7, np.nan, "depth_m spans"),
-    ):
-        with pytest.raises(ValueError, match=match):
-            PatchFinder(positions, area, depth)
-    for traction, std in ((np.zeros((3, 1024)), np.zeros((3, 1023))), (STD, STD[:2]), (STD, np.zeros((1, 1, 3, 1024)))):
-        with pytest.raises(ValueError, match="traction_std_pascal has shape"):
-            FINDER.find(traction, std)

@@ -11,7 +11,7 @@ from skin_scenes import SITES_M, noisy, press
 from skin_scenes import SKIN as SKIN_LONG
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.decoding import ContactDecoder, FourierDecoder, OpenPlaneDecoder
+from resonator_daemon.decoding import FourierDecoder, OpenPlaneDecoder
 from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
@@ -141,22 +141,6 @@ def test_noise_is_rounded_finely_and_the_same_for_what_hardly_differs() -> None:
     ratio = rounded / noise_std
     assert 0.5 * (2.0 ** (1 / 64) - 1.0) < np.abs(ratio - 1.0).max() <= 2.0 ** (1 / 64) - 1.0
     np.testing.assert_array_equal(rounded_noise(SCATTERED, rounded * random.uniform(0.995, 1.005, (3, SITES))), rounded)
-
-
-def test_contact_physics_waits_for_the_other_thread_then_solves(physics: SkinDecoder, linear: SkinDecoder) -> None:
-    first = physics.decode(frame(), NOISE).decoded
-    assert physics.rebuild()
-    assert not physics.rebuild()
-    solved = physics.decode(frame(), NOISE).decoded
-    synchronous = ContactDecoder(OpenPlaneDecoder(HALF_SPACE, SKIN.site_positions_m, DEPTH_M, NOISE), None).decode(
-        frame()
-    )
-    assert solved.chi2 == pytest.approx(float(synchronous.chi2), rel=0.01)
-    assert first.chi2 == pytest.approx(float(linear.decode(frame(), NOISE).decoded.chi2), rel=1e-3)
-    scale = np.abs(synchronous.traction_pascal).max()
-    np.testing.assert_allclose(solved.traction_pascal.reshape(3, -1), synchronous.traction_pascal, atol=0.02 * scale)
-    physics.reset("test")
-    assert physics.decode(frame(), NOISE).decoded.chi2 == first.chi2  # it waits again
 
 
 def test_friction_that_was_told_bounds_shear() -> None:

@@ -38,12 +38,6 @@ def test_fits_8_kib_and_needs_nothing_from_libc(prefix: str, machine: tuple[str,
     assert from_libc <= {"memcpy"}
 
 
-def test_missing_compiler_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PATH", "")
-    with pytest.raises(AssertionError, match="apt-get install gcc libc6-dev"):
-        compiler()
-
-
 def test_random_inputs_in_c(tmp_path: Path) -> None:
     fuzz = build(tmp_path / "fuzz", *reference_sources(), str(C_FOLDER / "fuzz" / "fuzz.c"))
     done = subprocess.run([fuzz, "100000", "1"], capture_output=True, text=True, check=False)

@@ -144,23 +144,3 @@ def test_every_event_answer_and_count_is_the_same() -> None:
     for line, (ours, theirs) in enumerate(zip(both.expected, printed, strict=False)):
         assert ours.rstrip() == theirs.rstrip(), f"line {line}"
     assert len(both.expected) == len(printed)
-
-
-def test_decoder_of_a_host_too() -> None:
-    commands, expected = [], []
-    for seed in range(2000):
-        rng = random.Random(seed)
-        longest = rng.choice((28, 64, 8972))
-        decoder = PacketDecoder(from_board=True, max_packet_bytes=longest)
-        commands.append(f"decoder {FROM_BOARD} {longest}")
-        for chunk in chunks_of(rng, b"".join(random_piece(rng) for _ in range(8))):
-            expected += [event_line(event) for event in decoder.feed(chunk)]
-            commands += [f"receive 0 {chunk.hex()}", "counts"]
-            expected.append(f"counts {' '.join(map(str, NUMBERS(decoder.counts)))} {decoder.waiting_bytes}")
-    assert run_commands(commands) == expected
-
-
-def test_longest_packet() -> None:
-    packet = encode_packet(0x91, 1, random.Random(1).randbytes(8944))
-    lines = run_commands(["decoder 128 8972", f"receive 0 {packet.hex()}", "counts"])
-    assert lines == [event_line(PacketDecoder(from_board=True).feed(packet)[0]), "counts 8972 8972 0 0 0 0"]

@@ -13,7 +13,6 @@ from firmware_protocol.layouts import RecordFlag, SingleToneRecord
 STRIDE = 64
 GATE = 84_000
 START = 2**32 - 500_000  # the timer wraps within the run
-RING_WORDS = 2048
 OF_TICKS = 2**32  # the board's ticks begin behind one wrap
 
 

@@ -9,7 +9,6 @@ from protocol_sessions import BOOT, GATE, IDENTITY, exchange, new_device, runnin
 
 from firmware_protocol.host import HostSession, Pong
 from firmware_protocol.layouts import MessageType
-from firmware_protocol.messages import Configuration
 from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
 from firmware_protocol.requests import Requests
 from firmware_protocol.states import HostState
@@ -29,11 +28,6 @@ def test_a_ping_without_credit_is_not_sent() -> None:
     assert types(data) == [MessageType.PING]
     assert host.receive(device.receive(data, 7)) == [Pong(PING, 7)]
     assert host.ping(PING)
-
-
-def test_promised_credit_is_used() -> None:
-    host, _ = running(replace(IDENTITY, credit_bytes=200))
-    assert [host.ping(PING) for _ in range(6)] == [True] * 5 + [False]
 
 
 def test_requests_wait_in_order_until_there_is_room() -> None:
@@ -71,15 +65,6 @@ def test_a_lost_answer_is_overdue_and_gives_its_room_back() -> None:
     assert not host.awaits_answer
 
 
-def test_the_pending_request_is_repeated_byte_by_byte() -> None:
-    host = HostSession()
-    first = host.data_to_send()
-    host.ping(PING)
-    host.data_to_send()
-    host.ask_again()
-    assert host.data_to_send() == first
-
-
 def test_a_repeated_request_goes_before_those_that_wait() -> None:
     host, device = HostSession(), new_device()
     exchange(host, device)
@@ -90,23 +75,6 @@ def test_a_repeated_request_goes_before_those_that_wait() -> None:
     host.locate()
     host.ask_again()
     assert types(host.data_to_send()) == [MessageType.CONFIGURE, MessageType.LOCATE]
-
-
-def test_of_one_kind_one_waits() -> None:
-    host, device = running()
-    host.ping(PING)
-    for _ in range(4):
-        host.locate()  # the first goes out
-    host.receive(device.receive(host.data_to_send(), 0))
-    assert types(host.data_to_send()) == [MessageType.LOCATE]
-
-
-def test_a_ping_does_not_wait_behind_another_request() -> None:
-    host, device = HostSession(), new_device()
-    exchange(host, device)
-    host.locate()
-    host.configure(Configuration(2**63))  # 38 bytes, where 36 are free
-    assert not host.ping(PING)
 
 
 def test_a_malformed_answer_is_still_awaited() -> None:
@@ -137,18 +105,6 @@ def test_another_boot_forgets_requests_and_credit() -> None:
     host.receive(encode_packet(MessageType.LOG, 0, bytes((1, 1, 20, 2, 0)), boot_id=BOOT + 1))
     assert types(host.data_to_send()) == [MessageType.IDENTIFY]
     assert [host.ping(PING), host.ping(PING)] == [True, False]
-
-
-def test_a_board_that_promises_less_than_every_board_still_gets_64_bytes() -> None:
-    host, device = HostSession(), new_device()
-    host.receive(device.receive(host.data_to_send(), 0)[:0] + identity_with_credit(b"\x05\x01\x01"))
-    assert host.state is HostState.DESCRIBING
-    assert host.ping(PING)
-
-
-def identity_with_credit(field: bytes) -> bytes:
-    payload = bytes((1, 0, 2, 0, 3, 0, 4, 1, 0)) + field
-    return encode_packet(MessageType.IDENTITY, 1, payload, boot_id=BOOT)
 
 
 def test_numbers_wrap() -> None:

@@ -81,22 +81,6 @@ def test_an_abandoned_packet_is_discarded(cut: int) -> None:
     assert decoder.feed(raw) == [Damage(Defect.GARBAGE, cut), Packet(0x90, 7, 0, 1, b"abc")]
 
 
-def test_nothing_to_abandon_is_no_damage() -> None:
-    decoder = PacketDecoder(from_board=True)
-    decoder.abandon()
-    assert decoder.feed(encode_packet(0x90, 7)) == [Packet(0x90, 7, 0, 0, b"")]
-
-
-def test_a_long_packet_in_single_bytes() -> None:
-    raw = encode_packet(0x91, 1, bytes(MAX_PAYLOAD_BYTES), boot_id=1)
-    decoder = PacketDecoder(from_board=True)
-    for count, byte in enumerate(raw[:-1], 1):
-        assert decoder.feed(bytes((byte,))) == []
-        assert decoder.waiting_bytes == count
-    assert decoder.feed(b"") == []
-    assert len(decoder.feed(raw[-1:])) == 1
-
-
 def test_too_large_a_payload_is_refused() -> None:
     with pytest.raises(ValueError, match="at most 8944 bytes, got 8945"):
         encode_packet(0x90, 0, bytes(MAX_PAYLOAD_BYTES + 1))

@@ -9,7 +9,6 @@ from firmware_protocol.device import MAX_TONES_PER_PART, DeviceSession
 from firmware_protocol.host import Described, Frame, FramePart, HostSession, Located, Rebooted, Started
 from firmware_protocol.layouts import TONE_STRUCT, MessageType
 from firmware_protocol.messages import (
-    BoardStatus,
     Configuration,
     Refusal,
     RefusalCode,
@@ -70,15 +69,6 @@ def test_lost_answers_are_asked_for_again_without_a_second_run() -> None:
     assert device.started == 1
 
 
-def test_reboot_is_seen_and_the_handshake_begins_again() -> None:
-    host, old = running()
-    reborn = new_device(boot_id=0x9999)
-    events = host.receive(reborn.status(BoardStatus(0), 1))
-    assert events == [Rebooted(0x9999), BoardStatus(0)]
-    assert exchange(host, reborn) == [Described(IDENTITY, DESCRIPTION, 0x9999)]
-    assert old.state is BoardState.RUNNING
-
-
 def test_a_frame_of_another_boot_is_no_frame() -> None:
     host, _ = running()
     assert host.receive(new_device(boot_id=0x9999).frame(7, 1, RECORDS)) == [Rebooted(0x9999)]
@@ -116,11 +106,6 @@ def test_board_without_a_light_cannot_be_located() -> None:
     assert host.state is HostState.DESCRIBED
 
 
-def test_board_promises_no_less_than_the_least_credit() -> None:
-    with pytest.raises(ValueError, match="at least 64, got 63"):
-        new_device(identity=replace(IDENTITY, credit_bytes=63))
-
-
 def test_resumed_board_begins_a_run_only_if_it_had_stopped() -> None:
     host, device = running()
     host.resume()
@@ -150,8 +135,3 @@ def test_malformed_and_unknown_messages_are_counted() -> None:
     host.receive(encode_packet(0xC0, 0, boot_id=0x1234))
     host.receive(encode_packet(MessageType.FRAME_PART, 0, bytes((0, 9, 0, 0, 0, 0, 0, 1)), boot_id=0x1234))
     assert host.messages.unknown == 2
-
-
-def test_configure_needs_a_described_board() -> None:
-    with pytest.raises(ValueError, match="user configures: the session must be described, it is identifying"):
-        HostSession().configure(Configuration(1))

@@ -49,9 +49,3 @@ def test_a_clock_that_is_set_back_silences_nothing() -> None:
     assert pace.lets_pass(10**18)
     assert not pace.lets_pass(10**18 - 10 * MS_NS)  # late by one period: it had its turn
     assert pace.lets_pass(10**18 - 3_600_000 * MS_NS)
-
-
-def test_a_rate_is_above_zero() -> None:
-    for rate_hz in (0.0, -1.0, float("nan")):
-        with pytest.raises(ValueError, match="above 0"):
-            Pace(rate_hz)

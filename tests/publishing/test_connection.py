@@ -69,21 +69,6 @@ async def test_credentials_and_a_wrong_password(
         await broker.kill()
 
 
-async def test_an_unknown_host_is_said_once(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    asked = []
-
-    def getaddrinfo(host: str, *_: object, **__: object) -> None:
-        asked.append(host)
-        raise socket.gaierror(-2, "Name or service not known")
-
-    monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
-    async with publishing("mqtt://no-such-host.invalid", times=QUICK) as left:
-        await until(lambda: len(asked) > 5)
-        assert not left.connected
-    assert said(caplog) == ["no host of this name (Name or service not known); see mqtt.url; trying again"]
-    assert caplog.records[0].getMessage().startswith("broker no-such-host.invalid:1883: ")
-
-
 async def test_a_broker_that_does_not_answer_is_given_up_and_tried_again(caplog: pytest.LogCaptureFixture) -> None:
     async with scripted_broker() as (url, script), publishing(url, times=QUICK) as left:
         script.mute = True
@@ -108,11 +93,3 @@ async def test_a_cancelled_attempt_closes_its_socket_and_logs_nothing(caplog: py
     assert connecting.cancelled()
     assert not connection.connected
     assert caplog.records == []
-
-
-async def test_the_reason_that_the_broker_gives_for_ending_the_connection(caplog: pytest.LogCaptureFixture) -> None:
-    async with scripted_broker() as (url, script), publishing(url) as left:
-        await until(lambda: left.connected)
-        script.connections[-1].write(b"\xe0\x01\x8e")
-        await until(lambda: bool(caplog.records))
-        assert said(caplog) == ["Session taken over; trying again"]

@@ -12,7 +12,6 @@ from resonator_daemon.publishing.embedded_broker import embedded_broker
 from resonator_daemon.publishing.embedded_delivery import UNREAD_BYTES_MAX, PacketReader
 
 CONNECT, CONNACK, PUBLISH, PUBACK, SUBSCRIBE, SUBACK, UNSUBSCRIBE = (0x10, 0x20, 0x30, 0x40, 0x82, 0x90, 0xA2)
-PINGREQ = 0xC0
 LARGE = 100_000
 
 

@@ -1,7 +1,6 @@
 """What is dropped is said: at once together, then once a minute, and never what is said elsewhere."""
 
 import asyncio
-import logging
 
 import pytest
 from mqtt_helpers import until
@@ -26,12 +25,3 @@ async def test_drops_are_summed_up_in_one_line(
     assert len(caplog.records) == 1  # the next line comes a minute later
     account.close()
     assert "5 a/forces (queue_full)" in caplog.messages[1]
-
-
-async def test_what_is_known_by_other_words_is_not_said(caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.DEBUG)
-    account = Account()
-    for cause in (Cause.NO_CONNECTION, Cause.SUPERSEDED, Cause.TOO_LARGE, Cause.SPOOL_FAILED, Cause.CLOSED):
-        account.drop(cause, "t")
-    account.close()
-    assert not caplog.records

@@ -30,21 +30,3 @@ def numbers(kind: type[BaseModel]) -> Iterator[str]:
 @pytest.mark.parametrize("kind", MODELS)
 def test_each_number_has_a_unit(kind: type[BaseModel]) -> None:
     assert [key for key in numbers(kind) if unit_of(key) is None] == []
-
-
-@pytest.mark.parametrize(
-    ("key", "unit"),
-    [
-        ("t_ns", "ns"),
-        ("force_newton", "N"),
-        ("moment_newton_m", "N.m"),
-        ("moment_std_newton_m", "N.m"),
-        ("area_m2", "m2"),
-        ("plate_kelvin_std", "K"),
-        ("rates_hz", "Hz"),
-        ("seq", None),
-        ("m", None),
-    ],
-)
-def test_the_longest_ending_tells_the_unit(key: str, unit: str | None) -> None:
-    assert unit_of(key) == unit

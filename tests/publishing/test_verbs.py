@@ -1,6 +1,5 @@
 """The register of commands is whole, and its requests take what they say and nothing more."""
 
-from pathlib import Path
 from typing import Any
 
 import jsonschema
@@ -9,8 +8,6 @@ from pydantic import ValidationError
 
 from resonator_daemon.publishing.verbs import VERBS, Refusal
 
-PAGE = Path(__file__).parents[2] / "docs" / "mqtt.md"
-SECTION = PAGE.read_text().partition("\n## Commands\n")[2].partition("\n## ")[0]
 EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "ping": [{}],
     "health": [{}],
@@ -59,9 +56,3 @@ def test_each_verb_answers_with_its_name() -> None:
         assert verb.name == name
         assert verb.answer.model_fields["verb"].default == name
     assert [*Refusal.model_fields] == ["verb", "ok", "error"]
-
-
-def table(header: str) -> list[list[str]]:
-    """Return the rows of the page's table that begins with this header."""
-    lines = SECTION.partition(f"\n| {header} |")[2].partition("\n\n")[0].splitlines()[2:]
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]

@@ -10,24 +10,13 @@ import pytest
 from resonator_daemon.config import Measurement
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.sensors.kinds import sensor_of
-from resonator_daemon.sensors.multitone import MultitoneSensor
 from resonator_daemon.sensors.plate_sites import force_sites
-from resonator_daemon.sensors.single_tone import SingleToneSensor
-from resonator_daemon.sensors.skin import SkinSensor
 
 QUARTZ, COMB = load_plate("quartz16"), load_plate("comb16")
 
 
 def oscillator_hz(plate: str) -> np.ndarray:
     return load_plate(plate).tones.f0_hz.mean(axis=1)
-
-
-@pytest.mark.parametrize(
-    ("plate", "kind"),
-    [("quartz16", SingleToneSensor), ("comb16", MultitoneSensor), ("skin32", SkinSensor), ("fingertip400", SkinSensor)],
-)
-def test_each_plate_is_one_kind_of_sensor(plate: str, kind: type) -> None:
-    assert type(sensor_of(load_plate(plate))) is kind
 
 
 def test_a_daemon_of_captured_tones_loads_no_scipy() -> None:

@@ -1,7 +1,6 @@
 """Messages made from what is read and decoded under a skin, against hand-worked ones, in the words of the wire."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -265,17 +264,6 @@ def test_an_event_of_a_skin_tells_of_its_contact_with_its_peak(skin_reporter: Sk
     assert said["contact"] == CONTACT_LITERAL | of_slip
 
 
-def test_friction_that_is_hardly_known_is_null(skin_reporter: SkinReporter) -> None:
-    contact = skin_contact(slip=partial_slip(friction_coefficient_std=0.2))
-    said = literal(
-        skin_reporter.summary(
-            MEASURED_OF_SKIN, GATE_MIDDLE, surface(decoded((3, 32, 32), displacement=False), contacts=(contact,))
-        )
-    )
-    unknown = {"friction_coefficient": None, "friction_coefficient_std": None}
-    assert said["patches"] == [PATCH_LITERAL | unknown]
-
-
 def test_a_contact_of_a_skin_keeps_its_date_until_it_is_released(skin_reporter: SkinReporter) -> None:
     frame = surface(decoded((3, 32, 32), displacement=False), contacts=(skin_contact(),))
     later = [gate_middle(10_000_000, later_ns=number * 10_000_000) for number in range(4)]
@@ -286,15 +274,6 @@ def test_a_contact_of_a_skin_keeps_its_date_until_it_is_released(skin_reporter: 
     assert len(dates) == 1
     again = skin_reporter.skin_event(SkinEvent("onset", skin_contact()), MEASURED_OF_SKIN, later[3])
     assert again.contact.since_t_ns == onset.contact.since_t_ns + 30_000_000
-
-
-def test_signals_come_with_the_noise_of_each_and_the_status_of_the_reading(skin_reporter: SkinReporter) -> None:
-    noise = np.random.default_rng(6).uniform(1e-3, 2e-3, (3, 1024))
-    noise[0, 7], noise[1, 8] = NAN, np.inf
-    measured = replace(channelised(np.zeros((3, 1024))), noise_std=noise, status="settling")
-    message = decode(payloads.Signals, encode(skin_reporter.signals(measured, GATE_MIDDLE)))
-    np.testing.assert_array_equal(message.noise_std, noise.astype(np.float32))
-    assert message.status == "settling"
 
 
 class Offers:

@@ -7,12 +7,9 @@ import pytest
 from connection_bench import Bench, SimulatedBoard, online
 from emulation import emulated
 from listener import Listener, check_indices, frames, gaps
-from recording_bench import PLATE, replayed
 
 from firmware_protocol.layouts import Capability
 from resonator_daemon.links.carriers.serial import SerialTarget
-from resonator_daemon.recording.reader import Origin
-from resonator_daemon.recording.switch import RecordingSwitch
 from resonator_daemon.session.frames import Arrival, BlinkAnswered
 from simulators.emulator import EmulatorOptions
 
@@ -85,28 +82,6 @@ def test_a_board_that_does_not_hear_is_an_answer_and_no_reason_to_stop(
     assert bench.gaps == []
     bench.run(1000)
     assert len(located(bench.arrivals)) == 1
-
-
-def test_a_replay_that_begins_midway_has_it_happen_again_and_asks_nobody(tmp_path: Path) -> None:
-    port, path = tmp_path / "board", tmp_path / "run.mcap"
-    switch = RecordingSwitch()
-    link = SerialTarget(str(port), 4000000)
-    with emulated(EmulatorOptions("quartz16", pty=port)), Listener(link, on_event=switch.put) as it:
-        it.wait_for_frames(300)
-        switch.start(path, Origin(PLATE, str(link)))
-        it.wait_for_frames(400)
-        assert answers_of(it, 1) == [None]
-        it.wait_for_frames(len(frames(it.arrivals)) + 100)
-    it.take_the_rest()
-    switch.stop()
-    arrivals, _, differences = replayed(path)
-    assert differences == 0
-    assert located(arrivals) == [None]
-    assert len(frames(arrivals)) > 150
-    after = [type(arrival) for arrival in arrivals]
-    live = [type(arrival) for arrival in it.arrivals]
-    # Among the same frames as it was.
-    assert len(after) - after.index(BlinkAnswered) == len(live) - live.index(BlinkAnswered) + 1
 
 
 def deafen(board: SimulatedBoard, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,26 +6,12 @@ import pytest
 from connection_bench import GATE_TICKS, IDENTITY, MS, Bench, SimulatedBoard, online
 
 from firmware_protocol.layouts import MessageType
-from firmware_protocol.messages import BoardLog, Configuration, ResetCause
+from firmware_protocol.messages import BoardLog, ResetCause
 from firmware_protocol.packets import encode_packet
 from firmware_protocol.states import BoardState
-from resonator_daemon.conditions import Condition
 from resonator_daemon.links.link import LinkLostError
-from resonator_daemon.session.counters import FrameLoss
 from resonator_daemon.session.frames import BoardLogLine, BoardOnline, Outage
 from simulators.faults.byte_faults import packets_in
-
-
-def test_a_board_is_identified_configured_started_and_read() -> None:
-    bench = online()
-    assert [state for state, _ in bench.states] == ["starting", "online"]
-    assert bench.states[0][1] == "board T-1 with firmware 1.0 is being configured"
-    (news,) = (arrival for arrival in bench.arrivals if isinstance(arrival, BoardOnline))
-    assert news.configuration == Configuration(GATE_TICKS)
-    assert not news.continues
-    assert len(bench.frames) > 150
-    bench.check_indices()
-    assert bench.counters.lost == FrameLoss()
 
 
 def test_frames_carry_the_middle_of_their_gate() -> None:
@@ -198,26 +184,6 @@ def test_a_reboot_is_told_with_its_cause_and_the_host_measures_it() -> None:
     assert sum(boot.frames for boot in boots) == bench.counters.frames
     assert boots[1].lost == gap.loss
     assert not [arrival for arrival in bench.arrivals if isinstance(arrival, BoardOnline)][-1].continues
-
-
-def test_an_outage_with_the_same_boot_goes_on_where_it_was() -> None:
-    bench = online()
-    bench.close()
-    bench.state.announce(Condition.LOST, "unplugged (Input/output error)", bench.host_time().utc_ns)
-    for _ in range(2000):
-        bench.now_ns += MS // 2
-        bench.board.step(b"", bench.now_ns)
-    bench.open()
-    bench.run(200)
-    news = [arrival for arrival in bench.arrivals if isinstance(arrival, BoardOnline)]
-    assert [entry.continues for entry in news] == [False, True]
-    bench.check_indices()
-    first, last = bench.frames[0], bench.frames[-1]
-    assert (last.board_ticks - first.board_ticks) / GATE_TICKS == pytest.approx(last.index - first.index, abs=1)
-    outage = next(arrival for arrival in bench.arrivals if isinstance(arrival, Outage))
-    assert outage.reason == "unplugged (Input/output error)"
-    assert 1000 <= outage.frames_lost == bench.counters.lost.link_gap < 1100
-    assert bench.counters.boots[0].connections == 2
 
 
 @pytest.mark.parametrize("lost", ["IDENTITY", "DESCRIPTION", "CONFIGURED", "STARTED"])

@@ -11,7 +11,7 @@ from firmware_protocol.device import DeviceSession
 from firmware_protocol.messages import Configuration, encode_message
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.session.compatibility import BoardRefusedError
-from resonator_daemon.session.frames import BoardLogLine, BoardOnline
+from resonator_daemon.session.frames import BoardLogLine
 
 
 def test_a_board_that_does_nothing_but_start_anew_is_given_up() -> None:
@@ -25,21 +25,6 @@ def test_a_board_that_does_nothing_but_start_anew_is_given_up() -> None:
     with pytest.raises(LinkLostError, match="no board answers"):
         start_anew_for_ever()
     assert bench.now_ns < 15_000 * MS
-
-
-def test_a_boot_id_that_comes_twice_is_seen_by_the_ticks() -> None:
-    bench = online()
-    bench.run(1000)
-    bench.board.boot(7, bench.now_ns)
-    with pytest.raises(LinkLostError, match="boot id 00000007 came twice: the board's ticks went back from 1"):
-        bench.run(2000)
-    bench.reopen()
-    bench.run(300)
-    assert bench.states[-1][0] == "online"
-    assert not [arrival for arrival in bench.arrivals if isinstance(arrival, BoardOnline)][-1].continues
-    bench.check_indices()
-    spacing_ns = bench.frames[-1].gate_middle.monotonic_ns - bench.frames[0].gate_middle.monotonic_ns
-    assert bench.frames[-1].index - bench.frames[0].index == pytest.approx(spacing_ns / MS, abs=2)
 
 
 def test_another_board_on_the_link_is_refused_with_both_named() -> None:
@@ -99,20 +84,6 @@ def test_a_gate_that_is_not_kept_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(DeviceSession, "frame", wide)
     with pytest.raises(BoardRefusedError, match="does not keep its gate: 1001000 ticks from frame to frame, 1000000"):
         bench.run(200)
-
-
-def test_ticks_that_jump_end_the_connection_before_a_frame_is_believed() -> None:
-    bench = online()
-    frames = len(bench.frames)
-    bench.board.jump_ticks = 5_000_000
-    with pytest.raises(LinkLostError, match="the board's clock jumped: 6000000 ticks from frame to frame"):
-        bench.run(50)
-    bench.reopen()
-    bench.run(200)
-    bench.check_indices()
-    assert len(bench.frames) > frames + 100
-    spacing_ns = bench.frames[-1].gate_middle.monotonic_ns - bench.frames[0].gate_middle.monotonic_ns
-    assert bench.frames[-1].index - bench.frames[0].index == pytest.approx(spacing_ns / MS, abs=2)
 
 
 def test_a_reference_that_is_not_what_was_described_is_flagged_with_both_named() -> None:

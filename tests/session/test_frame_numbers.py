@@ -74,16 +74,6 @@ def test_a_report_after_a_lost_one_corrects_the_causes_of_the_earlier_gap() -> N
     assert accept(it, 13) == (13, None)
 
 
-def test_a_report_settles_the_causes_of_what_was_lost_before() -> None:
-    it = numbering()
-    accept(it, 0)
-    accept(it, 4)
-    it.dropped_by_board(0)  # once a second, also without a drop
-    accept(it, 5)
-    it.dropped_by_board(2)
-    assert accept(it, 7) == (7, Gap(6, FrameLoss(board_overflow=1)))  # the frame that is still to come has the rest
-
-
 def test_unexplained_losses_are_in_the_snapshot() -> None:
     it, later = numbering(), numbering()
     accept(it, 0)
@@ -176,14 +166,6 @@ def test_frames_that_lie_otherwise_than_their_numbers_say_are_told() -> None:
     with pytest.raises(BrokenSpacingError) as later:
         it.accept(1, 2, 2 * GATE_TICKS + 1, at(2))
     assert not later.value.from_the_start
-
-
-def test_frames_lost_right_after_the_return_are_not_counted_twice() -> None:
-    it = numbering()
-    accept(it, 0)
-    it.started(0)
-    it.discarded(FRAME_BYTES)
-    assert accept(it, 1, gate=501) == (501, Gap(1, FrameLoss(damaged=1, link_gap=499)))
 
 
 def test_a_first_number_that_a_run_cannot_have_reached_is_no_loss() -> None:

@@ -2,7 +2,6 @@ import json
 import struct
 
 import pytest
-from recording_bench import snapshot
 
 from resonator_daemon.conditions import Condition
 from resonator_daemon.session.host_time import HostTime
@@ -51,14 +50,6 @@ def test_what_no_daemon_wrote_is_damage(data: bytes) -> None:
         decode(data, 5, 12)
     assert len(str(caught.value)) < 200
     assert "\n" not in str(caught.value)
-
-
-def test_a_snapshot_in_an_unknown_state_is_damage() -> None:
-    taken = snapshot(NOW)
-    data = encode(taken)
-    assert decode(data, 5, 12) == taken
-    with pytest.raises(ValueError, match="SnapshotTaken cannot be read"):
-        decode(data.replace(b'"waiting"', b'"tired.."'), 5, 12)
 
 
 @pytest.mark.parametrize(

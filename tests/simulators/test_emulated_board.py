@@ -135,16 +135,6 @@ def test_a_board_that_loses_frames_counts_and_tells_them_and_knows_what_was_true
     assert bench.board.frames_crowded_out == 0
 
 
-def test_an_answer_takes_the_room_of_the_oldest_frame() -> None:
-    bench = Bench(queue_limit_bytes=3 * FRAME_BYTES)
-    bench.start()
-    bench.advance(3 * GATE_TICKS)
-    bench.host.ping(b"12345678")
-    events = bench.exchange()
-    assert [type(event) for event in events] == [BoardStatus, Frame, Frame, Pong]
-    assert frames_in(events)[0].sequence == 1
-
-
 def test_a_reboot_is_a_board_that_knows_nothing() -> None:
     bench = Bench()
     bench.advance(100)
@@ -216,13 +206,3 @@ def test_a_channelised_frame_goes_out_whole_in_parts() -> None:
         block = part.block
         tones[part.sequence - 2, block.channel, block.first_tone : block.first_tone + block.tones] += 1
     assert np.all(tones == 1)
-
-
-@pytest.mark.parametrize("gate_ticks", [9, 10**6 + 1])
-def test_a_gate_beyond_its_limits_is_refused(gate_ticks: int) -> None:
-    bench = Bench()
-    bench.exchange()
-    bench.host.configure(Configuration(gate_ticks))
-    bench.exchange()
-    assert bench.host.state is HostState.REFUSED
-    assert bench.advance(10 * GATE_TICKS) == []

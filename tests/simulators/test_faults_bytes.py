@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol.layouts import MessageType
-from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
+from firmware_protocol.packets import encode_packet
 from simulators.faults import FaultPlan
 from simulators.faults.account import FaultCounts
 from simulators.faults.byte_faults import ByteFaults
@@ -75,33 +75,3 @@ def test_a_burst_is_as_long_as_asked_for_and_hits_one_frame(length: int) -> None
     assert wire.counts.bits_flipped == sum(count * times for count, times in inner.items())
     assert len(inner) > 5 if length == 16 else len(inner) <= length
     assert max(places) - min(places) > 190
-
-
-def test_lost_bytes_are_counted_and_may_reach_over_packets() -> None:
-    wire = Wire(lost_chunk_rate_hz=20.0, lost_chunk_bytes=1000)
-    decoder = PacketDecoder(from_board=True)
-    received = []
-    for sequence in range(3000):
-        data = wire.send(frame(sequence), sequence * 1e-3)
-        received += [found.sequence for found in decoder.feed(data) if isinstance(found, Packet)]
-    counts = wire.counts
-    assert wire.sent_bytes == 3000 * FRAME_BYTES - counts.bytes_lost
-    assert sorted(received + counts.frame_sequences_hit) == list(range(3000))
-    assert counts.chunks_lost == pytest.approx(60, abs=25)
-    assert counts.bytes_lost / counts.chunks_lost == pytest.approx(500, rel=0.3)
-    assert counts.frames_hit > 2 * counts.chunks_lost
-    assert counts.bits_flipped == 0
-
-
-def test_duplicates_are_whole_and_listed() -> None:
-    wire = Wire(duplicate_rate=0.05, bit_error_rate=1e-4, reorder_rate=0.05)
-    decoder = PacketDecoder(from_board=True)
-    received = Counter[int]()
-    for sequence in range(3000):
-        data = wire.send(frame(sequence))
-        received.update(found.sequence for found in decoder.feed(data) if isinstance(found, Packet))
-    counts = wire.counts
-    expected = Counter(range(3000)) - Counter(counts.frame_sequences_hit) + Counter(counts.frame_sequences_duplicated)
-    assert received == expected
-    assert counts.packets_duplicated == len(counts.frame_sequences_duplicated) > 60
-    assert wire.sent_bytes == 3000 * FRAME_BYTES + counts.bytes_duplicated

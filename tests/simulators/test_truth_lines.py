@@ -1,15 +1,12 @@
 """The truth beside the bytes: its lines, and how they get out of a file or a pipe whose reader comes and goes."""
 
-import json
 import os
 import threading
 from pathlib import Path
 
 import pytest
 
-from simulators.board import MadeFrame
-from simulators.plate import Contact
-from simulators.truth import TruthOutput, truth_line
+from simulators.truth import TruthOutput
 
 LINE = "x" * 199 + "\n"
 
@@ -19,33 +16,6 @@ def pipe(tmp_path: Path) -> Path:
     path = tmp_path / "truth"
     os.mkfifo(path)
     return path
-
-
-def test_a_line_says_what_touches_where_how_hard_and_how_warm_the_plate_is() -> None:
-    contacts = [
-        Contact(1, None, (1e-3, 2e-3), (0.0, 0.0, 0.5)),
-        Contact(2, 7, (0.0, 0.0), (0.1, 0.0, 1.0), 2.5e-3, 2e-3, 0.5),
-    ]
-    line = truth_line(MadeFrame(3, 4000, 5000, contacts, 299.25), 1_789_000_000_000_000_000)
-    assert line.endswith("}\n")
-    assert json.loads(line) == {
-        "sequence": 3,
-        "board_ticks": 4000,
-        "t_ns": "1789000000000000000",
-        "contacts": [
-            {"id": 1, "site": None, "position_m": [1e-3, 2e-3], "force_newton": [0.0, 0.0, 0.5], "radius_m": None},
-            {
-                "id": 2,
-                "site": 7,
-                "position_m": [0.0, 0.0],
-                "force_newton": [0.1, 0.0, 1.0],
-                "radius_m": 2.5e-3,
-                "stick_radius_m": 2e-3,
-                "friction_coefficient": 0.5,
-            },
-        ],
-        "plate_kelvin": 299.25,
-    }
 
 
 def test_a_pipe_waits_for_no_reader_and_serves_one_that_comes(pipe: Path) -> None:

@@ -20,7 +20,7 @@ from view_messages import (
     summary,
 )
 
-from resonator_daemon.publishing.payloads import Lost, Message
+from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.view.plate_view import PlateView, TrueContact, Truth
 from resonator_daemon.view.terminal import render
 
@@ -138,13 +138,6 @@ def test_states_come_with_reason_and_duration_unless_online() -> None:
     assert "sensor drifting for 2 h 0 min: 0.3 ppm/s" in text
 
 
-def test_losses_are_told_by_cause() -> None:
-    assert "nothing lost" in page(quartz16())
-    lost = Lost(link_gap=3, publish_dropped=20)
-    view = quartz16(("forces", forces(seq=1, lost=lost)), ("forces", forces(seq=6, lost=lost)))
-    assert "lost: link gap 3, publish dropped 20, missed by this view 4" in words(page(view))
-
-
 def beside_the_map(text: str, columns: int = 34) -> str:
     return words(" ".join(line[columns:] for line in text.splitlines()[3:]))
 
@@ -159,40 +152,6 @@ def test_each_contact_is_a_column_and_the_truth_another() -> None:
     beside = beside_the_map(page(skin32(("decoded", decoded(skin_tractions())), two)))
     assert "contact 3 5 normal 1.000 N 200.0 mN shear 500.0 mN 50.0 mN towards 30° -90°" in beside
     assert "margin 0.42 ± 0.02 - status" in beside
-
-
-def test_doubts_about_the_surface_are_said() -> None:
-    nothing = ("decoded", decoded(np.full((3, 32, 32), math.nan)))
-    poor = ("decoded/summary", summary(border_contact=True, status="rejected", chi2=math.nan))
-    text = page(skin32(nothing, poor))
-    beside = beside_the_map(text)
-    assert "status rejected, open-plane+contact chi2 -, reaches the border, expect errors there" in beside
-    assert "contacts unknown normal shear towards margin status" in beside
-    assert "?" * 32 in text
-    assert "nan" not in text
-
-
-SCATTERED = {number: ((number % 5 - 2) * 4e-3, (number // 5 - 2) * 4e-3) for number in range(25)}
-
-
-def scattered(traction_z_pascal: np.ndarray) -> tuple[str, Message]:
-    traction = np.zeros((3, 1, traction_z_pascal.size))
-    traction[2] = traction_z_pascal
-    flat = {"traction_pascal": traction[:, 0], "traction_std_pascal": np.full((3, traction_z_pascal.size), 1.0)}
-    return "decoded", decoded(traction).model_copy(update={"grid": None, **flat})
-
-
-def test_scattered_sites_have_a_map_of_the_nearest_within_the_outline() -> None:
-    pressed = np.zeros(25)
-    pressed[4] = 1e4  # at (8, -8) mm: its cell is the lower right corner, 4 mm of 20 each way
-    surface = scattered(pressed)
-    truth = Truth((), pressed, None)
-    text = page(skin32(("info", info(SCATTERED)), surface, ("decoded/summary", summary())), truth=truth)
-    rows = [line[:66] for line in text.splitlines()[3:20]]
-    assert [len(row.rstrip()) for row in rows[:13]] == [0] * 13
-    assert [(row[:32].strip(" "), row[34:].strip(" ")) for row in rows[13:16]] == [("@" * 6, "@" * 6)] * 3
-    assert words(rows[16]) == "measured true"
-    assert "f_z 0 .:-=+*#%@ 10 kPa" in words(text)
 
 
 @pytest.mark.parametrize(("width", "height"), [(100, 40), (100, 37), (80, 24), (60, 15), (200, 60)])
