@@ -38,9 +38,9 @@ from emulated_loads import (
 from resonator_daemon.calibration.load_procedure import LoadProcedure
 from resonator_daemon.calibration.outcome import make_record
 from resonator_daemon.calibration.plate_file import Record
-from resonator_daemon.calibration.steps import Wanted, plan_steps
+from resonator_daemon.calibration.steps import LoadRequest, plan_steps
 
-USUAL = Wanted(hold_s=1.0)
+USUAL = LoadRequest(hold_s=1.0)
 SCATTERING = f"{IDEAL}sensitivity_scatter = 0.015\n"
 CREEPING = "hysteresis_fraction = 0.01\ncreep_fraction = 0.005\n"
 FOUR_SITES = (7, 1, 12, 13)
@@ -57,7 +57,7 @@ class Calibrated:
 
 
 def calibrated(
-    wanted: Wanted, physics: str, masses: dict[float, float] | None = None, *, comb: bool = False
+    wanted: LoadRequest, physics: str, masses: dict[float, float] | None = None, *, comb: bool = False
 ) -> Calibrated:
     """Calibrate an emulated plate, quartz16 or comb16."""
     nominal, true = (COMB_NOMINAL, COMB_TRUE) if comb else (NOMINAL, TRUE)

@@ -209,7 +209,7 @@ class Device:
     def ioctl(self, client: Any) -> None:
         """Answer a system call, at once or later."""
         if client not in self._hosts:
-            self._forget_vanished()
+            self._remove_vanished()
             self._hosts[client] = Host()
         host = self._hosts[client]
         request = client.get_request()
@@ -224,7 +224,7 @@ class Device:
     def _begins(self) -> bool:
         return any(host.beginning is not None for host in self._hosts.values())
 
-    def _forget_vanished(self) -> None:
+    def _remove_vanished(self) -> None:
         """Remove hosts that have closed the node, or ended: umockdev reports that only on request."""
         for client, host in list(self._hosts.items()):
             if not client.get_connected():

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
-from resonator_daemon.calibration.steps import Wanted
+from resonator_daemon.calibration.steps import LoadRequest
 from resonator_daemon.forces.loadings import Readings, Steps
 
 COMMON_MODE_STD: Final = 1e-9  # of the pilot's mean over some tenths of a second
@@ -33,11 +33,11 @@ def load_history(procedure: LoadProcedure, loadings: Sequence[Loading]) -> list[
     return changes
 
 
-def steps_of(changes: Sequence[LoadChange], wanted: Wanted) -> Steps:
+def steps_of(changes: Sequence[LoadChange], request: LoadRequest) -> Steps:
     """Return the changes as the steps of a fit."""
-    masses_kg = np.array(wanted.masses_kg)
+    masses_kg = np.array(request.masses_kg)
     lying_kg = [change.loading.step.mass_kg if change.loading else math.nan for change in changes]
-    kelvin = [change.kelvin if wanted.kelvin is not None else math.nan for change in changes]
+    kelvin = [change.kelvin if request.kelvin is not None else math.nan for change in changes]
     return Steps(
         np.array([change.site for change in changes]),
         np.array([change.since_s for change in changes]),

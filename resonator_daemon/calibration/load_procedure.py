@@ -88,7 +88,7 @@ class LoadProcedure:
         self._since_s: float | None = None
         self._problem = ""
         self._placed_s: float | None = None  # when the site was first detected, where it had been released before
-        self._said: set[str] = set()
+        self._announced: set[str] = set()
 
     @property
     def step(self) -> Step | None:
@@ -171,7 +171,7 @@ class LoadProcedure:
         self._phase = "load" if self._steps else "done"
         self._captured_newton = self._since_s = self._placed_s = None
         self._held.clear()
-        self._said.clear()
+        self._announced.clear()
 
     def _keep_quiet(self) -> None:
         """Append the common mode of the untouched readings so far, as one point."""
@@ -267,7 +267,7 @@ class LoadProcedure:
         self._captured_newton, self._placed_s = force_newton, None
         self._steps.popleft()
         self._held.clear()
-        self._said.clear()
+        self._announced.clear()
         self._since_s = None
         off = force_newton - step.force_newton
         text = (
@@ -291,8 +291,8 @@ class LoadProcedure:
 
     def _prompt(self, kind: Kind, step: Step, text: str) -> Iterator[Prompt]:
         """Yield each prompt once in a step."""
-        if text not in self._said:
-            self._said.add(text)
+        if text not in self._announced:
+            self._announced.add(text)
             yield Prompt(kind, step, text)
 
     def _overdue(self) -> str:

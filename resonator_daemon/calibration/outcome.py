@@ -15,7 +15,7 @@ from resonator_daemon.calibration.load_history import COMMON_MODE_STD, load_hist
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
 from resonator_daemon.calibration.plate_file import Record, ResponseRecord, SiteRecord, UntouchedSite
 from resonator_daemon.calibration.site_codes import site_codes
-from resonator_daemon.calibration.steps import STANDARD_GRAVITY, Step, Wanted
+from resonator_daemon.calibration.steps import STANDARD_GRAVITY, LoadRequest, Step
 from resonator_daemon.forces.calibration_fit import CalibrationFit, fit_calibration
 from resonator_daemon.forces.site_response import SiteResponse
 from resonator_daemon.forces.temperature_fit import fit_temperature
@@ -60,7 +60,7 @@ class Outcome:
 
 def fit_loadings(
     plate: Plate,
-    wanted: Wanted,
+    request: LoadRequest,
     procedure: LoadProcedure,
     loadings: Sequence[Loading],
     *,
@@ -73,14 +73,14 @@ def fit_loadings(
     """
     used = [loading for loading in loadings if not loading.step.at_temperature]
     codes = site_codes(plate)
-    masses_kg = np.array(wanted.masses_kg)
+    masses_kg = np.array(request.masses_kg)
     changes = load_history(procedure, used)
     fit = fit_calibration(
         codes.f0_hz if untouched_hz is None else untouched_hz,
         codes.sensitivity,
         masses_kg * STANDARD_GRAVITY,
-        np.full(len(masses_kg), max(wanted.mass_std, SMALLEST_MASS_STD)),
-        steps_of(changes, wanted),
+        np.full(len(masses_kg), max(request.mass_std, SMALLEST_MASS_STD)),
+        steps_of(changes, request),
         readings_of(changes, procedure),
         with_response=with_response,
     )
@@ -106,7 +106,7 @@ def fit_loadings(
 
 def make_record(
     plate: Plate,
-    wanted: Wanted,
+    request: LoadRequest,
     procedure: LoadProcedure,
     outcome: Outcome,
     *,
@@ -119,8 +119,8 @@ def make_record(
     """Return what goes into the plate file; `untouched_hz` (sites, 4) where the untouched plate gave f0."""
     fit = outcome.fit
     codes = site_codes(plate)
-    kelvin = plate.thermal.reference_kelvin if wanted.kelvin is None else wanted.kelvin
-    found = _fit_temperature(plate, wanted, procedure, fit, kelvin)
+    kelvin = plate.thermal.reference_kelvin if request.kelvin is None else request.kelvin
+    found = _fit_temperature(plate, request, procedure, fit, kelvin)
     coefficients = codes.temperature_coefficients.copy()
     if found is not None:
         coefficients[fit.site] = found
@@ -141,7 +141,7 @@ def make_record(
                 None if found is None else tuple(found[row].tolist()),
             )
         )
-    kelvins = [kelvin, *wanted.temperatures_kelvin]
+    kelvins = [kelvin, *request.temperatures_kelvin]
     return Record(
         id=calibration_id,
         date=today,
@@ -165,7 +165,7 @@ def make_record(
     )
 
 
-def notes(plate: Plate, wanted: Wanted, outcome: Outcome, record: Record) -> list[str]:
+def notes(plate: Plate, request: LoadRequest, outcome: Outcome, record: Record) -> list[str]:
     """Return sentences on what the record does not hold or holds with less weight."""
     loaded = {site.site_id for site in record.sites}
     found = []
@@ -174,7 +174,7 @@ def notes(plate: Plate, wanted: Wanted, outcome: Outcome, record: Record) -> lis
         found.append(f"not loaded, {values} kept: sites {', '.join(kept)}")
     if not record.untouched and np.isnan(outcome.fit.f0_std).any():
         found.append("one mass alone does not determine f0: it was kept where a site had no other")
-    if len(wanted.masses_kg) * wanted.repeats < 3:
+    if len(request.masses_kg) * request.repeats < 3:
         found.append("two loads or fewer of a site always fit: their residuals mean nothing")
     if record.model_error != outcome.fit.model_error:
         found.append(
@@ -188,18 +188,18 @@ def notes(plate: Plate, wanted: Wanted, outcome: Outcome, record: Record) -> lis
         )
     if sentence := compare_with_width(plate, record.coupling):
         found.append(sentence)
-    if wanted.kelvin is None:
+    if request.kelvin is None:
         found.append(f"temperature not given (--kelvin): taken as {record.temperature_kelvin:g} K")
     return found
 
 
 def _fit_temperature(
-    plate: Plate, wanted: Wanted, procedure: LoadProcedure, fit: CalibrationFit, kelvin: float
+    plate: Plate, request: LoadRequest, procedure: LoadProcedure, fit: CalibrationFit, kelvin: float
 ) -> Floats | None:
     """Coefficients (s, 3) from the heaviest mass at each temperature; None where there was no sweep."""
-    if not wanted.temperatures_kelvin:
+    if not request.temperatures_kelvin:
         return None
-    kelvins = np.array([kelvin, *wanted.temperatures_kelvin])
+    kelvins = np.array([kelvin, *request.temperatures_kelvin])
     shift = np.empty((len(kelvins), len(fit.site)))
     for column, site in enumerate(fit.site.tolist()):
         site_id = int(plate.site_ids[site])
@@ -207,10 +207,10 @@ def _fit_temperature(
             loads = [
                 load
                 for load in procedure.loadings.values()
-                if (load.step.site_id, load.step.kelvin, load.step.mass_kg) == (site_id, warmth, wanted.masses_kg[-1])
+                if (load.step.site_id, load.step.kelvin, load.step.mass_kg) == (site_id, warmth, request.masses_kg[-1])
             ]
             shift[row, column] = np.mean([load.without_common_mode(procedure.untouched).mean() for load in loads])
-    touch = _model_error(plate, fit) * np.abs(fit.sensitivity).mean(axis=1) * wanted.masses_kg[-1] * STANDARD_GRAVITY
+    touch = _model_error(plate, fit) * np.abs(fit.sensitivity).mean(axis=1) * request.masses_kg[-1] * STANDARD_GRAVITY
     # A load's scatter is independent from channel to channel.
     std = np.hypot(COMMON_MODE_STD, touch / math.sqrt(fit.sensitivity.shape[1]))
     found = fit_temperature(kelvins, shift, std, USUAL_CUT, USUAL_CUT_STD, plate.thermal.reference_kelvin)

@@ -24,7 +24,7 @@ from resonator_daemon.calibration.plate_file import (
 )
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.calibration.session import Session
-from resonator_daemon.calibration.steps import Step, Wanted, plan_steps
+from resonator_daemon.calibration.steps import LoadRequest, Step, plan_steps
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.errors import ConfigurationError, ExitCode, UsageError
 from resonator_daemon.host.printable import print_note
@@ -44,7 +44,7 @@ class Ending:
     timeout_s: float = 300.0
 
 
-def calibrate(config_path: Path, wanted: Wanted, ending: Ending) -> ExitCode:
+def calibrate(config_path: Path, request: LoadRequest, ending: Ending) -> ExitCode:
     """Calibrate a force plate with known masses.
 
     Raises
@@ -55,13 +55,13 @@ def calibrate(config_path: Path, wanted: Wanted, ending: Ending) -> ExitCode:
     config = load_config(config_path)
     if FORCE_SIGNAL not in config.plate.signals:
         raise ConfigurationError(f"plate {config.plate.name!r} has no force sites; use: resonatord calibrate skin")
-    steps = plan_steps(wanted, config.plate)
+    steps = plan_steps(request, config.plate)
     file = PlateFile.of(config_path, ending.output)
     session = Session(config_path)
     if session.staged() is not None:
         raise UsageError(f"a calibration is staged already ({session.path}); finish it with --accept-staged or --abort")
     remove_remains(file.output)
-    return _Calibration(config, wanted, ending, steps, file, session).run()
+    return _Calibration(config, request, ending, steps, file, session).run()
 
 
 def accept_staged(config_path: Path, *, as_json: bool) -> ExitCode:
@@ -88,13 +88,13 @@ class _Calibration:
     def __init__(
         self,
         config: Config,
-        wanted: Wanted,
+        request: LoadRequest,
         ending: Ending,
         steps: tuple[Step, ...],
         file: PlateFile,
         session: Session,
     ) -> None:
-        self._config, self._wanted, self._ending = config, wanted, ending
+        self._config, self._request, self._ending = config, request, ending
         self._steps, self._file, self._session = steps, file, session
         self._procedure = LoadProcedure(config.plate, steps, ending.timeout_s)
         every_tone = sensor_of(config.plate).expected_tones.pressed_hz is None
@@ -106,7 +106,7 @@ class _Calibration:
     def run(self) -> ExitCode:
         try:
             with self._session.recording():
-                begun = {"plate": str(self._file.source), "sha256": self._file.digest, "wanted": asdict(self._wanted)}
+                begun = {"plate": str(self._file.source), "sha256": self._file.digest, "wanted": asdict(self._request)}
                 self._session.write("begun", begun)
                 print_note(f"{len(self._steps)} loads; baseline first: leave the plate untouched")
                 outcome = self._capture()
@@ -145,7 +145,7 @@ class _Calibration:
     def _fit(self, loads: list[Loading], *, with_response: bool) -> Outcome:
         return fit_loadings(
             self._config.plate,
-            self._wanted,
+            self._request,
             self._procedure,
             loads,
             with_response=with_response,
@@ -191,11 +191,11 @@ class _Calibration:
 
     def _outliers(self, loads: list[Loading], outcome: Outcome) -> tuple[OutlierSite, ...]:
         steps = [load.step for load in loads if not load.step.at_temperature]
-        return find_outliers(self._config.plate, steps, outcome, self._wanted.mass_std)
+        return find_outliers(self._config.plate, steps, outcome, self._request.mass_std)
 
     def _judge(self) -> Outcome:
         loads = list(self._procedure.loadings.values())
-        outcome = self._fit(loads, with_response=self._wanted.response)
+        outcome = self._fit(loads, with_response=self._request.response)
         if outcome.swapped is not None:
             first, second = outcome.swapped
             raise CalibrationRefusedError(
@@ -221,7 +221,7 @@ class _Calibration:
             ]
             + [outlier.sentence for outlier in outliers]
         )
-        if steps.keys() & self._repeated or self._wanted.response:
+        if steps.keys() & self._repeated or self._request.response:
             raise CalibrationRefusedError(f"{finding}; check masses and places, and begin again")
         self._repeated |= steps.keys()
         print_note(f"{finding}; once more, please")
@@ -231,7 +231,7 @@ class _Calibration:
     def _record(self, outcome: Outcome) -> Record:
         return make_record(
             self._config.plate,
-            self._wanted,
+            self._request,
             self._procedure,
             outcome,
             calibration_id=secrets.token_hex(8),
@@ -249,7 +249,7 @@ class _Calibration:
             "sha256": self._file.digest,
             "output": str(self._file.output.resolve()),
             "record": as_json(record),
-            "notes": notes(self._config.plate, self._wanted, outcome, record),
+            "notes": notes(self._config.plate, self._request, outcome, record),
             "plate_file": text,
         }
 

@@ -15,7 +15,7 @@ _KELVIN: Final = (100.0, 600.0)  # as in a plate file
 
 
 @dataclass(frozen=True)
-class Wanted:
+class LoadRequest:
     """Requested loads; an empty `sites` means all of them, in the order of the plate file."""
 
     sites: tuple[int, ...] = ()
@@ -52,7 +52,7 @@ class Step:
         return f"{self.mass_kg * 1e3:g} g on site {self.site_id}"
 
 
-def plan_steps(wanted: Wanted, plate: Plate) -> tuple[Step, ...]:
+def plan_steps(request: LoadRequest, plate: Plate) -> tuple[Step, ...]:
     """Return the steps in their order.
 
     Raises
@@ -60,43 +60,43 @@ def plan_steps(wanted: Wanted, plate: Plate) -> tuple[Step, ...]:
     UsageError
         One message for each finding: field, value and limit.
     """
-    if findings := [*_site_findings(wanted, plate), *_mass_findings(wanted, plate), *_other_findings(wanted)]:
+    if findings := [*_site_findings(request, plate), *_mass_findings(request, plate), *_other_findings(request)]:
         raise UsageError(*findings)
-    kelvin = plate.thermal.reference_kelvin if wanted.kelvin is None else wanted.kelvin
-    site_ids = wanted.sites or tuple(plate.site_ids.tolist())
+    kelvin = plate.thermal.reference_kelvin if request.kelvin is None else request.kelvin
+    site_ids = request.sites or tuple(plate.site_ids.tolist())
     loads = [
-        *(load for site_id in site_ids for load in _site_loads(wanted, site_id, kelvin)),
+        *(load for site_id in site_ids for load in _site_loads(request, site_id, kelvin)),
         *(
-            Step(0, site_id, wanted.masses_kg[-1], warmth, wanted.hold_s, at_temperature=True)
-            for warmth in wanted.temperatures_kelvin
+            Step(0, site_id, request.masses_kg[-1], warmth, request.hold_s, at_temperature=True)
+            for warmth in request.temperatures_kelvin
             for site_id in site_ids
         ),
     ]
     return tuple(replace(load, number=number) for number, load in enumerate(loads, 1))
 
 
-def _site_loads(wanted: Wanted, site_id: int, kelvin: float) -> Iterator[Step]:
+def _site_loads(request: LoadRequest, site_id: int, kelvin: float) -> Iterator[Step]:
     """Yield the loads of one site, their numbers still open."""
-    hold_s = wanted.response_hold_s if wanted.response else wanted.hold_s
-    for _ in range(wanted.repeats):
-        for index, mass_kg in enumerate(wanted.masses_kg):
-            yield Step(0, site_id, mass_kg, kelvin, hold_s, continues=wanted.response and index > 0)
-        if wanted.response:
-            for mass_kg in reversed(wanted.masses_kg[:-1]):
+    hold_s = request.response_hold_s if request.response else request.hold_s
+    for _ in range(request.repeats):
+        for index, mass_kg in enumerate(request.masses_kg):
+            yield Step(0, site_id, mass_kg, kelvin, hold_s, continues=request.response and index > 0)
+        if request.response:
+            for mass_kg in reversed(request.masses_kg[:-1]):
                 yield Step(0, site_id, mass_kg, kelvin, hold_s, unloading=True, continues=True)
 
 
-def _site_findings(wanted: Wanted, plate: Plate) -> Iterator[str]:
+def _site_findings(request: LoadRequest, plate: Plate) -> Iterator[str]:
     known = set(plate.site_ids.tolist())
-    for site_id, times in Counter(wanted.sites).items():
+    for site_id, times in Counter(request.sites).items():
         if site_id not in known:
             yield f"--sites: plate {plate.name!r} has no site {site_id}; it has {_listed(sorted(known))}"
         if times > 1:
             yield f"--sites: site {site_id} is named {times} times; name each once (--repeats loads it several times)"
 
 
-def _mass_findings(wanted: Wanted, plate: Plate) -> Iterator[str]:
-    grams = [mass_kg * 1e3 for mass_kg in wanted.masses_kg]
+def _mass_findings(request: LoadRequest, plate: Plate) -> Iterator[str]:
+    grams = [mass_kg * 1e3 for mass_kg in request.masses_kg]
     limit_gram = plate.force_max_newton / STANDARD_GRAVITY * 1e3
     if not grams:
         yield "--masses-grams: none given; give at least one"
@@ -110,26 +110,26 @@ def _mass_findings(wanted: Wanted, plate: Plate) -> Iterator[str]:
     for lighter, heavier in pairwise(grams):
         if not heavier > lighter:
             yield f"--masses-grams: {heavier:g} g after {lighter:g} g; masses must rise"
-    if wanted.response and len(grams) == 1:
+    if request.response and len(grams) == 1:
         yield "--masses-grams: 1 mass, at least 2 for --response: loading and unloading"
 
 
-def _other_findings(wanted: Wanted) -> Iterator[str]:
-    if not 0 <= wanted.mass_std < SENSITIVITY_STD_MAX:
-        yield f"--mass-std: {wanted.mass_std:g}, must be at least 0 and below {SENSITIVITY_STD_MAX:g} (relative)"
-    if not 1 <= wanted.repeats <= 1000:
-        yield f"--repeats: {wanted.repeats}, must be between 1 and 1000"
-    for name, seconds in (("--hold-s", wanted.hold_s), ("--response-hold-s", wanted.response_hold_s)):
+def _other_findings(request: LoadRequest) -> Iterator[str]:
+    if not 0 <= request.mass_std < SENSITIVITY_STD_MAX:
+        yield f"--mass-std: {request.mass_std:g}, must be at least 0 and below {SENSITIVITY_STD_MAX:g} (relative)"
+    if not 1 <= request.repeats <= 1000:
+        yield f"--repeats: {request.repeats}, must be between 1 and 1000"
+    for name, seconds in (("--hold-s", request.hold_s), ("--response-hold-s", request.response_hold_s)):
         if not 0.2 <= seconds <= 3600:
             yield f"{name}: {seconds:g} s, must be between 0.2 and 3600"
     low, high = _KELVIN
-    for name, values in (("--kelvin", (wanted.kelvin,)), ("--temperatures-kelvin", wanted.temperatures_kelvin)):
+    for name, values in (("--kelvin", (request.kelvin,)), ("--temperatures-kelvin", request.temperatures_kelvin)):
         for value in values:
             if value is not None and not low <= value <= high:
                 yield f"{name}: {value:g} K, must be between {low:g} and {high:g}"
-    if wanted.temperatures_kelvin and wanted.kelvin is None:
+    if request.temperatures_kelvin and request.kelvin is None:
         yield "--kelvin: not given; a temperature sweep needs the temperature of the first loads, too"
-    if len(set(wanted.temperatures_kelvin)) < len(wanted.temperatures_kelvin):
+    if len(set(request.temperatures_kelvin)) < len(request.temperatures_kelvin):
         yield "--temperatures-kelvin: a temperature is named twice; name each once"
 
 

@@ -81,15 +81,15 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
         return calibrate_skin(arguments.config, getattr(arguments, "seconds", 20.0), as_json=as_json)
     from resonator_daemon.calibration.run import Ending, abort_staged, accept_staged, calibrate
-    from resonator_daemon.calibration.steps import Wanted
+    from resonator_daemon.calibration.steps import LoadRequest
 
     if "accept_staged" in arguments:
         return accept_staged(arguments.config, as_json=as_json)
     if "abort" in arguments:
         return abort_staged(arguments.config, as_json=as_json)
     masses = {"masses_kg": tuple(gram * 1e-3 for gram in arguments.masses_grams)} if "masses_grams" in arguments else {}
-    wanted = options_of(Wanted, arguments, **masses)
-    return calibrate(arguments.config, wanted, options_of(Ending, arguments, as_json=as_json))
+    request = options_of(LoadRequest, arguments, **masses)
+    return calibrate(arguments.config, request, options_of(Ending, arguments, as_json=as_json))
 
 
 def _numbers(text: str) -> tuple[float, ...]:

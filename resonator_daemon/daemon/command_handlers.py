@@ -13,8 +13,8 @@ from resonator_daemon.pipeline.control_requests import Control
 from resonator_daemon.publishing.commands import CommandRefusedError, Handler
 from resonator_daemon.publishing.payloads import Health, Message
 from resonator_daemon.publishing.verbs import (
-    AskHealth,
     HealthAnswer,
+    HealthRequest,
     Identify,
     IdentifyAnswer,
     JsonTopic,
@@ -107,7 +107,7 @@ class CommandHandlers:
         uptime_s = time.monotonic() - self._started_s
         return Pong(t_ns=time.time_ns(), daemon_boot_id=self._daemon_boot_id, uptime_s=uptime_s)
 
-    def _health(self, _request: AskHealth) -> HealthAnswer:
+    def _health(self, _request: HealthRequest) -> HealthAnswer:
         return HealthAnswer(health=self._parts.report_health())
 
     def _snapshot(self, request: Snapshot) -> SnapshotAnswer:

@@ -26,7 +26,7 @@ from resonator_daemon.host.journal import tag_log
 from resonator_daemon.host.places import runtime_directory
 from resonator_daemon.host.systemd import ServiceManager
 from resonator_daemon.monitoring.ages import Ages
-from resonator_daemon.monitoring.daemon_state import DaemonStanding, DaemonState
+from resonator_daemon.monitoring.daemon_state import DaemonSnapshot, DaemonState
 from resonator_daemon.monitoring.health import HealthMonitor
 from resonator_daemon.monitoring.liveness import DECLARED_WAITING, LivenessMonitor
 from resonator_daemon.monitoring.metrics_server import MetricsServer
@@ -273,8 +273,8 @@ class Service:
 
     def _make_offline(self, reason: str) -> State:
         now_ns = time.time_ns()
-        standing = self._daemon.standing._replace(condition=Condition.OFFLINE, reason=reason, since_utc_ns=now_ns)
-        return self._pipeline.states.daemon_state(standing, now_ns)
+        snapshot = self._daemon.snapshot._replace(condition=Condition.OFFLINE, reason=reason, since_utc_ns=now_ns)
+        return self._pipeline.states.daemon_state(snapshot, now_ns)
 
     def _is_late(self, gate_middle: Instant) -> bool:
         """Return whether a message about this instant is late, and a newer one can be made, or it is far too late."""
@@ -333,8 +333,8 @@ class Service:
         self._plate_publisher.publish(topic, message)
         self._recorded.record(topic, message)
 
-    def _publish_daemon_state(self, standing: DaemonStanding) -> None:
-        self._publish(STATE_DAEMON, self._pipeline.states.daemon_state(standing, time.time_ns()))
+    def _publish_daemon_state(self, snapshot: DaemonSnapshot) -> None:
+        self._publish(STATE_DAEMON, self._pipeline.states.daemon_state(snapshot, time.time_ns()))
 
     def _publish_measuring(self) -> None:
         reason = "; ".join(filter(None, ("measuring", self._in_use.remark)))

@@ -160,7 +160,7 @@ class DecoderSupervisor(Generic[Origin]):
                     return
                 self.release_contacts(f"the decoder {ending}")
                 if time.monotonic() - started_s > SOUND_S:
-                    backoff.start_anew()
+                    backoff.reset()
                 pause_s = backoff.next_s(RESTART_LONGEST_S)
                 log.error("decoder %s (%s): it is restarted in %.1f s", ending, how, pause_s)
                 self._client.announce(f"decoder {ending} ({how}) and is restarted")

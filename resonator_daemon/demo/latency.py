@@ -21,7 +21,7 @@ from resonator_daemon.config import Measurement, Mqtt
 from resonator_daemon.demo.latency_figures import Arrival, measure, read_gates
 from resonator_daemon.demo.latency_report import LatencyReport
 from resonator_daemon.demo.local_broker import local_broker
-from resonator_daemon.demo.processes import Child, complain_of_dead, cpu_s, start_daemons, start_emulator
+from resonator_daemon.demo.processes import Child, cpu_s, raise_if_ended, start_daemons, start_emulator
 from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError
 from resonator_daemon.host.printable import print_note
 from resonator_daemon.plate import load_plate
@@ -174,7 +174,7 @@ class _Bench:
         for event, seconds in ((subscriber.first_came, _START_S), (self._ended, _SETTLE_S)):
             deadline = time.monotonic() + seconds
             while not event.is_set() and not self._ended.is_set() and time.monotonic() < deadline:
-                complain_of_dead(children)
+                raise_if_ended(children)
                 await asyncio.sleep(_LOOK_S)
         self._refuse_to_go_on()
         if not subscriber.first_came.is_set():
@@ -198,7 +198,7 @@ class _Bench:
         started = time.monotonic()
         subscriber.counting = True
         while (left_s := started + self._options.seconds - time.monotonic()) > 0 and not self._ended.is_set():
-            complain_of_dead(children)
+            raise_if_ended(children)
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._ended.wait(), min(left_s, 10.0))
         self.cut_short = left_s > 0

@@ -38,12 +38,12 @@ class Latency:
     """What a run amounts to."""
 
     milliseconds: NDArray[np.float64]  # of each message, from the end of the last gate to the callback
-    unheard: int  # gaps in seq: lost on the way; of a decoder process, which takes over seq, also those that it skipped
+    not_received: int  # gaps in seq: lost on the way; of a decoder process, which copies seq, also what it skipped
     not_made: int  # windows of which no message was made: frames were lost, or skipped by the daemon's own decoder
 
     @property
     def missing(self) -> int:
-        return self.unheard + self.not_made
+        return self.not_received + self.not_made
 
     @property
     def late(self) -> int:

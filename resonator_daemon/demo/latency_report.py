@@ -58,7 +58,7 @@ class LatencyReport:
             },
             "count": len(latency.milliseconds),
             "missing": latency.missing,
-            "unheard": latency.unheard,
+            "unheard": latency.not_received,
             "not_made": latency.not_made,
             f"over_{LATE_MS:g}_ms": latency.late,
             "histogram": {
@@ -79,7 +79,7 @@ class LatencyReport:
             f"p50 {self._quantile_ms(0.5):g} ms, p99 {self._quantile_ms(0.99):g} ms, max {self._quantile_ms(1.0):g} ms "
             f"from the end of the last gate to the subscriber's callback",
             f"{len(latency.milliseconds)} messages, {latency.late} over {LATE_MS:g} ms, {latency.missing} missing "
-            f"({latency.unheard} {unheard}, {latency.not_made} not made)",
+            f"({latency.not_received} {unheard}, {latency.not_made} not made)",
             "",
             *_histogram(latency.counts(), self.daemon_counts),
             "",

@@ -64,7 +64,7 @@ async def _start_mosquitto(program: str, folder: Path) -> LocalBroker:
     child = await start_child(BROKER_PART, folder, (program, "-c", str(settings)))
     try:
         async with asyncio.timeout(_START_S):
-            while (complaint := child.complaint()) is None:
+            while (failure := child.failure()) is None:
                 try:
                     _, writer = await asyncio.open_connection("127.0.0.1", port)
                 except OSError:
@@ -75,4 +75,4 @@ async def _start_mosquitto(program: str, folder: Path) -> LocalBroker:
     except TimeoutError:
         await child.stop()
         raise UserError(f"Mosquitto does not listen on port {port} within {_START_S:g} s") from None
-    raise UserError(f"{complaint}; is port {port} taken?")
+    raise UserError(f"{failure}; is port {port} taken?")

@@ -44,7 +44,7 @@ class Child:
         """Return the process ids."""
         return {process.pid for process in self._family()}
 
-    def complaint(self) -> str | None:
+    def failure(self) -> str | None:
         """Return exit code and last line of a command that has ended by itself; None while it runs."""
         if self._process.returncode is None:
             return None
@@ -62,7 +62,7 @@ class Child:
         line = await self._process.stdout.readline() if self._process.stdout else b""
         if not line:
             await self._process.wait()
-            raise UserError(self.complaint() or f"{self.part} did not start")
+            raise UserError(self.failure() or f"{self.part} did not start")
         return line
 
     async def stop(self) -> None:
@@ -126,11 +126,11 @@ async def start_daemons(
     return [await start_child(part, folder, command) for part, command in commands.items()]
 
 
-def complain_of_dead(children: Iterable[Child]) -> None:
+def raise_if_ended(children: Iterable[Child]) -> None:
     """Raise UserError for a command that has ended by itself."""
     for child in children:
-        if complaint := child.complaint():
-            raise UserError(complaint)
+        if failure := child.failure():
+            raise UserError(failure)
 
 
 async def start_child(part: str, folder: Path, command: Sequence[str], stdout: int = DEVNULL) -> Child:

@@ -21,7 +21,7 @@ from rich.live import Live
 from resonator_daemon.config import Mqtt
 from resonator_daemon.demo.host_load import HostLoad
 from resonator_daemon.demo.local_broker import BROKER_PART, local_broker
-from resonator_daemon.demo.processes import Child, complain_of_dead, cpu_s, start_daemons, start_emulator
+from resonator_daemon.demo.processes import Child, cpu_s, raise_if_ended, start_daemons, start_emulator
 from resonator_daemon.demo.results import delays, failures, in_words, percentiles, plate_result
 from resonator_daemon.demo.score import SCORED, PlateScore
 from resonator_daemon.demo.subscription import Subscription
@@ -159,7 +159,7 @@ class _Demo:
         live = nullcontext() if self._options.headless else Live(console=console, screen=True, auto_refresh=False)
         with live as screen:
             while (left_s := started + self._options.seconds - time.monotonic()) > 0 and not self._stop.is_set():
-                complain_of_dead(self._children())
+                raise_if_ended(self._children())
                 self._take_arrivals()
                 if screen is not None:
                     screen.update(self._page(left_s), refresh=True)
@@ -181,7 +181,7 @@ class _Demo:
     async def _wait_for_frames(self) -> None:
         deadline = time.monotonic() + _START_S
         while not self._stop.is_set():
-            complain_of_dead(self._children())
+            raise_if_ended(self._children())
             self._take_arrivals()
             silent = [name for name, station in self._stations.items() if not station.score.started]
             if not silent:
@@ -196,7 +196,7 @@ class _Demo:
             station.score.begin()
             self._subscription.publish(full_topic(self._prefix, name, "cmd/health"), b"{}")
         while not (self._stop.is_set() or all(station.score.begun for station in self._stations.values())):
-            complain_of_dead(self._children())
+            raise_if_ended(self._children())
             await self._pause(_BEGIN_S)
             self._take_arrivals()
 

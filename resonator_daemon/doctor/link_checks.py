@@ -13,7 +13,7 @@ from resonator_daemon.session.probe import ProbeResult, round_trip_s
 
 OPENS: Final = Check("link.opens", Area.WIRING, "link")
 ANSWERS: Final = Check("board.answers", Area.WIRING, "board answers")
-TALKS: Final = Check("board.answers", Area.SENSOR, "board answers")  # it is there, and answers something else
+RESPONDS: Final = Check("board.answers", Area.SENSOR, "board answers")  # it is there, and answers something else
 MESSAGES: Final = Check("board.messages", Area.SENSOR, "messages of the board")  # sound packets, otherwise filled
 PINGS: Final = Check("board.pings", Area.SENSOR, "answers to pings")
 FITS: Final = Check("board.fits", Area.SENSOR, "board and plate file")

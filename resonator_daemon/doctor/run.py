@@ -191,7 +191,7 @@ class _Diagnosis:
             if error.refused is not None:
                 yield link_checks.MESSAGES.fault(str(error), link_checks.FIRMWARE)
             else:
-                check = link_checks.TALKS if error.is_a_board else link_checks.ANSWERS
+                check = link_checks.RESPONDS if error.is_a_board else link_checks.ANSWERS
                 yield check.fault(str(error), "check power, cable and baud rate, and that it is this port")
             yield from not_checked(_AFTER_OPENING, "no board answers")
             return

@@ -5,7 +5,7 @@ from typing import Final
 
 from resonator_daemon.monitoring.status import Status
 
-_TOLD_AFTER_S: Final = 10.0  # at most, if the wall clock was not set meanwhile
+_DELAY_MAX_S: Final = 10.0  # at most, if the wall clock was not set meanwhile
 
 
 class Ages:
@@ -29,7 +29,7 @@ class Ages:
             known_ns, begun_s = self._begun.get(name, (None, now_s))
             if known_ns != moment_ns:
                 passed_s = (utc_ns - moment_ns) * 1e-9
-                begun_s = now_s - min(passed_s, uptime_s) if 0 <= passed_s <= _TOLD_AFTER_S else now_s
+                begun_s = now_s - min(passed_s, uptime_s) if 0 <= passed_s <= _DELAY_MAX_S else now_s
                 self._begun[name] = moment_ns, begun_s
             ages[name] = now_s - begun_s
         return ages

@@ -1,4 +1,4 @@
-"""The daemon's own state: what it is doing, how often it met the broker, and whether another bears its name."""
+"""The daemon's own state: what it is doing, how often it connected to the broker, and whether another has its name."""
 
 import json
 import logging
@@ -6,8 +6,9 @@ import time
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
+from resonator_daemon.publishing.headers import HeaderFields
 from resonator_daemon.publishing.mqtt_messages import Incoming
-from resonator_daemon.publishing.payloads import Condition
+from resonator_daemon.publishing.payloads import Condition, State
 
 _BOOT_ID_LENGTH_MAX: Final = 64
 _OTHERS_MAX: Final = 4  # that are named; nobody runs more under one name, but anyone may claim to
@@ -15,14 +16,25 @@ _OTHERS_MAX: Final = 4  # that are named; nobody runs more under one name, but a
 log = logging.getLogger(__name__)
 
 
-class DaemonStanding(NamedTuple):
-    """Fields of `state/daemon` beside its header."""
+class DaemonSnapshot(NamedTuple):
+    """Fields of `state/daemon` apart from its header."""
 
     condition: Condition
     reason: str
     since_utc_ns: int
     connections: int
     connected_utc_ns: int | None
+
+    def message(self, header: HeaderFields) -> State:
+        """Return the message for `state/daemon` under a header."""
+        return State(
+            **header,
+            state=self.condition,
+            reason=self.reason,
+            since_t_ns=self.since_utc_ns,
+            connections=self.connections,
+            connected_t_ns=self.connected_utc_ns,
+        )
 
 
 class DaemonState:
@@ -44,7 +56,7 @@ class DaemonState:
     """
 
     def __init__(
-        self, daemon_boot_id: str, announce: Callable[[DaemonStanding], None], republish: Callable[[], None]
+        self, daemon_boot_id: str, announce: Callable[[DaemonSnapshot], None], republish: Callable[[], None]
     ) -> None:
         self._daemon_boot_id = daemon_boot_id
         self._announce = announce
@@ -63,18 +75,18 @@ class DaemonState:
         return bool(self._others)
 
     @property
-    def standing(self) -> DaemonStanding:
+    def snapshot(self) -> DaemonSnapshot:
         reason = self._reason
         if self._others:
             reason += (
                 f"; another daemon (boot id {', '.join(sorted(self._others))}) publishes under this name: stop one of "
                 "them, or give it another name"
             )
-        return DaemonStanding(self._condition, reason, self._since_utc_ns, self._connections, self._connected_utc_ns)
+        return DaemonSnapshot(self._condition, reason, self._since_utc_ns, self._connections, self._connected_utc_ns)
 
     def become(self, condition: Condition, reason: str, since_utc_ns: int) -> None:
         self._condition, self._reason, self._since_utc_ns = condition, reason, since_utc_ns
-        self._announce(self.standing)
+        self._announce(self.snapshot)
 
     def end(self) -> None:
         """Stop announcing: the next message is the last."""
@@ -84,7 +96,7 @@ class DaemonState:
         """Announce a new connection to the broker, by its number."""
         self._connections, self._connected_utc_ns = number, time.time_ns()
         self._others.clear()  # any other that still runs announces itself again when it receives this state
-        self._announce(self.standing)
+        self._announce(self.snapshot)
 
     def receive(self, message: Incoming) -> None:
         """Handle a message on this daemon's `state/daemon`, from any sender."""
@@ -103,7 +115,7 @@ class DaemonState:
                 self._others.remove(boot_id)
             if boot_id != self._daemon_boot_id:
                 self._republish()
-            self._announce(self.standing)
+            self._announce(self.snapshot)
         elif boot_id not in (self._daemon_boot_id, *self._others) and len(self._others) < _OTHERS_MAX:
             self._others.add(boot_id)
             log.warning(
@@ -112,4 +124,4 @@ class DaemonState:
                 boot_id,
                 message.topic,
             )
-            self._announce(self.standing)
+            self._announce(self.snapshot)

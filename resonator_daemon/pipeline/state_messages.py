@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.config import Config
-from resonator_daemon.monitoring.daemon_state import DaemonStanding
+from resonator_daemon.monitoring.daemon_state import DaemonSnapshot
 from resonator_daemon.publishing.headers import Headers
 from resonator_daemon.publishing.payloads import (
     CalibrationInfo,
@@ -59,15 +59,8 @@ class StateMessages:
         self.allowed: Collection[str] = config.commands.allow
         self._last_ns: dict[Topic[State], tuple[int, int]] = {}
 
-    def daemon_state(self, standing: DaemonStanding, utc_ns: int) -> State:
-        return State(
-            **self._headers.of(STATE_DAEMON, utc_ns),
-            state=standing.condition,
-            reason=standing.reason,
-            since_t_ns=standing.since_utc_ns,
-            connections=standing.connections,
-            connected_t_ns=standing.connected_utc_ns,
-        )
+    def daemon_state(self, snapshot: DaemonSnapshot, utc_ns: int) -> State:
+        return snapshot.message(self._headers.of(STATE_DAEMON, utc_ns))
 
     def link_state(self, link: LinkChange, outage: Outage | None, boots: int) -> State:
         """Return the link's state, with its last outage and the number of boots of the board."""

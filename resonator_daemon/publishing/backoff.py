@@ -16,5 +16,5 @@ class Backoff:
         self._next_s = 2 * pause_s
         return pause_s * random.uniform(0.5, 1.0)
 
-    def start_anew(self) -> None:
+    def reset(self) -> None:
         self._next_s = self._first_s

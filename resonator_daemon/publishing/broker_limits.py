@@ -5,7 +5,7 @@ from typing import Any, Final, NamedTuple
 
 SUSPECT_BYTES_MIN: Final = 1024
 SUSPECT_S: Final = 2.0
-FORGET_S: Final = 600.0  # then one more message of that size is tried: the broker's limit may have been raised
+EXPIRY_S: Final = 600.0  # then one more message of that size is tried: the broker's limit may have been raised
 
 _PACKET_BYTES_MAX: Final = 268_435_455 + 5  # largest that MQTT can encode
 _FIXED_BYTES: Final = 5  # at most: type and remaining length
@@ -74,7 +74,7 @@ class LargestMessages:
 
     def bytes_max(self, now_s: float) -> int:
         """Return the largest size of a packet that may be sent."""
-        if self._bytes_max is not None and now_s - self._since_s > FORGET_S:
+        if self._bytes_max is not None and now_s - self._since_s > EXPIRY_S:
             self._bytes_max = None
         return _PACKET_BYTES_MAX if self._bytes_max is None else self._bytes_max
 

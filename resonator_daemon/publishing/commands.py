@@ -21,8 +21,8 @@ from resonator_daemon.toml_files.reading import nearest
 WAITING_MAX: Final = 32
 AT_ONCE: Final = 20
 PER_SECOND: Final = 10.0
-COMPLAINTS_AT_ONCE: Final = 5  # refusals with "too many"
-COMPLAINTS_PER_SECOND: Final = 1.0
+REFUSALS_AT_ONCE: Final = 5  # refusals with "too many"
+REFUSALS_PER_SECOND: Final = 1.0
 WARN_AGAIN_S: Final = 60.0
 DEFERRED_S: Final = 8.0  # less than `requests.ANSWER_S`
 RESPONSE_TOPIC_BYTES_MAX: Final = 1024
@@ -48,7 +48,7 @@ class CommandRefusedError(Exception):
         self.code, self.message, self.hint = code, message, hint
 
 
-class _Asked(NamedTuple):
+class _Command(NamedTuple):
     """A command with the place for its answer."""
 
     verb: str
@@ -95,9 +95,9 @@ class Commands:
         self._loop = asyncio.get_running_loop()
         self._deferred_s = deferred_s
         self._bucket = TokenBucket(AT_ONCE, PER_SECOND, clock or self._loop.time)
-        self._complaints = TokenBucket(COMPLAINTS_AT_ONCE, COMPLAINTS_PER_SECOND, clock or self._loop.time)
+        self._refusals = TokenBucket(REFUSALS_AT_ONCE, REFUSALS_PER_SECOND, clock or self._loop.time)
         self._warnings = TokenBucket(1, 1 / WARN_AGAIN_S, clock or self._loop.time)
-        self._waiting: deque[_Asked] = deque()
+        self._waiting: deque[_Command] = deque()
         self._work: set[asyncio.Task[Answer]] = set()
         self._finishing: set[asyncio.Task[None]] = set()
         self._logged: set[tuple[str, type[Exception]]] = set()
@@ -115,15 +115,15 @@ class Commands:
         if self._closed:
             self.counts["unanswered"] += 1
             return
-        asked = self._asked(message)
+        command = self._parse(message)
         if not self._bucket.try_acquire():
-            self._complain(asked)
+            self._refuse_excess(command)
         elif len(self._waiting) + len(self._finishing) >= WAITING_MAX:
-            self._refuse(asked, "busy", f"{WAITING_MAX} commands wait already", "send it again later")
+            self._refuse(command, "busy", f"{WAITING_MAX} commands wait already", "send it again later")
         else:
             if not self._waiting:
                 self._loop.call_soon(self._handle_next)
-            self._waiting.append(asked)
+            self._waiting.append(command)
 
     async def close(self) -> None:
         """Discard the waiting commands without an answer; ignore all later ones."""
@@ -134,7 +134,7 @@ class Commands:
             work.cancel()
         await asyncio.gather(*self._finishing)
 
-    def _asked(self, message: Incoming) -> _Asked:
+    def _parse(self, message: Incoming) -> _Command:
         word = message.topic.removeprefix(f"{self._base}/cmd/")
         verb = word if _WORD.fullmatch(word) else "unknown"
         topic, correlation = message.response_topic, message.correlation
@@ -150,7 +150,7 @@ class Commands:
             below = f"use a topic outside {self._base.rpartition('/')[0]}/, or below {self._base}/rsp/"
             refused = CommandRefusedError("response_topic", f"answers do not go to {_quoted(topic)}", below)
             topic = None
-        return _Asked(verb, message.payload, topic or f"{self._base}/rsp/{verb}", correlation, refused)
+        return _Command(verb, message.payload, topic or f"{self._base}/rsp/{verb}", correlation, refused)
 
     def _may_answer_to(self, topic: str) -> bool:
         """Whether a topic can be published to and is none of a daemon's own, which others believe."""
@@ -161,11 +161,11 @@ class Commands:
         prefix = self._base.rpartition("/")[0]
         return topic.startswith(f"{self._base}/rsp/") or not f"{topic}/".startswith(f"{prefix}/")
 
-    def _complain(self, asked: _Asked) -> None:
+    def _refuse_excess(self, command: _Command) -> None:
         """Answer some of a flood, but not each: a flood of answers would be no better."""
-        if self._complaints.try_acquire():
+        if self._refusals.try_acquire():
             more = f"more than {AT_ONCE} commands at once, or {PER_SECOND:g} a second"
-            self._refuse(asked, "too_many", more, "send them more slowly; some get no answer at all")
+            self._refuse(command, "too_many", more, "send them more slowly; some get no answer at all")
             return
         self.counts["unanswered"] += 1
         if self._warnings.try_acquire():
@@ -174,70 +174,70 @@ class Commands:
     def _handle_next(self) -> None:
         if not self._waiting:  # closed meanwhile
             return
-        asked = self._waiting.popleft()
+        command = self._waiting.popleft()
         if self._waiting:
             self._loop.call_soon(self._handle_next)
-        with self._refusing(asked):
-            outcome = self._begin(asked)
+        with self._refusing(command):
+            outcome = self._begin(command)
             if isinstance(outcome, Answer):
-                self._answer(asked, outcome)
+                self._answer(command, outcome)
             else:
-                work = self._loop.create_task(outcome, name=f"command {asked.verb}")
+                work = self._loop.create_task(outcome, name=f"command {command.verb}")
                 self._work.add(work)
                 work.add_done_callback(self._work.discard)
-                finishing = self._loop.create_task(self._finish(asked, work), name=f"answer to {asked.verb}")
+                finishing = self._loop.create_task(self._finish(command, work), name=f"answer to {command.verb}")
                 self._finishing.add(finishing)
                 finishing.add_done_callback(self._finishing.discard)
 
-    def _begin(self, asked: _Asked) -> Answer | Coroutine[Any, Any, Answer]:
-        if asked.refused is not None:
-            raise asked.refused
-        verb, handler = VERBS[asked.verb], self._handlers[asked.verb]
-        if verb.changes and asked.verb not in self.allowed:
+    def _begin(self, command: _Command) -> Answer | Coroutine[Any, Any, Answer]:
+        if command.refused is not None:
+            raise command.refused
+        verb, handler = VERBS[command.verb], self._handlers[command.verb]
+        if verb.changes and command.verb not in self.allowed:
             raise CommandRefusedError(
                 "not_permitted",
-                f"{asked.verb} is not permitted",
-                f'add "{asked.verb}" to allow in [commands] of the daemon\'s configuration, and send it SIGHUP',
+                f"{command.verb} is not permitted",
+                f'add "{command.verb}" to allow in [commands] of the daemon\'s configuration, and send it SIGHUP',
             )
-        return handler(_request(verb, asked.payload))
+        return handler(_request(verb, command.payload))
 
-    async def _finish(self, asked: _Asked, work: asyncio.Task[Answer]) -> None:
+    async def _finish(self, command: _Command, work: asyncio.Task[Answer]) -> None:
         """Answer when the work is done, or when it takes too long; it keeps its place among those that wait."""
         await asyncio.wait({work}, timeout=self._deferred_s)
         if not work.done():
             late = f"not done within {self._deferred_s:g} s, and may still be done"
-            self._refuse(asked, "timeout", late, "ask for health or state before sending it again")
+            self._refuse(command, "timeout", late, "ask for health or state before sending it again")
             await asyncio.wait({work})
             if not work.cancelled() and (error := work.exception()) is not None:
-                log.warning("command %s, too late for an answer: %s", asked.verb, error)
+                log.warning("command %s, too late for an answer: %s", command.verb, error)
         elif work.cancelled():
             self.counts["unanswered"] += 1
         else:
-            with self._refusing(asked):
-                self._answer(asked, work.result())
+            with self._refusing(command):
+                self._answer(command, work.result())
 
     @contextmanager
-    def _refusing(self, asked: _Asked) -> Iterator[None]:
+    def _refusing(self, command: _Command) -> Iterator[None]:
         try:
             yield
         except CommandRefusedError as refused:
-            self._refuse(asked, refused.code, refused.message, refused.hint)
+            self._refuse(command, refused.code, refused.message, refused.hint)
         except Exception as error:  # a command of any sender must not end the daemon
-            kind = (asked.verb, type(error))
+            kind = (command.verb, type(error))
             if kind not in self._logged:
                 self._logged.add(kind)
-                log.error("command %s failed; further such failures are not logged", asked.verb, exc_info=error)
-            self._refuse(asked, "failed", f"{asked.verb} failed in the daemon", "see its log")
+                log.error("command %s failed; further such failures are not logged", command.verb, exc_info=error)
+            self._refuse(command, "failed", f"{command.verb} failed in the daemon", "see its log")
 
-    def _answer(self, asked: _Asked, answer: Answer) -> None:
-        self._send(Outgoing(asked.topic, answer.model_dump_json().encode(), asked.correlation))
+    def _answer(self, command: _Command, answer: Answer) -> None:
+        self._send(Outgoing(command.topic, answer.model_dump_json().encode(), command.correlation))
         self.counts["done"] += 1
 
-    def _refuse(self, asked: _Asked, code: ErrorCode, message: str, hint: str = "") -> None:
+    def _refuse(self, command: _Command, code: ErrorCode, message: str, hint: str = "") -> None:
         problem = Problem(code=code, message=message[:_TEXT_LENGTH_MAX], hint=hint[:_TEXT_LENGTH_MAX])
-        refusal = Refusal(verb=asked.verb, error=problem)
+        refusal = Refusal(verb=command.verb, error=problem)
         # In ASCII, which takes any text: a path may hold what UTF-8 does not.
-        self._send(Outgoing(asked.topic, json.dumps(refusal.model_dump()).encode(), asked.correlation))
+        self._send(Outgoing(command.topic, json.dumps(refusal.model_dump()).encode(), command.correlation))
         self.counts[code] += 1
 
 

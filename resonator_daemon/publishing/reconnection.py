@@ -101,7 +101,7 @@ async def keep_connected(
             answered = connection_errors.code_of(error) != connection_errors.UNSPECIFIED
             report_change(logging.WARNING, f"{error if answered else 'connection lost'}; trying again")
         if accepted_s is not None and loop.time() - accepted_s > times.stable_s:
-            pauses.start_anew()
+            pauses.reset()
         await asyncio.wait([closing], timeout=pauses.next_s(longest_pause_s))
 
 

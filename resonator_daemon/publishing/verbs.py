@@ -87,7 +87,7 @@ class Pong(Answer):
     uptime_s: float
 
 
-class AskHealth(Request):
+class HealthRequest(Request):
     """Ask for a message of `health` at once; it is published, too."""
 
 
@@ -256,7 +256,7 @@ VERBS: Final[dict[str, Verb]] = {
     verb.name: verb
     for verb in (
         Verb(Ping, Pong, "confirms that the daemon runs"),
-        Verb(AskHealth, HealthAnswer, "answers with the health of the daemon"),
+        Verb(HealthRequest, HealthAnswer, "answers with the health of the daemon"),
         Verb(Snapshot, SnapshotAnswer, "repeats the last message of each JSON topic"),
         Verb(Tare, TareAnswer, "takes the present readings as those of the untouched plate"),
         Verb(StartRecording, StartRecordingAnswer, "records the link to a file"),

@@ -125,7 +125,7 @@ class SharedPlates:
             return
         self._problems.pop(name, None)
         if not message.payload:
-            self._forget(name)
+            self._remove(name)
             return
         if name in self._plates:
             if self._plates[name].read_info(message.payload):
@@ -149,7 +149,7 @@ class SharedPlates:
             (max(plate.last_s, self._entered_s[known]), known) for known, plate in self._plates.items()
         )
         if time.monotonic() - silent_s > GIVES_WAY_AFTER_S:
-            self._forget(silent)
+            self._remove(silent)
             return True
         if not self._is_full:
             log.warning("more than %d plates: %s and others are not decoded", PLATES_MAX, name)
@@ -161,7 +161,7 @@ class SharedPlates:
             del self._problems[next(iter(self._problems))]
         self._problems[name] = problem
 
-    def _forget(self, name: str) -> None:
+    def _remove(self, name: str) -> None:
         if self._plates.pop(name, None) is None:
             return
         del self._entered_s[name]

@@ -10,8 +10,9 @@ from typing import Final, Self
 from resonator_daemon.config import Mqtt
 from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.printable import printable
-from resonator_daemon.monitoring.daemon_state import DaemonStanding, DaemonState
+from resonator_daemon.monitoring.daemon_state import DaemonSnapshot, DaemonState
 from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.headers import Headers
 from resonator_daemon.publishing.message_account import Cause
 from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.payloads import Condition, Lost, State
@@ -68,8 +69,8 @@ class AtBroker:
         self._named_by = named_by
         self._what = f"replaying {printable(file_name)}"
         self._base = f"{mqtt.prefix}/{name}"
-        self._seq = 0
         self.daemon_boot_id = secrets.token_hex(8)
+        self._headers = Headers(self.daemon_boot_id, Lost)
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -107,7 +108,7 @@ class AtBroker:
         self._state.end()
         if error is None:
             await self._room(0)
-        offline = self._daemon_state(self._standing(Condition.OFFLINE, f"{self._what}: over"))
+        offline = self._daemon_state(self._snapshot(Condition.OFFLINE, f"{self._what}: over"))
         await self._publisher.close((self._base, STATE_DAEMON, offline))
         await self._running
 
@@ -143,29 +144,16 @@ class AtBroker:
         except TimeoutError:
             pass  # no message of this name came
 
-    def _publish_state(self, standing: DaemonStanding) -> None:
-        self._publisher.publish(self._base, STATE_DAEMON, self._daemon_state(standing))
+    def _publish_state(self, snapshot: DaemonSnapshot) -> None:
+        self._publisher.publish(self._base, STATE_DAEMON, self._daemon_state(snapshot))
 
-    def _standing(self, condition: Condition, reason: str) -> DaemonStanding:
-        return self._state.standing._replace(condition=condition, reason=reason, since_utc_ns=time.time_ns())
+    def _snapshot(self, condition: Condition, reason: str) -> DaemonSnapshot:
+        return self._state.snapshot._replace(condition=condition, reason=reason, since_utc_ns=time.time_ns())
 
-    def _daemon_state(self, standing: DaemonStanding) -> State:
-        self._seq += 1
-        return State(
-            seq=self._seq - 1,
-            daemon_boot_id=self.daemon_boot_id,
-            board_boot_id=None,
-            t_ns=time.time_ns(),
-            t_unc_ns=0,
-            lost=Lost(),
-            state=standing.condition,
-            reason=standing.reason,
-            since_t_ns=standing.since_utc_ns,
-            connections=standing.connections,
-            connected_t_ns=standing.connected_utc_ns,
-        )
+    def _daemon_state(self, snapshot: DaemonSnapshot) -> State:
+        return snapshot.message(self._headers.of(STATE_DAEMON, time.time_ns()))
 
     def _make_will(self) -> Outgoing:
-        will = self._daemon_state(self._standing(Condition.OFFLINE, "connection lost"))
+        will = self._daemon_state(self._snapshot(Condition.OFFLINE, "connection lost"))
         will = will.model_copy(update={"since_t_ns": None})
         return Outgoing(f"{self._base}/{STATE_DAEMON.path}", encode(will), retained=STATE_DAEMON.retained)

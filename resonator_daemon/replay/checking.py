@@ -24,7 +24,7 @@ from resonator_daemon.replay.comparing import (
 )
 from resonator_daemon.replay.source import open_replay
 
-_TOLD: Final = 5  # differences of a case; the rest is counted
+_SHOWN_MAX: Final = 5  # differences of a case; the rest is counted
 _VALUE_LENGTH: Final = 60
 
 
@@ -114,7 +114,7 @@ def check_case(directory: Path, expected: Expected) -> Verdict:
         len(expected.messages),
         expected.sha256 == outcome.sha256,
         len(findings),
-        tuple(findings[:_TOLD]),
+        tuple(findings[:_SHOWN_MAX]),
     )
 
 

@@ -19,7 +19,7 @@ from resonator_daemon.session.frames import Frame, SingleToneFrame
 from resonator_daemon.tones.frequency_estimators import Sums, oscillator_std
 from resonator_daemon.tones.gate_block import GateBlock, WindowSums
 from resonator_daemon.tones.record_checks import CAPTURE_SWITCH
-from resonator_daemon.tones.tone_count import UNHEARD, ToneCount, count_tone
+from resonator_daemon.tones.tone_count import NO_TONE, ToneCount, count_tone
 from resonator_daemon.tones.tone_detector import PILOT_TOLERANCE, capture_band_hz
 from resonator_daemon.tones.tone_windows import ToneWindows
 
@@ -74,14 +74,14 @@ class SingleToneProcessing:
         self._positions_m: list[tuple[float, float]] = [(x, y) for x, y in sites.positions_m.tolist()]
         self._covariance_m2 = [np.diag(std_m**2) for std_m in cell_std_m(sites.positions_m, sites.outline_m)]
         self._tracker = ContactTracker(round(UNKNOWN_CONTACT_S * reference_hz))
-        self._unheard = (math.nan,) * channels
+        self._no_pilot = (math.nan,) * channels
         self._pilot_attenuation_db = [math.nan] * channels
         self._touch_sites: set[int] = set()  # by the last reading
         self._quiet = [0] * channels
         self._crowded = self._quiet  # frames in a row in which no tone was the strongest
         self._last: tuple[int, int] | None = None  # sequence and ticks of the last frame
         self._evaluated_ticks: int | None = None
-        self._pilot: tuple[float, ...] = self._unheard  # g by the pilot in the last reading
+        self._pilot: tuple[float, ...] = self._no_pilot  # g by the pilot in the last reading
         self.unusable: Counter[str] = Counter()  # records that gave no frequency, by cause
         self._measure_over(window_frames, step_frames)
 
@@ -98,7 +98,7 @@ class SingleToneProcessing:
         self._latch.release()
         self._crowded = self._quiet
         self._last = self._evaluated_ticks = None
-        self._pilot = self._unheard
+        self._pilot = self._no_pilot
         return events
 
     def tare(self) -> str | None:
@@ -164,7 +164,7 @@ class SingleToneProcessing:
             at_step = gate in steps
             if not at_step:
                 if others is None and not self._tracker.any_open:
-                    others = self._other_tone_heard(block)
+                    others = self._other_tones(block)
                 something_new = gate in (changed if self._tracker.any_open else others or ())
                 if not (something_new and self._common_mode.known):
                     continue
@@ -216,7 +216,7 @@ class SingleToneProcessing:
             return []
         return [gate for gate, held in enumerate(block.held) if first in held or second in held]
 
-    def _other_tone_heard(self, block: GateBlock) -> list[int]:
+    def _other_tones(self, block: GateBlock) -> list[int]:
         """Return the gates at which at least two channels have had another tone than the pilot for long enough."""
         onset = self._onset_frames
         return [
@@ -228,11 +228,11 @@ class SingleToneProcessing:
         ]
 
     def _read(self, sequence: int, board_ticks: int, window: "_Window", *, at_step: bool) -> ForceReading:
-        frames, heard_hz = window.frames, window.frequency_hz
+        frames, measured_hz = window.frames, window.frequency_hz
         pilot_hz, tolerance, unknown = self._pilot_hz, PILOT_TOLERANCE, math.nan
-        off = [f / pilot_hz - 1 for f in heard_hz]
+        off = [f / pilot_hz - 1 for f in measured_hz]
         pilot = tuple([g if -tolerance < g < tolerance else unknown for g in off])
-        silent, others = sum(map(math.isnan, heard_hz)), sum(map(math.isnan, pilot))
+        silent, others = sum(map(math.isnan, measured_hz)), sum(map(math.isnan, pilot))
         pilots, tones = len(pilot) - others, others - silent
         untouched = tones == 0 and pilots >= 2
         self._follow(board_ticks, pilot, window, untouched=untouched and frames == self._window_frames)
@@ -242,12 +242,12 @@ class SingleToneProcessing:
         beats: tuple[int, ...] = ()
         if untouched:
             status, reason = (
-                ("ok", self._missing(window)) if self._common_mode.known else self._learning(pilots, window)
+                ("ok", self._missing(window)) if self._common_mode.known else self._estimating(pilots, window)
             )
         elif tones and not self._common_mode.known:
             status, reason = "pressed_at_start", "touched before the pilot was heard on all channels"
         elif tones >= 2:
-            counts = self._counted(window, heard_hz, pilot)
+            counts = self._counted(window, measured_hz, pilot)
             beats = tuple([channel for channel, count in enumerate(counts) if count.beats])
             match = self._latch.apply(self._match(counts, frames))
             status, reason, forces = match.status, match.reason, match.forces
@@ -265,8 +265,8 @@ class SingleToneProcessing:
             positions_m, covariance_m2 = self._positions_m, self._covariance_m2
             touches = [touch_of(force, positions_m[force.site], covariance_m2[force.site]) for force in forces]
         touches = self._confirmed(touches, frames)
-        unheard = ("no_signal", "another site is heard instead") if forces else (status, reason)
-        events = self._tracker.update(board_ticks, touches, complete=untouched, status=unheard[0], reason=unheard[1])
+        absent = ("no_signal", "another site is heard instead") if forces else (status, reason)
+        events = self._tracker.update(board_ticks, touches, complete=untouched, status=absent[0], reason=absent[1])
         return ForceReading(
             sequence,
             board_ticks,
@@ -287,7 +287,7 @@ class SingleToneProcessing:
         self._evaluated_ticks = board_ticks
         elapsed_s = max(board_ticks - before, 0) / self._reference_hz
         # Channels without a signal stay out of it: a touch would have taken the pilot's place on the others, too.
-        self._common_mode.update(pilot if untouched else self._unheard, elapsed_s)
+        self._common_mode.update(pilot if untouched else self._no_pilot, elapsed_s)
         self._pilot = pilot
         if untouched:
             self._latch.release()
@@ -297,16 +297,16 @@ class SingleToneProcessing:
                 for g, before, now in zip(pilot, self._pilot_attenuation_db, window.attenuation_db, strict=True)
             ]
 
-    def _counted(self, window: "_Window", heard_hz: Sequence[float], pilot: Sequence[float]) -> list[ToneCount]:
+    def _counted(self, window: "_Window", measured_hz: Sequence[float], pilot: Sequence[float]) -> list[ToneCount]:
         """Return what each channel with another tone than the pilot counts, and how well."""
-        counts = [UNHEARD] * len(pilot)
+        counts = [NO_TONE] * len(pilot)
         attenuation_db = window.attenuation_db
         gate_hz, residual_ticks2 = window.gates
         for channel, (sums, g) in enumerate(zip(window.sums, pilot, strict=True)):
             if sums is not None and math.isnan(g):
                 counts[channel] = count_tone(
                     sums,
-                    heard_hz[channel],
+                    measured_hz[channel],
                     gate_hz[channel],
                     residual_ticks2[channel],
                     reference_hz=self._reference_hz,
@@ -364,7 +364,7 @@ class SingleToneProcessing:
             "off" if self._sites.response is None else "on",
         )
 
-    def _learning(self, pilots: int, window: "_Window") -> tuple[SensorStatus, str]:
+    def _estimating(self, pilots: int, window: "_Window") -> tuple[SensorStatus, str]:
         if pilots == self._windows.channels or self._settling(window):
             return "settling", "the common mode is being learnt"
         return "pilot_lost", self._missing(window)

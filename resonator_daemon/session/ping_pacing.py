@@ -4,7 +4,7 @@ import math
 
 _TARGET_NS = 100_000
 _NEAR_BEST = 1.2
-_LEARNING = 800  # exchanges: 8 s of them
+_SETTLING = 800  # exchanges: 8 s of them
 _REMEMBERED_NS = 30_000_000_000
 # A span above 16 ms, so that the spread covers the period of whatever collects answers: 1, 5, 10 or 16 ms.
 _LEARNING_NS, _LEARNING_SPAN_NS = 1_500_000, 17_000_000
@@ -31,7 +31,7 @@ class PingPacing:
             self._best_before_ns, self._best_ns = self._best_ns, math.inf
             self._since_ns = now_monotonic_ns
         self._best_ns = min(self._best_ns, uncertainty_ns)
-        self._learning = count < _LEARNING
+        self._learning = count < _SETTLING
         reachable_ns = 0.0 if self._learning else _NEAR_BEST * min(self._best_ns, self._best_before_ns)
         self._rapid = uncertainty_ns > max(_TARGET_NS, reachable_ns)
 

@@ -102,7 +102,7 @@ class _Probe:
 
     def run(self) -> ProbeResult:
         begun = time.monotonic()
-        last_said, next_ping = begun, begun
+        last_sent, next_ping = begun, begun
         while self._described is None or self._pings < _PINGS or not self._blink_answered:
             now = time.monotonic()
             if self._described is None and now - begun > ANSWER_S:
@@ -112,13 +112,13 @@ class _Probe:
             if self._described is not None and now >= next_ping and self._pings < _PINGS:
                 self._ping()
                 next_ping = now + PING_S
-            if self._session.awaits_answer and now - last_said > _ASK_AGAIN_S:
+            if self._session.awaits_answer and now - last_sent > _ASK_AGAIN_S:
                 self._session.ask_again()
                 if self._described is not None and not self._blink_answered:
                     self._session.locate()
             if data := self._session.data_to_send():
                 self._link.write(data)
-                last_said = now
+                last_sent = now
             received = self._link.read(_POLL_S)
             received_ns = time.monotonic_ns()
             for event in self._session.receive(received):

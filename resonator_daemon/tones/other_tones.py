@@ -34,7 +34,7 @@ def pilot_residual_ticks2(ratio: float, frequency_hz: float, reference_hz: float
     return moved_ticks * moved_ticks / 2.0
 
 
-def hears_another_tone(residual_ticks2: float, noise_ticks2: float, pilot_ticks2: float) -> bool:
+def has_other_tone(residual_ticks2: float, noise_ticks2: float, pilot_ticks2: float) -> bool:
     """Return whether the ends of a window's gates lie off their lines by more than noise and pilot explain."""
     return residual_ticks2 > RESIDUAL_LIMIT * (noise_ticks2 + pilot_ticks2)
 

@@ -12,7 +12,7 @@ from resonator_daemon.tones.frequency_estimators import Sums, regression_std, st
 from resonator_daemon.tones.other_tones import (
     beat_bound_hz,
     beat_std_hz,
-    hears_another_tone,
+    has_other_tone,
     pilot_residual_ticks2,
 )
 from resonator_daemon.tones.quantisation import EXCESS_LIMIT, excess_bound_of_one, stamp_jitter_ticks
@@ -29,7 +29,7 @@ class ToneCount(NamedTuple):
     beats: bool
 
 
-UNHEARD: Final = ToneCount(math.nan, math.nan, others=False, beats=False)
+NO_TONE: Final = ToneCount(math.nan, math.nan, others=False, beats=False)
 
 
 def count_tone(
@@ -66,7 +66,7 @@ def count_tone(
     noise_ticks2 = noise_ticks * noise_ticks
     residual_ticks2 = sum(gate_residual_ticks2) / frames
     ratio = 1.0 if math.isnan(over_pilot_db) else min(10.0 ** (over_pilot_db / 20.0), 1.0)
-    others = hears_another_tone(residual_ticks2, noise_ticks2, pilot_residual_ticks2(ratio, frequency_hz, reference_hz))
+    others = has_other_tone(residual_ticks2, noise_ticks2, pilot_residual_ticks2(ratio, frequency_hz, reference_hz))
     beat_hz = beat_std_hz(gate_hz, frequency_hz * window_std * frames**1.5)
     if others:
         bound_hz = beat_bound_hz(residual_ticks2, noise_ticks2, frequency_hz, reference_hz, distance_hz, window_s)

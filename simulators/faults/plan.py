@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Happening = Literal["unplug", "rename", "freeze", "silence", "reboot", "brown_out", "tick_step", "wrong_board"]
-Lie = Literal[
+Violation = Literal[
     "channels0",
     "channels5",
     "other_gate",
@@ -87,11 +87,11 @@ class FaultPlan(BaseModel):
     unplug_rate_hz: Rate = Field(0.0, description="How often the cable is pulled, at random.")
     unplug_for_s: Duration = Field(1.0, description="How long it is out each time.")
     skew_ppm: Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False, strict=True)] = Field(
-        0.0, description="How much faster the board's reference is, beside the scenario's reference_error."
+        0.0, description="How much faster the board's reference is, in addition to the scenario's reference_error."
     )
-    misbehave: tuple[Lie, ...] = Field(
+    misbehave: tuple[Violation, ...] = Field(
         (),
-        description="What the board does against its word: channels0, channels5: describes so many. other_gate: "
+        description="Protocol violations of the board: channels0, channels5: describes so many. other_gate: "
         "configures twice the gate. hidden_gate: counts half the gate that it confirms. reference_changes: describes "
         "another reference from the second time on. same_boot_id: keeps it over reboots. limits: refuses gates within "
         "them. other_product, other_plate: names another one.",

@@ -16,7 +16,7 @@ from resonator_daemon.calibration.load_procedure import LoadProcedure, Prompt
 from resonator_daemon.calibration.load_readings import CapturedLoads, LoadDetector, LoadReading
 from resonator_daemon.calibration.multitone_loads import MultitoneLoads
 from resonator_daemon.calibration.outcome import Outcome, fit_loadings
-from resonator_daemon.calibration.steps import STANDARD_GRAVITY, Step, Wanted
+from resonator_daemon.calibration.steps import STANDARD_GRAVITY, LoadRequest, Step
 from resonator_daemon.plate import Plate
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.tones.tone_detector import reading_frames
@@ -149,7 +149,9 @@ class Loads:
         return None if reading is None else self._loads.read(reading)
 
 
-def fitted(procedure: LoadProcedure, wanted: Wanted, plate: Plate = NOMINAL, loads: Loads | None = None) -> Outcome:
+def fitted(
+    procedure: LoadProcedure, wanted: LoadRequest, plate: Plate = NOMINAL, loads: Loads | None = None
+) -> Outcome:
     """Fit everything that the procedure has captured."""
     captured, untouched_hz = list(procedure.loadings.values()), None if loads is None else loads.untouched_hz
     return fit_loadings(plate, wanted, procedure, captured, with_response=wanted.response, untouched_hz=untouched_hz)

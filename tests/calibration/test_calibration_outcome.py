@@ -12,15 +12,15 @@ from emulated_loads import IDEAL, NOMINAL, TRUE, Touches, fitted, frames, lead, 
 from resonator_daemon.calibration.load_procedure import LoadProcedure
 from resonator_daemon.calibration.outcome import Outcome, make_record, notes
 from resonator_daemon.calibration.plate_file import Record
-from resonator_daemon.calibration.steps import Wanted, plan_steps
+from resonator_daemon.calibration.steps import LoadRequest, plan_steps
 from resonator_daemon.plate import Plate
 
-WANTED = Wanted(sites=(7, 12), masses_kg=(0.05, 0.2, 0.5), hold_s=1.5)
+WANTED = LoadRequest(sites=(7, 12), masses_kg=(0.05, 0.2, 0.5), hold_s=1.5)
 TODAY = date(2026, 11, 21)
 
 
 def calibrated(
-    wanted: Wanted, touches: Touches, folder: Path, masses: dict[float, float] | None = None
+    wanted: LoadRequest, touches: Touches, folder: Path, masses: dict[float, float] | None = None
 ) -> tuple[LoadProcedure, Outcome]:
     steps = plan_steps(wanted, NOMINAL)
     touches.follow(steps, masses)
@@ -30,7 +30,7 @@ def calibrated(
     return procedure, fitted(procedure, wanted)
 
 
-def recorded(wanted: Wanted, procedure: LoadProcedure, outcome: Outcome) -> Record:
+def recorded(wanted: LoadRequest, procedure: LoadProcedure, outcome: Outcome) -> Record:
     return make_record(
         NOMINAL, wanted, procedure, outcome, calibration_id="a1", unit="EMU-0001", today=TODAY, valid_days=30
     )
@@ -88,7 +88,7 @@ def test_hysteresis_and_creep_are_fitted_from_loading_and_unloading(tmp_path: Pa
 
 
 def test_a_sweep_gives_temperature_coefficients_against_the_pilot(tmp_path: Path) -> None:
-    wanted = Wanted(sites=(7,), hold_s=0.5, kelvin=296.15, temperatures_kelvin=(288.15, 308.15))
+    wanted = LoadRequest(sites=(7,), hold_s=0.5, kelvin=296.15, temperatures_kelvin=(288.15, 308.15))
     given = "temperature_coefficients = [-1.0e-6, 2.0e-9, 1.08e-10]\n"
     tone = "\n[[sites.tones]]\nsignal"
     before, site_7, after = true_text().partition("id = 7\n")

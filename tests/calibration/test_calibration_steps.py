@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 from emulated_loads import NOMINAL
 
-from resonator_daemon.calibration.steps import Wanted, plan_steps
+from resonator_daemon.calibration.steps import LoadRequest, plan_steps
 from resonator_daemon.errors import ExitCode, UsageError
 
-USUAL = Wanted(sites=(7, 1))
+USUAL = LoadRequest(sites=(7, 1))
 
 
-def refused(wanted: Wanted) -> str:
+def refused(wanted: LoadRequest) -> str:
     with pytest.raises(UsageError) as refusal:
         plan_steps(wanted, NOMINAL)
     assert refusal.value.exit_code is ExitCode.USAGE

@@ -16,15 +16,15 @@ from resonator_daemon.calibration.load_procedure import LoadProcedure, Prompt
 from resonator_daemon.calibration.outcome import make_record, notes
 from resonator_daemon.calibration.plate_file import Record, with_record
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
-from resonator_daemon.calibration.steps import Wanted, plan_steps
+from resonator_daemon.calibration.steps import LoadRequest, plan_steps
 from resonator_daemon.plate import Plate
 
 REFERENCE_ERROR = 1.5e-6  # of the emulated board's clock, by which all of its frequencies are low
-WANTED = Wanted(sites=(1, 7, 12), hold_s=1.5)
+WANTED = LoadRequest(sites=(1, 7, 12), hold_s=1.5)
 IDS = COMB_TRUE.site_ids.tolist()
 
 
-def calibrated(wanted: Wanted, folder: Path, physics: str = IDEAL) -> tuple[LoadProcedure, Record, list[str]]:
+def calibrated(wanted: LoadRequest, folder: Path, physics: str = IDEAL) -> tuple[LoadProcedure, Record, list[str]]:
     steps, touches = plan_steps(wanted, COMB_NOMINAL), Touches(physics=physics)
     touches.follow(steps)
     procedure, loads = LoadProcedure(COMB_NOMINAL, steps, 60.0), Loads(COMB_NOMINAL, COMB_TRUE)

@@ -11,16 +11,16 @@ from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
 from resonator_daemon.calibration.outcome import Outcome
 from resonator_daemon.calibration.outliers import OutlierSite, find_outliers, refuse_unknown_sensitivity
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
-from resonator_daemon.calibration.steps import STANDARD_GRAVITY, Wanted, plan_steps
+from resonator_daemon.calibration.steps import STANDARD_GRAVITY, LoadRequest, plan_steps
 
-ONE = Wanted(sites=(1,))
+ONE = LoadRequest(sites=(1,))
 NOISE = 1e-9
 READINGS = 5
 BAD = {3: 0.3}  # kilograms, by step
 
 
 def outcome_of(
-    wanted: Wanted,
+    wanted: LoadRequest,
     scatter: float = 0.0,
     laid_kg: dict[int, float] | None = None,
     seed: int = 1,

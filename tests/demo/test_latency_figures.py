@@ -35,7 +35,7 @@ def test_a_latency_runs_from_the_end_of_the_last_gate_to_the_callback() -> None:
     arrivals = [message(seq, 4 + 5 * seq, late_ms) for seq, late_ms in enumerate((1.5, 30.0, 20.0, 2.5))]
     latency = measure(arrivals, truth(30), gates_apart=5)
     np.testing.assert_allclose(latency.milliseconds, [1.5, 30.0, 20.0, 2.5])
-    assert (latency.late, latency.unheard, latency.not_made, latency.missing) == (1, 0, 0, 0)
+    assert (latency.late, latency.not_received, latency.not_made, latency.missing) == (1, 0, 0, 0)
     occupied = {bound_ms: count for bound_ms, count in zip(BOUNDS_MS, latency.counts(), strict=False) if count}
     assert occupied == {2.0: 1, 2.8: 1, 20.0: 1, 35.0: 1}
     assert sum(latency.counts()) == 4
@@ -45,7 +45,7 @@ def test_what_is_missing_was_lost_on_the_way_or_never_made() -> None:
     # Numbers 1 and 2 were made and did not come; of the gates 19 to 24 no message was made.
     arrivals = [message(0, 4, 1.0), message(3, 19, 1.0), message(4, 29, 1.0)]
     latency = measure(arrivals, truth(30), gates_apart=5)
-    assert (latency.unheard, latency.not_made, latency.missing) == (2, 1, 3)
+    assert (latency.not_received, latency.not_made, latency.missing) == (2, 1, 3)
 
 
 def test_arrays_are_read_from_their_beginning() -> None:

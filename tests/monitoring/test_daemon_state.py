@@ -5,7 +5,7 @@ import logging
 
 import pytest
 
-from resonator_daemon.monitoring.daemon_state import DaemonStanding, DaemonState
+from resonator_daemon.monitoring.daemon_state import DaemonSnapshot, DaemonState
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition
 
@@ -16,7 +16,7 @@ def incoming(boot_id: object, state: object, *, retained: bool = False) -> Incom
 
 
 @pytest.fixture
-def said() -> list[DaemonStanding]:
+def said() -> list[DaemonSnapshot]:
     return []
 
 
@@ -27,7 +27,7 @@ def restored() -> list[None]:
 
 
 @pytest.fixture
-def state(said: list[DaemonStanding], restored: list[None]) -> DaemonState:
+def state(said: list[DaemonSnapshot], restored: list[None]) -> DaemonState:
     state = DaemonState("aa", said.append, lambda: restored.append(None))
     state.become(Condition.ONLINE, "measuring", 5)
     state.connected(1)
@@ -35,8 +35,8 @@ def state(said: list[DaemonStanding], restored: list[None]) -> DaemonState:
     return state
 
 
-def test_each_connection_is_numbered_and_dated(state: DaemonState, said: list[DaemonStanding]) -> None:
-    first = state.standing
+def test_each_connection_is_numbered_and_dated(state: DaemonState, said: list[DaemonSnapshot]) -> None:
+    first = state.snapshot
     state.connected(2)
     (again,) = said
     assert (again.condition, again.reason, again.since_utc_ns) == (Condition.ONLINE, "measuring", 5)
@@ -47,28 +47,28 @@ def test_each_connection_is_numbered_and_dated(state: DaemonState, said: list[Da
 
 
 def test_its_own_will_of_an_earlier_connection_is_answered_unless_it_has_ended(
-    state: DaemonState, said: list[DaemonStanding]
+    state: DaemonState, said: list[DaemonSnapshot]
 ) -> None:
     state.receive(incoming("aa", "online"))
     assert said == []
     state.receive(incoming("aa", "offline"))
-    assert [standing.condition for standing in said] == [Condition.ONLINE]
+    assert [snapshot.condition for snapshot in said] == [Condition.ONLINE]
     state.end()
     state.receive(incoming("aa", "offline"))
     assert len(said) == 1
 
 
 def test_strangers_who_claim_to_be_thousands_are_not_listed(
-    state: DaemonState, said: list[DaemonStanding], caplog: pytest.LogCaptureFixture
+    state: DaemonState, said: list[DaemonSnapshot], caplog: pytest.LogCaptureFixture
 ) -> None:
     for number in range(3000):
         state.receive(incoming(f"b{number}", "online"))
     assert len(said) == len(caplog.records) == 4
-    assert len(state.standing.reason) < 400
+    assert len(state.snapshot.reason) < 400
 
 
 def test_another_daemon_is_told_of_once(
-    state: DaemonState, said: list[DaemonStanding], caplog: pytest.LogCaptureFixture
+    state: DaemonState, said: list[DaemonSnapshot], caplog: pytest.LogCaptureFixture
 ) -> None:
     state.receive(incoming("bb", "online"))
     state.receive(incoming("bb", "online"))
@@ -80,7 +80,7 @@ def test_another_daemon_is_told_of_once(
 
 
 def test_the_conflict_is_over_when_the_other_has_gone(
-    state: DaemonState, said: list[DaemonStanding], restored: list[None]
+    state: DaemonState, said: list[DaemonSnapshot], restored: list[None]
 ) -> None:
     state.receive(incoming("bb", "online"))
     state.receive(incoming("cc", "online"))
@@ -93,7 +93,7 @@ def test_the_conflict_is_over_when_the_other_has_gone(
 
 
 def test_retained_states_and_earlier_connections_are_no_conflict(
-    state: DaemonState, said: list[DaemonStanding]
+    state: DaemonState, said: list[DaemonSnapshot]
 ) -> None:
     state.receive(incoming("bb", "online", retained=True))
     state.receive(incoming("bb", "offline", retained=True))
@@ -111,6 +111,6 @@ def test_retained_states_and_earlier_connections_are_no_conflict(
         for boot_id in (7, None, "", "x" * 65, "a\nb", ["b"], {"b": 1})
     ],
 )
-def test_garbage_is_passed_over(state: DaemonState, said: list[DaemonStanding], payload: bytes) -> None:
+def test_garbage_is_passed_over(state: DaemonState, said: list[DaemonSnapshot], payload: bytes) -> None:
     state.receive(Incoming("resonator/hand/state/daemon", payload, False, None, None))
     assert said == []

@@ -13,7 +13,7 @@ def test_pauses_double_up_to_the_limit_of_each(monkeypatch: pytest.MonkeyPatch) 
     assert [pauses.next_s(1.0) for _ in range(6)] == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.0, 1.0])
     assert [pauses.next_s(30.0) for _ in range(6)] == pytest.approx([2.0, 4.0, 8.0, 16.0, 30.0, 30.0])
     assert pauses.next_s(1.0) == 1.0
-    pauses.start_anew()
+    pauses.reset()
     assert pauses.next_s(1.0) == pytest.approx(0.1)
 
 

@@ -8,7 +8,7 @@ from brokers import Mosquitto
 from mqtt_helpers import LEFT, Messages, publishing, scripted_broker, until
 
 from resonator_daemon.publishing import topics
-from resonator_daemon.publishing.broker_limits import FORGET_S, LargestMessages
+from resonator_daemon.publishing.broker_limits import EXPIRY_S, LargestMessages
 
 PACKET_SIZE = b"\x27"  # Maximum Packet Size, 4 bytes
 RECEIVE_MAXIMUM = b"\x21"  # 2 bytes
@@ -130,7 +130,7 @@ def test_twice_in_a_row_is_believed_and_forgotten_after_a_while() -> None:
     assert ending(largest, 0.0) is None
     assert ending(largest, 1.0) == ("large", 40_000)
     assert largest.bytes_max(2.0) == 39_999
-    assert largest.bytes_max(1.2 + FORGET_S) > 1e6
+    assert largest.bytes_max(1.2 + EXPIRY_S) > 1e6
 
 
 def test_a_connection_that_lasts_has_taken_the_message() -> None:

@@ -10,7 +10,7 @@ from mqtt_helpers import until
 
 from resonator_daemon.publishing.commands import (
     AT_ONCE,
-    COMPLAINTS_AT_ONCE,
+    REFUSALS_AT_ONCE,
     RESPONSE_TOPIC_BYTES_MAX,
     WAITING_MAX,
     CommandRefusedError,
@@ -206,11 +206,11 @@ async def test_commands_are_done_one_with_each_turn_of_the_loop(bench: Bench) ->
 async def test_a_flood_is_refused_and_the_refusals_are_few(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
     flood = [incoming()] * (AT_ONCE + 100)
     await bench.ask(*flood)
-    assert sorted(bench.codes) == ["done"] * AT_ONCE + ["too_many"] * COMPLAINTS_AT_ONCE
+    assert sorted(bench.codes) == ["done"] * AT_ONCE + ["too_many"] * REFUSALS_AT_ONCE
     assert bench.commands.counts == {
         "done": AT_ONCE,
-        "too_many": COMPLAINTS_AT_ONCE,
-        "unanswered": 100 - COMPLAINTS_AT_ONCE,
+        "too_many": REFUSALS_AT_ONCE,
+        "unanswered": 100 - REFUSALS_AT_ONCE,
     }
     bench.now_s += 1.0
     bench.sent.clear()
@@ -219,7 +219,7 @@ async def test_a_flood_is_refused_and_the_refusals_are_few(bench: Bench, caplog:
     bench.now_s += 1000.0
     bench.sent.clear()
     await bench.ask(*flood)
-    assert len(bench.sent) == AT_ONCE + COMPLAINTS_AT_ONCE  # no more at once, however long it was quiet
+    assert len(bench.sent) == AT_ONCE + REFUSALS_AT_ONCE  # no more at once, however long it was quiet
     assert [record.getMessage() for record in caplog.records] == [
         "commands come faster than 10 a second: some are passed over"
     ] * 2  # once a minute at most

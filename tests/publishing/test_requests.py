@@ -13,7 +13,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing.commands import AT_ONCE, COMPLAINTS_AT_ONCE, Handler
+from resonator_daemon.publishing.commands import AT_ONCE, REFUSALS_AT_ONCE, Handler
 from resonator_daemon.publishing.requests import BrokerUnreachableError, DeniedError, NoAnswerError, request
 from resonator_daemon.publishing.topics import CONTACT_EVENT
 from resonator_daemon.publishing.verbs import Mark, MarkAnswer
@@ -115,5 +115,5 @@ async def test_a_flood_of_commands_costs_no_event(mosquitto: Mosquitto) -> None:
         await observer.until_count(f"{BASE}/rsp/mark", commands.counts["done"] + commands.counts["too_many"])
         assert [event["seq"] for event in observer.payloads(f"{BASE}/contacts/event")] == list(range(1000))
         assert sum(publisher.account.dropped.values()) == 0
-        assert AT_ONCE <= commands.counts["done"] < 1000 - COMPLAINTS_AT_ONCE
+        assert AT_ONCE <= commands.counts["done"] < 1000 - REFUSALS_AT_ONCE
         assert commands.counts["unanswered"] > 0

@@ -18,12 +18,12 @@ from firmware_protocol.messages import (
 from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
 from simulators.board import Board
 from simulators.faults.misbehaviour import Misbehaviour
-from simulators.faults.plan import Lie
+from simulators.faults.plan import Violation
 
 GATE_TICKS = 1000
 
 
-def liar(*lies: Lie) -> Board:
+def liar(*lies: Violation) -> Board:
     return fake_board(misbehaviour=Misbehaviour(lies))
 
 
@@ -61,8 +61,8 @@ def configured(board: Board) -> int:
     return decode_message(Configuration, packet.payload).gate_ticks
 
 
-@pytest.mark.parametrize("lie", get_args(Lie))
-def test_each_lie_changes_what_it_says_and_nothing_else(lie: Lie) -> None:
+@pytest.mark.parametrize("lie", get_args(Violation))
+def test_each_lie_changes_what_it_says_and_nothing_else(lie: Violation) -> None:
     honest_identity, honest = described(liar())
     board = liar(lie)
     described(board)  # one lies from the second time on
@@ -83,7 +83,7 @@ def test_each_lie_changes_what_it_says_and_nothing_else(lie: Lie) -> None:
 
 
 @pytest.mark.parametrize(("lie", "confirmed", "counted"), [("other_gate", 2000, 2000), ("hidden_gate", 1000, 500)])
-def test_gates_that_were_not_asked_for(lie: Lie, confirmed: int, counted: int) -> None:
+def test_gates_that_were_not_asked_for(lie: Violation, confirmed: int, counted: int) -> None:
     board = liar(lie)
     assert configured(board) == confirmed
     answer(board, MessageType.START)

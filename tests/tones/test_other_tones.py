@@ -8,7 +8,7 @@ from resonator_daemon.tones.frequency_estimators import Sums
 from resonator_daemon.tones.other_tones import (
     RESIDUAL_LIMIT,
     beat_std_hz,
-    hears_another_tone,
+    has_other_tone,
     pilot_residual_ticks2,
 )
 
@@ -76,7 +76,7 @@ def test_noise_is_not_taken_for_another_tone():
     windows = 2000
     residual = np.array([end_residual_ticks2(sums_of(t)) for t in gates(rng, 2 * windows)]).reshape(-1, 2).mean(axis=1)
     assert residual.mean() == pytest.approx(NOISE_TICKS2, rel=0.1)
-    heard = [hears_another_tone(left, NOISE_TICKS2, 0.0) for left in residual.tolist()]
+    heard = [has_other_tone(left, NOISE_TICKS2, 0.0) for left in residual.tolist()]
     assert sum(heard) <= 2  # four squares with a mean of 8 variances: a chance of 1e-6
 
 
@@ -86,7 +86,7 @@ def test_a_second_tone_of_three_tenths_is_heard_at_any_distance(distance_hz):
     rng = np.random.default_rng(3)
     heard, alone = (
         [
-            hears_another_tone(left, NOISE_TICKS2, 0.0)
+            has_other_tone(left, NOISE_TICKS2, 0.0)
             for left in np.array(
                 [end_residual_ticks2(sums_of(t)) for t in gates(rng, 1000, ratio=ratio, distance_hz=distance_hz)]
             )
@@ -101,10 +101,10 @@ def test_a_second_tone_of_three_tenths_is_heard_at_any_distance(distance_hz):
 
 
 def test_a_pilot_that_is_known_is_no_other_tone():
-    assert hears_another_tone(10.0, 0.5, 0.0)
-    assert not hears_another_tone(10.0, 0.5, 1.0)
-    assert not hears_another_tone(math.nan, 0.5, 0.0)
-    assert not hears_another_tone(RESIDUAL_LIMIT * 1.4, 0.5, 1.0)
+    assert has_other_tone(10.0, 0.5, 0.0)
+    assert not has_other_tone(10.0, 0.5, 1.0)
+    assert not has_other_tone(math.nan, 0.5, 0.0)
+    assert not has_other_tone(RESIDUAL_LIMIT * 1.4, 0.5, 1.0)
 
 
 def test_white_noise_of_gates_is_no_beat_and_leaves_little():

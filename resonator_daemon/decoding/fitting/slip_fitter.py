@@ -62,9 +62,9 @@ class SlipFitter:
     def __init__(self, model: DiscModel) -> None:
         self._model = model
         self._whitening: Whitening | None = None
-        self._forget()
+        self._reset()
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
         self._contacts: list[int] = []
         self._before: Linearisation | None = None
         self._unknown: set[int] = set()  # contacts, by index, whose margin was not known
@@ -83,17 +83,17 @@ class SlipFitter:
         self._whitening = frame.whitening
         needed = max(KNOWN_LIMIT * frame.target.size, PARAMETERS * len(starts))
         if frame.count < needed:
-            self._forget()
+            self._reset()
             reason = f"{frame.count} signals known (finite, within {SIGNAL_LIMIT}), needs {needed:.0f}"
             return {contact: nothing_known(np.nan, np.nan, reason) for contact in starts}
         problem = SlipProblem(self._model, frame, [start.friction for start in starts.values()])
         found = self._followed(problem) if self._contacts == list(starts) else None
         if found is None:
-            self._forget()
+            self._reset()
             found, _ = self._described(problem, problem.from_starts(list(starts.values())), {})
         self._contacts = list(starts)
         if any(math.isnan(slip.radius_m) for slip in found):
-            self._forget()
+            self._reset()
         return dict(zip(starts, found, strict=True))
 
     def _checked(self, signals: ArrayLike, noise_std: ArrayLike, contacts: int) -> Frame:
