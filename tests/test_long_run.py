@@ -1,12 +1,10 @@
 """The judge of a long run finds what it is there to find: leaks, holes, books that do not balance, strange lines."""
 
 import math
-import random
 from typing import Any
 
 import numpy as np
 import pytest
-from long_run_faults import draw_leg
 from long_run_judge import (
     FLAT_MB,
     FLAT_THOUSANDS,
@@ -14,15 +12,11 @@ from long_run_judge import (
     Leg,
     Sample,
     Seen,
-    account_off,
     judge,
-    leg_of,
     rises,
     trend,
 )
 from long_run_log import Cause, LogJudge
-
-from simulators.faults import parse_faults
 
 
 def samples(count: int, **changing: Any) -> list[Sample]:
@@ -119,39 +113,6 @@ def test_peaks_that_an_allocator_keeps_are_no_leak_and_what_is_lost_in_it_is_see
     assert missed(well(samples=samples(960, rss_mb=120.0 + peaks_mb + holes_mb))) == ["memory of the process"]
 
 
-HEALTH: dict[str, Any] = {
-    "bytes_in": 10,
-    "bytes_by_fate": {"accepted": 7, "waiting": 3},
-    "messages": {
-        "made": 15,
-        "acknowledged": 1,
-        "handed_to_socket": 2,
-        "dropped": {"queue_full": 3},
-        "unknown_at_disconnect": 4,
-        "waiting": 5,
-    },
-    "frames": 500,
-    "connections": 3,
-    "packets_ignored": {"stale": 4},
-}
-
-
-def test_accounts_balance_or_are_told() -> None:
-    assert account_off(HEALTH) == []
-    assert account_off(HEALTH | {"bytes_in": 11}) == ["bytes_in 11, their fates 10"]
-    for key in ("made", "acknowledged", "handed_to_socket", "unknown_at_disconnect", "waiting"):
-        messages = HEALTH["messages"] | {key: 100}
-        assert len(account_off(HEALTH | {"messages": messages})) == 1, key
-
-
-def test_a_leg_is_what_the_board_sent_whole_beside_what_came() -> None:
-    board = {"frames_sent": 900, "faults": {"frames_hit": 20}}
-    after = HEALTH | {"frames": 1300, "connections": 5, "packets_ignored": {"stale": 10}}
-    leg = leg_of("bit errors", board, HEALTH, after)
-    assert (leg.missing, leg.hang_ups, leg.stale) == (80, 2, 6)
-    assert leg.excused == 350 * 3 + 6
-
-
 def test_a_line_needs_its_cause_at_its_time() -> None:
     log = LogJudge([(r"WARNING link lost: .*", (Cause.GONE, Cause.REBOOT)), (r"INFO file \d+", (Cause.ALWAYS,))])
     line = "WARNING link lost: unplugged"
@@ -165,13 +126,3 @@ def test_a_line_needs_its_cause_at_its_time() -> None:
     assert "without a cause" in (log.unexplained(line, 33.0) or "")
     assert "unknown" in (log.unexplained(f"{line}\n", 11.0) or "")
     assert "unknown" in (log.unexplained("Traceback (most recent call last):", 11.0) or "")
-
-
-def test_legs_are_faults_that_the_emulator_takes_and_the_same_for_a_seed() -> None:
-    first, second = random.Random(1), random.Random(1)
-    legs = [draw_leg(first) for _ in range(300)]
-    assert legs == [draw_leg(second) for _ in range(300)]
-    for leg in legs:
-        parse_faults(leg.faults)
-        assert bool(leg.faults) == bool(leg.causes)
-    assert {cause for leg in legs for cause in leg.causes} >= {Cause.GONE, Cause.REBOOT, Cause.DAMAGE, Cause.OVERFLOW}

@@ -144,22 +144,6 @@ def test_a_grid_is_numbered_by_its_order(tmp_path: Path) -> None:
     np.testing.assert_array_equal(plate.tones.sensitivity[:, 2], [3e-6] * 6 + [-2e-11] * 6 + [4e-6] * 6)
 
 
-def test_skin32_says_what_its_file_says() -> None:
-    plate = load_plate("skin32")
-    assert plate.skin
-    assert (plate.skin.youngs_modulus_pascal, plate.skin.poisson_ratio, plate.skin.depth_m) == (2e5, 0.5, 1e-3)
-    assert (plate.counter.kind, plate.counter.reference_hz, plate.counter.frame_rate_hz) == ("channelised", 250e6, 100)
-    assert (plate.force_max_newton, plate.counter.pilot_hz) == (5, None)
-    np.testing.assert_allclose(
-        plate.site_positions_m[[0, 1, 32, 1023]] * 1e3, [[-6.2, -6.2], [-5.8, -6.2], [-6.2, -5.8], [6.2, 6.2]]
-    )
-    np.testing.assert_allclose(np.ptp(plate.outline_m, axis=0), 12.8e-3)
-    # Tone numbers by hand: 0 is site (0, 0); 96 is ix = 1; 1319 is iy = 1; 2048 is the second signal of site (0, 0).
-    np.testing.assert_array_equal(plate.tones.site_index[[0, 96, 1319, 2048]], [0, 1, 32, 0])
-    np.testing.assert_array_equal(plate.tones.signal_index[[0, 96, 1319, 2048, 1024]], [0, 0, 0, 1, 2])
-    np.testing.assert_array_equal(plate.tones.sensitivity[[0, 2048, 1024], 3], [-2.0e-11, 2.7e-6, 2.7e-6])
-
-
 @pytest.mark.parametrize(
     ("before", "after", "expected"),
     [

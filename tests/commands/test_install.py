@@ -81,15 +81,6 @@ def test_a_file_of_others_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert f"{theirs}: kept: it was changed here" in capsys.readouterr().out
 
 
-def test_files_that_are_no_copies_reach_everybody(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    previous = os.umask(0o077)
-    try:
-        installed(tmp_path, capsys)
-    finally:
-        os.umask(previous)
-    assert {(tmp_path / place).stat().st_mode & 0o777 for place in PLACES} == {0o644}
-
-
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     """The one line that says why nothing was installed."""
     assert main(["install", *arguments]) == ExitCode.FAILED
@@ -110,19 +101,6 @@ def test_a_program_that_services_cannot_see(
     reported = json.loads(capsys.readouterr().out)
     assert (reported["verb"], reported["ok"]) == ("install", False)
     assert printed in reported["error"]["message"]
-
-
-def test_a_program_that_services_cannot_see_may_look_and_prepare(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(module, "HIDDEN_FROM_SERVICES", HIDDEN)
-    monkeypatch.setattr(os.path, "realpath", lambda path: "/root/venv/bin/resonatord")
-    assert main(["install", "--prefix", str(tmp_path), "--dry-run", "--json"]) == ExitCode.DONE
-    assert "is below /root, which services do not see" in json.loads(capsys.readouterr().out)["warning"]
-    assert list(tmp_path.iterdir()) == []
-    assert main(["install", "--prefix", str(tmp_path)]) == ExitCode.DONE
-    assert capsys.readouterr().err.startswith("warning: ")
-    assert files_in(tmp_path) == PLACES
 
 
 def test_a_wheel_has_the_files(tmp_path: Path) -> None:

@@ -147,26 +147,6 @@ def test_an_interrupt_ends_a_recording_in_order(tmp_path: Path) -> None:
     assert kinds[-1] is Closed
 
 
-@pytest.mark.parametrize(
-    ("link", "output", "printed"),
-    [
-        ("replay:old.mcap", "run.mcap", "link: replay:old.mcap is a recording already; copy the file"),
-        ("tcp://127.0.0.1:9", "no/run.mcap", "no/run.mcap cannot be written: No such file or directory"),
-        ("tcp://127.0.0.1:9", ".", "is a directory, name a file in it"),
-        (
-            "tcp://127.0.0.1:9",
-            "../../../../../../../dev/full",
-            "is there already, and nothing is overwritten; name another file",
-        ),
-    ],
-)
-def test_what_cannot_be_recorded_is_said_at_once(tmp_path: Path, link: str, output: str, printed: str) -> None:
-    refused = run("--config", config(tmp_path, link), "--output", tmp_path / output)
-    assert refused.returncode == 78
-    assert refused.stderr.endswith(f"{printed}\n")
-    assert len(refused.stderr.splitlines()) == 1
-
-
 def test_a_disk_that_fills_ends_a_recording_and_leaves_what_is_written(tmp_path: Path) -> None:
     port, output = tmp_path / "board", tmp_path / "run.mcap"
     path = config(tmp_path, f"serial:{port}?baud=4000000")

@@ -128,22 +128,6 @@ def test_a_damaged_chunk_is_left_out_and_told_in_its_place(
     assert (word.events, word.now) == (done.events_missing, events[place + 1].now)
 
 
-def test_what_was_cut_is_said(made: tuple[Path, list[WireEvent]], capsys: pytest.CaptureFixture[str]) -> None:
-    path, _ = made
-    path.write_bytes(path.read_bytes()[:-1])
-    assert main(["repair", str(path)]) == 0
-    copy = path.with_name("run-repaired.mcap")
-    out, err = capsys.readouterr()
-    assert out == ""
-    left_out = "its end is missing, and its last 7 bytes are left out"
-    assert err == f"{path}: {left_out}; {copy} has 31 events up to 2026-09-10T00:26:41.030Z\n"
-    assert main(["repair", str(path), "--json"]) == 78  # the copy is there
-    out, err = capsys.readouterr()
-    assert json.loads(out)["error"]["code"] == "output"
-    assert main(["repair", str(path), "--output", str(path)]) == 78
-    assert "is there already" in capsys.readouterr().err
-
-
 def test_what_cannot_be_repaired_is_said(made: tuple[Path, list[WireEvent]], tmp_path: Path) -> None:
     path, _ = made
     with pytest.raises(RepairError, match="No such file"):

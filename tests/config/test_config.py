@@ -61,20 +61,6 @@ def test_what_is_left_out_has_the_values_of_the_example(tmp_path: Path) -> None:
 FOURIER = MINIMAL + '[decoding]\nmethod = "fourier"\n'
 
 
-def test_contact_physics_without_effect_is_noted_not_refused(tmp_path: Path) -> None:
-    (note,) = loaded(tmp_path, FOURIER.replace("quartz16", "skin32")).notes
-    assert "contact_physics" in note
-    assert '"open-plane"' in note
-    for quiet in (
-        example_config(),
-        MINIMAL.replace("quartz16", "skin32"),
-        FOURIER,  # of no skin
-        FOURIER.replace("quartz16", "skin32") + "contact_physics = false\n",
-        MINIMAL.replace("quartz16", "skin32") + '[decoding]\nmethod = "off"\n',
-    ):
-        assert loaded(tmp_path, quiet).notes == ()
-
-
 def test_the_fourier_decoder_is_refused_on_scattered_sites(tmp_path: Path) -> None:
     """At once with what else is wrong beside it."""
     method, physics = refusals(tmp_path, FOURIER.replace("quartz16", "fingertip400") + "contact_physics = 1\n")
@@ -192,10 +178,3 @@ def test_whatever_value_a_key_gets(tmp_path_factory: pytest.TempPathFactory, cha
         messages = ()
         assert 0 < config.measurement.step_ms <= config.measurement.window_ms <= 1000
     assert all(message.startswith(f"{path}:") and "\n" not in message for message in messages)
-
-
-def test_an_expired_calibration_is_noted(tmp_path: Path) -> None:
-    (tmp_path / "old.toml").write_text(SLOW_PLATE + '[calibration]\nid = "c1"\nexpiry = 2020-01-01\n')
-    measurement = "[measurement]\nwindow_ms = 8\nstep_ms = 4\n"
-    (tmp_path / "a.toml").write_text('plate = "old.toml"\nlink = "tcp://127.0.0.1:1"\n' + measurement)
-    assert load_config(tmp_path / "a.toml").notes == ("calibration c1 expired on 2020-01-01: calibrate anew",)

@@ -9,7 +9,7 @@ import pytest
 
 from resonator_daemon.commands import main
 from resonator_daemon.config import example_config
-from resonator_daemon.config.help import UnknownKeyError, config_keys, config_schema, explained
+from resonator_daemon.config.help import config_keys, config_schema
 from resonator_daemon.errors import ExitCode
 
 SCHEMA = config_schema()
@@ -59,22 +59,6 @@ def test_what_a_reload_takes() -> None:
     live = {key.path for key in config_keys() if key.live}
     assert {"measurement.step_ms", "commands.allow", "recording.derived"} <= live
     assert live.isdisjoint({"name", "plate", "link", "mqtt.url", "decoding.method", "metrics.listen"})
-
-
-@pytest.mark.parametrize(
-    ("path", "near"),
-    [
-        ("mqtt.ulr", "mqtt.url"),
-        ("mqtt.u", "mqtt.url"),
-        ("window_ms", "measurement.window_ms"),
-        ("recordings.budget_mb", "recording.budget_mb"),
-    ],
-)
-def test_an_unknown_key_is_told_the_nearest(path: str, near: str) -> None:
-    with pytest.raises(UnknownKeyError, match=rf"'{path}'; did you mean {near}\? All of them: resonatord config expl"):
-        explained(path)
-    with pytest.raises(UnknownKeyError, match=r"no key is called 'x\\x1b'; all of them"):
-        explained("x\x1b")
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:

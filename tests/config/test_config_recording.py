@@ -35,20 +35,6 @@ def test_nothing_is_recorded_or_served_unasked(tmp_path: Path, monkeypatch: pyte
     assert config.notes == ()
 
 
-def test_all_of_recording_can_be_set(tmp_path: Path) -> None:
-    config = loaded(
-        tmp_path,
-        '[recording]\ndirectory = "runs"\ncontinuous = true\nderived = true\nfile_max_mb = 1\nfile_max_minutes = 0.5\n'
-        "budget_mb = 1\nkeep_free_mb = 0\n",
-    )
-    recording = config.recording
-    assert recording.directory == tmp_path / "runs"
-    assert (recording.continuous, recording.derived) == (True, True)
-    assert (recording.file_max_mb, recording.file_max_minutes) == (1, 0.5)
-    assert (recording.budget_mb, recording.keep_free_mb) == (1, 0)
-    assert config.notes == ()
-
-
 @pytest.mark.parametrize(
     ("text", "listen", "loopback"),
     [
@@ -74,9 +60,3 @@ def test_an_address_that_is_none(tmp_path: Path, listen: str) -> None:
     message = refusal(tmp_path, f"[metrics]\nlisten = {listen}\n")
     assert message.startswith("4: metrics.listen: got ")
     assert message.endswith('must be "ADDRESS:PORT" with a port from 1 to 65535, as "127.0.0.1:9464" or "[::1]:9464"')
-
-
-def test_recording_a_recording_is_noted(tmp_path: Path) -> None:
-    path = tmp_path / "replay.toml"
-    path.write_text('plate = "quartz16"\nlink = "replay:run.mcap"\n[recording]\ncontinuous = true\n')
-    assert load_config(path).notes == ("recording.continuous = true has no effect: link is a recording already",)

@@ -8,7 +8,6 @@ from plates import with_counter
 
 from resonator_daemon.config import Config, Mqtt, load_config
 from resonator_daemon.config.text import config_of, load_plate_text, load_settings_text, plate_text, settings_text
-from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.links.carriers.recording import RecordingTarget
 from resonator_daemon.plate import Coupling, load_plate, shipped_plates
 
@@ -69,9 +68,3 @@ def test_a_configuration_of_a_recordings_parts(tmp_path: Path) -> None:
     assert (config.name, config.plate, config.link, config.mqtt.prefix) == ("left", slow, LINK, "again")
     assert (config.measurement, config.decoding) == (recorded.measurement, recorded.decoding)
     assert config_of(slow, settings, LINK).mqtt == Mqtt()
-
-
-def test_parts_that_do_not_suit_each_other(tmp_path: Path) -> None:
-    settings = load_settings_text("[measurement]\nwindow_ms = 10.5\n[decoding]\n", ORIGIN)
-    with pytest.raises(ConfigurationError, match=r"measurement\.window_ms: got 10\.5; must be a whole number of frame"):
-        config_of(load_plate("quartz16"), settings, LINK)

@@ -104,15 +104,6 @@ def test_only_forces_above_5_percent_of_their_own_touchs_peak_count(run: Run) ->
     assert run.result().force_error_newton_rms == pytest.approx(math.sqrt((9 + 16) / 2) * 1e-3)
 
 
-def test_a_force_that_is_not_known_is_no_error(run: Run) -> None:
-    run.ramp(1.0, 1.0, 1.0, 1.0)
-    run.forces(1, (7, math.nan))
-    run.forces(2)
-    assert run.result().force_error_newton_rms is None
-    run.forces(3, (7, 1.003))
-    assert run.result().force_error_newton_rms == pytest.approx(0.003)
-
-
 # What came before the first `health` after `begin` belongs to the set-up.
 
 
@@ -156,15 +147,6 @@ def test_what_was_skipped_between_the_last_health_and_the_beginning_belongs_to_t
     losses = run.score.losses
     assert (losses["not_decoded"], losses["parts"], run.score.messages_missed) == (6, 1, 6)
     assert (run.score.frames, run.score.decoded_frames) == (100, 1)
-
-
-def test_frames_are_those_since_the_beginning(run: Run) -> None:
-    assert run.score.frames == 0
-    run.health(3)
-    run.begin(5)
-    run.health(7)
-    run.health(12)
-    assert run.score.frames == 7
 
 
 def test_gaps_between_messages_are_counted_by_topic(run: Run) -> None:

@@ -66,15 +66,6 @@ def test_weak_frames_and_untouched_ones_do_not_count(run: Run) -> None:
     assert (run.result().traction_error or 0.0) > 3.0
 
 
-def test_a_map_that_is_not_known_is_no_error_but_was_received(run: Run) -> None:
-    run.decoded(run.truth(skin_touch(1.0)), np.full((3, *SHAPE), math.nan))
-    assert run.result().traction_error is None
-    run.decoded(run.truth(skin_touch(1.0)), np.full((3, 4), math.nan), grid=False)
-    run.decoded(run.truth(skin_touch(1.0)), np.zeros((3, *SHAPE)))
-    assert run.result().traction_error == pytest.approx(1.0)
-    assert run.score.decoded_frames == 3
-
-
 def test_a_map_of_scattered_sites_is_compared_point_by_point(run: Run) -> None:
     number = run.truth(skin_touch(1.0, shear=(0.2, 0.0)))
     a, p_0 = 2.5e-3, 1.5 / (math.pi * 2.5e-3**2)

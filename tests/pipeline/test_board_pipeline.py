@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import pytest
 from report_makers import configured
 from test_pipeline_messages import FORCE_PLATE as PLATE
 
@@ -13,7 +12,7 @@ from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.pipeline.control_requests import SetWindow, Tare
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.session.counters import FrameLoss
-from resonator_daemon.session.frames import Arrival, BoardLogLine, ControlRequest, Gap, LinkChange, Outage
+from resonator_daemon.session.frames import Arrival, Gap, LinkChange, Outage
 
 T0_NS = 1_789_000_000_000_000_000
 S = 10**9
@@ -104,14 +103,3 @@ def test_orders_are_obeyed_in_their_turn_or_refused_with_a_reason(tmp_path: Path
     assert bench.pipeline.sensor.measurement.step_ms == 10
     assert bench.pipeline.apply(Tare().model_dump_json()) == "no force sites are being measured"
     assert "no request of this version" in bench.pipeline.apply(json.dumps({"verb": "fly"}))
-
-
-def test_a_refused_order_of_a_recording_and_words_of_the_board_go_to_the_log(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    bench = Bench(tmp_path)
-    bench.handle(ControlRequest("key", Tare().model_dump_json()), BoardLogLine(90, "hot"))
-    assert [(record.levelname, record.getMessage()) for record in caplog.records] == [
-        ("WARNING", "no force sites are being measured"),
-        ("ERROR", "board: hot"),
-    ]

@@ -2,7 +2,7 @@
 
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -106,14 +106,6 @@ def test_forces_are_the_contracts_literal(messages: Messages) -> None:
             "response": "off",
         },
     }
-
-
-@pytest.mark.parametrize("status", get_args(SensorStatus))
-def test_every_status_of_a_reading_has_its_word(messages: Messages, status: SensorStatus) -> None:
-    assert literal(messages.force.forces(reading(status), GATE_MIDDLE))["status"] == status
-    unknown = contact(1, NAN, status)
-    said = literal(messages.force.contacts(reading(status, contacts=(unknown,)), GATE_MIDDLE))
-    assert said["status"] == said["contacts"][0]["status"] == status
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,6 @@ from decoder_bench import Daemon, assert_exact, config_file, daemon, info, proce
 from observer import Observer, observe
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
-from paho.mqtt.packettypes import PacketTypes
-from paho.mqtt.reasoncodes import ReasonCode
 
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.publishing.topics import DECODER_STATE
@@ -299,24 +297,6 @@ async def test_a_state_lasts_while_its_reason_changes_and_is_said_again_before_i
     assert [len(times) for times in since.values()] == [1, 1]
     assert int(*since["waiting"]) < int(*since["online"])
     assert len({state["t_ns"] for state in told}) == len(told)
-
-
-async def test_a_broker_that_refuses_shared_subscriptions_ends_it_and_one_that_forbids_a_topic_does_not(
-    tmp_path: Path, mosquitto: Mosquitto
-) -> None:
-    decoder = process(tmp_path, mosquitto.url, decoding=SHARING, name=None)
-    topic_filter = "$share/touch/resonator/+/signals"
-    task = asyncio.create_task(decoder.run())
-    async with observe(mosquitto.url) as heard:
-        await heard.until_last(STATE, state="waiting")
-        decoder._denied(topic_filter, str(ReasonCode(PacketTypes.SUBACK, identifier=0x87)))
-        await asyncio.sleep(0)
-        assert not decoder._ending.is_set()
-        decoder._denied(topic_filter, str(ReasonCode(PacketTypes.SUBACK, identifier=0x9E)))
-        with pytest.raises(CannotShareError, match=r"broker refuses \$share/touch/resonator/\+/signals: Shared sub"):
-            await asyncio.wait_for(task, 30)
-        last = await heard.until_last(STATE, state="offline")
-        assert "use a broker of MQTT 5 with shared subscriptions" in last["reason"]
 
 
 def test_its_id_is_one_level_of_a_topic(monkeypatch: pytest.MonkeyPatch) -> None:

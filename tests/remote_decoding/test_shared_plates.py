@@ -17,7 +17,7 @@ from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import GridInfo, Info, Message, Signals
 from resonator_daemon.remote_decoding import shared_plates, shared_stage
-from resonator_daemon.remote_decoding.shared_plates import PROBLEMS_MAX, SharedPlates
+from resonator_daemon.remote_decoding.shared_plates import SharedPlates
 
 CONFIG = DecoderConfig(decoding=Decoding(plates=("+",), group="touch"))
 LINEAR = DecodingOptions(contact_physics=False, background=False)
@@ -201,12 +201,3 @@ async def test_beyond_its_places_only_silent_plates_give_way(
     assert "no more are taken" not in shared.plates.condition()[1]
     shared.tell("f", info())
     assert set(shared.plates.health()) == {"a", "e", "f"}
-
-
-def test_what_is_said_of_plates_without_a_skin_is_bounded() -> None:
-    shared = Shared()
-    for number in range(PROBLEMS_MAX + 20):
-        shared.tell(f"{number:0>100}", info(skin=None, schema_version="9" * 5000))
-    reason = shared.plates.condition()[1]
-    assert reason.endswith(f"and {PROBLEMS_MAX - 3} more")
-    assert len(reason) < 1000

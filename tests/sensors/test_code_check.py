@@ -90,19 +90,6 @@ def test_a_wider_span_of_temperatures_needs_more(tmp_path: Path) -> None:
     assert needed[2] == needed[1]
 
 
-def test_the_worst_pair_is_named_and_the_others_are_counted(tmp_path: Path) -> None:
-    content = QUARTZ.model_dump(mode="json", exclude_none=True)
-    content["force_max_newton"] = 200.0
-    plate = Plate.model_validate(content)
-    found = code_check.overlaps(plate)
-    (sentence,) = code_check.findings(plate)
-    assert f"and {len(found) - 1} more pairs" in sentence
-    missing = [overlap.needed_ppm - overlap.spacing_ppm for overlap in found]
-    assert missing[0] == max(missing)
-    worst = (int(plate.site_ids[found[0].site]), int(plate.site_ids[found[0].other]))
-    assert f"ids {worst[0]} and {worst[1]} " in sentence
-
-
 def test_a_channelised_counter_tells_tones_apart_by_their_number() -> None:
     content = load_plate("comb16").model_dump(mode="json", exclude_none=True)
     for site in content["sites"]:

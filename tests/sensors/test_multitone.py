@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from small_comb import GATE_S, GATE_TICKS, POSITION_M, SITES, SLOPE, K, SmallComb, spread
+from small_comb import GATE_S, GATE_TICKS, POSITION_M, SITES, SmallComb, spread
 
 from resonator_daemon.forces.site_response import SiteResponse
 
@@ -222,52 +222,6 @@ def test_what_hysteresis_leaves_in_sites_is_no_touch_where_it_was_calibrated():
     assert left[-1].contacts or left[-1].sites or left[-1].status != "ok"  # 50 mN on each of some sites
 
 
-def test_a_touch_that_may_be_warm_is_less_certain_the_longer_it_lasts():
-    warm, cold = (SmallComb(contact_std_kelvin=kelvin).untouched(400) for kelvin in (3.0, 0.0))
-    load = spread(2.0, *POSITION_M[5])
-    grown = []
-    for frames in (10, 390):
-        both = [next(f for f in comb.hold(load, frames)[-1].sites if f.site == 5) for comb in (warm, cold)]
-        grown.append(math.sqrt(both[0].systematic_newton ** 2 - both[1].systematic_newton ** 2))
-    # 3 K (1 - exp(-t / 5 s)) times the slope, to a few frames; its standard deviation is a hundredth of that.
-    expected = [3.0 * abs(SLOPE[5] / K[5]) * (1 - math.exp(-t / 5.0)) for t in (0.05, 2.0)]
-    assert grown == pytest.approx(expected, rel=0.05, abs=3e-3)
-
-
-def test_a_plate_is_tared_only_while_it_is_untouched():
-    comb = SmallComb()
-    assert comb.chain.tare() == "no reading yet"
-    comb.untouched()
-    assert comb.chain.tare() is None
-    comb.hold(spread(1.0, *PLACE_M), 20)
-    assert comb.chain.tare() == "sites are touched"
-    last = comb.hold(spread(1.0, *PLACE_M), 20)[-1]
-    assert last.contacts[0].touch.force_newton == pytest.approx(1.0, abs=0.01)
-    comb.hold(frames=40)
-    assert comb.chain.tare() is None
-
-
-def test_taring_takes_what_is_felt_for_none():
-    tared, untared = (SmallComb(width_m=None).untouched() for _ in range(2))
-    crept = np.where(np.arange(SITES) == 5, 5e-8, 0.0)  # some mN on one site: below an onset
-    for comb in (tared, untared):
-        assert comb.hold(offset=crept, frames=5)[-1].contacts == ()
-    assert tared.chain.tare() is None
-    force = [
-        comb.hold(2.0 * (np.arange(SITES) == 5), 40, offset=crept)[-1].contacts[0].touch.force_newton
-        for comb in (tared, untared)
-    ]
-    assert force[0] == pytest.approx(2.0, abs=2e-3)
-    assert force[1] - 2.0 == pytest.approx(5e-8 / K[5], rel=0.1)
-
-
-def test_a_light_load_that_was_tared_leaves_no_force_when_it_goes():
-    comb = SmallComb().untouched()
-    comb.hold(spread(0.012, *PLACE_M), 30)
-    assert comb.chain.tare() is None
-    assert all(reading.sites == () for reading in comb.hold(frames=60)[5:])
-
-
 def test_a_restart_releases_contacts_and_learns_anew():
     comb = SmallComb().untouched()
     comb.hold(spread(1.0, *PLACE_M), 20)
@@ -326,18 +280,3 @@ def test_a_force_beyond_the_range_has_a_bound_and_no_number():
     assert (touch.status, touch.at_least_newton) == ("overload", 10.0)
     assert math.isnan(touch.force_newton)
     assert distance_m(contact, PLACE_M) < 0.1e-3
-
-
-@pytest.mark.parametrize(("newton", "status"), [(2.0, "ok"), (7.0, "uncalibrated")])
-def test_a_force_beyond_those_of_calibration_says_so(newton, status):
-    comb = SmallComb(valid_newton=(-0.1, 4.0)).untouched()
-    (contact,) = comb.hold(spread(newton, *POSITION_M[5]), 40)[-1].contacts
-    assert contact.touch.status == status
-
-
-def test_the_shared_error_of_sensitivity_is_in_every_contact():
-    plain, shared = (
-        SmallComb(sensitivity_std=std).untouched().hold(spread(4.0, *PLACE_M), 40)[-1].contacts[0].touch
-        for std in (0.0, 0.05)
-    )
-    assert math.sqrt(shared.systematic_newton**2 - plain.systematic_newton**2) == pytest.approx(0.2, rel=0.1)

@@ -9,7 +9,6 @@ from single_tone_bench import CLOCK_ERROR, NO_SIGNAL, PLATE, UNTOUCHED, Bench
 from two_tone_board import PILOT_DB, TONE_DB, TwoToneBoard
 
 from firmware_protocol.layouts import RecordFlag
-from resonator_daemon.forces.site_response import SiteResponse
 
 
 def heard(*, level_db=TONE_DB, **state):
@@ -145,61 +144,7 @@ def test_a_held_baseline_grows_less_certain():
     assert again.sites[0].systematic_newton == pytest.approx(first.sites[0].systematic_newton, rel=0.01)
 
 
-def test_a_touch_that_may_be_warm_is_less_certain_the_longer_it_lasts():
-    k = abs(PLATE.sensitivity[5, 0])
-    grown = []
-    for held_frames in (0, 5000, 30_000):
-        warm, cold = (
-            Bench(board=TwoToneBoard(), slope=-3e-7, contact_std_kelvin=kelvin).untouched() for kelvin in (3.0, 0.0)
-        )
-        for bench in (warm, cold):
-            bench.hold(PLATE.loaded_hz(5, 1.0), 40)
-            bench.board.skip(held_frames)
-            bench.hold(PLATE.loaded_hz(5, 1.0), 40)
-        both = [bench.readings[-1].sites[0].systematic_newton for bench in (warm, cold)]
-        grown.append(math.sqrt(both[0] ** 2 - both[1] ** 2) * k)
-    # 3 K (1 - exp(-t / 5 s)) times the slope, less the transient's 2e-7 s times the rate.
-    static = [3.0 * 3e-7 * (1 - math.exp(-t / 5.0)) for t in (0.08, 5.08, 30.08)]
-    transient = [3.0 * 2e-7 / 5.0 * math.exp(-t / 5.0) for t in (0.08, 5.08, 30.08)]
-    assert grown == pytest.approx(np.add(static, transient), rel=0.03, abs=2e-9)
-
-
 PLAY_NEWTON = 0.1
-
-
-def pressed_and_let_go(bench):
-    """Load a site that has a play to 6 N and back to 2 N; returns what is said of it while it goes back."""
-    z, frequencies = 0.0, []
-    for newton in np.concatenate([np.linspace(0.05, 6.0, 100), np.linspace(6.0, 2.0, 100), np.full(20, 2.0)]):
-        z = min(max(z, newton - PLAY_NEWTON), newton + PLAY_NEWTON)
-        frequencies.append(PLATE.loaded_hz(5, (newton + z) / 2))
-    return bench.play(frequencies)[-2].sites[0]
-
-
-def test_hysteresis_that_was_calibrated_is_taken_out_and_said_so():
-    response = SiteResponse(PLAY_NEWTON, 0.0, 20.0, 0.1 * PLAY_NEWTON, 0.0, 0.0)
-    off, on = Bench(step_frames=2).untouched(), Bench(step_frames=2, response=response).untouched()
-    assert pressed_and_let_go(off).force_newton == pytest.approx(2.0 + PLAY_NEWTON / 2, abs=2e-3)
-    assert pressed_and_let_go(on).force_newton == pytest.approx(2.0, abs=2e-3)
-    assert off.readings[-1].compensation.response == "off"
-    assert on.readings[-1].compensation.response == "on"
-    systematic = [bench.readings[-1].sites[0].systematic_newton for bench in (off, on)]
-    assert systematic[1] < PLAY_NEWTON / 2 < systematic[0]
-
-
-@pytest.mark.parametrize(("newton", "status"), [(0.2, "uncalibrated"), (2.0, "ok"), (7.0, "uncalibrated")])
-def test_a_force_beyond_those_of_calibration_says_so(newton, status):
-    last = Bench(valid_newton=(0.5, 5.0)).untouched().hold(PLATE.loaded_hz(5, newton), 40)[-1]
-    assert last.sites[0].status == status
-    assert last.sites[0].force_newton == pytest.approx(newton, abs=0.02)
-    assert last.contacts[0].touch.status == status
-
-
-def test_the_shared_error_of_sensitivity_is_in_every_force():
-    plain, shared = (
-        Bench(sensitivity_std=std).untouched().hold(PLATE.loaded_hz(5, 4.0), 40)[-1].sites[0] for std in (0.0, 0.05)
-    )
-    assert math.sqrt(shared.systematic_newton**2 - plain.systematic_newton**2) == pytest.approx(0.2, rel=0.01)
 
 
 def test_a_plate_is_tared_only_while_it_is_untouched():

@@ -92,22 +92,3 @@ def test_too_few_tones_do_not_tell():
     assert array.untouched_common_mode(noisy(comb, array, np.zeros((3, SITES)), 0.0, 1, known)) is None
     known[1, :16] = True
     assert array.untouched_common_mode(noisy(comb, array, np.zeros((3, SITES)), 0.0, 1, known)) is not None
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"f0_hz": np.ones((TONES, 3))}, "must be"),
-        ({"oscillator_hz": np.ones(TONES - 1)}, "must be"),
-        ({"f0_hz": np.full((TONES, 4), np.nan)}, "f0_hz"),
-        ({"oscillator_hz": np.zeros(TONES)}, "oscillator_hz"),
-        ({"sensitivity": np.zeros((TONES, 4))}, "sensitivity"),
-        ({"signal_index": np.full(TONES, 3)}, "signal_index"),
-        ({"signal_index": np.zeros(TONES, dtype=int)}, "same signal"),
-        ({"site_index": np.full(TONES, -1)}, "site_index"),
-        ({"youngs_modulus_pascal": 0.0}, "youngs_modulus_pascal"),
-    ],
-)
-def test_impossible_plates_are_refused(change, message):
-    with pytest.raises(ValueError, match=message):
-        Comb().array(**change)
