@@ -15,7 +15,6 @@ from brokers import Mosquitto, free_port
 from plates import plate_head, skin_grid, skin_table
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.calibration import skin as calibrate_module
 from resonator_daemon.commands import main
 from resonator_daemon.config import Mqtt
 from resonator_daemon.plate import load_plate
@@ -128,16 +127,6 @@ async def test_json_is_one_object(mosquitto: Mosquitto, tmp_path: Path, calibrat
     assert fit["frames_used"] + fit["frames_without_load"] == found["frames"]
     assert 0.2e-3 < fit["correlation_length_m"] < 5e-3
     assert fit["log_evidence_gain"] >= 0.0
-
-
-async def test_another_plate_is_no_plate(
-    mosquitto: Mosquitto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, calibrate: Calibrate
-) -> None:
-    monkeypatch.setattr(calibrate_module, "FIRST_FRAME_S", 0.5)
-    config = write_config(tmp_path, mosquitto.url)
-    async with plate(mosquitto.url, [pressed(0, tmp_path)], name="right"):
-        code, printed, _ = await calibrate("--config", config, "--json")
-    assert (code, json.loads(printed)) == (1, {"plate": "left", "frames": 0, "frames_with_load": 0, "fit": None})
 
 
 async def test_another_plate_than_the_file_says(mosquitto: Mosquitto, tmp_path: Path, calibrate: Calibrate) -> None:

@@ -178,18 +178,3 @@ def test_a_stack_decodes_as_its_frames_do(centred: Scene):
     expected_status[1, 0], expected_status[2, 3] = "no_signal", "rejected"
     np.testing.assert_array_equal(stack.status, expected_status)
     assert stack.reason[0, 1] == "1 of 3072 signals lost and filled in"
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"shape": (0, 32)}, "shape is"),
-        ({"pitch_m": 0.0}, "pitch_m is 0.0"),
-        ({"noise_std": 0.0}, r"noise_std spans 0.0 .. 0.0"),
-        ({"noise_std": [1e-3, 1e-3]}, r"noise_std has shape \(2,\)"),
-    ],
-)
-def test_refuses_parameters(changes: dict, message: str):
-    arguments = {"shape": (32, 32), "pitch_m": PITCH_M, "depth_m": DEPTH_M, "noise_std": 1e-3} | changes
-    with pytest.raises(ValueError, match=message):
-        FourierDecoder(HalfSpace(E, 0.5), **arguments)

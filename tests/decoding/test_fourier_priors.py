@@ -142,39 +142,6 @@ def test_a_nyquist_frequency_stands_for_both_its_signs():
     assert found @ [1, 2, 2, 1] @ np.ones(4) == pytest.approx(24)  # of unit variance in space
 
 
-@pytest.mark.parametrize(
-    ("prior", "message"),
-    [
-        ("rough", "spectra is 'rough', must be 'prior', 'white'"),
-        (lambda x, y: np.ones((3, 3)), r"prior has shape \(3, 3\), must be \(48, 25, 3\) or \(48, 25, 3, 3\)"),
-        (lambda x, y: np.full((y.size, x.size, 3), -1.0), "prior has the eigenvalue -1, must have none below 0"),
-        (lambda x, y: np.ones((y.size, x.size, 3)) * [1.0, 1.0, 0.0], "prior has power 0 of f_z"),
-        (lambda x, y: (x + 0 * y + 1e6)[..., None] * np.ones(3), "prior differs from its conjugate at -omega"),
-        (lambda x, y: np.broadcast_to(np.tri(3), (y.size, x.size, 3, 3)), "conjugate transpose, must be Hermitian"),
-        (
-            weighted_norm(lambda x, y: (x**2 + y**2)[..., None] * np.ones(3)),
-            "weights have the eigenvalue 0, must be above 0 everywhere: add a constant",
-        ),
-    ],
-)
-def test_refuses_what_is_no_prior(prior: Any, message: str):
-    with pytest.raises(ValueError, match=message):
-        FourierDecoder(SKIN, (32, 32), PITCH_M, DEPTH_M, 1e-3, spectra=prior)
-
-
-@pytest.mark.parametrize(
-    ("keywords", "message"),
-    [
-        ({"extension": "mirror"}, "extension is 'mirror', must be 'taper' or 'periodic'"),
-        ({"sliding_friction": 0.0}, "sliding_friction is 0.0, must be finite and above 0"),
-        ({"prior": Prior(std_pascal=1e200)}, r"std_pascal is 1e\+200, must be at most 1e\+30"),
-    ],
-)
-def test_refuses_parameters(keywords: Any, message: str):
-    with pytest.raises(ValueError, match=message):
-        FourierDecoder(SKIN, (32, 32), PITCH_M, DEPTH_M, 1e-3, **keywords)
-
-
 # --- sliding contacts
 
 

@@ -224,20 +224,3 @@ def test_what_no_load_makes_is_rejected(decoder):
     decoded = decoder.decode(0.1 * np.random.default_rng(0).standard_normal(GRID))
     assert decoded.status == "rejected"
     assert np.isnan(decoded.traction_pascal).all()
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"site_positions_m": np.zeros((3, 64))}, r"site_positions_m has shape \(3, 64\)"),
-        ({"query_positions_m": np.zeros(2)}, "query_positions_m has shape"),
-        ({"depth_m": 0.0}, "depth_m spans 0.0"),
-        ({"noise_std": 0.0}, "noise_std spans 0.0"),
-        ({"noise_std": np.ones((2, 64))}, r"noise_std has shape \(2, 64\)"),
-        ({"gain_std": 1.0}, "gain_std is 1.0"),
-    ],
-)
-def test_parameters_out_of_range(change, message: str):
-    sound = {"site_positions_m": grid_positions((8, 8)), "depth_m": 1e-3, "noise_std": 1e-5}
-    with pytest.raises(ValueError, match=message):
-        OpenPlaneDecoder(SKIN, **(sound | change))

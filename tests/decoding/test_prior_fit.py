@@ -96,16 +96,6 @@ def test_load_is_energy_beyond_noise() -> None:
     assert np.count_nonzero(has_load(noise, 1.0)) <= 1
 
 
-def test_refuses() -> None:
-    frames = np.random.default_rng(4).standard_normal((3, 3, 64))
-    with pytest.raises(ValueError, match="0 of 3 frames hold load, must be at least 1"):
-        fit_prior(SKIN, SITES_M, DEPTH_M, frames, 1.0)
-    with pytest.raises(ValueError, match=r"frames have shape \(3, 64\), must be \(k, 3, 64\)"):
-        fit_prior(SKIN, SITES_M, DEPTH_M, frames[0], 1.0)
-    with pytest.raises(ValueError, match="noise_std spans 0"):
-        fit_prior(SKIN, SITES_M, DEPTH_M, frames, 0.0)
-
-
 @pytest.mark.parametrize("name", ["correlation_length_m", "tangential_ratio", "std_pascal"])
 @pytest.mark.parametrize("value", [0.0, -1.0, np.inf, np.nan])
 def test_a_prior_has_finite_parameters_above_0(name: str, value: float) -> None:

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import pytest
 from brokers import Mosquitto
-from command_line import exit_code
 from emulation import emulated
 
 from resonator_daemon.commands import main
-from resonator_daemon.doctor import clock_checks, run
+from resonator_daemon.doctor import clock_checks
 from resonator_daemon.doctor.finding import FINE, Area, Check
 from resonator_daemon.doctor.report import WIDTH, Report
 from simulators.emulator import EmulatorOptions
@@ -53,19 +52,6 @@ def test_a_report_fits_the_terminal_and_cannot_steer_it() -> None:
     assert max(map(len, text.splitlines())) <= WIDTH
     assert "\x1b" not in text
     assert "\r" not in text
-
-
-def test_a_reason_that_many_share_is_said_once() -> None:
-    findings = [
-        WIRE.not_checked("a daemon has it"),
-        PLATE.not_checked("a daemon has it"),
-        HOST.not_checked("no systemd"),
-    ]
-    text = Report([*findings, WIRE.ok("a daemon has it")]).as_text()
-    assert "not checked\n  -        a daemon has it: wire, plate\n" in text
-    assert text.count("a daemon has it") == 2  # and where it is no reason
-    assert "software\n  -        host: no systemd\n" in text
-    assert "sensor\n" not in text
 
 
 async def test_a_board_and_a_broker_that_are_well(
@@ -129,27 +115,3 @@ def test_what_is_no_board_is_the_wirings(capsys: pytest.CaptureFixture[str], mon
         assert asked(capsys, address)[1]["cause"] == "board.answers"
     code, report = asked(capsys, address)
     assert (code, report["verdict"], report["cause"]) == (1, "wiring", "link.opens")
-
-
-def test_mistakes_of_the_user_are_told_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert exit_code("doctor") == 2
-    assert exit_code("doctor", "--broker", "http://x") == 2
-    assert "argument --broker: got 'http://x'; must be mqtt://host:port" in capsys.readouterr().err
-    path = configuration(tmp_path, "nothing")
-    code, printed = asked(capsys, "--config", path)
-    assert (code, printed["ok"]) == (78, False)
-
-
-def test_a_recording_is_no_board_and_its_file_is_not_called_bad(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async def runs(_config: Path) -> str:
-        return "a daemon runs all the same"
-
-    monkeypatch.setattr(run, "works_by", runs)
-    assert main(["doctor", "--config", str(configuration(tmp_path, "replay:x.mcap"))]) == 78
-    err = capsys.readouterr().err
-    assert "is a recording" in err
-    assert "a daemon runs" not in err
-    assert main(["doctor", "--config", str(configuration(tmp_path, "nothing"))]) == 78
-    assert "a daemon runs" in capsys.readouterr().err

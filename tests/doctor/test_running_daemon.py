@@ -192,19 +192,6 @@ def test_a_usb_device_that_a_daemon_has_is_left_alone(
     assert found["link.opens"]["outcome"] == "not_checked"
 
 
-def test_a_daemon_that_gives_no_answer_is_in_the_report(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(running_daemon, "LOOK_S", 0.1)
-    unopenable(monkeypatch)
-    file = tmp_path / "hand.toml"
-    file.write_text('plate = "quartz16"\nlink = "tcp://127.0.0.1:9"\n[mqtt]\nurl = "mqtt://127.0.0.1:9"\n')
-    answering(monkeypatch, None, Path("/r/hand/status.sock"))
-    main(["doctor", "--config", str(file), "--json"])
-    found = {finding["id"]: finding["outcome"] for finding in json.loads(capsys.readouterr().out)["findings"]}
-    assert (found["daemon.runs"], found["sensor.tones"]) == ("not_checked", "not_checked")
-
-
 def test_a_daemon_that_is_well_has_nothing_wrong() -> None:
     assert set(judged().values()) == {Outcome.OK}
 

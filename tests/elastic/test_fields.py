@@ -198,21 +198,3 @@ def test_loads_of_a_batch_do_not_depend_on_each_other(method: Method):
 
 
 # --- refusals
-
-
-@pytest.mark.parametrize(
-    ("arguments", "keywords", "message"),
-    [
-        (((0, 4), PITCH, "p_n", 1e-3), {}, "shape is"),
-        (((4, 4), PITCH, "p_n", [1e-3, -1e-3]), {}, r"depth_m reaches -0.001"),
-        (((4, 4), PITCH, "traction", 1e-3), {"input": "displacement"}, "depth_m reaches 0.001"),
-        (((4, 4), PITCH, "p_n", 1e-3), {"method": "mirror"}, "method is 'mirror'"),
-        (((4, 4), PITCH, "p_n", 1e-3), {"zero": "dc"}, "zero is 'dc'"),
-        (((4, 4), PITCH, "p_n", 1e-3), {"zero": "periodic"}, "zero is 'periodic', must be 'isolated' for method"),
-        (((4, 4), PITCH, "p_n", 1e-3), {"zero": "raise", "method": "padded"}, "zero is 'raise', must be 'isolated'"),
-        (((4, 4), PITCH, "displacement", 0.0), {"method": "periodic"}, "must be 'wrap-free' for the displacement"),
-    ],
-)
-def test_refuses(arguments: tuple, keywords: dict, message: str):
-    with pytest.raises(ValueError, match=message):
-        SurfaceFields(HalfSpace(E, 0.3), *arguments, **keywords)

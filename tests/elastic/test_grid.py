@@ -58,16 +58,6 @@ def test_layout_is_that_of_rfft2():
     assert SpectralGrid((6, 7), 4e-4).multiplicity.sum() * 6 == 42
 
 
-@pytest.mark.parametrize(
-    ("shape", "pitch_m", "message"),
-    [*((shape, 4e-4, "shape is") for shape in [(0, 4), (4,), (4, 4, 4)])]
-    + [((4, 4), pitch_m, "pitch_m is") for pitch_m in (0.0, -1.0, np.nan, np.inf)],
-)
-def test_refuses(shape: tuple[int, ...], pitch_m: float, message: str):
-    with pytest.raises(ValueError, match=message):
-        SpectralGrid(shape, pitch_m)  # type: ignore[arg-type]
-
-
 def test_refuses_an_oblong_grid_for_the_displacement_of_an_isolated_load():
     with pytest.raises(ValueError, match="must be square"):
         SpectralGrid((4, 6), 4e-4).transfer_matrix(HalfSpace(E, 0.5), "displacement", "traction", 0.0)

@@ -138,23 +138,3 @@ def test_names_the_frequencies_of_a_singular_mix(
     with pytest.raises(ValueError, match=words) as refused:
         MixedBoundary(HalfSpace(E, nu), SpectralGrid(shape, PITCH_M), known, zero="periodic")
     assert str(refused.value).endswith("must be one of u_i and f_i for each axis i, which always determines it")
-
-
-def test_refuses_bad_input():
-    body, grid = HalfSpace(E, 0.3), SpectralGrid((6, 8), PITCH_M)
-    for known in [("f_x", "f_x", "u_z"), ("f_x", "f_y"), ("f_x", "f_y", "f_z", "u_x"), ("f_x", "f_y", "sigma")]:
-        with pytest.raises(ValueError, match=r"known is .*three different ones of u_x, u_y"):
-            MixedBoundary(body, grid, known, zero="periodic")
-    with pytest.raises(ValueError, match="omega is 0"):
-        MixedBoundary(body, grid, ("f_x", "f_y", "u_z"), zero="raise")
-    with pytest.raises(ValueError, match="must be square"):
-        MixedBoundary(body, grid, ("f_x", "f_y", "u_z"), zero="isolated")
-    boundary = MixedBoundary(body, grid, ("f_x", "f_y", "u_z"), zero="periodic")
-    with pytest.raises(ValueError, match=r"known_values have shape \(3, 8, 6\), must be \(3, 6, 8\)"):
-        boundary.field(np.zeros((3, 8, 6)), "strain", 1e-3)
-    with pytest.raises(ValueError, match="not finite"):
-        boundary.field(np.full((3, 6, 8), np.nan), "strain", 1e-3)
-    with pytest.raises(ValueError, match="must be 0 for output 'traction'"):
-        boundary.field(np.zeros((3, 6, 8)), "traction", 1e-3)
-    with pytest.raises(ValueError, match="depth_m reaches"):
-        boundary.field(np.zeros((3, 6, 8)), "strain", -1e-3)

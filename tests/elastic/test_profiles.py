@@ -40,16 +40,3 @@ def test_relief_turns_elevation_and_surrounds_it():
     expected = np.full((4, 8), np.inf)
     expected[1:3, 2:5] = [[2e-4, 0.0, 1e-4], [3e-4, 2e-4, 2e-4]]
     np.testing.assert_allclose(found, expected, atol=1e-18)
-
-
-@pytest.mark.parametrize("profile", [paraboloid, sphere, flat_punch])
-def test_bad_geometry_is_refused(profile):
-    for radius in (0.0, -1.0, np.nan, np.inf):
-        with pytest.raises(ValueError, match=r"radius_m is .*, must be finite and above 0"):
-            profile(SHAPE, PITCH_M, radius)
-    with pytest.raises(ValueError, match=r"centre_m is .*nan.*, must be finite"):
-        profile(SHAPE, PITCH_M, 1.0, (0.0, np.nan))
-    with pytest.raises(ValueError, match="pitch_m is 0"):
-        profile(SHAPE, 0.0, 1.0)
-    with pytest.raises(ValueError, match="shape is"):
-        profile((0, 3), PITCH_M, 1.0)

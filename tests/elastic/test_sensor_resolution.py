@@ -180,26 +180,3 @@ def test_deepest_and_widest_are_borders(load: Load):
     finest_m = array.features_m(load)[0]
     assert array.deepest_m(load, finest_m * 1.01) >= 1e-3  # the depth itself
     assert math.isnan(array.deepest_m(load, 0.39e-3))
-
-
-@pytest.mark.parametrize(
-    ("changes", "complaint"),
-    [
-        ({"pitch_m": 0.0}, "pitch_m is 0, must be above 0"),
-        ({"pitch_m": 4.01e-3}, "pitch_m is 0.00401, must be above 0 and at most four depths, 0.004"),
-        ({"pitch_m": math.nan}, "pitch_m is nan"),
-        ({"snr_db": 101.0}, "snr_db is 101, must be from -40 to 100"),
-        ({"snr_db": math.nan}, "snr_db is nan"),
-    ],
-)
-def test_what_is_no_array_is_refused(changes: dict[str, float], complaint: str):
-    with pytest.raises(ValueError, match=complaint):
-        sensor_array(**changes)
-
-
-def test_what_is_no_feature_or_load_is_refused():
-    for call in (sensor_array().deepest_m, sensor_array().widest_pitch_m):
-        with pytest.raises(ValueError, match=r"feature_m is 0\.0, must be finite and above 0"):
-            call("normal", 0.0)
-    with pytest.raises(ValueError, match="load is 'twist', must be one of: normal, shear, normal_alone"):
-        sensor_array().load_to_error("twist", 1.0, 1.0)  # type: ignore[arg-type]

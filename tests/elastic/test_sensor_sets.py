@@ -216,31 +216,6 @@ def test_symmetry_as_published():
     assert sensor_set("xz").asymmetry == pytest.approx(1 / math.sqrt(18))  # by hand from its power, above
 
 
-@pytest.mark.parametrize(
-    ("components", "depth_m", "complaint"),
-    [
-        ((), 1e-3, "components is empty"),
-        (("p_n", "xzz"), 1e-3, "'xzz' is unknown; did you mean zz.*p_n, xx, yy"),
-        (("q",), 1e-3, "'q' is unknown; must be one of"),
-        (("xz", "p_n", "xz"), 1e-3, "'xz' is named 2 times"),
-        (("p_n",), 0.0, "depth_m is 0, must be from 1e-09 to 1000"),
-        (("p_n",), math.nan, "depth_m is nan"),
-    ],
-)
-def test_what_is_no_set_is_refused(components: tuple[str, ...], depth_m: float, complaint: str):
-    with pytest.raises(ValueError, match=complaint):
-        SensorSet(HalfSpace(E, 0.5), components, depth_m)
-
-
-def test_what_has_no_answer_is_refused():
-    with pytest.raises(ValueError, match="has 2 components, must have 3"):
-        sensor_set("p_n", "xz").determinant(1.0, 1.0)
-    with pytest.raises(ValueError, match="omega reaches 1e\\+06 rad/m, must be at most"):
-        sensor_set("p_n").matrix(1e6, 0.0)
-    with pytest.raises(ValueError, match="not finite"):
-        sensor_set("p_n").rank(np.nan, 0.0)
-
-
 @pytest.mark.parametrize("short_of_half", [1e-6, 1e-8, 1e-10])
 def test_a_nearly_incompressible_skin_has_no_blind_directions_of_rounding(short_of_half: float):
     assert SensorSet(HalfSpace(2e5, 0.5 - short_of_half), ("zz", "xz", "yz"), 1e-3).blind_directions_rad == ()

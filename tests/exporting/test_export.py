@@ -3,14 +3,12 @@
 import json
 import resource
 import signal
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from command_line import exit_code
 from export_bench import played, recording
 
 from resonator_daemon.commands import main
@@ -145,49 +143,6 @@ def test_an_interrupt_leaves_nothing(
     assert export(recording("touches"), *output(tmp_path, form)) == 1
     assert capsys.readouterr().err == "resonatord: interrupted: what was written is removed\n"
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("form", "library", "remedy"),
-    [
-        ("parquet", "pyarrow", "Parquet needs pyarrow: pip install pyarrow"),
-        ("ros2", "rosbags.typesys", "messages of ROS 2 need rosbags: pip install rosbags"),
-    ],
-)
-def test_a_missing_library_is_named(
-    form: str,
-    library: str,
-    remedy: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.setitem(sys.modules, library, None)
-    monkeypatch.delitem(sys.modules, f"resonator_daemon.exporting.formats.{form}", raising=False)
-    assert export(recording("touches"), *output(tmp_path, form)) == 78
-    assert capsys.readouterr().err.endswith(f"resonatord: {remedy}\n")
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (("--output", "out.xlsx"), "'out.xlsx' ends in none of .csv, .mcap, .npz, .parquet"),
-        (
-            ("--output", "out.csv", "--topics", "forces,decoded"),
-            "'decoded': csv takes forces, contacts, contacts/event",
-        ),
-        (("--output", "-", "--format", "csv"), "--output - would be stdout, and files are written; name one"),
-        (("--output", "out.npz", "--topics", "force"), "'force': npz takes forces, "),
-        (("--output", "out.csv", "--topics", ""), "--topics '': csv takes "),
-        (("--output", "out.mcap", "--ros2", "--format", "mcap"), "not allowed with argument --ros2"),
-    ],
-)
-def test_options_that_do_not_go_together(
-    arguments: tuple[str, ...], sentence: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert exit_code("export", recording("touches"), *arguments) == 2
-    assert sentence in capsys.readouterr().err
 
 
 def test_no_recording_is_said_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

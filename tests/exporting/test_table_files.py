@@ -9,11 +9,8 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from export_bench import METADATA, Played, played, write
+from export_bench import Played, played, write
 
-from resonator_daemon.exporting.columns import Column
-from resonator_daemon.exporting.formats import parquet as parquet_format
-from resonator_daemon.exporting.output import Recorded
 from resonator_daemon.exporting.table_output import TableOutput
 from resonator_daemon.publishing.units import NO_UNIT, unit_of
 
@@ -173,13 +170,3 @@ def test_csv_has_what_parquet_has(case: str, tmp_path: Path) -> None:
     at = [tables["forces"].schema.names.index(name) for name in ("t_ns", "board_ticks")]
     read = np.loadtxt(tmp_path / "out-forces.csv", np.uint64, delimiter=",", quotechar='"', skiprows=1, usecols=at)
     assert read.tolist() == [[message.t_ns, message.board_ticks] for message in played_case.messages("forces")]
-
-
-def test_an_array_that_is_missing_is_null_in_parquet(tmp_path: Path) -> None:
-    path = tmp_path / "decoded.parquet"
-    output = parquet_format.Format(path, ("decoded",), Recorded(played("skin").config, METADATA))
-    output.begin()
-    table = output.open_table("decoded", [Column("traction_pascal", "float32 array", True, (2, 2))])
-    table.write([[np.arange(4, dtype=np.float32).reshape(2, 2), None]])
-    output.close()
-    assert pq.read_table(path)["traction_pascal"].to_pylist() == [[0.0, 1.0, 2.0, 3.0], None]

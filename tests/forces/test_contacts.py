@@ -112,28 +112,9 @@ def test_an_overload_opens_a_contact_with_a_lower_bound_only():
     assert tell(contacts, 2, over()) == []
 
 
-def test_a_contact_that_moves_keeps_its_identity_within_the_reach():
-    contacts = ContactTracker(TIMEOUT, reach_m=1e-3)
-    tell(contacts, 0, at(0, 0), at(3, 0), complete=True)
-    assert tell(contacts, 1, at(2.4, 0), at(0.8, 0), complete=True) == []
-    assert [(contact.id, contact.touch.position_m[0]) for contact in contacts.contacts] == [(1, 0.8e-3), (2, 2.4e-3)]
-    assert tell(contacts, 2, at(2.4, 0), at(2.0, 0), complete=True) == [("release", 1, 0), ("onset", 3, 0)]
-
-
 def test_of_two_touches_within_the_reach_the_nearer_one_is_the_contact():
     contacts = ContactTracker(TIMEOUT, reach_m=1e-3)
     tell(contacts, 0, at(0, 0), complete=True)
     assert tell(contacts, 1, at(0.9, 0), at(-0.2, 0), complete=True) == [("onset", 2, 0)]
     places_m = {contact.id: contact.touch.position_m for contact in contacts.contacts}
     assert places_m == {1: at(-0.2, 0).position_m, 2: at(0.9, 0).position_m}
-
-
-def test_closing_releases_every_contact_with_the_reason_given():
-    contacts = tracker()
-    tell(contacts, 0, force(1.0, 0), force(1.0, 1))
-    events = contacts.close(9, "because")
-    assert [(event.contact.touch.site, event.board_ticks, event.reason) for event in events] == [
-        (0, 9, "because"),
-        (1, 9, "because"),
-    ]
-    assert contacts.contacts == ()

@@ -76,23 +76,3 @@ def test_a_site_that_no_corner_hears_is_not_known_and_leaves_the_others():
     assert shifts.kelvin[2] == pytest.approx(0.0, abs=1e-6)
     offset[:, WARM_TONE[2]] = np.nan
     assert np.isnan(tones().shifts(offset, SIGMA).kelvin[2])
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"sensitivity": np.where(np.arange(4) == 1, -SENSITIVITY, SENSITIVITY)},
-        {"sensitivity": np.where(np.arange(4) == 1, 0.0, SENSITIVITY)},
-        {"signal_index": np.array([0, 1, 1, 1, 0])},  # site 0 without a tone for its force
-    ],
-)
-def test_what_makes_no_plate_is_refused(change):
-    arguments = {
-        "f0_hz": F0_HZ,
-        "sensitivity": SENSITIVITY,
-        "oscillator_hz": OSCILLATOR_HZ,
-        "site_index": SITE,
-        "signal_index": SIGNAL,
-    }
-    with pytest.raises(ValueError, match=r"sensitivity|site 0"):
-        ForceTones(**arguments | change)

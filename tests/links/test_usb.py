@@ -1,17 +1,14 @@
 """The USB link over real libusb and unmodified pyusb; what no emulated device can do is made at pyusb's edge."""
 
-import errno
 import os
 from collections.abc import Iterator
 
 import pytest
-from usb.core import USBError
 from usb_bench import LINK, HostError, UsbBoardEnd, UsbHost, usb_board, usb_host
 
 from resonator_daemon.links import usb_link
 from resonator_daemon.links.carriers.usb import UsbTarget
 from resonator_daemon.links.link import LinkUnavailableError
-from resonator_daemon.links.port_holders import Holder, Holders
 from resonator_daemon.links.usb_devices import UsbBoard
 from resonator_daemon.links.usb_link import open_usb
 
@@ -162,13 +159,6 @@ def test_a_board_that_does_not_begin(board: UsbBoardEnd, host: UsbHost) -> None:
     host.run(f"open_link({LINK!r})")
 
 
-def test_another_board_is_named_with_what_is_there(host: UsbHost) -> None:
-    there = f"present: {LINK}"
-    for other in ("usb:1209:0001?serial=0043", "usb:1209:0002?serial=0042", "usb:1208:0001"):
-        assert refusal(host, other) == f"no board is {other}; {there}"
-    host.run("open_link('usb:1209:0001')")
-
-
 def test_only_one_host_holds_a_board(board: UsbBoardEnd, host: UsbHost) -> None:
     host.run(f"open_link({LINK!r})")
     with usb_host(board) as other:
@@ -215,28 +205,6 @@ def test_a_board_among_several_must_be_named(monkeypatch: pytest.MonkeyPatch) ->
     assert str(caught.value) == f"3 boards are usb:1209:0001; say which: {links}"
     with pytest.raises(LinkUnavailableError, match=r"^2 boards are usb:1209:0001\?serial=0042; "):
         open_usb(UsbTarget(0x1209, 0x0001, "0042"))
-
-
-def refused(monkeypatch: pytest.MonkeyPatch, error: Exception, target: UsbTarget, present: UsbBoard) -> str:
-    """Return the sentence where libusb does not open the only board that is present."""
-
-    class Backend:
-        def open_device(self, device: object) -> object:
-            raise error
-
-    monkeypatch.setattr(usb_link, "present_boards", lambda: [present])
-    monkeypatch.setattr(usb_link, "usb_backend", Backend)
-    with pytest.raises(LinkUnavailableError) as caught:
-        open_usb(target)
-    return str(caught.value)
-
-
-def test_who_holds_a_board_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Below an emulated /dev nobody's descriptors can be told.
-    holders = Holders((Holder(os.getpid(), "pytest", locks=False), Holder(1, "init", locks=False)), all_seen=True)
-    monkeypatch.setattr(usb_link, "port_holders", {"/dev/bus/usb/999/002": holders}.__getitem__)
-    said = refused(monkeypatch, USBError("Busy", -6, errno.EBUSY), UsbTarget(0x1209, 1), a_board("0042", 2))
-    assert said == "usb:1209:0001?serial=0042 is held by init (pid 1); close it there"
 
 
 @pytest.mark.parametrize(

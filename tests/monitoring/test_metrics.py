@@ -13,7 +13,7 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families 
 from prometheus_client.parser import text_string_to_metric_families
 
 from resonator_daemon.monitoring.metrics import StatusCollector
-from resonator_daemon.monitoring.status import BrokerStatus, ConfigStatus, Status
+from resonator_daemon.monitoring.status import BrokerStatus, Status
 from resonator_daemon.publishing.payloads import Condition, MessageAccount
 
 Key = tuple[str, frozenset[tuple[str, str]]]
@@ -103,17 +103,6 @@ def of(name: str, /, **labels: str) -> Key:
 )
 def test_a_figure_of_the_status_is_a_metric_in_base_units(key: Key, value: float) -> None:
     assert metrics(status_samples.status())[key] == pytest.approx(value, rel=1e-9)
-
-
-def test_a_configuration_that_is_not_the_files_shows() -> None:
-    config = ConfigStatus(
-        file="f", in_use="last_good", problems=("a", "b"), loaded_t_ns=5_000_000_000, needs_restart=("link",)
-    )
-    found = metrics(status_samples.status(config=config))
-    assert found[of("resonatord_config_last_good")] == 1
-    assert found[of("resonatord_config_problems")] == 2
-    assert found[of("resonatord_config_needs_restart")] == 1
-    assert found[of("resonatord_config_load_time_seconds")] == 5
 
 
 def test_what_is_down_is_zero_and_not_left_out() -> None:

@@ -222,15 +222,3 @@ async def test_contacts_end_when_signals_stop_and_only_then(monkeypatch: pytest.
         for seq in range(3, 5):
             await followed.read(signals(seq))
         assert followed.on("contacts/event")[2].contact.id == 2
-
-
-async def test_frames_whose_noise_is_not_known_are_unusable_and_none_is_skipped() -> None:
-    async with Followed().running() as followed:
-        await followed.tell(info())
-        followed.send(signals(0, noise_std=np.full((3, len(SITES_M)), np.nan, np.float32)))
-        await until(lambda: followed.account.unusable == 1)
-        assert followed.account.skipped == 0
-        await followed.prepare(info())
-        assert followed.plate.process_info().pid is not None
-        await followed.read(signals(1))
-    assert len(followed.on("decoded")) == 1

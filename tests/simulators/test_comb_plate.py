@@ -98,16 +98,3 @@ def test_a_warm_finger_shifts_its_site_and_a_temperature_tone_tells_how_warm_tha
     assert force == pytest.approx(np.full(4, expected), abs=2e-3)
     others = [tone for tone in range(1, 32, 2) if tone != 2 * index + 1]
     assert hz[:, others] == pytest.approx(f0_hz[:, others], abs=0.1)
-
-
-def test_plates_without_channelised_force_sites_are_refused() -> None:
-    with pytest.raises(ValueError, match="quartz16 has a single-tone counter"):
-        CombPlate(QUARTZ, Scenario((), None, QUARTZ), 1)
-    skin = load_plate("skin32")
-    with pytest.raises(ValueError, match="signals p_n"):
-        CombPlate(skin, Scenario((), None, skin), 1)
-    content = PLATE.model_dump(mode="json", exclude_none=True)
-    content["sites"] = content["sites"][::-2] + content["sites"][::2]
-    shuffled = Plate.model_validate(content)
-    with pytest.raises(ValueError, match="in the order of the file"):
-        emulated(plate=shuffled)
