@@ -1,13 +1,13 @@
 """One message of each kind, as the tests of publishing send them: the product's examples with another number."""
 
-import json
-from typing import Any
+from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
+from example_messages import example, header
 
-from resonator_daemon.publishing import payloads
-from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import (
+    Condition,
     ContactEvent,
     Contacts,
     Decoded,
@@ -18,59 +18,49 @@ from resonator_daemon.publishing.payloads import (
     Grid,
     Health,
     Info,
-    Lost,
     Message,
     Signals,
     State,
 )
 
-HEADER: dict[str, Any] = {
-    "seq": 1234,
-    "daemon_boot_id": "9f3c",
-    "board_boot_id": "51aa",
-    "t_ns": 1789000000000000000,
-    "t_unc_ns": 42000,
-    "lost": Lost(),
-}
+M = TypeVar("M", bound=Message)
+HEADER = header(seq=1234)
 
 
-def example(kind: str, **changed: Any) -> Any:
-    """Return the example of a model with other values."""
-    made = getattr(payloads, kind).model_validate_json(json.dumps(EXAMPLES[kind]))
-    header = {key: HEADER[key] for key in ("daemon_boot_id", "board_boot_id") if key in EXAMPLES[kind]}
-    return made.model_copy(update=header | changed)
+def numbered(kind: type[M]) -> Callable[[int], M]:
+    """Return what makes messages of a kind that differ by `seq`."""
+    return lambda number: example(kind, seq=number)
 
 
 class Messages:
     """Makes messages that differ by one number, `seq` and the values of arrays."""
+
+    forces = staticmethod(numbered(Forces))
+    contacts = staticmethod(numbered(Contacts))
+    summary = staticmethod(numbered(DecodedSummary))
+    info = staticmethod(numbered(Info))
+    health = staticmethod(numbered(Health))
 
     @staticmethod
     def state(word: str, reason: str = "") -> State:
         return State(**HEADER, state=word, reason=reason, since_t_ns=1788999990000000000)
 
     @staticmethod
-    def forces(number: int) -> Forces:
-        return example("Forces", seq=number)
-
-    @staticmethod
-    def contacts(number: int) -> Contacts:
-        return example("Contacts", seq=number)
-
-    @staticmethod
     def event(number: int) -> ContactEvent:
-        event = example("ContactEvent", seq=number, event="onset", reason="")
+        event = example(ContactEvent, seq=number, event="onset", reason="")
         return event.model_copy(update={"contact": event.contact.model_copy(update={"id": number})})
 
     @staticmethod
     def signals(number: int) -> Signals:
-        array = np.full((3, 1024), number, np.float32)
-        return Signals(**_measured(number), signals=array, noise_std=np.full((3, 1024), 1e-3), status="ok")
+        array, noise = np.full((3, 1024), number, np.float32), np.full((3, 1024), 1e-3)
+        return Signals(**header(seq=number), board_ticks=1, signals=array, noise_std=noise, status="ok")
 
     @staticmethod
     def decoded(number: int) -> Decoded:
         array = np.full((3, 32, 32), number, np.float32)
         return Decoded(
-            **_measured(number),
+            **header(seq=number),
+            board_ticks=1,
             traction_pascal=array,
             traction_std_pascal=array,
             displacement_m=None,
@@ -78,24 +68,12 @@ class Messages:
         )
 
     @staticmethod
-    def summary(number: int) -> DecodedSummary:
-        return example("DecodedSummary", seq=number)
-
-    @staticmethod
-    def info(number: int) -> Info:
-        return example("Info", seq=number)
-
-    @staticmethod
-    def health(number: int) -> Health:
-        return example("Health", seq=number)
-
-    @staticmethod
     def decoder_state(word: str, reason: str = "") -> DecoderState:
-        return example("DecoderState", state=payloads.Condition(word), reason=reason)
+        return example(DecoderState, state=Condition(word), reason=reason)
 
     @staticmethod
     def decoder_health(number: int) -> DecoderHealth:
-        return example("DecoderHealth", uptime_s=float(number))
+        return example(DecoderHealth, uptime_s=float(number))
 
     @staticmethod
     def by_path() -> dict[str, Message]:
@@ -113,7 +91,3 @@ class Messages:
             "decoded/summary": Messages.summary(7),
             "health": Messages.health(8),
         }
-
-
-def _measured(number: int) -> dict[str, Any]:
-    return HEADER | {"seq": number, "board_ticks": 1}

@@ -6,10 +6,10 @@ from typing import Any
 import cbor2
 import numpy as np
 import pytest
+from example_messages import example
 from mqtt_helpers import HEADER
 from numpy.typing import NDArray
 from pydantic_core import PydanticSerializationError
-from sample_messages import example
 
 from resonator_daemon.publishing.codec import decode, encode, encode_fields
 from resonator_daemon.publishing.payloads import Contacts, Decoded, Forces, Grid, Measured, Signals
@@ -149,7 +149,7 @@ def test_damaged_arrays_are_refused(array: bytes, finding: str) -> None:
 
 @pytest.mark.parametrize("kind", [Forces, Contacts])
 def test_fields_are_encoded_as_their_model_is(kind: type[Measured]) -> None:
-    message = example(kind.__name__)
+    message = example(kind)
     encoded = encode_fields(kind, message.model_dump())
     assert (encoded.payload, encoded.t_ns) == (message.model_dump_json().encode(), message.t_ns)
 
@@ -157,4 +157,4 @@ def test_fields_are_encoded_as_their_model_is(kind: type[Measured]) -> None:
 @pytest.mark.parametrize(("field", "value"), [("status", 1), ("lost", 3), ("sites", "none")])
 def test_fields_of_another_type_are_no_message(field: str, value: object) -> None:
     with pytest.raises(PydanticSerializationError):
-        encode_fields(Forces, example("Forces").model_dump() | {field: value})
+        encode_fields(Forces, example(Forces).model_dump() | {field: value})

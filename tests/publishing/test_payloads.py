@@ -5,9 +5,10 @@ import math
 
 import numpy as np
 import pytest
+from example_messages import example
 from hypothesis import given
 from hypothesis import strategies as st
-from sample_messages import HEADER, example
+from sample_messages import HEADER
 
 from resonator_daemon.publishing.codec import decode, encode
 from resonator_daemon.publishing.message_examples import EXAMPLES
@@ -32,7 +33,7 @@ def test_words_outside_the_closed_sets_are_refused(word: str) -> None:
 @pytest.mark.parametrize("unknown", [math.nan, math.inf, -math.inf, np.float64("nan")])
 def test_what_is_not_known_is_null_in_json_and_nan_when_read(unknown: float) -> None:
     site = SiteForce(site=7, **FORCE | dict.fromkeys(FORCE, unknown) | {"status": "overload", "at_least_newton": 10.0})
-    message = example("Forces", sites=(site,))
+    message = example(Forces, sites=(site,))
     encoded = encode(message)
     assert b'"force_newton":null' in encoded
     json.loads(encoded, parse_constant=pytest.fail)  # called for NaN and Infinity
