@@ -232,24 +232,3 @@ def test_a_bad_load_is_asked_for_once_more_and_a_person_is_asked_to_accept(desk:
     assert "step 3 (300 g on site 7) does not fit the others" in reported
     assert [line["step"] for line in printed if line.get("event") == "captured"] == [1, 2, 3, 4, 5, 3]
     assert sensitivity_error(desk) < 3e-3
-
-
-def test_what_cannot_be_calibrated_is_refused(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
-    for arguments, *words in (
-        (("--sites", "99", "--masses-grams", "500,100"), "has no site 99", "masses must rise"),
-        (("--valid-days", "99999"), "'99999'"),
-        (("--sites", "seven"), "'seven'"),
-        (("skin", "--sites", "7"), "--sites does not belong"),
-        (("--seconds", "7"), "--seconds does not belong"),
-    ):
-        code, _, reported = desk.say(capsys, *arguments)
-        assert code == 2
-        assert all(word in reported for word in words)
-    desk.config.write_text(desk.config.read_text().replace("plate.toml", "quartz16"))
-    code, _, reported = desk.say(capsys)
-    assert code == 2
-    assert "name a new plate file, as --output quartz16-calibrated.toml" in reported
-    desk.config.write_text('plate = "skin32"\nlink = "tcp://127.0.0.1:9"\n')
-    code, _, reported = desk.say(capsys)
-    assert code == 78
-    assert "use: resonatord calibrate skin" in reported

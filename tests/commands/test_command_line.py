@@ -106,27 +106,6 @@ def test_a_missing_file_is_one_line_and_78(tmp_path: Path, resonatord: Resonator
 
 
 @pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        (("--plate", "quarz16"), "did you mean quartz16?"),
-        (("--plate", "quartz16", "--scenario", "tuches"), "touches"),
-        (("--plate", "quartz16", "--faults", "bit_eror_rate=1e-5"), "bit_error_rate"),
-        (("--plate", "quartz16", "--speed", "1000"), "at most 100, got 1000"),
-        (("--plate", "quartz16", "--scenario", "press-and-shear"), "only for plates with a skin"),
-        (("--plate", "skin32", "--scenario", "whole-plate"), "only for plates with force sites"),
-        (("--plate", "skin32", "--counter", "stamps"), "single-tone"),
-    ],
-)
-def test_emulate_refuses_in_one_line(
-    tmp_path: Path, arguments: tuple[str, ...], complaint: str, resonatord: Resonatord
-) -> None:
-    run = resonatord("emulate", *arguments, "--pty", str(tmp_path / "board"))
-    assert run.returncode == 2
-    assert len(run.stderr.splitlines()) == 1
-    assert complaint in run.stderr
-
-
-@pytest.mark.parametrize(
     "arguments", [("--help",), ("plan", "--help"), ("repair", "-h"), ("emulate", "--scenario-schema"), ("schema",)]
 )
 def test_what_cannot_be_printed_fails(arguments: tuple[str, ...]) -> None:

@@ -67,17 +67,6 @@ def test_an_output_that_is_there_is_not_overwritten(
     assert (tmp_path / "there").read_bytes() == b"mine"
 
 
-@pytest.mark.parametrize("command", ["decode", "config explain", "plan codes", "status"])
-def test_an_unknown_argument_has_the_usage_of_its_command_printed(
-    command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    required = {"decode": "--config board.toml", "plan codes": "--grid 4x4 --pitch-mm 5"}.get(command, "")
-    assert exit_code(*shlex.split(f"{command} {required} --foo")) == 2
-    error = capsys.readouterr().err
-    assert error.startswith(f"usage: resonatord {command} ")
-    assert "unrecognized arguments: --foo" in error
-
-
 @pytest.mark.parametrize("line", [f"replay {RECORDING} --to -", "schema"])
 def test_a_reader_that_leaves_ends_it_well(line: str) -> None:
     """As `| head -c 1` does; the rest is more than a pipe holds."""

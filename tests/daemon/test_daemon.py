@@ -81,42 +81,6 @@ async def test_states_for_one_who_comes_late_and_a_farewell(bench: Bench, mosqui
             await after.until_last("resonator/hand/state/daemon", state="offline", reason="stopped")
 
 
-async def test_pressed_at_start_gives_no_force_until_it_is_let_go(bench: Bench, mosquitto: Mosquitto) -> None:
-    held = touched(0.6, start_s=0.0, rise_s=0.0)
-    again = touched(0.2, start_s=1.5)
-    async with (
-        observe(mosquitto.url) as heard,
-        bench.measured(heard, bench.service(), scenario=bench.scenario(held + again)),
-    ):
-        pressed = await heard.until_last("resonator/hand/state/sensor", state="pressed_at_start")
-        await heard.until_last("resonator/hand/state/sensor", state="online")
-        seen_before = heard.payloads("resonator/hand/forces")
-        assert not any(message["sites"] for message in seen_before)
-        assert any(message["status"] == "pressed_at_start" for message in seen_before)
-        assert events(heard) == []
-        await heard.until(lambda: len(events(heard)) == 2)
-    assert "before the pilot was heard" in pressed["reason"]
-    assert events(heard)[0]["contact"]["site"] == 7
-
-
-async def test_a_reboot_under_a_finger_is_not_tared_away(bench: Bench, mosquitto: Mosquitto) -> None:
-    faults = parse_faults("reboot_at_s=0.8")
-    async with (
-        observe(mosquitto.url) as heard,
-        bench.measured(heard, bench.service(), scenario=bench.scenario(touched(1.5)), faults=faults),
-    ):
-        await heard.until(lambda: len(events(heard)) == 2)
-        await heard.until_last("resonator/hand/state/sensor", state="pressed_at_start")
-        await heard.until_last("resonator/hand/state/sensor", state="online")
-        boots = {message["board_boot_id"] for message in heard.payloads("resonator/hand/forces")}
-        after = [m for m in heard.payloads("resonator/hand/forces") if m["status"] == "pressed_at_start"]
-    onset, release = events(heard)
-    assert (onset["event"], release["event"]) == ("onset", "release")
-    assert len(boots) == 2
-    assert after
-    assert not any(message["sites"] for message in after)
-
-
 async def test_a_pulled_cable_is_survived_and_said(bench: Bench, mosquitto: Mosquitto) -> None:
     faults = parse_faults("unplug_at_s=0.7,unplug_for_s=0.5")
     scenario = bench.scenario(IDEAL + touched(2.0))

@@ -95,27 +95,6 @@ def test_the_four_that_were_used_last_are_kept(directory: Path) -> None:
     assert kept > {files[0], files[2], files[3]}
 
 
-@pytest.mark.parametrize(
-    ("systemd", "xdg", "expected"),
-    [
-        ("a:b", "x", "a"),
-        (None, "x", "x/resonatord"),
-        ("", "", ".cache/resonatord"),
-        (None, None, ".cache/resonatord"),
-    ],
-)
-def test_the_directory_is_systemds_else_that_of_xdg(
-    systemd: str | None, xdg: str | None, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("HOME", str(tmp_path))
-    for name, value in (("CACHE_DIRECTORY", systemd), ("XDG_CACHE_HOME", xdg)):
-        monkeypatch.delenv(name, raising=False)
-        if value is not None:
-            monkeypatch.setenv(name, f"{tmp_path}/{value}" if value else "")
-    cached("key", Builder())
-    assert len(list((tmp_path / expected).glob("*.pickle"))) == 1
-
-
 def test_what_a_killed_program_left_is_removed_and_what_is_being_written_stays(directory: Path) -> None:
     directory.mkdir()
     left, fresh = directory / "left.part", directory / "fresh.part"

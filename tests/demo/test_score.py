@@ -120,21 +120,6 @@ def test_errors_and_latency_count_from_the_beginning(run: Run) -> None:
     assert (run.score.decoded_frames, result.traction_error) == (0, None)
 
 
-def test_losses_are_those_since_the_beginning(run: Run) -> None:
-    run.begin(100, damaged=3, publish_dropped=2)
-    assert set(run.score.losses.values()) == {0}
-    run.health(200, damaged=3, publish_dropped=7, link_gap=1)
-    assert run.score.lost == {
-        "link_gap": 1,
-        "damaged": 0,
-        "board_overflow": 0,
-        "host_overrun": 0,
-        "ring_overflow": 0,
-        "publish_dropped": 5,
-        "skipped_late": 0,
-    }
-
-
 def test_what_was_skipped_between_the_last_health_and_the_beginning_belongs_to_the_set_up(run: Run) -> None:
     run.health(100, not_decoded=4)
     run.score.begin()

@@ -51,15 +51,6 @@ def table(path: Path) -> Iterator[TruthTable]:
     table.close()
 
 
-def test_lines_keep_ticks_and_time_exactly(path: Path, table: TruthTable) -> None:
-    append(path, text_of(1, touch((0.1, 0.0, 1.2))))
-    table.read_on()
-    (line,) = table.lines
-    assert (line.sequence, line.board_ticks) == (41, 6000)
-    assert line.t_ns == T0_NS + 1_000_000  # more digits than a double has
-    assert list(line.contacts) == [touch((0.1, 0.0, 1.2))]
-
-
 @pytest.mark.parametrize("piece", [1, 7, 100, 10_000])
 def test_a_file_that_grows_by_pieces_of_lines_is_read_once(path: Path, table: TruthTable, piece: int) -> None:
     whole = "".join(text_of(number, touch((0.0, 0.0, 0.25 * number))) for number in range(20))
@@ -70,17 +61,6 @@ def test_a_file_that_grows_by_pieces_of_lines_is_read_once(path: Path, table: Tr
     table.read_on()
     assert [line.board_ticks for line in table.lines] == [5000 + 1000 * number for number in range(20)]
     assert [line.contacts[0]["force_newton"][2] for line in table.lines] == [0.25 * number for number in range(20)]
-
-
-def test_a_window_is_the_gates_up_to_its_last(path: Path, table: TruthTable) -> None:
-    append(path, "".join(map(text_of, range(6))))
-    table.read_on()
-    window = table.window(9000, 3)
-    assert window is not None
-    assert [line.board_ticks for line in window] == [7000, 8000, 9000]
-    window = table.window(7000, 3)
-    assert window is not None
-    assert window[0].board_ticks == 5000
 
 
 SHAPE = NY, NX = 20, 32

@@ -280,16 +280,6 @@ def test_a_packet_that_was_cut_is_no_broken_cable(
     assert found["link.errors"].outcome is outcome
 
 
-@pytest.mark.parametrize(("frames", "outcome"), [(100_000, Outcome.WARNING), (100, Outcome.FAULT)])
-def test_dropped_frames_are_judged_by_their_share(calm: Capture, frames: int, outcome: Outcome) -> None:
-    before = calm.after
-    after = dataclasses.replace(
-        before, frames=before.frames + frames, lost=dataclasses.replace(before.lost, board_overflow=1)
-    )
-    capture = dataclasses.replace(calm, before=before, after=after, frame_rate_hz=1.0)
-    assert {finding.id: finding.outcome for finding in check_capture(capture)}["link.overflow"] is outcome
-
-
 def test_frames_that_are_refused_are_named_with_their_code(calm: Capture) -> None:
     refused = PacketRefusal("frame_length", "a frame has 176 bytes, got 175")
     counters = dataclasses.replace(calm.before, refusals=Counter({refused: 900}))
@@ -319,10 +309,3 @@ def test_what_a_busy_computer_explains_is_not_the_links_fault(
 ) -> None:
     busy = dataclasses.replace(calm, busy="this computer is busy", **change)
     assert {finding.id: finding.outcome for finding in check_capture(busy)}[id] is outcome
-
-
-def test_frames_that_come_more_slowly_than_they_are_counted_pile_up(calm: Capture) -> None:
-    narrow = dataclasses.replace(calm, frame_rate_hz=1.5 * calm.frame_rate_hz)
-    faulty = [finding for finding in check_capture(narrow) if finding.outcome is not Outcome.OK]
-    assert [(finding.id, finding.outcome) for finding in faulty] == [("link.overflow", Outcome.FAULT)]
-    assert "pile up" in faulty[0].evidence

@@ -195,6 +195,3 @@ def test_loads_of_a_batch_do_not_depend_on_each_other(method: Method):
     shallow = SurfaceFields(HalfSpace(E, 0.3), (9, 12), PITCH, "p_n", 0.0, method=method)
     np.testing.assert_array_equal(together[:, :, 1], shallow(loads))
     np.testing.assert_array_equal(field(np.ones((3, 9, 12), int)), field(np.ones((3, 9, 12))))
-
-
-# --- refusals

@@ -1,4 +1,4 @@
-"""Known regions: rigid punches and cracks of closed form, dense algebra, reciprocity, and what is refused."""
+"""Known regions: rigid punches and cracks of closed form, dense algebra, reciprocity."""
 
 import numpy as np
 import pytest

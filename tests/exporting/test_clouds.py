@@ -29,12 +29,3 @@ def test_a_map_has_its_pixels_at_their_places() -> None:
     np.testing.assert_allclose([point["x"], point["y"], point["z"]], [-0.0085, 0.021, 0.0], rtol=1e-6)
     assert point["traction_y_pascal"] == message.traction_pascal[1, row, column]
     assert point["displacement_z_m"] == 2 * message.traction_pascal[2, row, column]
-
-
-def test_values_at_the_sites_have_the_places_of_the_sites() -> None:
-    plate = played("skin").config.plate
-    for on_grid in (True, False):
-        points = Clouds(plate).points(decoded((3, len(plate.site_ids)), on_grid=on_grid))
-        assert points is not None
-        np.testing.assert_allclose(np.stack([points["x"], points["y"]], 1), plate.site_positions_m, rtol=1e-6)
-        assert points["traction_x_pascal"].tolist() == list(range(len(plate.site_ids)))

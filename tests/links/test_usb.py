@@ -4,13 +4,15 @@ import os
 from collections.abc import Iterator
 
 import pytest
-from usb_bench import LINK, HostError, UsbBoardEnd, UsbHost, usb_board, usb_host
+from link_bench import BoardEnd, usb_board
+from usb_bench import LINK, HostError, UsbHost, usb_host
 
 from resonator_daemon.links import usb_link
 from resonator_daemon.links.carriers.usb import UsbTarget
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.links.usb_devices import UsbBoard
 from resonator_daemon.links.usb_link import open_usb
+from simulators.usb_link import UsbLink
 
 UNSUPPORTED = "Operation not supported or unimplemented on this platform"
 
@@ -52,14 +54,14 @@ def held():
 
 
 @pytest.fixture
-def board() -> Iterator[UsbBoardEnd]:
+def board() -> Iterator[BoardEnd[UsbLink]]:
     with usb_board() as board:
         yield board
 
 
 @pytest.fixture
-def host(board: UsbBoardEnd) -> Iterator[UsbHost]:
-    with usb_host(board) as host:
+def host(board: BoardEnd[UsbLink]) -> Iterator[UsbHost]:
+    with usb_host(board.link) as host:
         host.run(_IMPORTS)
         yield host
 
@@ -84,20 +86,7 @@ def sha256(host: UsbHost, data: bytes) -> object:
     return host.value(f"digest(bytes.fromhex({data.hex()!r}))")
 
 
-def test_bytes_go_both_ways_and_what_is_old_is_thrown_away(board: UsbBoardEnd, host: UsbHost) -> None:
-    board.send(b"old")
-    board.wait(board.all_written)
-    host.run(f"open_link({LINK!r})")
-    assert board.begins == 1
-    board.send(b"new")
-    assert host.value("take(3)") == b"new"
-    packet = bytes(range(256)) * 5  # more than a USB packet
-    host.run(f"link.write({packet!r})")
-    board.wait(lambda: board.received == packet)
-    host.run("link.close(); link.close()")
-
-
-def test_a_stall_is_cleared(board: UsbBoardEnd, host: UsbHost) -> None:
+def test_a_stall_is_cleared(board: BoardEnd[UsbLink], host: UsbHost) -> None:
     host.run(f"open_link({LINK!r})")
     host.run("""
 calls, clear = [], link._backend.clear_halt
@@ -126,7 +115,7 @@ reader._ended(reader._transfers[0])
     assert host.value("reader.pop_received(), reader._in_flight") == (b"part", 0)
 
 
-def test_a_device_without_a_configuration_is_given_one(board: UsbBoardEnd, host: UsbHost) -> None:
+def test_a_device_without_a_configuration_is_given_one(board: BoardEnd[UsbLink], host: UsbHost) -> None:
     host.run("""
 backend, configurations = usb_link.usb_backend(), []
 backend.get_configuration = lambda handle: 0
@@ -138,7 +127,7 @@ backend.set_configuration = lambda handle, value: configurations.append(value)
     assert host.value("configurations") == [1]
 
 
-def test_a_board_that_stalls_without_end_is_given_up(board: UsbBoardEnd, host: UsbHost) -> None:
+def test_a_board_that_stalls_without_end_is_given_up(board: BoardEnd[UsbLink], host: UsbHost) -> None:
     host.run(f"open_link({LINK!r})")
     for _ in range(10):
         board.link.stall()
@@ -146,22 +135,22 @@ def test_a_board_that_stalls_without_end_is_given_up(board: UsbBoardEnd, host: U
     assert loss(host, "link.write(b'x')") == "the board answers with stalls again and again"
 
 
-def test_a_board_that_takes_no_bytes(board: UsbBoardEnd, host: UsbHost) -> None:
+def test_a_board_that_takes_no_bytes(board: BoardEnd[UsbLink], host: UsbHost) -> None:
     host.run(f"open_link({LINK!r})")
     board.answers.clear()
     assert loss(host, "while True: link.write(bytes(60000))") == "the board took no bytes for 1 s"
 
 
-def test_a_board_that_does_not_begin(board: UsbBoardEnd, host: UsbHost) -> None:
+def test_a_board_that_does_not_begin(board: BoardEnd[UsbLink], host: UsbHost) -> None:
     board.answers.clear()
     assert refusal(host, LINK) == f"{LINK} does not begin anew within 1000 ms; plug it in again"
     board.answers.set()
     host.run(f"open_link({LINK!r})")
 
 
-def test_only_one_host_holds_a_board(board: UsbBoardEnd, host: UsbHost) -> None:
+def test_only_one_host_holds_a_board(board: BoardEnd[UsbLink], host: UsbHost) -> None:
     host.run(f"open_link({LINK!r})")
-    with usb_host(board) as other:
+    with usb_host(board.link) as other:
         other.run(_IMPORTS)
         assert refusal(other, LINK) == f"{LINK} is held by another program; close it there"
         board.send(b"still there")
@@ -170,7 +159,7 @@ def test_only_one_host_holds_a_board(board: UsbBoardEnd, host: UsbHost) -> None:
         other.run(f"open_link({LINK!r})")
 
 
-def test_a_reset_only_where_it_is_allowed(board: UsbBoardEnd, host: UsbHost) -> None:
+def test_a_reset_only_where_it_is_allowed(board: BoardEnd[UsbLink], host: UsbHost) -> None:
     host.run(f"open_link({LINK!r}); link.reset()")
     board.send(b"as before")
     assert host.value("take(9)") == b"as before"
@@ -183,7 +172,7 @@ def test_a_reset_only_where_it_is_allowed(board: UsbBoardEnd, host: UsbHost) -> 
     assert host.value("take(4)") == b"anew"
 
 
-def test_closing_waits_for_no_driver_that_hangs(board: UsbBoardEnd, host: UsbHost) -> None:
+def test_closing_waits_for_no_driver_that_hangs(board: BoardEnd[UsbLink], host: UsbHost) -> None:
     host.run(f"open_link({LINK!r})")
     board.link.hold_cancelled()
     assert host.value("link.read(0.1)") == b""
@@ -216,7 +205,7 @@ def test_a_board_among_several_must_be_named(monkeypatch: pytest.MonkeyPatch) ->
     ],
 )
 def test_what_a_system_does_not_support_ends_a_link(
-    board: UsbBoardEnd, host: UsbHost, call: str, source: str, reason: str
+    board: BoardEnd[UsbLink], host: UsbHost, call: str, source: str, reason: str
 ) -> None:
     host.run(f"open_link('{LINK}&reset=yes'); link._backend.{call} = unsupported")
     board.link.stall()

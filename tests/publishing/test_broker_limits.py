@@ -133,26 +133,6 @@ def test_twice_in_a_row_is_believed_and_forgotten_after_a_while() -> None:
     assert largest.bytes_max(1.2 + EXPIRY_S) > 1e6
 
 
-def test_a_connection_that_lasts_has_taken_the_message() -> None:
-    largest = LargestMessages()
-    ending(largest, 0.0)
-    largest.connected(at_once=True)
-    largest.sent(40_000, "large", 1.0, awaited=False)
-    assert largest.ended(3.5) is None
-    assert ending(largest, 4.0) is None
-    assert ending(largest, 5.0) is None
-
-
-def test_what_was_acknowledged_later_tells_that_all_before_it_was_taken() -> None:
-    largest = LargestMessages()
-    for _ in range(3):
-        largest.connected(at_once=True)
-        largest.sent(40_000, "large", 0.0, awaited=False)
-        largest.sent(300, "small", 0.0, awaited=True)
-        largest.acknowledged()
-        assert largest.ended(0.1) is None
-
-
 @pytest.mark.parametrize(
     "settings",
     [("retain_available false",), ("max_qos 0",), ("retain_available false", "max_qos 0")],

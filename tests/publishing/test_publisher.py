@@ -52,22 +52,6 @@ async def test_close_says_stopped_after_everything_that_was_waiting(broker) -> N
     assert left.account.dropped == {"closed": 3, "withdrawn": 1}
 
 
-async def test_while_closing_nothing_new_is_taken() -> None:
-    async with scripted_broker() as (url, script), publishing(url, times=IMPATIENT) as left:
-        script.answer = lambda number: None
-        await until(lambda: left.connected)
-        farewell = (LEFT, topics.STATE_DAEMON, Messages.state("offline", "stopped"))
-        closing = asyncio.create_task(left.close(farewell))
-        await until(lambda: left.account.made == 1)
-        left.publish(LEFT, topics.HEALTH, Messages.health(1))
-        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(1))
-        left.answer(Outgoing("asker", b"{}"))
-        assert left.account.dropped == {"closed": 2, "withdrawn": 1}
-        assert not closing.done()
-        await closing
-    assert {message.topic for message in script.received} == {"resonator/left/state/daemon"}
-
-
 async def test_the_last_word_may_wait_for_a_broker_that_is_still_to_come(mosquitto) -> None:
     await mosquitto.kill()
     async with publishing(mosquitto.url) as left:

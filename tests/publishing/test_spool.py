@@ -50,20 +50,6 @@ def test_events_come_back_in_order_whatever_the_order_they_were_written_in(tmp_p
     kept.close()
 
 
-def test_what_earlier_runs_left_comes_first(tmp_path: Path) -> None:
-    for run in (1, 2):
-        kept = Spool(tmp_path)
-        assert kept.open() == (run, 2 * (run - 1))
-        kept.append(events(0, 1, run=run), START, 0)
-        kept.close()
-    kept = Spool(tmp_path)
-    assert kept.open() == (3, 4)
-    kept.append(events(0, run=3), START, 0)
-    found = kept.read(Progress((-1, -1), (3, -1)), 10)
-    assert [event.key for event in found] == [(1, 0), (1, 1), (2, 0), (2, 1), (3, 0)]
-    kept.close()
-
-
 def test_beyond_the_bound_of_events_the_oldest_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(spool, "EVENTS_MAX", 5)
     kept = Spool(tmp_path)

@@ -10,16 +10,14 @@ from recording_bench import PLATE, at, record, replayed, same
 
 from firmware_protocol.host import HostSession
 from resonator_daemon.conditions import Condition
-from resonator_daemon.config.text import load_plate_text
 from resonator_daemon.links.carriers.recording import RecordingTarget
 from resonator_daemon.links.carriers.serial import SerialTarget
 from resonator_daemon.recording.event_replay import replay_of
-from resonator_daemon.recording.reader import Origin, open_recording
+from resonator_daemon.recording.reader import Origin
 from resonator_daemon.recording.recorder import Recorder
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.frames import (
     Arrival,
-    BoardRefused,
     Gap,
     LinkChange,
     Outage,
@@ -29,13 +27,11 @@ from resonator_daemon.session.link_events import (
     Closed,
     Lost,
     Opened,
-    Overrun,
     Received,
     Refused,
     Sent,
     Skipped,
     StateAnnounced,
-    StopRequested,
     TimersRun,
     WireEvent,
 )
@@ -90,19 +86,6 @@ def test_a_replay_can_be_stopped_in_a_long_silence(tmp_path: Path) -> None:
     assert reader.pop_arrivals() == [LinkChange(Condition.STALLED, "first", at(0).utc_ns, at(0).utc_ns)]
 
 
-def test_a_file_that_cannot_be_replayed_is_said_by_the_reader(tmp_path: Path) -> None:
-    woken = threading.Event()
-    reader = replaying(str(tmp_path / "none.mcap"), woken)
-    reader.start()
-    assert woken.wait(DEADLINE_S)
-    reader.stop()
-    sentence = f"recording {tmp_path / 'none.mcap'}: No such file or directory"
-    change, refused = reader.pop_arrivals()
-    assert isinstance(change, LinkChange)
-    assert (change.state, change.reason) == ("refused", sentence)
-    assert refused == BoardRefused((sentence,))
-
-
 def last_reason(arrivals: list[Arrival]) -> str:
     assert isinstance(arrivals[-1], LinkChange)
     return arrivals[-1].reason
@@ -138,45 +121,6 @@ def test_a_difference_is_counted_and_said(tmp_path: Path, events: list[WireEvent
     assert differences == 1
     assert f"the recording {path.name} is over; replay differs from it in 1 places, first " in last_reason(arrivals)
     assert said in last_reason(arrivals)
-
-
-def test_an_order_of_events_that_no_daemon_has_is_a_difference(tmp_path: Path) -> None:
-    with open_recording(str(CORPUS / "touches" / "recording.mcap")) as recording:
-        plate = load_plate_text(recording.plate_text or "", Path("plate.toml"))
-        events = list(recording.events())
-    place = next(i for i, event in enumerate(events) if isinstance(event, Received) and len(event.data) > 100)
-    bent = [*events[:place], StopRequested(events[place].now), *events[place:]]
-    path = tmp_path / "run.mcap"
-    record(path, bent, plate)
-    arrivals, _, differences = replayed(path, plate)
-    assert differences > 0
-    assert f"replay differs from it in {differences} places, first " in last_reason(arrivals)
-
-
-def test_what_went_as_recorded_is_no_difference(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    record(
-        path,
-        [
-            StateAnnounced(at(0), Condition.STARTING, "the link is being opened"),
-            Opened(at(0)),
-            Sent(at(0), identify()),
-            TimersRun(at(1), idle=True),
-            Overrun(at(1)),
-            Lost(at(2), "unplugged"),
-            Closed(at(2)),
-            Opened(at(10)),
-            Sent(at(10), identify()),
-            TimersRun(at(4000), idle=False),
-            Lost(at(4000), "no board answers"),
-            Closed(at(4000)),
-        ],
-    )
-    arrivals, counters, differences = replayed(path)
-    assert differences == 0
-    assert (counters.connections, counters.host_overruns) == (2, 1)
-    assert LinkChange(Condition.WAITING, "unplugged", at(2).utc_ns, at(2).utc_ns) in arrivals
-    assert last_reason(arrivals) == f"the recording {path.name} is over"
 
 
 def test_a_recording_cut_off_is_replayed_up_to_there(tmp_path: Path) -> None:

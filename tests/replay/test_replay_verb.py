@@ -4,7 +4,6 @@ import asyncio
 import json
 import os
 import pty
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -76,23 +75,6 @@ def test_a_part_begins_with_the_states_that_held(tmp_path: Path) -> None:
     start = before.index(streamed[0])
     assert before[start : start + len(streamed)] == streamed
     assert 0.3 < counted(streamed)["forces"] / COUNTS["forces"] * 4.2 < 1.2
-
-
-@pytest.mark.parametrize("part", [("--from", 5, "--until", 2), ("--from", "half time", "--until", "half time")])
-def test_a_part_that_ends_before_it_begins_is_a_matter_of_usage(
-    part: tuple[object, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert replay(TOUCHES, "--to", tmp_path / "part.jsonl", *part) == 2
-    said = capsys.readouterr().err
-    assert re.fullmatch(
-        r"resonatord: --from is at \S+ s, --until at \S+ s of \S+: nothing lies between them; give a later --until, "
-        r"or an earlier --from\n",
-        said,
-    )
-    arguments = ["export", str(TOUCHES), "--output", str(tmp_path / "part.csv"), "--topics", "forces"]
-    assert main([*arguments, *map(str, part)]) == 2
-    assert capsys.readouterr().err == said
-    assert list(tmp_path.iterdir()) == []
 
 
 async def test_a_replay_at_a_broker_is_like_its_daemon_but_says_that_it_is_none(

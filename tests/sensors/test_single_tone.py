@@ -133,15 +133,6 @@ def test_frames_missing_by_number_restart_the_windows_even_where_the_stamps_run_
     assert reading.window_s == pytest.approx(0.005)
 
 
-def test_load_sharing_bounds_what_is_hidden_and_changes_nothing_else():
-    plain = Bench().untouched().hold(PLATE.loaded_hz(2, 1.0), 40)[-1].sites[0]
-    shared = Bench(exponent=4.0).untouched().hold(PLATE.loaded_hz(2, 1.0), 40)[-1].sites[0]
-    assert shared.force_newton == plain.force_newton
-    assert shared.noise_newton == plain.noise_newton
-    assert shared.systematic_newton == plain.systematic_newton
-    assert shared.hidden_newton > 0.5 > plain.hidden_newton == 0.0
-
-
 def test_a_channel_without_signal_is_left_out_and_counted():
     bench = Bench().untouched()
     before = bench.chain.unusable.copy()

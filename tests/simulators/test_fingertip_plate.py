@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from firmware_protocol.layouts import ToneFlag
 from resonator_daemon.plate import Plate, load_plate
@@ -62,11 +61,3 @@ def test_each_sites_signals_are_those_of_its_own_place() -> None:
     true = 1.5 / 2e5 * np.array([p_n, *shear])
     # 40 frames' noise, and a gain that is off by 1 % and not told
     assert (np.abs(signals - true) < 5.0 * np.hypot(noise_std / math.sqrt(40), 0.011 * np.abs(true))).all()
-
-
-def test_tones_that_no_even_oscillators_can_follow_are_refused() -> None:
-    raw = PLATE.model_dump(exclude_none=True)
-    raw["sites"] = (*raw["sites"][1:], raw["sites"][0])
-    mixed = Plate.model_validate(raw)
-    with pytest.raises(ValueError, match="off an even spacing"):
-        SkinPlate(mixed, Scenario((), None, mixed), seed=4)

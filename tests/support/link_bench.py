@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 from usb_bench import HostError, UsbHost
 
@@ -23,12 +23,17 @@ AMPLE_S = 20.0  # to wait for what must come: ends a test that hangs
 IDENTITY = Identity("conformance board", "0042", "1.0", 0, credit_bytes=512)
 DESCRIPTION = Description(CounterKind.SINGLE_TONE, 4, 1, 10**11, 10_000, 10_000_000, "quartz16")
 
+L = TypeVar("L", bound=device_links.Link)
 
-class BoardEnd:
-    """A board's end of a link, in a thread: answers requests and sends what it is given."""
 
-    def __init__(self, make_link: Callable[[Callable[[], None]], device_links.Link]) -> None:
+class BoardEnd(Generic[L]):
+    """A board's end of a link, in a thread: answers requests, sends what it is given, counts beginnings."""
+
+    def __init__(self, make_link: Callable[[Callable[[], None]], L]) -> None:
         self.session = DeviceSession(IDENTITY, DESCRIPTION, boot_id=0x1234)
+        self.answers = threading.Event()  # cleared: it hears nothing, not even that it is to begin anew
+        self.answers.set()
+        self.begins = 0
         self.received = b""
         self.link = make_link(self._begin)
         self._unsent = bytearray()
@@ -55,6 +60,7 @@ class BoardEnd:
             assert self._changed.wait_for(condition, AMPLE_S)
 
     def close(self) -> None:
+        self.answers.set()
         self._order(self._end)
         self._thread.join()
         self.link.close()
@@ -71,20 +77,23 @@ class BoardEnd:
         self._ending = True
 
     def _begin(self) -> None:
+        self.begins += 1
         self.session.begin()
         self._unsent.clear()
 
     def _run(self) -> None:
         while not self._ending:
+            self.answers.wait()
             write_fd = self.link.write_fd
             writers = [write_fd] if self._unsent and write_fd is not None else []
             readable, writable, _ = select.select([self._wake_read, *self.link.read_fds], writers, [])
             with self._changed:
-                if any(descriptor in readable for descriptor in self.link.read_fds):
+                hears = self.answers.is_set()
+                if hears and any(descriptor in readable for descriptor in self.link.read_fds):
                     data = self.link.read()
                     self.received += data
                     self._unsent += self.session.receive(data, 0)
-                if writable:
+                if hears and writable:
                     del self._unsent[: self.link.write(bytes(self._unsent))]
                 if self._wake_read in readable:
                     os.read(self._wake_read, 1)
@@ -105,7 +114,7 @@ class Host(Protocol):
 class LocalHost:
     """This process; where the board's end is in it, too, that must have let go before descriptors are counted."""
 
-    def __init__(self, link: str, board: BoardEnd | None = None) -> None:
+    def __init__(self, link: str, board: BoardEnd[Any] | None = None) -> None:
         self._target = parse_link(link)
         self._board = board
 
@@ -177,7 +186,7 @@ def _told(use: Callable[[], object]) -> object:
 class Bench:
     """A link under test: the host that opens it, and the board behind it."""
 
-    def __init__(self, host: Host, board: BoardEnd) -> None:
+    def __init__(self, host: Host, board: BoardEnd[Any]) -> None:
         self.host = host
         self.board = board
 
@@ -190,7 +199,7 @@ def bench(kind: str, directory: Path) -> Iterator[Bench]:
         "tcp": lambda _begin: device_links.TcpLink("127.0.0.1", 0),
         "usb": lambda begin: UsbLink(IDENTITY.serial_number, begin),
     }
-    board = BoardEnd(makers[kind])
+    board: BoardEnd[Any] = BoardEnd(makers[kind])
     with ExitStack() as ending:
         ending.callback(board.close)
         if isinstance(board.link, UsbLink):
@@ -200,3 +209,12 @@ def bench(kind: str, directory: Path) -> Iterator[Bench]:
             host.close()
         else:
             yield Bench(LocalHost(board.link.address, board), board)
+
+
+@contextmanager
+def usb_board() -> Iterator[BoardEnd[UsbLink]]:
+    board = BoardEnd(lambda begin: UsbLink(IDENTITY.serial_number, begin))
+    try:
+        yield board
+    finally:
+        board.close()

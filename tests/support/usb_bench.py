@@ -1,12 +1,11 @@
-"""An emulated USB device with a board's end in a thread, and a host in a process of its own that sees it."""
+"""A host in a process of its own that sees an emulated USB device."""
 
 import ast
 import os
 import select
 import subprocess
 import sys
-import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 from simulators.usb_link import UsbLink
@@ -30,66 +29,6 @@ for line in sys.stdin:
 
 class HostError(Exception):
     """What the host's process has raised, as `Type: text`."""
-
-
-class UsbBoardEnd:
-    """The board's end: sends what it is given, keeps what comes, counts beginnings."""
-
-    def __init__(self) -> None:
-        self.link = UsbLink(SERIAL_NUMBER, self._begin)
-        self.answers = threading.Event()  # cleared: it hears nothing, not even that it is to begin anew
-        self.answers.set()
-        self.begins = 0
-        self.received = b""
-        self._unsent = b""
-        self._changed = threading.Condition()
-        self._wake_read_fd, self._wake_write_fd = os.pipe()
-        self._ending = False
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def send(self, data: bytes) -> None:
-        with self._changed:
-            self._unsent += data
-        os.write(self._wake_write_fd, b"x")
-
-    def wait(self, condition: Callable[[], bool]) -> None:
-        """Wait until something is so of this end."""
-        with self._changed:
-            assert self._changed.wait_for(condition, WAIT_S)
-
-    def all_written(self) -> bool:
-        return not self._unsent
-
-    def close(self) -> None:
-        self._ending = True
-        self.answers.set()
-        os.write(self._wake_write_fd, b"x")
-        self._thread.join()
-        self.link.close()
-        os.close(self._wake_read_fd)
-        os.close(self._wake_write_fd)
-
-    def _begin(self) -> None:
-        self.begins += 1
-        self._unsent = b""
-
-    def _run(self) -> None:
-        while not self._ending:
-            self.answers.wait()
-            write_fd = self.link.write_fd
-            writers = [write_fd] if self._unsent and write_fd is not None else []
-            readable, writable, _ = select.select([self._wake_read_fd, *self.link.read_fds], writers, [])
-            with self._changed:
-                if self._wake_read_fd in readable:
-                    os.read(self._wake_read_fd, 1)
-                if not self.answers.is_set():
-                    continue
-                if any(fd in readable for fd in self.link.read_fds):
-                    self.received += self.link.read()
-                if writable:
-                    self._unsent = self._unsent[self.link.write(self._unsent) :]
-                self._changed.notify_all()
 
 
 class UsbHost:
@@ -148,17 +87,8 @@ class UsbHost:
 
 
 @contextmanager
-def usb_board() -> Iterator[UsbBoardEnd]:
-    board = UsbBoardEnd()
-    try:
-        yield board
-    finally:
-        board.close()
-
-
-@contextmanager
-def usb_host(board: UsbBoardEnd) -> Iterator[UsbHost]:
-    host = UsbHost(board.link.environment)
+def usb_host(link: UsbLink) -> Iterator[UsbHost]:
+    host = UsbHost(link.environment)
     try:
         yield host
         host.close()

@@ -4,7 +4,6 @@ import os
 from pathlib import Path
 
 import pytest
-from pydantic import Field
 
 from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.toml_files.reading import (
@@ -13,7 +12,6 @@ from resonator_daemon.toml_files.reading import (
     Number,
     Table,
     load_model,
-    parse_toml,
     read_toml,
 )
 
@@ -115,16 +113,6 @@ def test_what_windows_programs_write(tmp_path: Path) -> None:
     path.write_bytes("a = 1\r\n".encode("utf-16"))
     with pytest.raises(ConfigurationError, match=r"tree\.toml:1: not UTF-8 but UTF-16; save the file as UTF-8"):
         read_toml(path)
-
-
-class Told(Table):
-    depth_mm: Number = Field(description="how deep", examples=[2])
-    leaf: Leaf = Leaf()
-
-
-def test_what_is_missing_is_told_with_an_example() -> None:
-    with pytest.raises(ConfigurationError, match=r"^x: depth_mm: missing; give how deep, as depth_mm = 2$"):
-        load_model(Told, parse_toml("", Path("x")))
 
 
 def test_messages_are_bounded(tmp_path: Path) -> None:

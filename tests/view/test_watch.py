@@ -16,13 +16,12 @@ import pytest
 from view_messages import NOW_NS, S, decoded, forces, info, site_force, state
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.errors import UserError
 from resonator_daemon.publishing import topics
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.payloads import Signals
 from resonator_daemon.publishing.publisher import Publisher
-from resonator_daemon.view.watch import broker_at, json_line, watch
+from resonator_daemon.view.watch import json_line
 
 LEFT = "resonator/left"
 NOBODY = "mqtt://127.0.0.1:9"
@@ -172,24 +171,6 @@ class Screen:
     async def until(self, predicate: Callable[[str], bool]) -> None:
         while not predicate(self.text):
             self.text += (await asyncio.to_thread(os.read, self._terminal, 65536)).decode(errors="replace")
-
-
-@pytest.mark.parametrize(
-    ("url", "prefix", "message"),
-    [
-        ("http://me:secret@host", "resonator", "--url: got 'http://***@host'; must be mqtt"),
-        ("localhost", "resonator", "--url: got 'localhost'; must be mqtt"),
-        (NOBODY, "a/#", "--prefix: got 'a/#'; begins MQTT topics: levels joined by /, each"),
-        (NOBODY, "a" * 300, "should have at most 200 characters"),
-    ],
-)
-async def test_addresses_that_cannot_be_used_are_refused(url: str, prefix: str, message: str) -> None:
-    with pytest.raises(UserError) as refused:
-        await watch(broker_at(url, prefix), as_json=True)
-    (line,) = refused.value.messages
-    assert message in line
-    assert "\n" not in line
-    assert "secret" not in line
 
 
 def test_json_line_has_arrays_as_lists_and_null_for_what_is_not_known() -> None:
