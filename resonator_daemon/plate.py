@@ -267,7 +267,7 @@ class Calibration(Table):
     def expiry_note(self, today: Day) -> str | None:
         """Return a sentence if the calibration has expired, else None."""
         name = self.id or "of the plate file"
-        return f"calibration {name} expired on {self.expiry}: calibrate anew" if self.expired(today) else None
+        return f"calibration {name} expired on {self.expiry}: calibrate again" if self.expired(today) else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -110,7 +110,7 @@ class Board:
         self._boot(0, ResetCause.POWER_ON)
 
     def reboot(self, boot_id: int, now_ticks: int, cause: ResetCause, *, serial_number: str | None = None) -> None:
-        """Start anew: idle, tick count and output empty; with another serial number as another board of its kind."""
+        """Start again: idle, tick count and output empty; with another serial number as another board of its kind."""
         if serial_number is not None:
             self.identity = replace(self.identity, serial_number=serial_number)
         self._boot_id = self._lies.boot_id(boot_id, self._boot_id)

@@ -58,7 +58,7 @@ class OscillatorNoise:
         self._walk = np.zeros(oscillators)
 
     def advance(self, dt_s: float, gates: int) -> GateNoise:
-        """Go on by some gates of one length; a new length starts the flicker anew."""
+        """Go on by some gates of one length; a new length restarts the flicker."""
         if dt_s != self._dt_s:
             self._start_flicker(dt_s)
         poles, oscillators = self._poles.shape

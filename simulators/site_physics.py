@@ -34,7 +34,7 @@ class SitePhysics:
     """The force sites of one plate, in the order of its site_ids, and a pilot that nothing presses.
 
     Oscillators are those of sites, common to the corners. Temperature coefficients are the plate file's where it gives
-    them. All else is as the scenario's physics has it, whatever the file believes of its sites' response.
+    them. All else is as the scenario's physics has it, whatever response of its sites the file describes.
     """
 
     def __init__(self, plate: Plate, physics: Physics, random: np.random.Generator) -> None:

@@ -19,13 +19,13 @@ import gi
 gi.require_version("UMockdev", "1.0")
 from gi.repository import GLib, UMockdev  # noqa: E402 - the version must be chosen before
 
-# Between board and device: bytes, begin anew, have begun anew; the host has reset the device, where the bus is.
+# Between board and device: bytes, begin again, have begun again; the host has reset the device, where the bus is.
 DATA, BEGIN, BEGUN, RESET, READY = b"dBbRr"
 # On a socket of its own, for data that nobody takes must not hold it up: pull the cable, put it back, answer a transfer
 # with a stall, keep cancelled transfers from now on.
 UNPLUG, PLUG, STALL, HOLD = b"uxsh"
 
-# What usb_link.py and firmware_protocol know as well: the system's Python has no packages of this project.
+# Also in usb_link.py and firmware_protocol: the system's Python has no packages of this project.
 VENDOR_ID, PRODUCT_ID = 0x1209, 0x0001
 _PROTOCOL_MAJOR = 1
 ENDPOINT_OUT, ENDPOINT_IN = 0x01, 0x81
@@ -86,7 +86,7 @@ class Host:
     def __init__(self) -> None:
         self.waiting: deque[Urb] = deque()  # bulk-in, to be filled
         self.sending: deque[tuple[Urb, bytes]] = deque()  # bulk-out, to the board
-        self.beginning: Urb | None = None  # until the board has begun anew
+        self.beginning: Urb | None = None  # until the board has begun again
         self._done: deque[tuple[Urb, int, bytes, int]] = deque()  # with status, data and bytes sent, to be reaped
         self._reaper: tuple[Any, int] | None = None  # (client, timer): it asked for a finished transfer
         self._reaped = False  # the last time it asked
@@ -159,7 +159,7 @@ class Device:
         return self._claimed_by is not None and bool(self._claimed_by.sending)
 
     def from_board(self, data: bytes) -> None:
-        if not self._begins:  # until the board has begun anew, all its data is old
+        if not self._begins:  # until the board has begun again, all its data is old
             self._rest += data
 
     def to_board(self) -> None:

@@ -33,7 +33,7 @@ class UsbLink:
     serial_number
         Of the device's string descriptor.
     on_begin
-        Called within `read` when a host begins anew: the board goes idle and discards its output. What was written
+        Called within `read` when a host begins again: the board goes idle and discards its output. What was written
         before it returns reaches no host.
 
     Raises

@@ -1,4 +1,4 @@
-"""Output of a calibration: text for people on stderr, objects for programs on stdout."""
+"""Output of a calibration: text on stderr, objects for programs on stdout."""
 
 import json
 import sys

@@ -24,7 +24,7 @@ class Session:
 
     @contextmanager
     def recording(self) -> Iterator[None]:
-        """Begin anew, over what an interrupted calibration left; `write` works within the context."""
+        """Begin again, over what an interrupted calibration left; `write` works within the context."""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._stream = self.path.open("w", encoding="utf-8", buffering=1)

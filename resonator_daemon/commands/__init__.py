@@ -124,7 +124,7 @@ class _Parser(argparse.ArgumentParser):
 
 def _set_up_output() -> None:
     set_up_logging()
-    if sys.stdout is None:  # closed by whoever started this process
+    if sys.stdout is None:  # closed by the parent process
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - for as long as the process lives
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # characters that this locale lacks, and paths that are no text

@@ -52,7 +52,7 @@ def _as_json(place: "FoundPort") -> dict[str, object]:
 
 def _lines(place: "FoundPort") -> Iterator[str]:
     about = " ".join(filter(None, (place.usb_id, place.serial_number, place.description)))
-    yield f"{place.device}  {about or 'says nothing of itself'}"
+    yield f"{place.device}  {about or 'no description'}"
     if place.looks_like_a_board:
         yield "    looks like a board; to be sure: resonatord identify"
     if place.held_by:

@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.links.link import LinkUnavailableError
     from resonator_daemon.replay.checking import check_cases
 
-    logging.getLogger().setLevel(logging.WARNING)  # a connected broker is no news here
+    logging.getLogger().setLevel(logging.WARNING)  # connections are not logged here
     try:
         if arguments.check is not None:
             return check_cases(arguments.check, as_json=arguments.json)

@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
     from resonator_daemon.config import load_client
 
-    logging.getLogger().setLevel(logging.WARNING)  # a connected broker is no news here
+    logging.getLogger().setLevel(logging.WARNING)  # connections are not logged here
     answer = asyncio.run(_request(load_client(arguments.config)))
     done = answer.get("ok") is True
     if arguments.json:

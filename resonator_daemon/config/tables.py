@@ -69,7 +69,9 @@ class Commands(Table):
     """Commands that subscribers may send; `ping`, `health` and `snapshot` change nothing and are always allowed."""
 
     allow: tuple[ChangingVerb, ...] = Field(
-        default=(), description="commands that are obeyed beside those that change nothing", examples=[["tare", "mark"]]
+        default=(),
+        description="commands that are accepted in addition to those that change nothing",
+        examples=[["tare", "mark"]],
     )
 
 
@@ -158,8 +160,8 @@ class Metrics(Table):
         if self.listen is None or self.listen.loopback:
             return ()
         return (
-            f"metrics.listen: whoever reaches {self.listen} over the network can read the daemon's figures, without a "
-            "password; 127.0.0.1 is for this computer alone",
+            f"metrics.listen: every client that reaches {self.listen} over the network can read the daemon's figures "
+            "without a password; 127.0.0.1 is for this computer alone",
         )
 
 

@@ -37,7 +37,7 @@ from resonator_daemon.view.terminal import render
 
 _START_S: Final = 120.0  # decoders of a skin are set up first
 _END_S: Final = 10.0  # for the last messages of the daemons
-_TURN_S: Final = 1 / 5  # period of scoring and drawing; maps for people are published as often
+_TURN_S: Final = 1 / 5  # period of scoring and drawing; decimated maps are published as often
 _BEGIN_S: Final = 0.01  # period of looking for the answers that begin the measurement
 _SWITCH_S: Final = 0.5e-3  # the longest that scoring and drawing keep the receiving thread from the interpreter
 _SHOWN: Final = tuple(topic for topic in TOPICS.values() if topic != SIGNALS)
@@ -107,7 +107,7 @@ class _Demo:
         return self._conclude(result)
 
     def _filters(self) -> dict[str, int]:
-        """Return the topics that are scored at their full rate, and for the page the copies for people."""
+        """Return the topics that are scored at their full rate, and for the page the decimated topics."""
         filters = topic_filters(self._prefix, SCORED, full_rate=True)
         if not self._options.headless:
             filters |= topic_filters(self._prefix, _SHOWN, full_rate=False)

@@ -1,4 +1,4 @@
-"""The broker: is its name known, does it listen, does it take this user, and how quickly do messages come back."""
+"""The broker: is its name known, does it listen, does it accept this user, and how quickly do messages come back."""
 
 import asyncio
 import contextlib
@@ -183,7 +183,7 @@ def _findings(probe: _Probe, last_text: str, busy: str) -> Iterator[Finding]:
 def _round_trip(by_number: dict[int, float], sent: int) -> Finding:
     times_s = list(by_number.values())
     median_ms, worst_ms = 1e3 * statistics.median(times_s), 1e3 * max(times_s)
-    evidence = f"{median_ms:.1f} ms in the middle, {worst_ms:.1f} ms at worst, of {len(times_s)}"
+    evidence = f"{median_ms:.1f} ms median, {worst_ms:.1f} ms at worst, of {len(times_s)}"
     spikes = sum(time_s > _SPIKE_S for number, time_s in by_number.items() if number % 3 == 2)  # the later of a pair
     slow = sum(time_s > _SLOW_S for time_s in times_s)
     if len(times_s) < sent:

@@ -34,7 +34,7 @@ def check_disk(state_directory: Path, recording: Recording | None, name: str | N
     recording
         None: without a configuration nothing is recorded.
     name
-        Of the daemon, which its recordings have; None where only the board knows it: then none of them are known.
+        Of the daemon, which its recordings have; None where only the board has it: then none of them are known.
     """
     yield _judge(STATE, state_directory, _STATE_MB, "what waits for a broker is kept in memory alone")
     if recording is None:

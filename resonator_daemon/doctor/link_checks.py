@@ -105,7 +105,7 @@ def _nothing_came(capture: Capture) -> Iterator[Finding]:
     else:
         yield COUNTS.fault(
             f"it answers, and no frame came within {OPEN_S:g} s: {capture.link}",
-            "start the board anew; if that does not help, it or its firmware is broken",
+            "restart the board; if that does not help, it or its firmware is broken",
         )
         yield from not_checked((ERRORS, *rest), "no frame came")
 
@@ -212,9 +212,7 @@ def _round_trip(probed: ProbeResult) -> Finding:
     if times_s is None:
         return PINGS.fault("it identifies itself, and answers no ping", FIRMWARE)
     shortest_s, median_s = times_s
-    evidence = (
-        f"{shortest_s * 1e3:.2f} ms at best, {median_s * 1e3:.2f} ms in the middle (limit {_ROUND_TRIP_S * 1e3:g})"
-    )
+    evidence = f"{shortest_s * 1e3:.2f} ms at best, {median_s * 1e3:.2f} ms median (limit {_ROUND_TRIP_S * 1e3:g})"
     if median_s <= _ROUND_TRIP_S:
         return ROUND_TRIP.ok(evidence, Amount(median_s * 1e3, _ROUND_TRIP_S * 1e3, "ms"))
     return ROUND_TRIP.warning(
@@ -231,6 +229,6 @@ def _reset(probed: ProbeResult) -> Finding:
             "its supply had broken down", "check the board's power: a shorter cable, another port, a hub with a supply"
         )
     if cause == ResetCause.WATCHDOG:
-        return RESET.warning("its watchdog had started it anew", "update its firmware; report it to its maker")
+        return RESET.warning("its watchdog had restarted it", "update its firmware; report it to its maker")
     name = ResetCause(cause).name.lower().replace("_", " ") if cause in set(ResetCause) else f"cause {cause}"
     return RESET.ok(name)

@@ -18,7 +18,7 @@ class Load:
     """What this computer has left for a program while the block runs: idle processors, and no halts.
 
     A virtual machine that its host leaves waiting shows nothing of it in its processors' times. A thread that
-    sleeps for a moment, over and over, and wakes late shows it, whoever is the cause.
+    sleeps for a moment, over and over, and wakes late shows it, whatever the cause.
     """
 
     def __init__(self, host: Host) -> None:

@@ -56,7 +56,7 @@ def others(holders: Holders) -> tuple[Holder, ...]:
 def _absent(path: Path, name: str, host: Host) -> Finding | None:
     if os.path.lexists(path) and not os.path.exists(path):
         return EXISTS.fault(
-            f"{name} is a link to {os.readlink(path)}, which is not there", "plug the board in, or start it anew"
+            f"{name} is a link to {os.readlink(path)}, which is not there", "plug the board in, or restart it"
         )
     if not os.path.exists(path):
         present = sorted(str(entry.name) for entry in host.at("/dev/serial/by-id").glob("*"))
@@ -84,7 +84,7 @@ def _permission(path: Path, name: str, host: Host) -> Finding:
     mode = f"mode {stat.S_IMODE(status.st_mode):04o}, group {group or status.st_gid}"
     if group in ("", "root") or not status.st_mode & stat.S_IWGRP:
         return PERMISSION.fault(f"{name} may not be opened ({mode})", f"give it to a group of this user: {_RULES_FILE}")
-    return PERMISSION.fault(f"{name} may not be opened ({mode})", f"sudo usermod -aG {group} $USER, then log in anew")
+    return PERMISSION.fault(f"{name} may not be opened ({mode})", f"sudo usermod -aG {group} $USER, then log in again")
 
 
 def check_holder(holders: Holders, name: str, *, pseudo: bool = False) -> Finding:
@@ -108,7 +108,7 @@ def _modem_manager(device: str, name: str, host: Host) -> Finding:
     if _IGNORED.search(known):
         return MODEM_MANAGER.ok("it runs, and a udev rule keeps it away from this port")
     return MODEM_MANAGER.warning(
-        "it runs, and no udev rule keeps it away: it talks to the board for seconds whenever that is plugged in",
+        "it runs, and no udev rule keeps it away: it sends to the board for seconds whenever that is plugged in",
         f"{_RULES_FILE}; or, where there is no modem: sudo systemctl disable --now ModemManager",
     )
 

@@ -1,4 +1,4 @@
-"""The verdict over all findings, and the report of it: for people in 80 columns, or as one JSON object."""
+"""The verdict over all findings, and the report of it: as text in 80 columns, or as one JSON object."""
 
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
@@ -55,7 +55,7 @@ class Report:
         }
 
     def as_text(self, *, whole: bool = True) -> str:
-        """Return the lines for people; without a verdict where not everything was checked."""
+        """Return the lines of the text output; without a verdict where not everything was checked."""
         lines = [line for area in Area for line in self._lines_of(area)]
         ending = self._ending() if whole else ()
         return "\n".join([*lines, *self._not_checked_together(), *ending]) + "\n"

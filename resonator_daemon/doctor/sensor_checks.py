@@ -111,7 +111,7 @@ def _at_rest(
         if abs(force[worst]) > limit_newton:
             return AT_REST.fault(
                 f"{expected.names[worst]} reads {force[worst]:.2g} N, at most {limit_newton:.2g} N is rest",
-                f"{remedy}; where it is bare, calibrate anew",
+                f"{remedy}; where it is bare, calibrate again",
                 Amount(float(abs(force[worst])), limit_newton, "N"),
             )
     if touched.any():
@@ -159,7 +159,7 @@ def _tones(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Findin
         return TONES.fault(
             f"{frequency_hz / 1e6:.6f} MHz is counted, neither {expected.names[0]} ({nearest_hz / 1e6:.6f} MHz) "
             "nor a site of the plate file",
-            "name the plate file of this plate, or calibrate it anew",
+            "name the plate file of this plate, or calibrate it again",
             Amount(frequency_hz, nearest_hz, "Hz"),
         )
     if len(outside):

@@ -22,7 +22,7 @@ _STALL_PASSES = 20  # without a better residual: the passes go round in circles,
 
 @dataclass(frozen=True)
 class FrictionState:
-    """Object and surface at the end of a step, and what the next step has to know of the past."""
+    """Object and surface at the end of a step, and what the next step needs of the past."""
 
     traction_pascal: Floats  # (3, ny, nx), by the object on the surface
     displacement_m: Floats  # (3, ny, nx), of the surface
@@ -45,7 +45,7 @@ class FrictionalContact:
       along x and y, q = mu p w / |w|: it drags the surface along (Coulomb, in increments; Johnson, Contact Mechanics,
       1985, section 7.2; Kalker, Three-Dimensional Elastic Bodies in Rolling Contact, 1990).
 
-    A pixel that lifts off loses its slip. One that touches anew counts its slip from the end of the step before, so
+    A pixel that lifts off loses its slip. One that touches again counts its slip from the end of the step before, so
     that where the area of contact grows, the answer depends on the length of the steps, to first order. Slopes and
     shifts are small: the profile does not move sideways over the grid. Pressure moves the surface sideways and shear
     moves it up and down wherever nu < 1/2; both are taken into account.

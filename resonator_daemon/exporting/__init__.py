@@ -1,1 +1,1 @@
-"""A recording as files of other formats: the messages that follow from it, for programs that know nothing of MQTT."""
+"""A recording as files of other formats: the messages that follow from it, for programs without MQTT."""

@@ -103,9 +103,12 @@ def join(groups: Groups) -> Explanation:
     if len(alike) > 1 or rivals:
         candidates = rivals.union(group.site for other in alike for group in other)
         return Explanation(
-            "ambiguous", "channels hear different sites, and not these alone", (), tuple(sorted(candidates))
+            "ambiguous",
+            "channels detect different sites, and other sites explain them as well",
+            (),
+            tuple(sorted(candidates)),
         )
-    return Explanation("ok", "channels hear different sites", tuple(named))
+    return Explanation("ok", "channels detect different sites", tuple(named))
 
 
 def leave_one_out(groups: Groups) -> Explanation:
@@ -117,7 +120,7 @@ def leave_one_out(groups: Groups) -> Explanation:
     if len(groups.channels) == LEAVE_ONE_OUT_CHANNELS and len(groups.unexplained) == 1 and rest in groups.explained:
         named = groups.explained[rest]
         if named.gap >= RUNNER_UP_GAP:
-            return Explanation("ok", f"channel {groups.unexplained[0]} hears another tone", (named,))
+            return Explanation("ok", f"channel {groups.unexplained[0]} detects another tone", (named,))
         return Explanation(
             "ambiguous", "two sites explain the channels alike", (), tuple(sorted((named.site, named.rival)))
         )

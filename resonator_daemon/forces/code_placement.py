@@ -88,7 +88,7 @@ def place_codes(coupling: Floats, code_count: int, steps: Integers, random: np.r
 def _descend(codes: Integers, weight: Floats, need: Floats, count: int, random: np.random.Generator) -> float:
     """Swap in place; return the cost.
 
-    Many swaps are judged at once, as most are of no use; behind the first that is made they are judged anew.
+    Many swaps are judged at once, as most are of no use; behind the first that is made they are judged again.
     """
     first = random.integers(0, count, TRIES_A_SITE * count)
     second = random.integers(0, len(codes), len(first))

@@ -152,7 +152,7 @@ class LoadingSolution:
     def _within_whitened(self) -> tuple[Floats, Floats]:
         """Residuals within steps (n, channels), and the gains (u, channels) taken out of them by their deviation.
 
-        A gain is the same for all readings of a step, so many readings know it well, and it is of the step alone: what
+        A gain is the same for all readings of a step, so many readings determine it well. It is of the step alone: what
         is left shows the time course of creep, and the steps' means show its share of a force.
         """
         means = self._means

@@ -6,7 +6,7 @@ separated from a press by its rate, and because it moves all sites by their coef
 
 The Kalman filter does not keep the covariance of every offset with every other. Errors of theta and g that all offsets
 make good for are invisible and stay as they were at the start (`theta_std_kelvin` has them); about them the offsets are
-nearly independent, because theta is found anew from many sites in every frame. So a variance per offset and one matrix
+nearly independent, because theta is found again from many sites in every frame. So a variance per offset and one matrix
 (2, 2) for theta and g are enough, and the cost of a frame grows with the number of sites.
 """
 

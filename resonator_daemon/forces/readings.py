@@ -44,7 +44,7 @@ class ForceReading:
     """Forces and contacts from one window; NaN or absent where unknown, with `status` and `reason`.
 
     `board_ticks` is the end of the last gate in the window. `at_step` is false between two steps, where only events
-    are news. `beats` are channels whose tone beats with the counter's reference: their noise counts for more.
+    are new. `beats` are channels whose tone beats with the counter's reference: their noise counts for more.
     """
 
     sequence: int

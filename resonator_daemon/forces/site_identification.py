@@ -118,7 +118,7 @@ class Matcher:
         reading = _reading(frequency_hz, counter_std, oscillator_std, common_mode_std)
         channels = reading.channels
         if (used := len(channels)) < 2:
-            return Match("rejected", f"heard on {used} channel(s), at least 2 needed", math.nan)
+            return Match("rejected", f"detected on {used} channel(s), at least 2 needed", math.nan)
         fits = _fits(self._codes, _near_all(self._bands, reading, channels), reading)
         if not fits or not fits[0].chi2 <= self._gates[used]:
             return self._apart(reading, fits[0].chi2 if fits else math.nan)
@@ -162,7 +162,7 @@ class Matcher:
     def _overload(self, reading: Reading) -> Match | None:
         """Return the site that needs the least force beyond the range to explain all channels.
 
-        A site whose channels are off by less, beyond the other end, speaks against it: all tones may be off together.
+        A site whose channels are off by less, beyond the other end, contradicts it: all tones may be off together.
         """
         least, most = self._codes.range_newton
         channels = reading.channels

@@ -132,7 +132,7 @@ class SpreadFit:
         return self._touches("rejected", reason, data, best)
 
     def _followed(self, data: _Data, nothing: _Fit, before: Touches) -> _Fit:
-        """Fit the touches of the reading before anew, those that are left of them."""
+        """Refit the touches of the previous reading that are left."""
         scale = np.array([self._depth_m, self._depth_m, 1.0])
         touches = np.column_stack([before.position_m, before.force_newton]) / scale
         found = None
@@ -200,7 +200,7 @@ class SpreadFit:
         return min(found, key=lambda more: more.chi2, default=None)
 
     def _relocated(self, data: _Data, fit: _Fit) -> _Fit:
-        """Remove one touch after the other and search its place anew, while chi2 exceeds its mean.
+        """Remove one touch after the other and search its place again, while chi2 exceeds its mean.
 
         A touch that was found while others were missing lies between them.
         """

@@ -173,7 +173,7 @@ def started_by(text: str, program: Path) -> str:
 
 
 def sealed(text: str) -> str:
-    """Return the text with a last line by which `_judge` knows whether somebody changed it."""
+    """Return the text with a last line by which `_judge` detects whether it was changed."""
     return f"{text}# resonatord install {hashlib.sha256(text.encode()).hexdigest()}\n"
 
 
@@ -202,7 +202,7 @@ def _write(file: Placed) -> None:
 
 
 def _due(here: bool) -> list[tuple[str, ...]]:
-    """Return the commands that make the present system know the files; none of it where they are for another."""
+    """Return the commands that register the files on the present system; none of it where they are for another."""
     return [command for command, needed in _COMMANDS if here and (needed is None or needed.exists())]
 
 

@@ -1,4 +1,4 @@
-"""Text for terminals: foreign text made safe, and lines for people."""
+"""Text for terminals: foreign text made safe, and lines for the terminal."""
 
 import sys
 
@@ -9,6 +9,6 @@ def printable(text: object) -> str:
 
 
 def print_note(text: str) -> None:
-    """Print a line for people to the standard error."""
+    """Print a line to the standard error."""
     sys.stderr.write(f"{printable(text)}\n")
     sys.stderr.flush()

@@ -71,7 +71,7 @@ class DirectoryEvents:
             elif watch in self._directories:
                 directory = self._directories[watch]
                 if mask & (_DELETE_SELF | _MOVE_SELF):
-                    del self._directories[watch]  # its place may be taken by another, to be watched anew
+                    del self._directories[watch]  # its place may be taken by another, to be watched again
                     _libc.inotify_rm_watch(self._descriptor, watch)
                 found.append(DirectoryEvent(directory, name))
         return found

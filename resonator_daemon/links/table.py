@@ -32,7 +32,7 @@ def parse_link(text: object) -> LinkTarget:
     if (carrier := CARRIERS.get(scheme)) is not None:
         return carrier.parse(text)
     if text.startswith("/dev/"):
-        raise ValueError("must say what kind of link it is and how fast, as serial:/dev/ttyACM0?baud=4000000")
+        raise ValueError("must name the kind of link and its rate, as serial:/dev/ttyACM0?baud=4000000")
     raise ValueError(f"no link is called {scheme!r}; {nearest(scheme, list(CARRIERS))}")
 
 

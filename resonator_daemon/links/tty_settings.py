@@ -20,7 +20,7 @@ _logged: set[Path] = set()  # timers that were logged: once in the life of a pro
 def configure_tty(descriptor: int) -> None:
     """Keep DTR as it is when the port is closed, and distinguish an empty port from one that is gone.
 
-    Many boards start anew when DTR falls and rises. With the minimum of 0 bytes that pyserial sets, a read that finds
+    Many boards restart when DTR falls and rises. With the minimum of 0 bytes that pyserial sets, a read that finds
     nothing returns no bytes, as does a read from a port that was hung up.
     """
     settings = termios.tcgetattr(descriptor)

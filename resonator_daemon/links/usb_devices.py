@@ -1,6 +1,6 @@
 """Finding boards among USB devices, by the vendor class of their interface.
 
-pyusb's backend is used as it is, below its `Device`: a link must know when its handle is closed, and its asynchronous
+pyusb's backend is used as it is, below its `Device`: a link must detect when its handle is closed, and its asynchronous
 transfers need that handle.
 """
 

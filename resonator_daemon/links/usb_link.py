@@ -30,7 +30,7 @@ _WHAT_FAILED = {
 
 
 def open_usb(target: UsbTarget) -> "UsbBulkLink":
-    """Find the board, claim it for this process alone and have it begin anew.
+    """Find the board, claim it for this process alone and have it begin again.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def open_usb(target: UsbTarget) -> "UsbBulkLink":
     except FAILURES as error:
         raise LinkUnavailableError(_why_not(board, error)) from error
     try:
-        # Setting the configuration anew would be a light reset, and fails while other interfaces are in use.
+        # Setting the configuration again would be a light reset, and fails while other interfaces are in use.
         if backend.get_configuration(handle) != board.configuration:
             backend.set_configuration(handle, board.configuration)
         backend.claim_interface(handle, board.interface)
@@ -109,7 +109,7 @@ class UsbBulkLink:
                 self._clear_halt(_ENDPOINT_OUT)
 
     def reset(self) -> None:
-        """Reset the device where the configuration allows that; it comes back anew, and this link is lost."""
+        """Reset the device where the configuration allows that; it comes back, and this link is lost."""
         self._check()
         if not self._may_reset:
             return
@@ -172,7 +172,7 @@ def _find(target: UsbTarget) -> UsbBoard:
     if len(found) == 1:
         return found[0]
     if found:
-        raise LinkUnavailableError(f"{len(found)} boards are {target}; say which: {_links(found)}")
+        raise LinkUnavailableError(f"{len(found)} boards are {target}; name one of them: {_links(found)}")
     for board in alike:
         if board.serial_number is None and not os.access(board.node, os.R_OK | os.W_OK):
             raise LinkUnavailableError(_not_permitted(board))
@@ -188,12 +188,12 @@ def _begin(backend: Any, handle: Any, board: UsbBoard) -> None:
     try:
         backend.ctrl_transfer(handle, *_BEGIN, PROTOCOL_MAJOR, board.interface, array("B"), _BEGIN_TIMEOUT_MS)
     except USBTimeoutError as error:
-        reason = f"{board.link} does not begin anew within {_BEGIN_TIMEOUT_MS} ms; plug it in again"
+        reason = f"{board.link} does not begin again within {_BEGIN_TIMEOUT_MS} ms; plug it in again"
         raise LinkUnavailableError(reason) from error
     except USBError as error:
         if error.errno != errno.EPIPE:
             raise
-        reason = f"{board.link} refuses to begin with protocol {PROTOCOL_MAJOR}; its firmware may speak another one"
+        reason = f"{board.link} refuses to begin with protocol {PROTOCOL_MAJOR}; its firmware may use another one"
         raise LinkUnavailableError(reason) from error
 
 

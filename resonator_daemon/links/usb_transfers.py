@@ -149,7 +149,7 @@ class BulkReader:
     def stop(self, timeout_s: float) -> bool:
         """Cancel all transfers and wait for their end; return whether all have ended in time."""
         self._started = False
-        # The one that is being filled goes last, so that none starts anew. For the order of data either way would do:
+        # The one that is being filled goes last, so that none restarts. For the order of data either way would do:
         # usbfs has ended a transfer when this returns, and hands transfers back in the order of their ends.
         for pointer in reversed(self._transfers):
             self._library.cancel_transfer(pointer)

@@ -127,7 +127,7 @@ class _Families:
             drift = health.clock_drift_ppm * 1e-6
             yield self._gauge("resonatord_clock_drift_ratio", "Rate of the board's clock against this one's", drift)
         yield self._counter("resonatord_clock_outliers", "Pings that contradicted the others", health.clock_outliers)
-        yield self._counter("resonatord_clock_restarts", "Times the clock was estimated anew", health.clock_restarts)
+        yield self._counter("resonatord_clock_restarts", "Times the clock was estimated again", health.clock_restarts)
 
     def _of_the_messages(self, health: Health) -> Iterator[Metric]:
         account = health.messages

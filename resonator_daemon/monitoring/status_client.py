@@ -98,4 +98,4 @@ def _who_may(path: Path) -> str:
         group = str(group_id)
     except OSError:
         return "ask as the user that the daemon runs as"
-    return f"users of the group {group} may: `sudo usermod -aG {group} $USER`, then log in anew"
+    return f"users of the group {group} may: `sudo usermod -aG {group} $USER`, then log in again"

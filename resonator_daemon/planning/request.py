@@ -154,7 +154,7 @@ def _check_options(options: argparse.Namespace) -> None:
                 findings.append(f"--{name.replace('_', '-')} does not go with --keep-codes; leave one of them out")
     if options.no_pilot and options.output is not None:
         findings.append(
-            "--output does not go with --no-pilot: the daemon learns the common mode of a plate with captured tones "
+            "--output does not go with --no-pilot: the daemon estimates the common mode of a plate with captured tones "
             "from its pilot; leave one of them out"
         )
     if findings:

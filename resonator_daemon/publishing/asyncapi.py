@@ -35,7 +35,7 @@ _DOCUMENT: Final = "AsyncApiDocument"
 _ABOUT: Final = (
     "Topics of a tactile plate, as the daemon and its decoders publish them. On MQTT 5 and 3.1.1 topics and payloads "
     "are the same; content type, message expiry, `schema_version` and correlation data come with MQTT 5 alone.\n\n"
-    "Readers pass over keys that they do not know: with a new minor version keys are added, anything else makes a new "
+    "Readers ignore unknown keys: with a new minor version keys are added, anything else makes a new "
     "major version. A number that is not known is null in JSON and NaN in CBOR. `x-unit` is a key's unit in UCUM's "
     "notation. An array with `x-rfc8746` is a CBOR typed array: tag 40 of [shape, tag 85 of its little-endian bytes], "
     "row-major; its schema is that of the same numbers as nested rows."
@@ -57,7 +57,7 @@ def document() -> Object:
         for topic in those:
             _add_topic(channels, operations, base, topic.path, topic, topic.payload.__doc__)
             if topic.slow_hz is not None:
-                copied = f"The messages of `{topic.path}`, at most {topic.slow_hz} a second; made for people."
+                copied = f"The messages of `{topic.path}`, at most {topic.slow_hz} a second; for display."
                 _add_topic(channels, operations, base, topic.slow_path, topic, copied)
     _add_document(channels, operations)
     for verb in VERBS.values():

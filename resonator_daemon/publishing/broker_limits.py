@@ -55,7 +55,7 @@ class _Largest(NamedTuple):
 
 
 class LargestMessages:
-    """Finds out that a broker ends the connection upon messages that are too large, without saying a limit.
+    """Detects that a broker ends the connection upon messages that are too large without announcing a limit.
 
     If any message of a connection is too large, the largest one is. It is suspected where the connection ends within
     2 s after it, it is larger than all that the broker is known to have taken, and nothing sent later was

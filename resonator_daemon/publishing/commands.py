@@ -41,7 +41,7 @@ Handler = Callable[[Any], Answer | Coroutine[Any, Any, Answer]]
 
 
 class CommandRefusedError(Exception):
-    """Raised by a handler instead of an answer: what is wrong, by a word for programs and a sentence for people."""
+    """Raised by a handler instead of an answer: what is wrong, by a code for programs and a sentence for people."""
 
     def __init__(self, code: ErrorCode, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -153,7 +153,7 @@ class Commands:
         return _Command(verb, message.payload, topic or f"{self._base}/rsp/{verb}", correlation, refused)
 
     def _may_answer_to(self, topic: str) -> bool:
-        """Whether a topic can be published to and is none of a daemon's own, which others believe."""
+        """Whether a topic can be published to and is none of a daemon's own, which others trust."""
         sound = topic and topic.isprintable() and len(topic.encode()) <= RESPONSE_TOPIC_BYTES_MAX
         sound = sound and topic.count("/") < RESPONSE_TOPIC_LEVELS_MAX
         if not sound or any(sign in topic for sign in "+#") or topic.startswith("$"):

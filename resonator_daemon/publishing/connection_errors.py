@@ -16,8 +16,8 @@ SILENT: Final = "it accepts connections and does not answer as an MQTT broker; s
 
 _PROTOCOL_ERROR: Final = 130  # the library's word for bytes that are not MQTT, and for a 3.1.1 broker's "no 3.1.1"
 _REFUSED_CLIENTS: Final = (134, 135, 138)  # bad name or password, not authorized, banned
-_NEITHER_VERSION: Final = "it speaks neither MQTT 5 nor 3.1.1"
-_NO_TLS: Final = "it ended the connection instead of speaking TLS; if the port is for plain MQTT, mqtt.url is mqtt://"
+_NEITHER_VERSION: Final = "it supports neither MQTT 5 nor 3.1.1"
+_NO_TLS: Final = "it ended the connection instead of using TLS; if the port is for plain MQTT, mqtt.url is mqtt://"
 _NO_CERTIFICATE: Final = ("certificate required", "handshake failure")  # of TLS 1.3, 1.2
 _EXPIRED: Final = 10  # these are X509_V_ERR_ of OpenSSL
 _NOT_YET_VALID: Final = 9
@@ -63,7 +63,7 @@ def of_opening(error: OSError, broker: Mqtt) -> BrokerError:
 
 
 def of_silent_end(reason_code: int, version: MQTTProtocolVersion, broker: Mqtt) -> BrokerError:
-    """Return why the broker ended a connection that it had not accepted nor refused by a word of MQTT."""
+    """Return why the broker ended a connection that it had not accepted nor refused by an MQTT packet."""
     if reason_code == _PROTOCOL_ERROR and version is MQTTProtocolVersion.MQTTv311:
         return RefusalError(_NEITHER_VERSION)
     other = "not for TLS, mqtt.url is mqtt://" if broker.tls else "for TLS, mqtt.url is mqtts://"
@@ -97,9 +97,9 @@ def _certificate(error: ssl.SSLCertVerificationError, broker: Mqtt) -> str:
     authorities = f"{broker.ca_file} (mqtt.ca_file)" if broker.ca_file else "this system's store; see mqtt.ca_file"
     match error.verify_code:
         case code if code == _EXPIRED:
-            return "its certificate has expired; renew it, or mend this computer's clock"
+            return "its certificate has expired; renew it, or set this computer's clock"
         case code if code == _NOT_YET_VALID:
-            return "its certificate is not valid yet; mend the clock of this computer or of the one that made it"
+            return "its certificate is not valid yet; set the clock of this computer or of the one that made it"
         case code if code in _ANOTHER_HOST:
             return f"its certificate is not for {broker.host}; have mqtt.url name the host as the certificate does"
         case code if code in _UNTRUSTED:

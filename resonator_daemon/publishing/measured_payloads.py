@@ -36,7 +36,7 @@ class SiteForce(Message):
     hidden_newton: Float = Field(
         0.0,
         description="a bound, and no part of the two before: the most that a touch between sites may have put on "
-        "others beside `force_newton`; 0 where sites are touched one by one or all of them are heard",
+        "others beside `force_newton`; 0 where sites are touched one by one or all of them are detected",
     )
     status: Status = Field(description="what this force is worth")
     at_least_newton: float | None = Field(None, description=_AT_LEAST)
@@ -46,7 +46,7 @@ class Compensation(Message):
     """What was taken out of the frequencies before they became forces."""
 
     baseline: Literal["followed", "held", "unknown"] = Field(
-        description="`followed` from tones that nothing touches; `held` while none is heard; `unknown` until it is "
+        description="`followed` from tones that nothing touches; `held` while none is detected; `unknown` until it is "
         "known"
     )
     common_mode: tuple[Float, ...] = Field(
@@ -75,7 +75,7 @@ class Forces(Measured):
 
     window_s: float = Field(description="length of the window that was counted; shorter just after an onset")
     status: Status = Field(description="of the whole message: why sites may be missing")
-    reason: str = Field(description="why; `ok` may have one, too, as channels that are not heard; " + _EMPTY_REASON)
+    reason: str = Field(description="why; `ok` may have one, too, as channels without a signal; " + _EMPTY_REASON)
     sites: tuple[SiteForce, ...] = Field(description="those on which something presses")
     beats: tuple[int, ...] = Field(
         description="channels whose tone beats with the board's reference clock; `noise_newton` counts for that"
@@ -131,7 +131,7 @@ class ContactEvent(Measured):
         "",
         description="why a contact is released, empty for other events: its force has fallen, it is `no longer felt`, "
         "under a skin it was not found in 3 frames in a row or its decoder was set up again or failed, "
-        "nothing was known of it for too long, no frames or signals came for 0.5 s, or the board started anew",
+        "nothing was known of it for too long, no frames or signals came for 0.5 s, or the board restarted",
     )
     contact: EventContact = Field(
         description="its last state: the force of one that is no longer felt may be null already"
@@ -192,7 +192,7 @@ class Decoded(Measured):
 class Patch(Message):
     """One contact on a skin; components x, y, z, moments about the origin of the plate's coordinates.
 
-    What only a fit of the contact tells is null where the fit does not hold, or the contact slips too little to show.
+    What only a fit of the contact yields is null where the fit does not hold, or the contact slips too little to show.
     """
 
     id: int | None = Field(

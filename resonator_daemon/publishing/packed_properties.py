@@ -1,4 +1,4 @@
-"""Properties of MQTT 5 in their form on the wire, made once: the library would pack them anew for each message."""
+"""Properties of MQTT 5 in their form on the wire, made once: the library would pack them again for each message."""
 
 from functools import cache
 from typing import Final

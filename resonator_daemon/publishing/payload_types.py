@@ -72,8 +72,8 @@ class Status(Word):
     REJECTED = "rejected", "no load explains the readings"
     POSSIBLY_MORE = "possibly_more", "a second touch cannot be excluded"
     OVERLOAD = "overload", "beyond the plate's range: the force is null, `at_least_newton` is given"
-    NO_SIGNAL = "no_signal", "nothing, or too little, is heard"
-    PILOT_LOST = "pilot_lost", "the untouched reference tone is not heard"
+    NO_SIGNAL = "no_signal", "no tone, or too few, are detected"
+    PILOT_LOST = "pilot_lost", "the untouched reference tone is not detected"
     UNCALIBRATED = (
         "uncalibrated",
         "beyond the forces or temperatures that the calibration covers, or later than its expiry: "
@@ -86,7 +86,7 @@ class Status(Word):
 
 
 class Message(BaseModel):
-    """Base of every payload and its parts; keys that a reader does not know are ignored."""
+    """Base of every payload and its parts; unknown keys are ignored."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", arbitrary_types_allowed=True)
 
@@ -123,7 +123,9 @@ class Header(Message):
         "lost on the way, left out to lower the rate, skipped as late, or skipped by the decoder"
     )
     daemon_boot_id: str = Field(description="new with each start of the daemon")
-    board_boot_id: str | None = Field(description="new with each start of the board; null until the board said it")
+    board_boot_id: str | None = Field(
+        description="new with each start of the board; null until the board has reported it"
+    )
     t_ns: Int64 = Field(description="UTC: of measured messages the middle of the window, of others when they were made")
     t_unc_ns: int = Field(description="bound of the error of `t_ns`")
     lost: Lost = Field(description="losses since the daemon started, by cause")

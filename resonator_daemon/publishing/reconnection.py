@@ -26,7 +26,7 @@ class Attempt:
     Attributes
     ----------
     version
-        Of MQTT, which the broker speaks.
+        Of MQTT, which the broker supports.
     at_once
         Whether it is the first attempt since the last connection ended.
     accepted
@@ -134,11 +134,11 @@ def connection_session(
 async def find_version(
     broker: Mqtt, closing: asyncio.Future[None], times: ConnectionTimes
 ) -> MQTTProtocolVersion | None:
-    """Return the version of MQTT that a broker speaks, found with the simplest connection; None if closing comes first.
+    """Return the version of MQTT that a broker supports, by the simplest connection; None if closing comes first.
 
-    A broker that does not know version 5 may misread a will, a name or a password in a connection of that version,
-    and wait for the rest of it without end, instead of refusing (amqtt 0.12 does). Any answer but "unsupported
-    version" is one of MQTT 5, "not authorised" too.
+    A broker without version 5 may misread a will, a name or a password in a connection of that version, and wait for
+    the rest of it without end, instead of refusing (amqtt 0.12 does). Any answer but "unsupported version" is one of
+    MQTT 5, "not authorised" too.
 
     Raises
     ------

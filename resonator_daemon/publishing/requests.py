@@ -66,7 +66,7 @@ async def request(
 ) -> dict[str, Any]:
     """Send a command to the daemon of this name; return its answer.
 
-    A connection that ends meanwhile is made anew and the command sent again: the daemon may get it twice. Without
+    A connection that ends meanwhile is made again and the command sent again: the daemon may get it twice. Without
     MQTT 5 the answer to another who asks the same at the same time counts, too.
 
     Raises

@@ -36,7 +36,7 @@ class SpoolError(Exception):
 
 
 class SpoolDamagedError(SpoolError):
-    """What was on disk cannot be read any more; it was set aside, and the next call begins anew."""
+    """What was on disk cannot be read any more; it was set aside, and the next call begins again."""
 
 
 class SpooledEvent(NamedTuple):

@@ -74,7 +74,7 @@ class CalibrationInfo(Message):
 
 
 class SkinInfo(Message):
-    """What a decoder needs to know of a skin beside its sites: an elastic half-space over sensors at one depth."""
+    """What a decoder needs of a skin apart from its sites: an elastic half-space over sensors at one depth."""
 
     youngs_modulus_pascal: float = Field(description="of the skin")
     poisson_ratio: float = Field(description="of the skin")
@@ -209,7 +209,7 @@ class Health(Header):
         description="rate of the board's clock against this computer's, null until it is known to 10 ppm"
     )
     clock_outliers: int = Field(description="pings whose answer contradicted the others")
-    clock_restarts: int = Field(description="times that the board's clock had to be estimated anew")
+    clock_restarts: int = Field(description="times that the board's clock had to be estimated again")
     cpu_percent: Float = Field(description=_CPU + "; without the decoder's")
     rss_mb: Float = Field(description="memory of the daemon, without the decoder's")
     tasks: int = Field(description="of the daemon's event loop")

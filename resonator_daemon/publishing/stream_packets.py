@@ -16,7 +16,7 @@ class StreamPackets:
     ----------
     topic
     properties
-        Left out where the broker speaks MQTT 3.1.1.
+        Left out where the broker supports MQTT 3.1.1 only.
     perishable
         Whether a late message is of no use.
     """

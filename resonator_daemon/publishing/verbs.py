@@ -62,7 +62,7 @@ class Problem(Message):
     """Why a command was refused."""
 
     code: ErrorCode = Field(description="for programs")
-    message: str = Field(description="for people: what is wrong")
+    message: str = Field(description="sentence for display: what is wrong")
     hint: str = Field(description="what to do about it; may be empty")
 
 

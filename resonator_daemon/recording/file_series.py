@@ -150,7 +150,7 @@ class DiskSpace:
             )
 
     def begin(self) -> None:
-        """Count anew what is there; a new file has begun."""
+        """Count again what is there; a new file has begun."""
         self._others_bytes = None
 
     def keep_budget(self, own: RecordingWriter) -> None:

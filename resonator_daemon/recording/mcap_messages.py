@@ -87,7 +87,7 @@ def chunk_data(chunk: Chunk) -> bytes:
     else:
         raise ValueError(f"a chunk is compressed by {chunk.compression!r}, recordings are by lz4")
     if len(data) != size_bytes:
-        raise ValueError(f"a chunk says that it has {size_bytes} bytes, and has others")
+        raise ValueError(f"a chunk declares {size_bytes} bytes and contains a different number")
     if chunk.uncompressed_crc and (crc := zlib.crc32(data)) != chunk.uncompressed_crc:
         raise CRCValidationError(chunk.uncompressed_crc, crc, chunk)
     return data

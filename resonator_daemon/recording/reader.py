@@ -250,7 +250,7 @@ def read_header(path: str, records: Iterator[McapRecord]) -> dict[str, str]:
     if not isinstance(first, Header) or first.profile != PROFILE:
         raise LinkUnavailableError(f"{path} is an MCAP file, but not of this program")
     if not isinstance(second, Metadata) or second.name != RECORDING:
-        raise LinkUnavailableError(f"{path} does not say what it is a recording of")
+        raise LinkUnavailableError(f"{path} does not contain the description of its plate or board")
     return dict(second.metadata)
 
 

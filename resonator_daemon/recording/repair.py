@@ -141,7 +141,7 @@ def _copy(file: IO[bytes], target: IO[bytes]) -> Repaired:
 
 
 class _Copier:
-    """Writes records to a new file, whose index is made anew.
+    """Writes records to a new file, whose index is made again.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Recording switched on and off while a link is read, also in the middle of a connection."""
+"""Recording switched on and off while a link is read, also during a connection."""
 
 import logging
 import operator

@@ -178,7 +178,9 @@ class DecoderProcess:
     def _connected(self, _number: int) -> None:
         if self._config.decoding.group is not None and self._publisher.protocol != "5":
             broker = self._config.mqtt
-            self._cannot_share(f"broker {broker.host}:{broker.port} speaks MQTT 3.1.1, where nothing is shared")
+            self._cannot_share(
+                f"broker {broker.host}:{broker.port} supports MQTT 3.1.1 only, which has no shared subscriptions"
+            )
 
     def _denied(self, topic_filter: str, reason: str) -> None:
         if reason.lower().startswith("shared subscription"):

@@ -112,7 +112,7 @@ class SharedStage(Generic[Origin]):
         frame = self._newest.pop(plate)
         self._busy_with = plate
         decoder = await self._decoder_for(plate, frame, pool)
-        if self._busy_with is None:  # the plate was forgotten meanwhile
+        if self._busy_with is None:  # the plate was removed meanwhile
             return
         if decoder is None:
             self.unusable[plate] += 1

@@ -101,7 +101,7 @@ class Sensor(ABC, Generic[Reading]):
 
     @abstractmethod
     def begin(self, board: BoardOnline) -> None:
-        """Begin with a board, or anew with one whose ticks do not continue those of the past."""
+        """Begin with a board, or again with one whose ticks do not continue those of the past."""
 
     @abstractmethod
     def measure(self, frames: Sequence[Frame]) -> Sequence[Reading]:

@@ -100,12 +100,12 @@ class MultitoneProcessing:
         self._touched = False
 
     def end_contacts(self, reason: str) -> tuple[ContactEvent, ...]:
-        """Release every contact, as when frames have stopped coming; what is still touched then begins anew."""
+        """Release every contact, as when frames have stopped coming; what is still touched then begins again."""
         return self._tracker.close(self._last[1], reason) if self._last else ()
 
     def restart(self) -> tuple[ContactEvent, ...]:
-        """Discard the drift and every contact: the board has booted or is configured anew."""
-        events = self.end_contacts("the board started anew")
+        """Discard the drift and every contact: the board has booted or is configured again."""
+        events = self.end_contacts("the board restarted")
         self._frames.clear()
         self._drift.reset()
         self._errors.reset()
@@ -182,8 +182,8 @@ class MultitoneProcessing:
         merged = merge_tones(phase, offset, sigma_hz, known, self._gate_s)
         shifts = self._tones.shifts(merged.offset_hz, merged.sigma_hz)
         shifts = self._shifts = shifts._replace(variance=shifts.variance + oscillator_std(window_s) ** 2)
-        heard = np.isfinite(shifts.shift)
-        status, reason = _status(heard, np.sqrt(shifts.variance) / np.abs(shifts.sensitivity))
+        detected = np.isfinite(shifts.shift)
+        status, reason = _status(detected, np.sqrt(shifts.variance) / np.abs(shifts.sensitivity))
         last_ticks = board_ticks if self._evaluated_ticks is None else self._evaluated_ticks
         self._evaluated_ticks = board_ticks
         time_s, elapsed_s = board_ticks / self._reference_hz, max(board_ticks - last_ticks, 0) / self._reference_hz
@@ -192,7 +192,7 @@ class MultitoneProcessing:
             self._errors.rest(time_s)
         before = self._drifted or self._drift.update(shifts.shift, shifts.variance, elapsed_s, shifts.kelvin)
         forces = self._forces(shifts, before, time_s)
-        load, pressed = np.zeros(len(heard)), np.zeros(len(heard), dtype=bool)
+        load, pressed = np.zeros(len(detected)), np.zeros(len(detected), dtype=bool)
         if self._spread is not None:
             rejected = self._found is not None and self._found.status == "rejected"
             self._rejections = self._rejections + 1 if rejected else 0
@@ -203,7 +203,7 @@ class MultitoneProcessing:
             if found.status == "rejected" and bool((np.abs(forces.force_newton) >= ONSET_NEWTON).any()):
                 # Far sites do not follow the law, or there is more: only the sites near the touches are used.
                 status, reason = "rejected", found.reason
-                load, pressed = np.zeros(len(heard)), np.ones(len(heard), dtype=bool)
+                load, pressed = np.zeros(len(detected)), np.ones(len(detected), dtype=bool)
                 if len(found.force_newton) < TOUCHES_MAX:
                     found = self._fit(self._near, forces, found)
                     if found.status == "ok" or found.unexplained < UNEXPLAINED_MAX:
@@ -350,13 +350,13 @@ class MultitoneProcessing:
         return "off" if self._sites.response is None else "on"
 
 
-def _status(heard: NDArray[np.bool_], noise_newton: Floats) -> tuple[SensorStatus, str]:
-    silent = int(np.count_nonzero(~heard))
-    if silent == len(heard):
+def _status(detected: NDArray[np.bool_], noise_newton: Floats) -> tuple[SensorStatus, str]:
+    silent = int(np.count_nonzero(~detected))
+    if silent == len(detected):
         return "no_signal", "no tone is known"
-    if (usual := float(np.median(noise_newton[heard]))) > ONSET_NEWTON:
+    if (usual := float(np.median(noise_newton[detected]))) > ONSET_NEWTON:
         return "no_signal", f"noise of {usual:.2g} N hides touches"
-    return "ok", f"{silent} of {len(heard)} sites are not heard" if silent else ""
+    return "ok", f"{silent} of {len(detected)} sites are not detected" if silent else ""
 
 
 def _word(

@@ -86,12 +86,12 @@ class SingleToneProcessing:
         self._measure_over(window_frames, step_frames)
 
     def end_contacts(self, reason: str) -> tuple[ContactEvent, ...]:
-        """Release every contact, as when frames have stopped coming; what is still touched then begins anew."""
+        """Release every contact, as when frames have stopped coming; what is still touched then begins again."""
         return self._tracker.close(self._last[1], reason) if self._last else ()
 
     def restart(self) -> tuple[ContactEvent, ...]:
-        """Discard the baseline and every contact: the board has booted or is configured anew."""
-        events = self.end_contacts("the board started anew")
+        """Discard the baseline and every contact: the board has booted or is configured again."""
+        events = self.end_contacts("the board restarted")
         self._windows.restart()
         self._common_mode.reset()
         self._errors.reset()
@@ -104,7 +104,7 @@ class SingleToneProcessing:
     def tare(self) -> str | None:
         """Set the common mode to the present pilot; return why that cannot be done, None if it was done."""
         if any(map(math.isnan, self._pilot)):
-            return "the pilot is not heard on all channels: the plate is touched, or channels are silent"
+            return "the pilot is not detected on all channels: the plate is touched, or channels are silent"
         self._common_mode.tare(self._pilot)
         return None
 
@@ -183,7 +183,7 @@ class SingleToneProcessing:
         """Return the windows that end with these gates, by gate."""
         if not gates:
             return {}
-        # A window that has begun anew grows from that of the fast path: a new tone is known at once, and better soon.
+        # A window that has begun again grows from that of the fast path: a new tone is known at once, and better soon.
         most, onset = self._window_frames, self._onset_frames
         frames = [
             most if min(held) == most else min([count for count in held if count >= onset], default=most)
@@ -245,14 +245,14 @@ class SingleToneProcessing:
                 ("ok", self._missing(window)) if self._common_mode.known else self._estimating(pilots, window)
             )
         elif tones and not self._common_mode.known:
-            status, reason = "pressed_at_start", "touched before the pilot was heard on all channels"
+            status, reason = "pressed_at_start", "touched before the pilot was detected on all channels"
         elif tones >= 2:
             counts = self._counted(window, measured_hz, pilot)
             beats = tuple([channel for channel, count in enumerate(counts) if count.beats])
             match = self._latch.apply(self._match(counts, frames))
             status, reason, forces = match.status, match.reason, match.forces
             if status == "ok" and any(count.others for count in counts):
-                status, reason = "possibly_more", "more than the counted tone is heard"
+                status, reason = "possibly_more", "a tone besides the counted one is detected"
             elif status == "ok" and max(window.crowded) >= CROWDED_FRAMES:
                 status, reason = "possibly_more", f"two tones are alike: {self._missing(window)}"
         else:
@@ -265,7 +265,7 @@ class SingleToneProcessing:
             positions_m, covariance_m2 = self._positions_m, self._covariance_m2
             touches = [touch_of(force, positions_m[force.site], covariance_m2[force.site]) for force in forces]
         touches = self._confirmed(touches, frames)
-        absent = ("no_signal", "another site is heard instead") if forces else (status, reason)
+        absent = ("no_signal", "another site is detected instead") if forces else (status, reason)
         events = self._tracker.update(board_ticks, touches, complete=untouched, status=absent[0], reason=absent[1])
         return ForceReading(
             sequence,
@@ -366,7 +366,7 @@ class SingleToneProcessing:
 
     def _estimating(self, pilots: int, window: "_Window") -> tuple[SensorStatus, str]:
         if pilots == self._windows.channels or self._settling(window):
-            return "settling", "the common mode is being learnt"
+            return "settling", "the common mode is being estimated"
         return "pilot_lost", self._missing(window)
 
     def _silent(self, tones: int, pilots: int, window: "_Window") -> tuple[SensorStatus, str]:
@@ -374,7 +374,7 @@ class SingleToneProcessing:
         if self._settling(window):
             return "settling", self._missing(window)
         if tones:
-            return "rejected", "heard on 1 channel, at least 2 needed"
+            return "rejected", "detected on 1 channel, at least 2 needed"
         if "capture_switch" in window.faults:
             return "rejected", f"no tone is the strongest for long: {self._missing(window)}"
         return ("pilot_lost" if pilots else "no_signal"), self._missing(window)

@@ -97,7 +97,7 @@ class SkinSensor(Sensor[SkinReading]):
     def begin(self, board: BoardOnline) -> None:
         if self._processing is not None:
             self._processing.restart()
-            self.end_contacts("the board started anew")
+            self.end_contacts("the board restarted")
             return
         plate, tones = self.plate, self.plate.tones
         self._processing = SkinProcessing(

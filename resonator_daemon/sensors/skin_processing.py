@@ -36,7 +36,7 @@ class SkinProcessing:
         self._common_mode = CommonMode(1, needed=BASELINE_READINGS, reading_std=COMMON_MODE_NOISE)
 
     def restart(self) -> None:
-        """Discard the baseline: the board has booted or is configured anew."""
+        """Discard the baseline: the board has booted or is configured again."""
         self._common_mode.reset()
 
     def push(
@@ -60,13 +60,13 @@ class SkinProcessing:
         status, reason = self._status(untouched is not None, int(np.count_nonzero(shifts.information)))
         return SkinReading(sequence, board_ticks, self._gate_s, status, reason, signals, noise_std, common_mode)
 
-    def _status(self, untouched: bool, heard: int) -> tuple[SensorStatus, str]:
-        if heard == 0:
+    def _status(self, untouched: bool, detected: int) -> tuple[SensorStatus, str]:
+        if detected == 0:
             return "no_signal", "no tone is known"
         if self._common_mode.known:
             return "ok", ""
         if untouched:
-            return "settling", "the common mode is being learnt"
-        if heard < TONES_MIN:
-            return "no_signal", f"{heard} tones known, at least {TONES_MIN} needed to learn the common mode"
-        return "pressed_at_start", "touched before the common mode was learnt"
+            return "settling", "the common mode is being estimated"
+        if detected < TONES_MIN:
+            return "no_signal", f"{detected} tones known, at least {TONES_MIN} needed to estimate the common mode"
+        return "pressed_at_start", "touched before the common mode was estimated"

@@ -102,8 +102,8 @@ class ToneArray:
         weight = shifts.information
         shift = np.multiply(shifts.weight, shifts.shift, out=self._product).sum(axis=0)
         if not weight.all():
-            heard = np.flatnonzero(weight)
-            weight, shift = weight[heard], shift[heard]
+            present = np.flatnonzero(weight)
+            weight, shift = weight[present], shift[present]
         tones = len(weight)
         if tones < TONES_MIN:
             return None
@@ -130,8 +130,8 @@ class ToneArray:
         information = np.multiply(shifts.weight, self._sensitivity_squared, out=product).sum(axis=0)
         slot = self._slot
         if not information.all():
-            heard = np.flatnonzero(information)
-            slot, total, information = slot[heard], total[heard], information[heard]
+            present = np.flatnonzero(information)
+            slot, total, information = slot[present], total[present], information[present]
         signals, noise_std = np.full(self.shape, np.nan), np.full(self.shape, np.nan)
         signals.ravel()[slot] = total / information
         noise_std.ravel()[slot] = 1.0 / np.sqrt(information)

@@ -1,4 +1,4 @@
-"""Messages of a board for people: why it started, and the lines of its log."""
+"""Log of a board: why it started, and the lines of its log."""
 
 from collections.abc import Mapping
 
@@ -17,7 +17,7 @@ RESET_CAUSES: Mapping[int, str] = {
     ResetCause.SOFTWARE: ", by its software",
     ResetCause.RESET_PIN: ", by its reset pin",
 }
-"""Why a board started anew, as the end of a sentence; other causes add nothing."""
+"""Why a board restarted, as the end of a sentence; other causes add nothing."""
 
 
 class BoardLogFilter:

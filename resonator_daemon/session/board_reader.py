@@ -260,7 +260,7 @@ class BoardReader:
                 if self._blink_due:
                     self._blink_due = False
                     machine.apply(BlinkRequested(now))
-                    self._send(link, now)  # apart from a ping, so that whoever joins here knows its number
+                    self._send(link, now)  # apart from a ping, so that a recording that starts here has its number
                 due_ns = connection.due_ns()
                 pieces = self._read(link, due_ns, gather=connection.pings.await_answer)
                 if not pieces:

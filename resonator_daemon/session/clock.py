@@ -107,7 +107,7 @@ class BoardClock:
     outliers
         Exchanges that contradicted those before them.
     restarts
-        How often the relation was begun anew: after a suspend, or because such exchanges agreed with each other.
+        How often the relation was begun again: after a suspend, or because such exchanges agreed with each other.
     """
 
     def __init__(self, reference_millihertz: int) -> None:
@@ -183,7 +183,7 @@ class BoardClock:
         """Add one ping exchange, with the present differences of the host's clocks.
 
         `boottime_less_monotonic_ns` grows while the host sleeps: then, the board counted on and the monotonic clock did
-        not, and the relation begins anew.
+        not, and the relation begins again.
         """
         self.utc_less_monotonic_ns = utc_less_monotonic_ns
         if exchange.received_monotonic_ns < exchange.sent_monotonic_ns:

@@ -17,7 +17,7 @@ _OFFSET_LIMIT_HZ = 32_767.0  # offset_hz16 reaches no further
 
 
 class BoardRefusedError(Exception):
-    """The board can never serve this plate, or speaks another protocol."""
+    """The board can never serve this plate, or uses another protocol."""
 
     def __init__(self, *problems: str, other_protocol: bool = False) -> None:
         super().__init__("; ".join(problems))
@@ -91,7 +91,7 @@ def identity_changes(board: Described, known: Described) -> tuple[str, ...]:
     if board.identity.serial_number != known.identity.serial_number:
         return (
             f"another board is on this link: {board.identity.serial_number}; {known.identity.serial_number} was here "
-            "before: connect that one again, or start the daemon anew to take this one",
+            "before: connect that one again, or restart the daemon to use this one",
         )
     pairs = [("product", board.identity.product, known.identity.product)]
     pairs += [
@@ -99,7 +99,7 @@ def identity_changes(board: Described, known: Described) -> tuple[str, ...]:
         for field in fields(board.description)
     ]
     return tuple(
-        f"{name}: the board says {present}, it said {past} before; mend its firmware, or start the daemon anew"
+        f"{name}: the board reports {present}, before it reported {past}; repair its firmware, or restart the daemon"
         for name, present, past in pairs
         if present != past
     )

@@ -46,7 +46,7 @@ _MS = 1_000_000
 _S = 1_000_000_000
 _ASK_AGAIN_NS = 300 * _MS
 _SILENCE_FRAMES, _SILENCE_NS = 3, 50 * _MS
-_GIVE_UP_NS = 3 * _S  # from when a board is first asked, or called silent, till the link is opened anew
+_GIVE_UP_NS = 3 * _S  # from when a board is first asked, or called silent, until the link is opened again
 _STUCK_NS = 500 * _MS  # of bytes without a frame among them
 _SLEPT_NS = 50 * _MS
 _UNANSWERED_NS = 10 * _S  # without an answer, though frames come
@@ -119,7 +119,7 @@ class Connection:
         BoardRefusedError
             The board can never serve the plate.
         LinkLostError
-            The board is not what it was: it must be asked anew.
+            The board is not what it was: it must be asked again.
         """
         self._now = now
         for kind, events in groupby(self._session.receive(data), type):
@@ -196,7 +196,7 @@ class Connection:
         Raises
         ------
         LinkLostError
-            When the board must be opened anew.
+            When the board must be opened again.
         """
         self._now = now
         now_ns = now.monotonic_ns
@@ -277,7 +277,7 @@ class Connection:
             return f"no board answers: its packets are refused ({refused.code}): {refused.text}; update its firmware"
         if self.described is not None and self._session.state is HostState.DESCRIBED:
             serial_number = self.described.identity.serial_number
-            return f"board {serial_number} identifies itself and answers no ping (no_pong); update its firmware"
+            return f"board {serial_number} identifies itself but answers no ping (no_pong); update its firmware"
         received_text = f"{received} bytes came and no answer" if received else "not a byte came"
         return f"no board answers: {received_text}; is it a board of this kind, and the baud rate right?"
 
@@ -313,7 +313,7 @@ class Connection:
             case Refusal():
                 self._refused(event)
             case ForeignVersion():
-                problem = f"the board speaks protocol {event.major}, this daemon speaks {PROTOCOL_MAJOR}"
+                problem = f"the board uses protocol {event.major}, this daemon uses {PROTOCOL_MAJOR}"
                 raise BoardRefusedError(problem, other_protocol=True)
 
     def _receive_frames(self, frames: list[Frame]) -> None:
@@ -340,12 +340,12 @@ class Connection:
 
     def _rebooted(self) -> None:
         self._flush_receiver()  # what it holds belongs to the boot, and the clock, before
-        self._announce(Condition.LOST, "the board started anew")
+        self._announce(Condition.LOST, "the board restarted")
         if self.clock is not None:
             outliers, restarts = self._clock_counts
             self._clock_counts = (outliers + self.clock.outliers, restarts + self.clock.restarts)
         self.clock = None
-        if self._counting:  # a board that does nothing but start anew has the time of one handshake
+        if self._counting:  # a board that does nothing but restart has the time of one handshake
             self._opened_ns = self._now.monotonic_ns
         self._counting = False
         self._next_ask_ns = self._now.monotonic_ns + _ASK_AGAIN_NS
@@ -353,12 +353,12 @@ class Connection:
     def _refused(self, refusal: Refusal) -> None:
         match refusal.code:
             case RefusalCode.NOT_IN_THIS_STATE if self._counting:
-                raise LinkLostError(f"the board has forgotten its configuration ({refusal.text})")
+                raise LinkLostError(f"the board has lost its configuration ({refusal.text})")
             case RefusalCode.FAULT:
                 self._announce(Condition.STALLED, f"the board cannot count: {refusal.text}")
                 raise LinkLostError(refusal.text)
             case RefusalCode.OTHER_VERSION:
-                raise BoardRefusedError(f"the board does not speak protocol {PROTOCOL_MAJOR}", other_protocol=True)
+                raise BoardRefusedError(f"the board does not support protocol {PROTOCOL_MAJOR}", other_protocol=True)
             case _:
                 raise BoardRefusedError(f"the board refuses the configuration: {refusal.text}")
 
@@ -376,7 +376,7 @@ class Connection:
         identity = event.identity
         before = self.described or self._known
         if before is not None and before.boot_id != event.boot_id:
-            self._announce(Condition.LOST, "the board started anew" + RESET_CAUSES.get(identity.reset_cause, ""))
+            self._announce(Condition.LOST, "the board restarted" + RESET_CAUSES.get(identity.reset_cause, ""))
         self._announce(
             Condition.STARTING, f"board {identity.serial_number} with firmware {identity.firmware} is being configured"
         )
@@ -431,7 +431,7 @@ class Connection:
         exchange = Exchange(ping.sent_ns, event.board_ticks, now.monotonic_ns)
         self.clock.add(exchange, now.utc_less_monotonic_ns, boottime_less_monotonic_ns=now.boottime_less_monotonic_ns)
         if not self._rate_doubt and (measured := self.clock.rate_beyond_tolerance) is not None:
-            # Flagged, not refused: tones far from where they should be are rejected by whoever matches them.
+            # Flagged, not refused: tones far from where they should be are rejected when sites are identified.
             self._rate_doubt = tick_rate_problem(self.described.description, *measured)
         self._unanswered = False
         if self._state.online:

@@ -108,7 +108,7 @@ class BoardOnline:
 
 @dataclass(frozen=True, slots=True)
 class BoardRefused:
-    """A board answered that cannot serve this plate or speak this protocol; each problem is one sentence."""
+    """A board answered that cannot serve this plate or does not support this protocol; each problem is one sentence."""
 
     problems: tuple[str, ...]
     other_protocol: bool = False

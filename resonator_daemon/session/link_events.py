@@ -62,7 +62,7 @@ class StopRequested(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """The open link went away, or the board on it is to be asked anew."""
+    """The open link went away, or the board on it is to be asked again."""
 
     now: HostTime
     reason: str

@@ -1,4 +1,4 @@
-"""Snapshots of a link, with which a recording can begin in the middle of a connection.
+"""Snapshots of a link, with which a recording can begin during a connection.
 
 Which board counts, the number and time of its last frame, what is known of its clock, and the pings on their way.
 """

@@ -30,7 +30,7 @@ class Pings:
         return self._followed is not None
 
     def restart(self) -> None:
-        """Discard all, and make pings again: the board has described itself anew."""
+        """Discard all, and make pings again: the board has described itself again."""
         self._on_the_way.clear()
         self._made = 0
         self._followed = None

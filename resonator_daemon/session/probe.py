@@ -158,7 +158,7 @@ class _Probe:
                 self._pings = 0
             case ForeignVersion():
                 raise NoBoardError(
-                    f"the board speaks protocol {event.major}, this program speaks {PROTOCOL_MAJOR}.{PROTOCOL_MINOR}: "
+                    f"the board uses protocol {event.major}, this program uses {PROTOCOL_MAJOR}.{PROTOCOL_MINOR}: "
                     "update the firmware or this program",
                     is_a_board=True,
                 )
@@ -179,7 +179,7 @@ class _Probe:
         if refused := self._session.most_refused:
             return f"its packets are refused ({refused.code}): {refused.text}; update the firmware of the board"
         if self._session.bytes.accepted:
-            return f"packets came ({received} bytes) and no answer to who it is; start the board anew"
+            return f"packets came ({received} bytes) and no identification; restart the board"
         return f"{received} bytes came and no packet among them; is it a board of this kind, and the baud rate right?"
 
 

@@ -124,7 +124,7 @@ def load_model(model: type[Model], file: TomlFile, context: object = None) -> Mo
     name = named(file.path)
     findings = [f"{name}:{f'{line}:' if line else ''} {_sentence(model, item)}" for line, item in placed[:MAX_FINDINGS]]
     if len(placed) > MAX_FINDINGS:
-        findings.append(f"{name}: {len(placed) - MAX_FINDINGS} more; mend the first ones first")
+        findings.append(f"{name}: {len(placed) - MAX_FINDINGS} more; correct the first ones first")
     raise ConfigurationError(*findings)
 
 

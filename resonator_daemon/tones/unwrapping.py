@@ -2,7 +2,7 @@
 
 The board's time, 64 bits wide, determines how often the tick counter has wrapped. How often the edge counter has, also
 across frames that are lost, follows from the last gate's frequency. A step that neither explains starts the counts
-anew, and no frequency spans it. What a channel counted in lost frames is not known: edges across them are all that
+again, and no frequency spans it. What a channel counted in lost frames is not known: edges across them are all that
 were counted.
 """
 
@@ -29,7 +29,7 @@ class Stamp(NamedTuple):
 
 
 def frequency_between_hz(earlier: Stamp, later: Stamp, reference_hz: float) -> float:
-    """Frequency of the edges from two stamps between which an `Unwrapper` has not started anew (Pi)."""
+    """Frequency of the edges from two stamps between which an `Unwrapper` has not restarted (Pi)."""
     if later.ticks <= earlier.ticks:
         raise ValueError(f"later stamp at tick {later.ticks}, the earlier one at {earlier.ticks}")
     return reference_hz * ((later.edge - earlier.edge) / (later.ticks - earlier.ticks))
@@ -53,7 +53,7 @@ class Unwrapper:
     def push(self, board_ticks: int, record: SingleToneRecord) -> str | None:
         """Append a record without fault, and the unwrapped board time at the end of its gate.
 
-        Returns None where it goes on from the one before or is the first, else why the counts start anew with it:
+        Returns None where it goes on from the one before or is the first, else why the counts restart with it:
         "stride_break", "ticks_implausible", "edges_implausible", or "gap_too_long" after so many lost frames that the
         wraps of the edge counter are in doubt, half an hour at 10 MHz.
         """

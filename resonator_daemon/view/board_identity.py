@@ -31,13 +31,13 @@ def as_json(target: LinkTarget, result: ProbeResult, problems: tuple[str, ...], 
 
 
 def labelled_lines(target: LinkTarget, result: ProbeResult, *, blink: bool) -> Iterator[tuple[str, str]]:
-    """Yield label and text of each line for people."""
+    """Yield label and text of each line of the text output."""
     identity, description, boot_id = result.described
     yield "board", f"{identity.product} {identity.serial_number}, firmware {identity.firmware}"
     yield "link", str(target)
     yield (
         "protocol",
-        f"{PROTOCOL_MAJOR}.{identity.protocol_minor}; this program speaks {PROTOCOL_MAJOR}.{PROTOCOL_MINOR}",
+        f"{PROTOCOL_MAJOR}.{identity.protocol_minor}; this program uses {PROTOCOL_MAJOR}.{PROTOCOL_MINOR}",
     )
     yield "made for", f"plate {description.plate}"
     kind = _KINDS.get(description.counter_kind, f"of unknown kind {description.counter_kind}")
@@ -86,4 +86,4 @@ def _round_trip(result: ProbeResult) -> str:
         return "no ping was answered"
     shortest_s, median_s = times_s
     answers = len(result.round_trips_s)
-    return f"{shortest_s * 1e3:.2f} ms at best, {median_s * 1e3:.2f} ms in the middle of {answers}"
+    return f"{shortest_s * 1e3:.2f} ms at best, {median_s * 1e3:.2f} ms median of {answers}"

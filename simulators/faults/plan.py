@@ -38,7 +38,7 @@ class FaultEvent(BaseModel):
     what: Happening = Field(
         description="unplug: the cable is out for a time. rename: the terminal gets another name. freeze: the board "
         "neither answers nor sends, and its gates go on. silence: it answers, and sends no frames. reboot: it starts "
-        "anew. brown_out: it does so with half a frame sent. tick_step: its tick count jumps. wrong_board: another "
+        "again. brown_out: it does so with half a frame sent. tick_step: its tick count jumps. wrong_board: another "
         "board is plugged in for a time."
     )
     for_s: Duration = Field(1.0, description="How long an unplug, freeze, silence or wrong_board lasts.")

@@ -71,7 +71,7 @@ def test_ports_are_listed_with_the_line_to_copy(
     assert noted.startswith("programs that this user may not look at are not shown as holders; root ")
     board = "    looks like a board; to be sure: resonatord identify\n"
     assert f'/dev/null  1209:000a 0042 RD board\n{board}    link = "serial:{by_id}?baud=4000000"\n' in printed
-    assert '/dev/zero  says nothing of itself\n    link = "serial:/dev/zero?baud=4000000"\n' in printed
+    assert '/dev/zero  no description\n    link = "serial:/dev/zero?baud=4000000"\n' in printed
     code, listed = asked(capsys, "ports")
     assert code == 0
     first, second = listed["ports"]
@@ -149,7 +149,7 @@ class Stranger:
         (b"", "not a byte came"),
         (b"login: ", "bytes came and no packet among them"),
         (None, "only our own requests came back"),
-        (encode_packet(0x81, 1, b"", boot_id=5, major=2), "speaks protocol 2, this program speaks 1.0"),
+        (encode_packet(0x81, 1, b"", boot_id=5, major=2), "uses protocol 2, this program uses 1.0"),
         (encode_packet(0x90, 7, bytes(176), boot_id=5), "packets came"),
     ],
 )

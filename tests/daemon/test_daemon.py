@@ -170,7 +170,7 @@ async def test_another_protocol_ends_the_daemon_with_both_versions_named(bench: 
 
     async with await asyncio.start_server(other_version, "127.0.0.1", 0) as server:
         port = server.sockets[0].getsockname()[1]
-        with pytest.raises(IncompatibleBoardError, match="speaks protocol 2, this daemon speaks 1") as refused:
+        with pytest.raises(IncompatibleBoardError, match="uses protocol 2, this daemon uses 1") as refused:
             await bench.service("skin32", f"tcp://127.0.0.1:{port}").run()
     assert refused.value.exit_code == ExitCode.UNAVAILABLE
 

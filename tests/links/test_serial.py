@@ -229,8 +229,8 @@ def test_a_file_that_is_no_terminal_is_said_to_be_no_serial_port(tmp_path: Path,
 @pytest.mark.parametrize(
     ("code", "group", "remedy"),
     [
-        (errno.EACCES, "dialout", "join its group: sudo usermod -aG dialout $USER, then log in anew"),
-        (errno.EPERM, "dialout", "join its group: sudo usermod -aG dialout $USER, then log in anew"),
+        (errno.EACCES, "dialout", "join its group: sudo usermod -aG dialout $USER, then log in again"),
+        (errno.EPERM, "dialout", "join its group: sudo usermod -aG dialout $USER, then log in again"),
         (errno.EACCES, "root", "give it to a group of this user with a udev rule (docs/links.md)"),
         (errno.EACCES, None, "give it to a group of this user with a udev rule (docs/links.md)"),
         (errno.EMFILE, None, os.strerror(errno.EMFILE)),

@@ -143,7 +143,7 @@ def test_a_board_that_takes_no_bytes(board: BoardEnd[UsbLink], host: UsbHost) ->
 
 def test_a_board_that_does_not_begin(board: BoardEnd[UsbLink], host: UsbHost) -> None:
     board.answers.clear()
-    assert refusal(host, LINK) == f"{LINK} does not begin anew within 1000 ms; plug it in again"
+    assert refusal(host, LINK) == f"{LINK} does not begin again within 1000 ms; plug it in again"
     board.answers.set()
     host.run(f"open_link({LINK!r})")
 
@@ -191,7 +191,7 @@ def test_a_board_among_several_must_be_named(monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(LinkUnavailableError) as caught:
         open_usb(UsbTarget(0x1209, 0x0001))
     links = "usb:1209:0001?serial=0042, usb:1209:0001?serial=0043, usb:1209:0001?serial=0042"
-    assert str(caught.value) == f"3 boards are usb:1209:0001; say which: {links}"
+    assert str(caught.value) == f"3 boards are usb:1209:0001; name one of them: {links}"
     with pytest.raises(LinkUnavailableError, match=r"^2 boards are usb:1209:0001\?serial=0042; "):
         open_usb(UsbTarget(0x1209, 0x0001, "0042"))
 

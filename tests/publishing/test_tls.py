@@ -325,7 +325,7 @@ async def greeted(answer: Callable[[int], bytes]) -> AsyncIterator[tuple[int, Gr
 async def test_a_broker_that_speaks_neither_version(to_5: bytes, logged_once: LoggedOnce) -> None:
     async with greeted(lambda version: to_5 if version == 5 else b"\x20\x02\x00\x01") as (port, record):
         broker = Mqtt(url=f"mqtt://127.0.0.1:{port}")
-        await logged_once(broker, "it speaks neither MQTT 5 nor 3.1.1")
+        await logged_once(broker, "it supports neither MQTT 5 nor 3.1.1")
     assert {version for version, _ in record.flags} == {4, 5}
 
 

@@ -226,7 +226,7 @@ def test_a_restart_releases_contacts_and_learns_anew():
     comb = SmallComb().untouched()
     comb.hold(spread(1.0, *PLACE_M), 20)
     (event,) = comb.chain.restart()
-    assert (event.event, event.reason) == ("release", "the board started anew")
+    assert (event.event, event.reason) == ("release", "the board restarted")
     assert comb.chain.compensation.baseline == "unknown"
     assert comb.chain.tare() == "no reading yet"
     assert comb.hold(frames=100)[-1].contacts == ()
@@ -250,7 +250,7 @@ def test_a_tone_that_is_not_heard_leaves_the_others_to_tell():
     comb = SmallComb().untouched()
     comb.known[:, int(spread(1.0, *PLACE_M).argmax())] = False
     last = comb.hold(spread(2.0, *PLACE_M), 40)[-1]
-    assert (last.status, last.reason) == ("ok", "1 of 16 sites are not heard")
+    assert (last.status, last.reason) == ("ok", "1 of 16 sites are not detected")
     (contact,) = last.contacts
     assert distance_m(contact, PLACE_M) < 0.2e-3
     assert contact.touch.force_newton == pytest.approx(2.0, rel=0.05)

@@ -54,8 +54,8 @@ def test_a_calibration_that_expires_is_said_once_and_hides_nothing_worse() -> No
 @pytest.mark.parametrize("common_mode", [UNLEARNT, (math.nan,)])
 def test_a_sensor_that_learns_is_starting_with_the_readings_reason(common_mode: tuple[float, ...]) -> None:
     sensor = Sensor()
-    sensor.read(3, "settling", "the common mode is being learnt", common_mode)
-    assert sensor.said == [(Condition.STARTING, "the common mode is being learnt", T0_NS + 3 * MS)]
+    sensor.read(3, "settling", "the common mode is being estimated", common_mode)
+    assert sensor.said == [(Condition.STARTING, "the common mode is being estimated", T0_NS + 3 * MS)]
 
 
 @pytest.mark.parametrize(

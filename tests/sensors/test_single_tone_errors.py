@@ -24,7 +24,7 @@ def heard(*, level_db=TONE_DB, **state):
 def test_a_second_touch_that_is_weaker_at_every_corner_is_possibly_more(ratio):
     readings = heard(ratio=ratio).hold(PLATE.loaded_hz(3, 2.0), 60)[4:]
     assert {(reading.status, reading.reason) for reading in readings} == {
-        ("possibly_more", "more than the counted tone is heard")
+        ("possibly_more", "a tone besides the counted one is detected")
     }
     for reading in readings:
         (force,) = reading.sites
@@ -101,7 +101,7 @@ def test_one_channel_that_another_tone_has_captured_is_left_out(odd):
     assert force.site == 3
     assert force.channels == tuple(channel for channel in range(4) if channel != odd)
     assert force.force_newton == pytest.approx(2.0, abs=0.02)
-    assert (last.status, last.reason) == ("ok", f"channel {odd} hears another tone")
+    assert (last.status, last.reason) == ("ok", f"channel {odd} detects another tone")
 
 
 def beating(jitter_ticks, interval_ticks):
@@ -149,7 +149,7 @@ PLAY_NEWTON = 0.1
 
 def test_a_plate_is_tared_only_while_it_is_untouched():
     bench = Bench(error=CLOCK_ERROR)
-    assert "not heard" in bench.chain.tare()
+    assert "not detected" in bench.chain.tare()
     bench.hold(UNTOUCHED, 15)
     assert bench.readings[-1].status == "settling"
     assert bench.chain.tare() is None

@@ -170,13 +170,13 @@ def test_a_reboot_is_told_with_its_cause_and_the_host_measures_it() -> None:
     bench.run(100)  # nothing comes: it waits to be asked
     bench.run(300)
     reasons = [reason for state, reason in bench.states if state == "lost"]
-    assert reasons == ["the board started anew", "the board started anew after a brown-out: look at its supply"]
+    assert reasons == ["the board restarted", "the board restarted after a brown-out: look at its supply"]
     assert bench.states[-1][0] == "online"
     assert len(bench.frames) > frames + 100
     bench.check_indices()
     (gap,) = bench.gaps
     outage = next(arrival for arrival in bench.arrivals if isinstance(arrival, Outage))
-    assert outage.reason == "the board started anew after a brown-out: look at its supply"
+    assert outage.reason == "the board restarted after a brown-out: look at its supply"
     assert outage.frames_lost == gap.loss.total == pytest.approx((outage.end_utc_ns - outage.start_utc_ns) / MS, abs=3)
     boots = bench.counters.boots
     assert [boot.boot_id for boot in boots] == [7, 8]

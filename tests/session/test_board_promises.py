@@ -42,9 +42,9 @@ def test_another_board_on_the_link_is_refused_with_both_named() -> None:
 @pytest.mark.parametrize(
     ("identity", "changes", "said"),
     [
-        ({"product": "a scale"}, {}, "product: the board says a scale, it said test board before"),
-        ({}, {"reference_millihertz": 10**12 + 1}, "reference_millihertz: the board says 1000000000001, it said 1000"),
-        ({}, {"gate_ticks_max": 2_000_000}, "gate_ticks_max: the board says 2000000, it said 1000000000 before"),
+        ({"product": "a scale"}, {}, "product: the board reports a scale, before it reported test board"),
+        ({}, {"reference_millihertz": 10**12 + 1}, "reference_millihertz: the board reports 1000000000001, before"),
+        ({}, {"gate_ticks_max": 2_000_000}, "gate_ticks_max: the board reports 2000000, before it reported 1000000000"),
     ],
 )  # fmt: skip
 def test_a_board_that_describes_itself_otherwise_than_before_is_refused(

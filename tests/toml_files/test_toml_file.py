@@ -121,7 +121,7 @@ def test_messages_are_bounded(tmp_path: Path) -> None:
     told = messages(tmp_path, text.encode())
     assert len(told) == MAX_FINDINGS + 1
     assert told[0].startswith(":1: kkk")
-    assert told[-1] == ": 201 more; mend the first ones first"
+    assert told[-1] == ": 201 more; correct the first ones first"
     assert max(map(len, told)) < 300
     assert len(messages(tmp_path, f"branches = '{long}'".encode())[0]) < 400
     for text in (f"[{long}]\n[{long}]\n", f"{long}: 1\n"):

@@ -1,4 +1,4 @@
-"""Decoder that knows what a contact is: it is compact, it only pushes, and friction bounds its shear.
+"""Decoder with the physics of a contact: it is compact, it only pushes, and friction bounds its shear.
 
 A linear decoder finds the support; inside it the traction is the least-squares one with f_z >= 0 and |f_t| <= mu f_z.
 Without a support the same bounds would do harm: a carpet of small pushes would balance the load.
@@ -230,7 +230,7 @@ class ContactDecoder:
         if not self._found:
             return
         found = self._found.pop()
-        if found.request.hypothesis is not self._hypothesis:  # it was forgotten meanwhile
+        if found.request.hypothesis is not self._hypothesis:  # it was discarded meanwhile
             self._hypothesis = replace(self._hypothesis, located=found.hypothesis.located)
             return
         if found.hypothesis.bounds != self._hypothesis.bounds:

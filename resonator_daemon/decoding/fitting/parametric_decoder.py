@@ -307,8 +307,8 @@ def _begin(place: Candidate) -> Floats:
 def _with_shear_or_without(contact: Floats, covariance: Floats) -> tuple[Floats, Floats]:
     """Average over two hypotheses, weighed by their evidence: no shear at all, and shear as friction usually allows.
 
-    Shear moves the signals much as a step aside does: to know that there is none halves the error of the centre. The
-    shear itself stays the second hypothesis' one, and so does its error.
+    Shear moves the signals much as a step aside does: without shear the error of the centre is half as large. The shear
+    itself stays the second hypothesis' one, and so does its error.
     """
     none = np.zeros((2, 2))
     usual = (_USUAL_SHEAR * contact[5]) ** 2 * np.eye(2)

@@ -13,7 +13,7 @@ from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
 from resonator_daemon.decoding.fitting.slip_fitter import SlipFitter
 
 INCIPIENT_MARGIN = 0.3  # below it slip is announced ...
-REARM_MARGIN = 0.4  # ... and above this, it may be announced anew
+REARM_MARGIN = 0.4  # ... and above this, it may be announced again
 _IN_A_ROW = 2  # frames that must agree on an event: one may be noise
 _GROSS_MARGIN = 0.1  # where a margin that may be 0 is taken as 0
 _SIGNIFICANCE = 2.0  # standard deviations
@@ -63,7 +63,7 @@ class SlipWatch:
         """Fit a frame; return fits and events by the ids of `contacts`.
 
         A contact is identified by its id; the start it comes with serves while the frame before gives no better. One
-        that is absent is forgotten. An event comes once, and again only after the margin has exceeded 0.4.
+        that is absent is discarded. An event comes once, and again only after the margin has exceeded 0.4.
         Arguments otherwise and errors as of `fit_partial_slip`.
         """
         for gone in self._followed.keys() - contacts.keys():

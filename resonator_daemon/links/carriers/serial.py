@@ -202,7 +202,7 @@ def _why_not(target: SerialTarget, error: Exception) -> str:
     if code in (errno.ENXIO, errno.ENODEV, errno.EIO):
         return f"{target.path} is there and its device is not ({os.strerror(code)}); plug it in"
     if isinstance(error, ValueError):
-        return f"{target.path} cannot be set to {target.baud} baud; choose a rate that its driver knows"
+        return f"{target.path} cannot be set to {target.baud} baud; choose a rate that its driver supports"
     return f"{target.path} cannot be opened: {os.strerror(code) if code else error}"
 
 
@@ -222,7 +222,7 @@ def _way_in(path: str) -> str:
         group = None
     if group in (None, "root"):
         return "give it to a group of this user with a udev rule (docs/links.md)"
-    return f"join its group: sudo usermod -aG {group} $USER, then log in anew"
+    return f"join its group: sudo usermod -aG {group} $USER, then log in again"
 
 
 def _present() -> str:

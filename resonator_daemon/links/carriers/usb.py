@@ -66,7 +66,9 @@ class UsbTarget(LinkTarget):
 
     @property
     def remedy(self) -> str:
-        return "plug the board in anew, and see with `resonatord ports` whether it is there; docs/links.md"
+        return (
+            "unplug the board and plug it in again, and see with `resonatord ports` whether it is there; docs/links.md"
+        )
 
     @classmethod
     def discover(cls) -> list[FoundPort]:
