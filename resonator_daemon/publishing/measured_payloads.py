@@ -36,7 +36,7 @@ class SiteForce(Message):
     hidden_newton: Float = Field(
         0.0,
         description="a bound, and no part of the two before: the most that a touch between sites may have put on "
-        "others beside `force_newton`; 0 where sites are touched one by one or all of them are detected",
+        "others, in addition to `force_newton`; 0 where sites are touched one by one or all of them are detected",
     )
     status: Status = Field(description="what this force is worth")
     at_least_newton: float | None = Field(None, description=_AT_LEAST)
