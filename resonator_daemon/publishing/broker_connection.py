@@ -22,6 +22,8 @@ from resonator_daemon.publishing.packed_properties import PackedProperties, pack
 from resonator_daemon.publishing.tls import make_tls
 
 MQTT_5: Final = MQTTProtocolVersion.MQTTv5
+NO_SUBSCRIBERS: Final = 0x10  # reason codes of MQTT 5
+FAILURE: Final = 0x80  # and above
 MQTT_3: Final = MQTTProtocolVersion.MQTTv311
 
 _NO_DELAY: Final = (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else Nagle and delayed ACK add 40 ms now and then
@@ -29,7 +31,7 @@ _NO_DELAY: Final = (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else Nagle and
 _UNSENT_BYTES_MAX: Final = (socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, 128 * 1024)
 _REST: Final = 0  # key of the streams that are partly written; packet identifiers begin at 1
 
-OnCompleted = Callable[["InFlight", bool], None]
+OnCompleted = Callable[["InFlight", int], None]
 OnMessage = Callable[[Incoming], None]
 OnDenied = Callable[[str, str], None]
 
@@ -84,7 +86,7 @@ class BrokerConnection:
         Of the client; None: the broker or the library chooses one.
     will
     on_completed
-        Called with (messages, refused) when QoS 0 messages are written in full, and when a QoS 1 message is
+        Called with (messages, reason code) when QoS 0 messages are written in full, and when a QoS 1 message is
         acknowledged.
     on_writable
         Called when packets that the library had queued by itself, as an acknowledgement, are written and a message
@@ -357,7 +359,7 @@ class BrokerConnection:
         if self._rest:
             self._rest = self._rest[self._write(self._rest) :]
             if not self._rest:
-                self._complete(_REST, refused=False)
+                self._complete(_REST, 0)
         if not self._rest:
             self._client.loop_write()
         self._watch_writable()
@@ -419,20 +421,20 @@ class BrokerConnection:
             self.lost.set_result(None)
 
     def _completed(self, _client: object, _userdata: object, number: int, reason: Any, _: object) -> None:
-        self._complete(number, refused=reason.is_failure)
+        self._complete(number, reason.value)
 
     def _begin(self, number: int, messages: InFlight) -> None:
         if not self.in_flight:
             self._progress_s = messages.since_s
         self.in_flight[number] = messages
 
-    def _complete(self, number: int, *, refused: bool) -> None:
+    def _complete(self, number: int, reason_code: int) -> None:
         messages = self.in_flight.pop(number, None)
         if messages is not None:
             self._progress_s = self._loop.time()
             self.unacknowledged -= messages.qos
             if self._on_completed is not None:
-                self._on_completed(messages, refused)
+                self._on_completed(messages, reason_code)
 
     def _suback_received(
         self, _client: object, _userdata: object, number: int, reasons: list[Any], _properties: object

@@ -19,6 +19,8 @@ UNWRITTEN_MAX: Final = 4096  # while a disk that works is being written to
 RETRY_S: Final = 5.0
 LOOK_S: Final = 5.0  # how long a removed file may go unnoticed where nothing is written
 CLOSE_TIMEOUT_S: Final = 2.0
+SUBSCRIBERS_S: Final = 60.0  # after a connection: how long late events wait for the first subscriber
+TRY_AGAIN_S: Final = 1.0
 
 _TOGETHER: Final = 256  # events of one transaction
 _READ_TOGETHER: Final = 64
@@ -84,6 +86,9 @@ class EventQueue:
         self._passed = -1
         self.spool_opened = self._spool is None  # by an earlier run: that goes first
         self._connected = False
+        self._awaits_subscribers = False  # late events are sent one by one
+        self._subscribers_due_s = 0.0
+        self._try_again: asyncio.TimerHandle | None = None
         self._closing = False
         self._on_the_way: set[Event] = set()
         self._unneeded: list[Key] = []  # given to the spool, and over
@@ -114,7 +119,7 @@ class EventQueue:
 
     def pop(self) -> Event | None:
         """Return what is to be sent next; None: there is nothing, or it is still on its way from the disk."""
-        if not self.spool_opened:
+        if not self.spool_opened or self._must_wait():
             return None
         if len(self._head) <= _READ_TOGETHER // 2 and self._on_disk:
             self._wake.set()
@@ -137,12 +142,46 @@ class EventQueue:
             self._unneeded.append(event.key(self._run))
             self._wake.set()
 
+    def answered(self, event: Event, *, has_subscribers: bool) -> None:
+        """Remove an event that the broker has acknowledged; a late one without a subscriber is queued again.
+
+        Subscribers connect again later than the daemon, and a broker without its store has nothing for them.
+        """
+        if has_subscribers:
+            self._awaits_subscribers = False
+        elif event.late and self._awaits_subscribers:
+            loop = asyncio.get_running_loop()
+            if loop.time() < self._subscribers_due_s:
+                self._on_the_way.discard(event)
+                self._head.appendleft(event)
+                self._account.enqueued += 1
+                self._account.resent += 1
+                self._try_again = loop.call_later(TRY_AGAIN_S, self._end_wait)
+                return
+            self._awaits_subscribers = False
+        self.done(event)
+
+    def _must_wait(self) -> bool:
+        """Return whether what is next is late and has to wait until the one before has reached a subscriber."""
+        if not self._awaits_subscribers:
+            return False
+        is_late = bool(self._head or self._on_disk or (self._tail and self._tail[0].late))
+        return is_late and bool(self._on_the_way or self._try_again)
+
+    def _end_wait(self) -> None:
+        self._try_again = None
+        self._on_ready()
+
     def connected(self) -> None:
-        self._connected = True
+        self._connected = self._awaits_subscribers = True
+        self._subscribers_due_s = asyncio.get_running_loop().time() + SUBSCRIBERS_S
 
     def disconnected(self, unknown: Sequence[Event]) -> None:
         """Queue the events that were in flight again: they may not have arrived."""
         self._connected = False
+        if self._try_again is not None:
+            self._try_again.cancel()
+            self._try_again = None
         self._on_the_way.clear()
         self._account.enqueued += len(unknown)
         self._account.resent += len(unknown)

@@ -9,7 +9,7 @@ from time import monotonic
 from typing import Final, NamedTuple, TypeVar
 
 from resonator_daemon.publishing.bounded_queue import BoundedQueue
-from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection, InFlight
+from resonator_daemon.publishing.broker_connection import FAILURE, MQTT_5, NO_SUBSCRIBERS, BrokerConnection, InFlight
 from resonator_daemon.publishing.broker_limits import LargestMessages, packet_bytes
 from resonator_daemon.publishing.event_queue import Event, EventQueue
 from resonator_daemon.publishing.message_account import Account, Cause
@@ -177,19 +177,19 @@ class Outbox:
             self._account.drop(Cause.CLOSED, topic)
         self._states.clear()
 
-    def published(self, sent: InFlight, refused: bool) -> None:
+    def published(self, sent: InFlight, reason_code: int) -> None:
         """Count messages that were written (QoS 0), acknowledged (QoS 1) or refused."""
         token = sent.token
         if sent.qos:
             self._largest.acknowledged()
-        if refused:
+        if reason_code >= FAILURE:
             self._account.drop(Cause.REFUSED, token.topic if isinstance(token, Packet | Event) else "")
         elif sent.qos:
             self._account.acknowledged += 1
         else:
             self._account.written += sent.messages
         if isinstance(token, Event):
-            self.events.done(token)
+            self.events.answered(token, has_subscribers=reason_code != NO_SUBSCRIBERS)
         self._moved.set()
         if self.queued:
             self.pump_soon()

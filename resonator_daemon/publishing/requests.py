@@ -9,7 +9,7 @@ from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.errors import ExitCode, UserError
-from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection
+from resonator_daemon.publishing.broker_connection import FAILURE, MQTT_5, BrokerConnection
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.reconnection import connection_session, keep_connected
 from resonator_daemon.publishing.topics import full_topic
@@ -111,7 +111,7 @@ async def request(
         return BrokerConnection(
             broker,
             version,
-            on_completed=lambda _sent, refused: denied(command_topic) if refused else None,
+            on_completed=lambda _sent, reason_code: denied(command_topic) if reason_code >= FAILURE else None,
             on_message=receive,
             on_denied=lambda topic_filter, _reason: denied(topic_filter),
         )

@@ -23,7 +23,7 @@ from mqtt_helpers import (
 from observer import observe
 from relay import relay
 
-from resonator_daemon.publishing import outbox, topics
+from resonator_daemon.publishing import event_queue, outbox, topics
 
 ONLINE = Messages.state("online", "all is well")
 
@@ -90,6 +90,33 @@ async def test_events_of_an_outage_come_in_order_with_their_times_and_a_mark(gen
         assert (account.acknowledged, account.spooled, account.dropped) == (1010, 0, {})
 
 
+async def test_late_events_wait_for_the_first_subscriber(mosquitto, tmp_path: Path) -> None:
+    """The broker comes back without its store, and the daemon connects before any subscriber does."""
+    async with publishing(mosquitto.url, spool_directory=tmp_path) as left:
+        await until(lambda: left.connected)
+        await mosquitto.kill()
+        await until(lambda: not left.connected)
+        await happen(left, range(200))
+        await until(lambda: left.account.spooled == 200)
+        await mosquitto.start()
+        await until(lambda: left.account.resent >= 2)  # two attempts
+        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(200))  # keeps its place behind them
+        async with observe(mosquitto.url) as observer:
+            events = await heard_events(observer, 200)
+            await until(lambda: left.account.waiting == 0)
+        assert [(event["seq"], event["replayed"]) for event in events] == [(n, n < 200) for n in range(201)]
+
+
+async def test_late_events_do_not_wait_for_subscribers_for_ever(
+    mosquitto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(event_queue, "SUBSCRIBERS_S", 0.0)
+    async with publishing(mosquitto.url, spool_directory=tmp_path) as left:
+        await happen(left, range(50))
+        await until(lambda: left.account.waiting == 0)
+        assert (left.account.acknowledged, left.account.resent) == (50, 0)
+
+
 async def test_events_on_their_way_when_the_connection_ends_are_sent_again(tmp_path: Path) -> None:
     async with scripted_broker() as (url, script), publishing(url, spool_directory=tmp_path) as left:
         script.answer = lambda number: 0 if number <= 3 else None
@@ -109,7 +136,10 @@ async def test_events_on_their_way_when_the_connection_ends_are_sent_again(tmp_p
         assert told == [(n, False) for n in range(8)] + [(n, True) for n in range(3, 9)]
 
 
-async def test_a_frozen_broker_stalls_nobody_and_every_message_is_accounted_for(tmp_path: Path) -> None:
+async def test_a_frozen_broker_stalls_nobody_and_every_message_is_accounted_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(event_queue, "SUBSCRIBERS_S", 0.0)
     mosquitto = Mosquitto(tmp_path, "allow_anonymous true", "max_queued_messages 0")
     await mosquitto.start()
     async with publishing(mosquitto.url, spool_directory=tmp_path, times=IMPATIENT) as left:
@@ -198,7 +228,10 @@ async def test_a_slow_link_brings_events_and_the_newest_streams(mosquitto, tmp_p
         assert left.account.unknown_at_disconnect <= 1  # the stream half written at the end
 
 
-async def test_accounts_are_exact_at_random_instants_while_connections_break(broker, tmp_path: Path) -> None:
+async def test_accounts_are_exact_at_random_instants_while_connections_break(
+    broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(event_queue, "SUBSCRIBERS_S", 0.0)
     chance = random.Random(20)
     async with relay(broker.url) as way, publishing(way.url, spool_directory=tmp_path) as left:
         left.publish(LEFT, topics.STATE_DAEMON, ONLINE)
