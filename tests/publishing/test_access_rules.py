@@ -15,7 +15,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection, Will
+from resonator_daemon.publishing.broker_connection import FAILURE, MQTT_5, BrokerConnection, Will
 from resonator_daemon.publishing.connection_errors import BrokerError
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.topics import TOPICS
@@ -106,7 +106,7 @@ class Client(BrokerConnection):
             identifier=identifier,
             will=Will(will, b"will") if will else None,
             on_message=self.got.append,
-            on_completed=lambda sent, refused: self.refused.update({str(sent.token): refused}),
+            on_completed=lambda sent, code: self.refused.update({str(sent.token): code >= FAILURE}),
         )
 
     async def send_all(self, topics: set[str], *, retain: bool = False) -> set[str]:
