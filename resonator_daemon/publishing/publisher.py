@@ -273,9 +273,14 @@ class Publisher:
 
     def _put_retained(self, packet: Packet) -> None:
         if packet.topic not in self._outbox.retained_topics and self._client is not None:
-            self._client.subscribe(packet.topic)
+            self._watch_retained(self._client, packet.topic)
         self._retained.published(packet.topic, packet.payload)
         self._outbox.put_state(packet)
+
+    def _watch_retained(self, client: BrokerConnection, topic: str) -> None:
+        """Subscribe to what others send to a retained topic; before MQTT 5 every own message would come back, too."""
+        if client.version is MQTT_5:
+            client.subscribe(topic, no_local=True)
 
     def _publish_stream(self, base: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
         """Queue the message and its decimated copy, the same bytes, each where its pace lets it pass."""
@@ -335,7 +340,7 @@ class Publisher:
             )
         subscribed = {subscription.topic_filter for subscription in self._subscriptions}
         for topic in self._outbox.retained_topics - subscribed:
-            client.subscribe(topic)
+            self._watch_retained(client, topic)
         self._on_connected(self._connections)
         self._outbox.republish(self._outbox.retained_topics)
         try:

@@ -1,4 +1,4 @@
-"""What other clients do to retained topics and to the topics of commands, on Mosquitto and the embedded broker."""
+"""What other clients do to retained topics and to the topics of commands, on Mosquitto."""
 
 import json
 import time
@@ -22,8 +22,8 @@ def client(url: str, version: MQTTProtocolVersion = MQTTProtocolVersion.MQTTv311
     return aiomqtt.Client(parts.hostname or "", parts.port or 1883, protocol=aiomqtt.ProtocolVersion(version))
 
 
-async def test_retained_topics_that_another_overwrites_or_clears_are_restored(broker) -> None:
-    async with publishing(broker.url) as left, client(broker.url) as other:
+async def test_retained_topics_that_another_overwrites_or_clears_are_restored(mosquitto) -> None:
+    async with publishing(mosquitto.url) as left, client(mosquitto.url) as other:
         left.publish(LEFT, topics.STATE_LINK, ONLINE)
         left.retain(SCHEMA, b"{}", "application/json")
         await until(lambda: left.connected)
@@ -34,20 +34,20 @@ async def test_retained_topics_that_another_overwrites_or_clears_are_restored(br
         await other.publish(SENSOR, b"", qos=1, retain=True)
         await other.publish(SCHEMA, b"", qos=1, retain=True)
         await until(lambda: left.account.restored == before + 3 and left.account.waiting == 0)
-        async with observe(broker.url, f"{LEFT}/#") as late:
+        async with observe(mosquitto.url, f"{LEFT}/#") as late:
             for topic in (LINK, SENSOR):
                 await late.until_last(topic, state="online")
             assert await late.until_count(SCHEMA, 1) == [b"{}"]
 
 
-async def test_a_flood_on_a_retained_topic_draws_a_message_a_second(broker, caplog) -> None:
-    async with publishing(broker.url) as left, client(broker.url) as other:
+async def test_a_flood_on_a_retained_topic_draws_a_message_a_second(mosquitto, caplog) -> None:
+    async with publishing(mosquitto.url) as left, client(mosquitto.url) as other:
         left.publish(LEFT, topics.STATE_LINK, ONLINE)
         await until(lambda: left.connected and left.account.waiting == 0)
         before, begun_s = left.account.restored, time.monotonic()
         for number in range(200):
             await other.publish(LINK, b"junk %d" % number, qos=1, retain=True)
-        async with observe(broker.url, LINK) as late:
+        async with observe(mosquitto.url, LINK) as late:
             await late.until(lambda: bool(late.raw(LINK)) and late.raw(LINK)[-1][:1] == b"{")
         took_s = time.monotonic() - begun_s
         assert 1 <= left.account.restored - before <= 2 + took_s
@@ -55,7 +55,9 @@ async def test_a_flood_on_a_retained_topic_draws_a_message_a_second(broker, capl
 
 
 async def test_own_messages_that_come_back_are_not_restored(broker) -> None:
-    async with observe(broker.url, LINK) as observer, publishing(broker.url) as left:
+    """As those on a topic that is subscribed to for another reason."""
+    subscription = Subscription(LINK, 1, lambda message: None)
+    async with observe(broker.url, LINK) as observer, publishing(broker.url, subscriptions=(subscription,)) as left:
         await until(lambda: left.connected)
         for number in range(4):
             left.publish(LEFT, topics.STATE_LINK, Messages.state("online", str(number)))

@@ -79,7 +79,7 @@ class Substitute:
             raise ZeroDivisionError("seven")
         return SurfaceReading(self.name, Decoded(signals, signals, None, False, 0.0, 1.0, "ok", ""))
 
-    def reset(self) -> tuple[()]:
+    def reset(self, reason: str) -> tuple[()]:
         return ()
 
 

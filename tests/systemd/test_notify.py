@@ -26,7 +26,7 @@ from resonator_daemon.monitoring import liveness
 from resonator_daemon.session.board_reader import BoardReader
 liveness._FRAMES_S = 3.0
 read, count = BoardReader._read, iter(range(500))
-BoardReader._read = lambda *given: read(*given) if next(count, None) is not None else threading.Event().wait()
+BoardReader._read = lambda *a, **k: read(*a, **k) if next(count, None) is not None else threading.Event().wait()
 """
 
 
