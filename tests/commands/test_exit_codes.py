@@ -18,16 +18,12 @@ PROGRAM = (sys.executable, "-m", "resonator_daemon")
     [
         "demo --plate nope",
         "emulate --plate nope --pty board",
-        "emulate --plate quartz16 --pty board --scenario nope",
         "emulate --plate quartz16 --pty board --faults nope=1",
-        "watch --url nonsense",
         "watch --prefix a#b",
         "replay run.mcap --url mqtt://host:0",
-        "replay run.mcap --name a/b",
         "doctor --url nonsense --link tcp://127.0.0.1:9",
         "identify nope",
         "export run.mcap --output run.foo",
-        "config explain nope",
         "plan codes --grid nope --pitch-mm 5",
     ],
 )

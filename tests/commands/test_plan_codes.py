@@ -186,12 +186,9 @@ def test_neighbours_get_codes_for_which_the_ladder_is_lengthened(capsys: pytest.
     ("arguments", "complaint"),
     [
         ((), "one of the arguments --sites --plate --grid is required"),
-        (("--grid", "4x4"), "--grid and --pitch-mm belong together"),
         ((*GRID, "--force-max-newton", "10000", "--sensitivity-ppm-per-newton", "100"), "largest shift is 1.3e+06 ppm"),
         ((*GRID, "--coupling", "220@5,1150@4"), "is not HZ@MM,HZ@MM with the nearer distance first"),
         ((*GRID, "--band-ppm", "1000"), "--band-ppm 1000: pilot and largest force alone need 1082; widen the band"),
-        ((*GRID, "--no-pilot", "--output", "new.toml"), "--output does not go with --no-pilot"),
-        ((*GRID, "--keep-codes"), "--keep-codes needs --plate"),
         (("--plate", "quartz16", "--keep-codes", "--step-ppm", "9"), "--step-ppm does not go with --keep-codes"),
         (("--plate", "skin32"), "'skin32' has a channelised counter of p_n, eps_xz, eps_yz"),
     ],

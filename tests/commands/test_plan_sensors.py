@@ -32,8 +32,6 @@ def test_json_is_one_object_and_nothing_else(capsys: pytest.CaptureFixture[str])
         (("--set", "p_n,p_n"), "'p_n' is named 2 times, must be once"),
         (("--pitch-mm", "30"), "at most four depths, 0.004: a sparser array"),
         (("--depth-mm", "0"), "depth_m is 0, must be from 1e-09 to 1000"),
-        (("--poisson-ratio", "0.7"), "poisson_ratio is 0.7, must be in (-1, 0.5]"),
-        (("--snr-db", "400"), "snr_db is 400, must be from -40 to 100"),
         (("--picture", "set.gif"), "'set.gif' must end in .svg, .png or .pdf"),
     ],
 )

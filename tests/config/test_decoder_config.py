@@ -46,12 +46,10 @@ def test_a_file_of_two_tables_will_do_for_a_group(tmp_path: Path) -> None:
         ("", (" name: missing; give the name of the plate, or decoding.plates and decoding.group",)),
         ('name = "decoder"', ("1: name: got 'decoder'; is the topic of decoder processes; choose another",)),
         ('name = "a"\n[mqtt]\nurll = ""', ("3: mqtt.urll: unknown key; did you mean url?",)),
-        ('name = "a"\nnamee = "b"', ("2: namee: unknown key; did you mean name?",)),
         ('name = "a"\n[decoding]\nmethod = "off"', ('2: decoding: got a table; method = "off" leaves a decoder',)),
         ('[decoding]\nplates = ["+"]', ("1: decoding.group: missing; decoders of the same group share the plates",)),
         ('[decoding]\ngroup = "g"', ("2: decoding.group: got 'g'; shares plates that are named in decoding.plates",)),
         ('[decoding]\nplates = ["+", "a"]\ngroup = "g"', ("2: decoding.plates: got ['+', 'a']; \"+\" stands for all",)),
-        ('[decoding]\nplates = ["a", "a"]\ngroup = "g"', ("2: decoding.plates: got ['a', 'a']; must not name a",)),
         ('[decoding]\nplates = ["a/b"]\ngroup = "g/h"', ("2: decoding.plates: got ['a/b']; becomes", "3: decoding.g")),
     ],
 )

@@ -78,12 +78,6 @@ async def test_a_window_must_fit_as_in_the_configuration(
     assert bench.daemon.acts == []
 
 
-async def test_a_stream_that_is_not_published_has_no_rate(bench: Bench) -> None:
-    refused = await bench.refusal("set_rate", topic="decoded", rate_hz=5)
-    assert (refused.code, refused.hint) == ("not_published", "streams: forces, contacts")
-    assert bench.daemon.acts == []
-
-
 async def test_a_disk_that_takes_nothing_is_said(bench: Bench) -> None:
     bench.daemon.disk_problem = "No space left on device"
     refused = await bench.refusal("start_recording")

@@ -65,8 +65,3 @@ def test_flat_as_summed_point_loads() -> None:
     centre = np.array([2e-4, -5e-4])
     expected = flat_by_points(centre, 2e-3)
     assert np.linalg.norm(flat.signals(centre, 2e-3).value - expected) < 1e-4 * np.linalg.norm(expected)
-
-
-def test_sites_too_far_apart_for_a_table_are_refused():
-    with pytest.raises(ValueError, match=r"sites span 283 depths, must be at most 200; is a depth of 0.001 m meant"):
-        DiscModel(HalfSpace(2e5, 0.5), [[0.0, 0.0], [0.2, 0.2]], 1e-3, 5e-3)

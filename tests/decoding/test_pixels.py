@@ -34,9 +34,3 @@ def test_interpolation_both_ways_keeps_linear_functions():
     np.testing.assert_allclose(onto(plane(places_m))[mapped], plane(lattice.centres_m)[mapped], atol=1e-5)
     assert mapped[lattice.nearest(np.zeros((1, 2)))].all()
     assert not mapped[0]
-
-
-def test_places_on_a_line_are_refused():
-    places_m = np.column_stack([np.arange(9) * 1e-3, np.zeros(9)])
-    with pytest.raises(ValueError, match="on a line"):
-        PixelLattice.over(places_m, 1e-3).from_places(places_m)

@@ -96,13 +96,6 @@ def test_load_is_energy_beyond_noise() -> None:
     assert np.count_nonzero(has_load(noise, 1.0)) <= 1
 
 
-@pytest.mark.parametrize("name", ["correlation_length_m", "tangential_ratio", "std_pascal"])
-@pytest.mark.parametrize("value", [0.0, -1.0, np.inf, np.nan])
-def test_a_prior_has_finite_parameters_above_0(name: str, value: float) -> None:
-    with pytest.raises(ValueError, match=f"{name} is {value}"):
-        Prior(**{name: value})
-
-
 def test_the_spectrum_of_the_prior_has_unit_variance() -> None:
     omega = np.linspace(0.0, 1e5, 200_001)  # of a Prior of 1 mm: it has faded by 1e-8 at the end
     power = Prior().spectrum_m2(omega**2) * omega / (2.0 * np.pi)

@@ -252,15 +252,10 @@ BOWL = paraboloid(SHAPE, SIDE_M / 32, 0.02)
     [
         (BOWL.T, {"load_newton": 1.0}, r"profile_m has shape \(32, 30\), must be \(30, 32\)"),
         (np.where(BOWL < 1e-5, np.nan, BOWL), {"load_newton": 1.0}, "profile_m holds nan"),
-        (np.full(SHAPE, np.inf), {"load_newton": 1.0}, "profile_m is inf everywhere"),
         (BOWL, {"load_newton": 1.0, "approach_m": 1e-4}, "just one of the two"),
         (BOWL, {"load_newton": 0.0}, r"load_newton is 0.0, must be finite and above 0"),
-        (BOWL, {"approach_m": np.nan}, "approach_m is nan, must be finite"),
-        (BOWL, {"load_newton": 1e-2, "tolerance": 0.0}, "tolerance is 0.0, must be above 0"),
         (BOWL, {"load_newton": 1e-2, "start_pascal": np.ones((3, 3))}, r"start_pascal has shape \(3, 3\)"),
-        (BOWL, {"load_newton": 1e-2, "start_pascal": np.full(SHAPE, -1.0)}, "start_pascal .* at least 0"),
         (BOWL, {"load_newton": 10.0}, r"load_newton is 10 at .* touches the border of the height map, .* larger"),
-        (BOWL, {"approach_m": 5e-3}, r"approach_m 0.005, where contact touches the border"),
         (BOWL[0].max() + 0 * BOWL, {"load_newton": 1e-3}, "with a rim of inf"),
     ],
 )

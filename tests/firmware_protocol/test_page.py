@@ -243,19 +243,14 @@ def test_examples_are_what_the_code_sends() -> None:
     ("serial_number", "sound"),
     [
         ("RD-0042", True),
-        ("0", True),
         ("a_b.c-9", True),
         ("x" * 63, True),
         ("x" * 64, False),
         ("", False),
         (".", False),
-        ("-1", False),
         ("a/b", False),
-        ("a b", False),
         ("a+", False),
         ("é", False),
-        ("[", False),
-        ("a@", False),
     ],
 )
 def test_serial_numbers(serial_number: str, sound: bool) -> None:

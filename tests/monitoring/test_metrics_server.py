@@ -128,12 +128,3 @@ async def test_connections_at_once_are_bounded(address: Listen) -> None:
         for _, writer in (*idle, (reader, further)):
             writer.close()
         assert (await ask(address)).status == 200
-
-
-@pytest.mark.parametrize("path", ["/", "/x", "/metrics/", "/favicon.ico"])
-async def test_any_other_path_is_refused_and_told_where_the_metrics_are(address: Listen, path: str) -> None:
-    async with serving(address):
-        response = await ask(address, path=path)
-        assert b"resonatord_link_up" in (await ask(address, path="/metrics?any")).body
-    assert response.status == 404
-    assert response.body == b"not here; the metrics are at /metrics\n"

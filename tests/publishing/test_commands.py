@@ -98,9 +98,7 @@ def incoming(
     [
         (b'{"txt": "a"}', "text: missing; give a value; txt: unknown key; allowed: text; did you mean text?"),
         (b'{"text": 7}', "text: got 7; must be a valid string"),
-        (b'{"text": ["7"]}', 'text: got ["7"]; must be a valid string'),
         (b"", "the payload is empty"),
-        (b'{"text": ""}', 'text: got ""; must have at least 1 character'),
         (b'{"text": "a\\nb"}', 'text: got "a\\nb"; must be printable characters, without line breaks and control'),
         (b'{"text": "a", "at\\u0000": 1}', '"at\\u0000": unknown key; allowed: text'),
         (b'{"text": "' + b"x" * 300 + b'"}', "must have at most 200 characters"),
@@ -146,9 +144,7 @@ async def test_a_strange_verb_does_not_get_into_topics(bench: Bench, verb: str) 
     [
         f"{BASE}/state/daemon",
         "resonator/right/cmd/tare",
-        "resonator",
         f"{BASE}/rsp",
-        "a/#",
         "a/+/b",
         "$SYS/broker",
         "",

@@ -104,14 +104,12 @@ NO_ANSWER = TimersRun(at(4000), idle=False)  # after which the connection gives 
     ("events", "said"),
     [
         ([BEGUN[0], Sent(at(1), b"\x07"), Closed(at(2))], "0.001 s after its beginning: 07 was sent, now "),
-        ([BEGUN[0], Received(at(2), b"\0"), Closed(at(3))], "0.002 s after its beginning: nothing was sent, now "),
         ([BEGUN[0], TimersRun(at(2), idle=True), Closed(at(3))], "nothing was sent, now "),
         ([*BEGUN, Skipped(at(5), 3, 400), Closed(at(6))], "0.005 s after its beginning: 3 events with 400 bytes are"),
         ([*BEGUN, Refused(at(5), ("old",), other_protocol=False), Closed(at(6))], "closed, old; now: nothing is wrong"),
         ([*BEGUN, Opened(at(5))], "0.005 s after its beginning: the link is opened twice"),
         ([Received(at(0), b"abc")], "0.000 s after its beginning: the link is not open"),
         ([*BEGUN, NO_ANSWER, Lost(at(4001), "unplugged"), Closed(at(4001))], "unplugged; now: no board answers"),
-        ([*BEGUN, NO_ANSWER, Received(at(4001), b"")], "the link would have been closed: no board answers"),
     ],
 )
 def test_a_difference_is_counted_and_said(tmp_path: Path, events: list[WireEvent], said: str) -> None:

@@ -28,12 +28,9 @@ def test_what_other_processors_round_is_none(change: dict[str, Any]) -> None:
     [
         ({"a": 2}, Difference("a", 1, 2)),
         ({"a": 1.0}, Difference("a", 1, 1.0)),
-        ({"t": 1}, Difference("t", True, 1)),
-        ({"b": "two"}, Difference("b", "one", "two")),
         ({"n": 0.0}, Difference("n", None, 0.0)),
         ({"f": [2.1e-6, 2.0]}, Difference("f[0]", 0.0, 2.1e-6)),
         ({"f": [0.0, 2.0, 3.0]}, Difference("f[]", "2 elements", "3 elements")),
-        ({"f": [0.0]}, Difference("f[]", "2 elements", "1 elements")),
         ({"g": [{"x": 1e-9 + 4.1e-15}, {"x": 4e-9}]}, Difference("g[0].x", 1e-9, 1e-9 + 4.1e-15)),
         ({"g": [{}, {"x": 4e-9}]}, Difference("g[0].x", 1e-9, ABSENT)),
         ({"more": 1}, Difference("more", ABSENT, 1)),

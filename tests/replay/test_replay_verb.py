@@ -162,13 +162,10 @@ def test_what_cannot_be_replayed_is_one_line(tmp_path: Path, capsys: pytest.Capt
     [
         (),
         ("one.mcap", "two.mcap"),
-        ("one.mcap", "--check", "case"),
         ("--check", "case", "--name", "left"),
         ("one.mcap", "--to", "-", "--json"),
-        ("one.mcap", "--to", "out", "--url", "mqtt://127.0.0.1"),
         ("one.mcap", "--speed", "0"),
         ("one.mcap", "--speed", "2", "--step"),
-        ("one.mcap", "--save-case", "case", "--from", "1"),
     ],
 )
 def test_what_does_not_go_together_is_a_matter_of_usage(arguments: tuple[str, ...]) -> None:

@@ -43,16 +43,12 @@ def test_oscillators_lie_on_a_comb() -> None:
     [
         ({"plate": "quartz9"}, ("plate", "quartz9", "quartz16")),
         ({"counter_kind": 1}, ("counter kind", "channelised", "single-tone")),
-        ({"counter_kind": 7}, ("counter kind", "number 7", "single-tone")),
         ({"channels": 3}, ("channels", "describes 3", "has 4")),
-        ({"channels": 0}, ("channels", "describes 0", "has 4")),
         ({"reference_millihertz": 999 * 10**9}, ("reference_hz", "999000000", "1000000000")),
-        ({"reference_millihertz": 0}, ("reference_hz", "describes 0.0")),
         ({"gate_ticks_min": 10, "gate_ticks_max": 9}, ("gate", "at least 10 and at most 9")),
         ({"gate_ticks_min": 0, "gate_ticks_max": 0}, ("frame rate",)),
         ({"gate_ticks_max": 2**32}, ("gate", "up to 4294967296 ticks")),
         ({"gate_ticks_step": 300_000}, ("frame rate", "300000", "1000000")),
-        ({"gate_ticks_step": 0}, ("gate", "multiples of 0 ticks")),
     ],
 )
 def test_what_does_not_fit_is_said_with_both_sides(change: dict[str, object], words: tuple[str, ...]) -> None:
