@@ -191,7 +191,7 @@ class _Demo:
             await self._pause(_TURN_S)
 
     async def _begin_scores(self) -> None:
-        """Have each daemon publish its `health`, at which its score begins."""
+        """Request `health` of each daemon; its score begins at the answer."""
         for name, station in self._stations.items():
             station.score.begin()
             self._subscription.publish(full_topic(self._prefix, name, "cmd/health"), b"{}")

@@ -8,9 +8,9 @@ import aiomqtt
 
 
 def situation(states):
-    """Say how it stands, from the last `daemon`, `link` and `sensor` states, as dicts by that word.
+    """Return the situation of a daemon, from the last states by topic: `daemon`, `link`, `sensor`.
 
-    "Broker restarted" says no more than that the daemon has connected to the broker anew; why, is not known here.
+    "Broker restarted" means that the daemon has connected to the broker again; the states do not show why.
     """
     if "daemon" not in states:
         return "never started"
