@@ -26,7 +26,7 @@ class UserError(Exception):
     code, hint
         Of the JSON error: a stable identifier, and where to read more.
     so_far
-        Keys of the JSON object beside the error.
+        Keys of the JSON object next to the error.
     """
 
     exit_code = ExitCode.CONFIG

@@ -223,7 +223,7 @@ class Thermal(Table):
 
 
 class Response(Table):
-    """What a force site feels of a press beside its force: hysteresis and creep, as calibrated."""
+    """What a force site feels of a press besides its force: hysteresis and creep, as calibrated."""
 
     hysteresis_newton: Annotated[Number, Field(ge=0, le=10_000)]
     creep_fraction: Annotated[Number, Field(ge=0, lt=0.5)]

@@ -1,4 +1,4 @@
-"""What tones beside the captured one do to its edges: the phase of the sum of all beats against it.
+"""What tones besides the captured one do to its edges: the phase of the sum of all beats against it.
 
 Of cos(a) + sum r_j cos(a + b_j) the phase is a + arg(1 + sum r_j exp(i b_j)), so that an edge comes early by that
 argument over 2 pi f. Its series, the logarithm's, sums over evenly spaced stamps in closed form.
@@ -32,7 +32,7 @@ _WEIGHTS = np.array(
 
 
 class Beats(NamedTuple):
-    """The strongest other tones beside each captured one, (n, channels, INTERFERERS), the strongest first."""
+    """The strongest other tones besides each captured one, (n, channels, INTERFERERS), the strongest first."""
 
     ratio: Floats  # of amplitudes; their sum is below 1
     start_turns: Floats  # phase against the captured tone at the gate's start

@@ -53,7 +53,7 @@ class EmulatorOptions:
     usb: bool = False
     scenario: str | None = None  # None: the one that suits the plate
     truth: Path | None = None
-    faults: FaultPlan = field(default_factory=FaultPlan)  # beside the scenario's
+    faults: FaultPlan = field(default_factory=FaultPlan)  # in addition to the scenario's
     counter: Literal["sums", "stamps"] = "sums"  # of a single-tone plate: sums by closed form, or of every stamp
     seed: int | None = None  # None: the scenario's
     speed: float = 1.0

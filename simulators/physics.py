@@ -1,4 +1,4 @@
-"""What an emulated plate does beside eq. (1), as the [plate] table of a scenario sets it."""
+"""What an emulated plate does besides eq. (1), as the [plate] table of a scenario sets it."""
 
 from typing import Annotated, Any
 

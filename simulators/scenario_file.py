@@ -74,7 +74,7 @@ class Touch(_Table):
     rise_s: NotNegative = Field(0.1, description="How long the force rises; 0 is an instant.")
     hold_s: NotNegative = Field(0.8, description="How long it is held.")
     fall_s: NotNegative = Field(0.1, description="How long it falls; 0 is an instant.")
-    shear: Shear | None = Field(None, description="Tangential force beside the normal one; for plates with a skin.")
+    shear: Shear | None = Field(None, description="Tangential force besides the normal one; for plates with a skin.")
     kelvin: Kelvin | None = Field(None, description="Temperature of what touches; left out: that of the plate.")
 
     @property

@@ -1,4 +1,4 @@
-"""Everything that force sites do beside eq. (1): hysteresis, creep, warmth, ageing, oscillator noise, scatter of K."""
+"""Everything that force sites do besides eq. (1): hysteresis, creep, warmth, ageing, oscillator noise, scatter of K."""
 
 from typing import Final, NamedTuple
 

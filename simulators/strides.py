@@ -18,7 +18,7 @@ class Strides(NamedTuple):
 
 
 class StampErrors(NamedTuple):
-    """What moves the stamps of n gates off their lines, beside beats and the tick that they are rounded to.
+    """What moves the stamps of n gates off their lines, besides beats and the tick that they are rounded to.
 
     Each (n, channels). The frequency of a gate is its mean one; within it the phase strays, and is back at the end.
     """

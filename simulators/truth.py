@@ -1,4 +1,4 @@
-"""The truth beside the bytes: what pressed during each frame, one JSON object a line, into a file or a pipe."""
+"""The truth next to the bytes: what pressed during each frame, one JSON object a line, into a file or a pipe."""
 
 import errno
 import os

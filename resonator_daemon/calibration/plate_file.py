@@ -173,7 +173,7 @@ def write_plate_file(text: str, target: Path) -> None:
 
 
 def remove_remains(target: Path) -> None:
-    """Remove what a write that was killed has left beside the plate file."""
+    """Remove what a write that was killed has left next to the plate file."""
     fresh_name(target.resolve()).unlink(missing_ok=True)
 
 
@@ -190,7 +190,7 @@ def _force_tone(table: Any) -> Any:
 
 
 def _calibration(record: Record) -> dict[str, Any]:
-    """Return what [calibration] holds beside validity and coupling."""
+    """Return what [calibration] holds besides validity and coupling."""
     return {
         "id": record.id,
         "date": record.date,

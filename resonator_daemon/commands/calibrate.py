@@ -57,7 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="then bring the plate to these and load each site with the heaviest mass",
     )
     loads.add_argument(
-        "--timeout-s", type=positive, metavar="S", help="how long a step may take beside its hold (default: 300)"
+        "--timeout-s",
+        type=positive,
+        metavar="S",
+        help="how long a step may take in addition to its hold (default: 300)",
     )
     result = parser.add_argument_group("force: result")
     result.add_argument(

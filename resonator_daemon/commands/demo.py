@@ -1,4 +1,4 @@
-"""Touch emulated plates and show what the daemon publishes, beside the truth.
+"""Touch emulated plates and show what the daemon publishes, next to the truth.
 
 Example: resonatord demo --plate quartz16 --seconds 20 --json
 """

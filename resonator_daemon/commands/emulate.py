@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--faults",
         default="",
         metavar="SPEC",
-        help="beside the scenario's faults, as bit_error_rate=1e-5,unplug_at_s=10,unplug_for_s=3; docs/emulator.md "
+        help="besides the scenario's faults, as bit_error_rate=1e-5,unplug_at_s=10,unplug_for_s=3; docs/emulator.md "
         "lists all",
     )
     parser.add_argument(

@@ -212,10 +212,10 @@ def _disagreements(table: dict[str, Any]) -> Iterator[InitErrorDetails]:
     if _url_name(table) is not None and ("username" in table or "password_file" in table):
         yield finding(("url",), url, "names a user, as username or password_file do; leave the user out of the URL")
     elif "password_file" in table and "username" not in table:
-        yield finding(("password_file",), table["password_file"], "needs a username beside it")
+        yield finding(("password_file",), table["password_file"], "needs a username as well")
     for key, other in (("certificate_file", "key_file"), ("key_file", "certificate_file")):
         if key in table and other not in table:
-            yield finding((key,), table[key], f"needs {other} beside it; both may name the same file")
+            yield finding((key,), table[key], f"needs {other} as well; both may name the same file")
     for key in ("ca_file", "certificate_file", "key_file"):
         if key in table and isinstance(url, str) and url.startswith("mqtt:"):
             yield finding((key,), table[key], "has a meaning with TLS only; use mqtts:// in mqtt.url")

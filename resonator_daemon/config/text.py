@@ -13,7 +13,7 @@ from resonator_daemon.toml_files.reading import Table, TomlFile, load_model, par
 
 
 class Settings(Table):
-    """Settings that, beside the plate, determine the results from a link's bytes."""
+    """Settings that, together with the plate, determine the results from a link's bytes."""
 
     measurement: Measurement
     decoding: Decoding

@@ -66,7 +66,7 @@ class ConfigStore:
     def load(self) -> Loaded:
         """Load the file, else the last good copy, which is logged.
 
-        A file that is not there is not made up for: whoever removed it does not want it to be used.
+        A file that is not there is not replaced: it was removed so that it is not used.
 
         Raises
         ------

@@ -341,7 +341,7 @@ class Service:
         self._daemon.become(Condition.ONLINE, reason, self._started_utc_ns)
 
     def _helpers(self) -> dict[str, Coroutine[Any, Any, None]]:
-        """Return what runs beside the reading of the board, by name, until cancelled."""
+        """Return what runs concurrently with the reading of the board, by name, until cancelled."""
         socket = runtime_directory(self._file_stem) / SOCKET_NAME
         helpers = {
             "health": self._keep_reporting(),

@@ -119,7 +119,7 @@ class PlatePublisher:
             await self._publisher.run()
 
     def set_allowed(self, verbs: Collection[str]) -> None:
-        """Set the commands that are permitted, beside those that change nothing."""
+        """Set the commands that are permitted, in addition to those that change nothing."""
         self._allowed = verbs
         if self._commands is not None:
             self._commands.allowed = verbs

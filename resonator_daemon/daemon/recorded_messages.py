@@ -1,4 +1,4 @@
-"""What is published, handed to a recording as JSON channels beside the bytes of the link."""
+"""What is published, handed to a recording as JSON channels next to the bytes of the link."""
 
 from collections.abc import Callable
 from typing import Any

@@ -117,14 +117,14 @@ class LatencyReport:
 
 def _histogram(counts: Sequence[int], daemon_counts: Sequence[int] | None) -> list[str]:
     """Draw the bins from the first to the last that has something; the bars are the subscriber's."""
-    beside = daemon_counts or [0] * len(counts)
-    occupied = [n for n, both in enumerate(zip(counts, beside, strict=True)) if any(both)]
+    own_counts = daemon_counts or [0] * len(counts)
+    occupied = [n for n, both in enumerate(zip(counts, own_counts, strict=True)) if any(both)]
     head = f"{'':>12} {'subscriber':>10}  {'':{_BAR_COLUMNS}}" + (f" {'daemon':>8}" if daemon_counts else "")
     lines = [head.rstrip()]
     for n in range(occupied[0], occupied[-1] + 1):
         bound = f"<= {BOUNDS_MS[n]:g} ms" if n < len(BOUNDS_MS) else f"> {BOUNDS_MS[-1]:g} ms"
         eighths = math.ceil(8 * _BAR_COLUMNS * counts[n] / max(counts))
         bar = ("█" * (eighths // 8) + _EIGHTHS[eighths % 8]).rstrip()
-        own = f" {beside[n]:8}" if daemon_counts else ""
+        own = f" {own_counts[n]:8}" if daemon_counts else ""
         lines.append(f"{bound:>12} {counts[n]:10}  {bar:{_BAR_COLUMNS}}{own}".rstrip())
     return lines

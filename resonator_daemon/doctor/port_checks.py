@@ -49,7 +49,7 @@ def check_port(port: str, host: Host, holders: Holders) -> Iterator[Finding]:
 
 
 def others(holders: Holders) -> tuple[Holder, ...]:
-    """Return who holds a port beside this process; of a pseudo-terminal's, those that locked it."""
+    """Return who holds a port besides this process; of a pseudo-terminal's, those that locked it."""
     return tuple(holder for holder in holders.processes if holder.pid != os.getpid())
 
 

@@ -50,7 +50,7 @@ class DoctorOptions:
     config_path: Path | None
     link: LinkTarget | None
     seconds: float
-    brokers: tuple[Mqtt, ...] = ()  # beside the configuration's
+    brokers: tuple[Mqtt, ...] = ()  # in addition to the configuration's
     json: bool = False
     host: Host = field(default_factory=Host)
 

@@ -25,7 +25,7 @@ _ROWS: dict[Output, tuple[str, ...]] = {
     "traction": ("x", "y", "z"),
 }
 _PANELS = 20  # of frequencies, each a quarter of the next; the last reaches 0
-_PANEL_NODES = 12  # beside those that the waves across the grid need
+_PANEL_NODES = 12  # besides those that the waves across the grid need
 _BLOCK = 1 << 16  # frequencies whose matrices are held at once
 
 
@@ -36,7 +36,7 @@ class SurfaceFields:
     displacement, the value at the pixel's centre. Between them the load is the band-limited function that has these
     samples; around them it is 0 (of a displacement: the surface is held there). Fields are values below the centres.
 
-    What each method leaves, beside what the samples miss of the load:
+    What each method leaves, besides what the samples miss of the load:
 
     "wrap-free"
         About 1e-10 of the largest value, at any depth, 0 included, and for any shape. The kernel is the inverse Fourier
@@ -123,7 +123,7 @@ class SurfaceFields:
     def __call__(self, loads: ArrayLike) -> Floats:
         """Return the fields of loads (..., 3, ny, nx) x, y, z in Pa or m: shape (..., *depths, rows, ny, nx).
 
-        Rows are those of `HalfSpace.transfer_matrix`, one for "p_n". A load's result does not depend on those beside
+        Rows are those of `HalfSpace.transfer_matrix`, one for "p_n". A load's result does not depend on those next to
         it.
 
         Raises

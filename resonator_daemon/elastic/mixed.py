@@ -132,8 +132,8 @@ class MixedBoundary:
         if ny % 2 == 0:
             lines["omega_y = Nyquist"] = wy == wy.min()
         filled = [name for name, line in lines.items() if unfit[line].all()]
-        beside = unfit & ~np.any([lines[name] for name in filled], axis=0)
-        where = "every frequency" if unfit.all() else ", ".join(filled + ["elsewhere"] * bool(beside.any()))
+        others = unfit & ~np.any([lines[name] for name in filled], axis=0)
+        where = "every frequency" if unfit.all() else ", ".join(filled + ["elsewhere"] * bool(others.any()))
         row, column = np.argwhere(unfit)[:2][-1]
         example = f"({wx[row, column]:.4g}, {wy[row, column]:.4g}) rad/m"
         return f"{where}: {count} of {ny * nx} frequencies, among them {example}"

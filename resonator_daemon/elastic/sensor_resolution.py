@@ -218,7 +218,7 @@ class SensorArray:
 
 
 def _weakest(wanted: Complexes, unknown: Complexes) -> Floats:
-    """Return the least power, shape (n,), that is left of signals (n, rows, k) of unit loads beside unknown others.
+    """Return the least power, shape (n,), that is left of signals (n, rows, k) of unit loads among unknown others.
 
     Least over the combinations of the wanted loads; what is left is what no combination of the unknown ones can cause.
     """

@@ -68,7 +68,7 @@ class Output(ABC):
 
     @classmethod
     def place(cls, path: Path, topics: tuple[str, ...], topic: str) -> Path:
-        """Return the file of a topic: the named output, or one beside it where there are many."""
+        """Return the file of a topic: the named output, or one next to it where there are many."""
         if not cls.file_per_topic or len(topics) == 1:
             return path
         return path.with_name(f"{path.stem}-{topic.replace('/', '-')}{path.suffix}")

@@ -7,7 +7,7 @@ from typing import Final
 # What the sites' temperature coefficients differ from the pilot's, unknown, over the plate's temperature range.
 COMMON_MODE_STD: Final = 2e-7
 # A room takes a plate through 2 K in ten minutes, 0.1 K in a second's random walk; a cut near its turnover answers with
-# 1e-7 per kelvin, and an ordinary reference clock beside it with less.
+# 1e-7 per kelvin, and an ordinary reference clock next to it with less.
 COMMON_MODE_WALK: Final = 1e-8  # relative frequency after one second
 KNOWN_CHANNELS: Final = 2  # the least that determine a site and a force
 

@@ -34,7 +34,7 @@ class SiteForce:
     """Force on one site, an index into the plate's sites; under `overload` it is a lower bound.
 
     `noise_newton`, one standard deviation, is that of counter and oscillator; `systematic_newton`, too, that of the
-    sensitivities and of the held common mode. `hidden_newton` is the most that a touch beside the site may have put on
+    sensitivities and of the held common mode. `hidden_newton` is the most that a touch next to the site may have put on
     other sites. `channels` are those that follow the site.
     """
 

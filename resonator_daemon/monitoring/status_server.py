@@ -32,7 +32,7 @@ class StatusTimes(NamedTuple):
 
     retry_s: float = 5.0  # after a failure
     check_s: float = 5.0  # for which a removed socket may go unnoticed
-    send_s: float = 1.0  # an answer of usual size goes into the socket's buffer at once, whoever reads it or not
+    send_s: float = 1.0  # an answer of usual size goes into the socket's buffer at once, read or not
     pause_s: float = 0.05
 
 
@@ -42,7 +42,7 @@ class StatusServer:
     Parameters
     ----------
     path
-        Of the socket. A file beside it, `status.lock`, is locked meanwhile and stays.
+        Of the socket. A file next to it, `status.lock`, is locked meanwhile and stays.
     make
         Makes the answer; called on the event loop's thread, at most ten times a second.
     times
@@ -162,7 +162,7 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 @contextlib.contextmanager
 def _alone(path: Path) -> Iterator[Path]:
-    """Hold the lock beside the socket and yield its path; OSError where another process does."""
+    """Hold the lock next to the socket and yield its path; OSError where another process does."""
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
     lock = os.open(path.with_suffix(".lock"), flags, 0o600)
     try:

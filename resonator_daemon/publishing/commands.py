@@ -26,7 +26,7 @@ REFUSALS_PER_SECOND: Final = 1.0
 WARN_AGAIN_S: Final = 60.0
 DEFERRED_S: Final = 8.0  # less than `requests.ANSWER_S`
 RESPONSE_TOPIC_BYTES_MAX: Final = 1024
-RESPONSE_TOPIC_LEVELS_MAX: Final = 100  # Mosquitto ends the connection of whoever publishes to more than 200
+RESPONSE_TOPIC_LEVELS_MAX: Final = 100  # Mosquitto ends the connection of a client that publishes to more than 200
 CORRELATION_BYTES_MAX: Final = 1024
 
 _FINDINGS_MAX: Final = 5
@@ -41,7 +41,7 @@ Handler = Callable[[Any], Answer | Coroutine[Any, Any, Answer]]
 
 
 class CommandRefusedError(Exception):
-    """Raised by a handler instead of an answer: what is wrong, by a code for programs and a sentence for people."""
+    """Raised by a handler instead of an answer: what is wrong, by a code for programs and a sentence for display."""
 
     def __init__(self, code: ErrorCode, message: str, hint: str = "") -> None:
         super().__init__(message)

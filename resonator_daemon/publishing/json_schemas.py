@@ -69,7 +69,7 @@ def _as_draft_7(schema: Any) -> Any:
     if "prefixItems" in converted:
         items = converted.pop("prefixItems")
         converted["items"] = items[0] if all(item == items[0] for item in items) else items
-    if "$ref" in converted and len(converted) > 1:  # what stands beside a reference would be passed over
+    if "$ref" in converted and len(converted) > 1:  # what stands next to a reference would be passed over
         converted["allOf"] = [{"$ref": converted.pop("$ref")}]
     return converted
 

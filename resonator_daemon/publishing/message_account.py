@@ -24,7 +24,7 @@ class Cause(StrEnum):
     SPOOL_FULL = "spool_full"
     SPOOL_FAILED = "spool_failed"
     CLOSED = "closed"
-    WITHDRAWN = "withdrawn"  # an answer of a connection that is over: whoever asked may be gone, too
+    WITHDRAWN = "withdrawn"  # an answer of a connection that is over: its requester may be gone, too
 
 
 _ON_REFUSAL: Final = (

@@ -52,7 +52,7 @@ def ignore(*_: object) -> None:
 
 
 class _Stream:
-    """Packets of a stream, and those of its decimated copy with their pace; None where there is none."""
+    """Packets of a stream, and those of its decimated topic with their pace; None where there is none."""
 
     def __init__(self, base: str, topic: Topic[Any]) -> None:
         properties, perishable = properties_of(topic), topic.perishable
@@ -209,7 +209,7 @@ class Publisher:
             self._outbox.put_answer(Packet(outgoing.topic, outgoing.payload, properties))
 
     def set_rate(self, topic_path: str, rate_hz: float | None) -> None:
-        """Publish at most this often on a main topic; None: each message. A decimated copy stays as it is.
+        """Publish at most this often on a main topic; None: each message. A decimated topic stays as it is.
 
         Raises
         ------
@@ -283,7 +283,7 @@ class Publisher:
             client.subscribe(topic, no_local=True)
 
     def _publish_stream(self, base: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
-        """Queue the message and its decimated copy, the same bytes, each where its pace lets it pass."""
+        """Queue the message and its decimated topic, the same bytes, each where its pace lets it pass."""
         t_ns = message.t_ns if isinstance(message, (Encoded, Header)) else 0
         stream = self._streams.get((base, topic.path))
         if stream is None:

@@ -204,7 +204,7 @@ class Spool:
         return False
 
     def _set_aside(self, reason: str) -> SpoolError:
-        """Keep one damaged file for whoever wants to look into it."""
+        """Keep one damaged file for inspection."""
         damaged = self.path.with_suffix(".damaged")
         try:
             os.replace(self.path, damaged)

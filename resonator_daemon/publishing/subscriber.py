@@ -24,7 +24,7 @@ _BY_PATH: Final = TOPICS | {topic.slow_path: topic for topic in TOPICS.values() 
 
 
 class Received(NamedTuple):
-    """A message, from which plate and on which topic below it; of a decimated copy the topic that it was taken from."""
+    """A message, from which plate and on which topic below it; of a decimated topic its main topic."""
 
     plate: str
     path: str
@@ -36,7 +36,7 @@ async def subscribe(
 ) -> AsyncGenerator[Received]:
     """Yield messages of all plates below the broker's prefix as they come, the retained ones first, for ever.
 
-    Without `full_rate`, of topics that have a decimated copy that is taken instead. Messages that cannot be read are
+    Without `full_rate`, of topics with a decimated topic, that one. Messages that cannot be read are
     passed over and logged. If the consumer is slow, messages of streams (QoS 0) older than 250 ms are dropped where
     their topic has a newer one; states and events are all kept. To stop, close the iterator (contextlib.aclosing).
     """

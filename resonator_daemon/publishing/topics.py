@@ -35,7 +35,7 @@ class Topic(Generic[MessageT]):
     Attributes
     ----------
     slow_hz
-        Rate of a decimated copy beside it, on `slow_path`; None where there is none.
+        Rate of a decimated topic next to it, on `slow_path`; None where there is none.
     expiry_s
         Time after which a message is of no use, sent to the broker with MQTT 5; None where it stays true.
     """

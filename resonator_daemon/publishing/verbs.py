@@ -200,7 +200,7 @@ class SetWindowAnswer(Answer):
 
 
 class SetRate(Request):
-    """Lower the rate of a stream; the decimated copy beside it stays as it is. Until the daemon ends."""
+    """Lower the rate of a stream; the decimated topic next to it stays as it is. Until the daemon ends."""
 
     topic: StreamTopic
     rate_hz: Annotated[float, Field(ge=0.1, le=10_000, allow_inf_nan=False)] | None = Field(

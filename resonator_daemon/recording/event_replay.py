@@ -162,7 +162,7 @@ class Replay:
             self._machine.apply(event)
         except (BoardRefusedError, LinkLostError) as error:
             self._raised = error
-        except ValueError as error:  # no daemon has events in such an order; whoever made the file may
+        except ValueError as error:  # no daemon has events in such an order; another program may
             self._differ(event, f"it cannot follow: {error}")
 
     def end(self) -> wire.WireEvent:

@@ -7,7 +7,7 @@ from resonator_daemon.recording.writer import Published
 from resonator_daemon.session.frames import BoardOnline
 from resonator_daemon.session.link_events import Received, Sent, SnapshotTaken, WireEvent
 
-EVENT_BYTES: Final = 300  # of memory, beside its data
+EVENT_BYTES: Final = 300  # of memory, besides its data
 
 _SNAPSHOT_BYTES: Final = 10_000  # most of it vertices of the clock's hulls
 

@@ -35,7 +35,7 @@ class Logged(NamedTuple):
 class ChunkReader(StreamReader):
     """Reads the records of a file but for message indexes; chunks as they are, attachments checked."""
 
-    # Of no use to whoever reads all in order, and two thirds of the time that reading takes. Should another version of
+    # Of no use to a reader of all in order, and two thirds of the time that reading takes. Should another version of
     # mcap have no such method, the indexes are parsed again.
     def _read_record(self, opcode: int, length: int) -> McapRecord | None:
         if opcode == Opcode.MESSAGE_INDEX:

@@ -57,7 +57,7 @@ def read_index(file: IO[bytes]) -> FileIndex:
                 records = StreamReader(BytesIO(summary + footer), skip_magic=True).records
                 index = FileIndex(True, tuple(record for record in records if isinstance(record, Schema | Channel)))
             else:
-                index = FileIndex(is_whole=not crc)  # whoever wrote it gives no sum
+                index = FileIndex(is_whole=not crc)  # written without a checksum
     file.seek(0)
     return index
 

@@ -1,4 +1,4 @@
-"""The messages of a replay at a broker, as those of a daemon are, and never beside those of a live one."""
+"""The messages of a replay at a broker, as those of a daemon are, and never together with those of a live one."""
 
 import asyncio
 import secrets

@@ -59,7 +59,7 @@ class Sensor(ABC, Generic[Reading]):
     @property
     @abstractmethod
     def streams(self) -> tuple[Topic[Any], ...]:
-        """Topics that are published continually, decimated copies aside."""
+        """Topics that are published continually, decimated topics aside."""
 
     @property
     @abstractmethod

@@ -114,7 +114,7 @@ class BoardReader:
         self._watch = PortWatch(target.appears_at)
         self._thread = threading.Thread(target=self._run, name="board-reader", daemon=True)
         self._blink_lock = threading.Lock()
-        self._on_blink_answer: list[Callable[[str | None], None]] = []  # whoever waits for an answer
+        self._on_blink_answer: list[Callable[[str | None], None]] = []  # waiting for an answer
         self._blink_due = self._link_open = self._serving = False
 
     def start(self) -> None:

@@ -25,7 +25,7 @@ class SingleToneFrame:
     board_ticks: int  # at the end of the gate
     middle_ticks: int
     scale: TickScale  # as known when the frame was received
-    payload: bytes  # parsed where it is used: whoever reads the link has no time for it
+    payload: bytes  # parsed where it is used: the reader of the link has no time for it
 
     @property
     def gate_middle(self) -> Instant:
@@ -154,7 +154,7 @@ class BlinkAnswered:
 
 @dataclass(frozen=True, slots=True)
 class ControlRequest:
-    """A request that changes how all later frames are measured; `key` identifies whoever waits for the answer."""
+    """A request that changes how all later frames are measured; `key` identifies the requester."""
 
     key: str
     request: str

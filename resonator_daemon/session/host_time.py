@@ -1,4 +1,4 @@
-"""The host's clocks, read together; whoever needs the time is handed it, so that a recording can hand it again."""
+"""The host's clocks, read together; callers receive the time as an argument, so that a recording can hand it again."""
 
 import time
 from typing import NamedTuple

@@ -104,7 +104,7 @@ class BlinkRequested(NamedTuple):
 
 
 class ControlRequested(NamedTuple):
-    """A request changed how all later frames are measured; `key` identifies whoever waits for the answer."""
+    """A request changed how all later frames are measured; `key` identifies the requester."""
 
     now: HostTime
     key: str
@@ -144,7 +144,7 @@ _JSON: Mapping[type[WireEvent], TypeAdapter[Any]] = {  # of what an event has be
 
 
 def encode(event: WireEvent) -> bytes:
-    """Return the event without its monotonic time and UTC, which travel beside it."""
+    """Return the event without its monotonic time and UTC, which travel next to it."""
     match event:
         case Received() | Sent():
             body = event.data

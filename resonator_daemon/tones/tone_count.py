@@ -53,7 +53,7 @@ def count_tone(
         Of the gates that it consists of.
     over_pilot_db
         By how much more the tone was attenuated, or less, than the pilot when that was counted last: so strong may the
-        pilot still be beside it. NaN where it never was.
+        pilot still be next to it. NaN where it never was.
     distance_hz
         The least that another tone may be away.
     """

@@ -45,7 +45,7 @@ def site_map(
 ) -> list[Line]:
     """Draw a plate's outline and its sites; left of a touched site stands a bar of the measured force, right the true.
 
-    Bars go as the square root of the force, so that light touches are seen beside heavy ones; "?" is an unknown force.
+    Bars go as the square root of the force, so that light touches are visible next to heavy ones. "?" is unknown.
     A mark with an empty label is a touch that is on no site.
     """
     canvas = _Canvas(outline_m, rows, columns_max)
@@ -53,9 +53,9 @@ def site_map(
         if _is_touched(mark):
             measured, true = (_bar(force, force_max_newton) for force in (mark.measured_newton, mark.true_newton))
             canvas.write(mark.position_m, f"{measured}{mark.label or 'x'}{true}", _TOUCHED)
-        elif canvas.has_room(mark.position_m, mark.label, beside=1):
+        elif canvas.has_room(mark.position_m, mark.label, margin=1):
             canvas.write(mark.position_m, mark.label, _PLAIN)
-        elif canvas.has_room(mark.position_m, "o", beside=0):
+        elif canvas.has_room(mark.position_m, "o", margin=0):
             canvas.write(mark.position_m, "o", _PLAIN)
     return canvas.lines()
 
@@ -87,9 +87,9 @@ class _Canvas:
         self._cells = [["·" if dot else " " for dot in row] for row in border]
         self._styles = [[_PLAIN] * (self._columns + 2) for _ in border]
 
-    def has_room(self, position_m: Point, text: str, beside: int) -> bool:
+    def has_room(self, position_m: Point, text: str, margin: int) -> bool:
         row, first = self._place(position_m, text)
-        return not "".join(self._cells[row][max(first - beside, 0) : first + len(text) + beside]).strip(" ·")
+        return not "".join(self._cells[row][max(first - margin, 0) : first + len(text) + margin]).strip(" ·")
 
     def write(self, position_m: Point, text: str, style: Style) -> None:
         """Write with the middle of the text, or the character left of the middle, at the position."""
@@ -176,7 +176,7 @@ def round_scale(value: float) -> float:
 
 
 def side_by_side(columns: Sequence[tuple[int, Sequence[Line]]]) -> Iterator[Segment]:
-    """Put blocks of lines, each with its width, beside each other."""
+    """Put blocks of lines, each with its width, next to each other."""
     for row in range(max(len(lines) for _, lines in columns)):
         blocks = (Segment.adjust_line_length(lines[row] if row < len(lines) else [], n) for n, lines in columns)
         yield from chain.from_iterable(blocks)

@@ -27,7 +27,7 @@ class TrueContact:
 
 @dataclass(frozen=True)
 class Truth:
-    """Truth of an emulated plate, shown beside the measurement."""
+    """Truth of an emulated plate, shown next to the measurement."""
 
     contacts: tuple[TrueContact, ...]
     traction_z_pascal: NDArray[np.float64] | None  # (ny, nx), y upwards, or at the sites (n,); positive where pressed
@@ -65,7 +65,7 @@ class _Run:
 class PlateView:
     """The last message on each topic of a plate, message rates, and messages that this subscriber missed.
 
-    Without `full_rate` it is given the decimated copies of those topics that have one.
+    Without `full_rate` it is given the decimated topics of those topics that have one.
 
     A new run of the daemon (`daemon_boot_id`) starts with nothing. Retained messages come in any order and may be of
     an earlier run: they begin a new run only when they are newer than all of the present one.
@@ -79,7 +79,7 @@ class PlateView:
 
     @property
     def missed(self) -> Mapping[str, int]:
-        """Messages that did not arrive, by path: gaps in `seq` since the first; unknown for decimated copies."""
+        """Messages that did not arrive, by path: gaps in `seq` since the first; unknown for decimated topics."""
         return Counter({path: count for path, count in self._run.missed.items() if path not in self._decimated})
 
     @property

@@ -70,7 +70,7 @@ class SurfacePanel:
         return f"{self._contacts()}; {self._fit()}"
 
     def _table(self) -> RenderableType:
-        """One column a contact: forces, direction of the shear, margin to slip; the true sum beside them."""
+        """One column a contact: forces, direction of the shear, margin to slip; the true sum next to them."""
         patches = self._summary.patches if self._summary else ()
         forces = [patch.force_newton for patch in patches]
         table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)

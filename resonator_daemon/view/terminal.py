@@ -34,7 +34,7 @@ _SILENT_S: Final = 3.0  # a running daemon publishes its health once a second
 
 
 def render(views: Sequence[PlateView], truths: Mapping[str, Truth], now_utc_ns: int, *, title: str) -> RenderableType:
-    """Return a page with every plate, and the truth beside what was measured for those plates that have one."""
+    """Return a page with every plate, and the truth next to what was measured for those plates that have one."""
     return _Page(title, [_Plate(view, truths.get(view.name), now_utc_ns) for view in views])
 
 
@@ -88,7 +88,7 @@ class _Plate:
         return f"{self._panel(colours=False).words()}; {self._losses()}; {', '.join(self._figures())}"
 
     def body(self, console: Console, options: ConsoleOptions, rows: int) -> RenderResult:
-        """Yield the maps and beside them the words, or where there is no room for both a summary."""
+        """Yield the maps and next to them the words, or where there is no room for both a summary."""
         if rows < _BODY_ROWS_MIN:
             yield Text(self.summary(), no_wrap=True, overflow="ellipsis")
             return

@@ -33,7 +33,7 @@ Draw = Callable[[Sequence[PlateView]], None]
 async def watch(broker: Mqtt, *, as_json: bool, full_rate: bool = False) -> None:
     """Show what plates publish on stdout until SIGINT, SIGTERM, SIGHUP, or the reader of a pipe leaves.
 
-    Without `full_rate` streams come as often as people can follow, by their decimated copies.
+    Without `full_rate` streams come as often as people can follow, by their decimated topics.
     """
     console = Console()
     if as_json:

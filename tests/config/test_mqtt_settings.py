@@ -94,7 +94,7 @@ def test_a_credential_cannot_be_looked_at_from_a_shell(tmp_path: Path, monkeypat
             "1: mqtt.url: got 'mqtt://***@h'; names a user, as username or password_file do; leave the user out",
         ),
         ('username = ""', "1: mqtt.username: got ''; must be a name: printable characters, not empty"),
-        ('password_file = "password"', "1: mqtt.password_file: got 'password'; needs a username beside it"),
+        ('password_file = "password"', "1: mqtt.password_file: got 'password'; needs a username as well"),
         (
             'ca_file = "ca.crt"\nurl = "mqtt://h"',
             "1: mqtt.ca_file: got 'ca.crt'; has a meaning with TLS only; use mqtts:// in mqtt.url",

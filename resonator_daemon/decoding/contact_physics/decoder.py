@@ -130,7 +130,7 @@ class ContactDecoder:
         -------
         Decoded
             Of the linear decoder's shape. `chi2`: mean square of what the traction leaves of the signals, in units of
-            the noise. `status`: beside the linear decoder's, "constraint_dropped" where the signals contradict the
+            the noise. `status`: besides the linear decoder's, "constraint_dropped" where the signals contradict the
             bounds; `reason` names them, and what is shown.
 
         Raises

@@ -113,7 +113,7 @@ def examine(
             missed = hypothesis.missed | search.missed_load(frame, problem, free)
             if not (missed & ~located.found).any():
                 break
-            reason = "load beside the support, found in what that left of the signals"
+            reason = "load outside the support, found in what that left of the signals"
             located = search.locate(frame, missed, located)
             hypothesis = replace(hypothesis, located=located, missed=missed, reason=reason)
         elif solved.chi2 <= chi2 + _BOUNDS_COST * frame.excess + by_pixels:

@@ -147,7 +147,7 @@ class FourierDecoder:
         Parameters
         ----------
         signals
-            Shape (..., 3, ny, nx), dimensionless. The frames beside it change a frame's result by rounding only. A
+            Shape (..., 3, ny, nx), dimensionless. The frames next to it change a frame's result by rounding only. A
             signal that is NaN, infinite or beyond 10 counts as lost: the model's prediction from the others takes its
             place and the error bar around it widens; that takes up to twenty times as long.
         displacement

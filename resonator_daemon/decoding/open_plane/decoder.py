@@ -1,6 +1,6 @@
 """Decoder of sites anywhere under an infinite plane, by the covariances of a stationary prior.
 
-Nothing ends at the border of the sites: the prior holds on the whole plane, so that a load beside the array or across
+Nothing ends at the border of the sites: the prior holds on the whole plane, so that a load outside the array or across
 its border is estimated like any other. For Gaussian fields the estimate, C_fs (C_ss + R)^-1 s, is the Bayes estimate.
 """
 

@@ -22,7 +22,7 @@ from resonator_daemon.decoding.parameters import (
     UNEXPLAINED_LIMIT,
 )
 
-_SUPPORT_SHARE = 0.1  # of the peak of f_z: under a contact, or beside it
+_SUPPORT_SHARE = 0.1  # of the peak of f_z: under a contact, or next to it
 _BORDER_RATIO = 1.5  # over that, at the border: the load goes on beyond
 _SIGNIFICANT = 3.0  # standard deviations
 _LOST_SETS = 8  # sets of lost signals of which the solution is kept

@@ -26,10 +26,10 @@ _DTYPES: Final = {
 
 
 class Format(TableOutput):
-    """One archive for all topics; until it is made, columns wait beside it on the disk, uncompressed.
+    """One archive for all topics; until it is made, columns wait next to it on the disk, uncompressed.
 
     A number that is not known, or missing, is NaN; text that is missing is empty. A whole number or truth value that
-    may be missing has beside it a column of its name and `_known`. The metadata are arrays of one text each,
+    may be missing has next to it a column of its name and `_known`. The metadata are arrays of one text each,
     `metadata/KEY`.
     """
 
