@@ -233,7 +233,7 @@ class DecodedSummary(Measured):
     )
     border_contact: bool = Field(description="the load reaches the border, where errors are larger")
     status: Status = Field(
-        description="of the frame; `constraint_dropped`: the signals contradict contact physics, and `reason` says "
+        description="of the frame; `constraint_dropped`: the signals contradict contact physics, and `reason` states "
         "what is shown instead"
     )
     reason: str = Field(
