@@ -2,22 +2,8 @@
 
 import pytest
 
-from resonator_daemon.exporting.columns import sources, with_axis
+from resonator_daemon.exporting.columns import sources
 from resonator_daemon.publishing.payloads import Contacts, Health, Patch
-
-
-@pytest.mark.parametrize(
-    ("name", "component"),
-    [
-        ("position_m", "position_y_m"),
-        ("position_std_m", "position_std_y_m"),
-        ("moment_newton_m", "moment_y_newton_m"),
-        ("force_std_newton", "force_std_y_newton"),
-        ("common_mode", "common_mode_y"),
-    ],
-)
-def test_a_component_is_named_before_the_unit(name: str, component: str) -> None:
-    assert with_axis(name, "y") == component
 
 
 def test_what_has_no_fixed_length_is_no_column() -> None:

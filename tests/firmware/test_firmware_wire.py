@@ -7,7 +7,7 @@ from firmware_listener import DEADLINE_S
 from firmware_wire_host import WireHost
 from switch import Switch
 
-from firmware_protocol.host import Described, Frame, Located, Pong, Rebooted, Started
+from firmware_protocol.host import Described, Frame, Located, Pong
 from firmware_protocol.layouts import RecordFlag
 from firmware_protocol.messages import BoardStatus, Configuration, Refusal
 from resonator_daemon.tones.frequency_estimators import Sums, continues, frequency_hz
@@ -15,14 +15,6 @@ from resonator_daemon.tones.frequency_estimators import Sums, continues, frequen
 pytestmark = pytest.mark.firmware
 
 GATE_TICKS = 1_000_000
-
-
-def test_the_board_says_what_it_is(switch: Switch) -> None:
-    with WireHost(switch.link) as host:
-        described = host.start()
-    assert described.identity.serial_number == "FW-0001"
-    assert described.description.plate == "quartz16"
-    assert described.description.reference_millihertz == 10**12
 
 
 def test_frames_are_exact_sums_that_run_on(switch: Switch) -> None:
@@ -83,22 +75,6 @@ def test_a_host_that_does_not_read_costs_the_oldest_frames_and_is_told(switch: S
                 frames += 1
         assert told > 0
     assert host.session.bytes.discarded == 0
-
-
-def test_a_reset_is_another_boot_of_the_same_board(switch: Switch) -> None:
-    with WireHost(switch.link) as host:
-        first = host.start()
-        host.wait_for(Frame)
-        switch.board.reset()
-        host.wait_for(Rebooted)
-        second = host.wait_for(Described)
-        assert second.boot_id != first.boot_id
-        assert second.identity.reset_cause == 5
-        assert first.identity.reset_cause == 1
-        host.session.configure(Configuration(GATE_TICKS))
-        host.send()
-        host.wait_for(Started)
-        assert host.wait_for(Frame).sequence == 0
 
 
 def test_the_led_shows_which_board_it_is(switch: Switch) -> None:

@@ -148,18 +148,6 @@ class Model:
         return sent
 
 
-def test_board_says_nothing_before_it_is_asked() -> None:
-    commands = [board_command(IDENTITY, DESCRIPTION, BOOT_ID), "log 5 20 6869", "status", "output 1000"]
-    assert run_commands(commands) == ["ok", "queued 0", "output "]
-
-
-def test_consuming_nothing_of_nothing_is_harmless() -> None:
-    commands = [board_command(IDENTITY, DESCRIPTION, BOOT_ID), "hand", "consumed 0"]
-    commands += [f"receive 0 {CONFIGURE.hex()}", "hand", "consumed 0", "hand"]
-    printed = [line for line in run_commands(commands) if line.startswith("hand")]
-    assert printed == ["hand 0", "hand 32", "hand 32"]
-
-
 def test_frames_of_the_last_run_do_not_follow_a_start() -> None:
     stop = encode_packet(MessageType.STOP, 3)
     commands = [board_command(IDENTITY, DESCRIPTION, BOOT_ID)]

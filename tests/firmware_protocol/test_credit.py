@@ -20,16 +20,6 @@ def types(data: bytes) -> list[int]:
     return [found.type for found in PacketDecoder(from_board=False).feed(data) if isinstance(found, Packet)]
 
 
-def test_a_ping_without_credit_is_not_sent() -> None:
-    host, device = running()
-    assert host.ping(PING)
-    assert not host.ping(PING)  # 2 x 36 bytes are more than 64
-    data = host.data_to_send()
-    assert types(data) == [MessageType.PING]
-    assert host.receive(device.receive(data, 7)) == [Pong(PING, 7)]
-    assert host.ping(PING)
-
-
 def test_requests_wait_in_order_until_there_is_room() -> None:
     host, device = running()
     host.ping(PING)
