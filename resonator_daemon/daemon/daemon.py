@@ -144,7 +144,7 @@ class Service:
         self._liveness = LivenessMonitor()
         self._health: Health | None = None  # as reported last
         self._name = config.name
-        self._reload_wanted = asyncio.Event()
+        self._reload_requested = asyncio.Event()
         self._ready = False
         self._fatal: UserError | None = None
         self._started_utc_ns = time.time_ns()
@@ -188,7 +188,7 @@ class Service:
 
     def reload(self) -> None:
         """Read the configuration again, and take what can change while all goes on; from the event loop."""
-        self._reload_wanted.set()
+        self._reload_requested.set()
 
     @property
     def _config(self) -> Config:
@@ -251,8 +251,8 @@ class Service:
 
     async def _keep_reloading(self) -> None:
         while True:
-            await self._reload_wanted.wait()
-            self._reload_wanted.clear()  # the file may change again while it is read
+            await self._reload_requested.wait()
+            self._reload_requested.clear()  # the file may change again while it is read
             await self._reload()
 
     async def _reload(self) -> None:

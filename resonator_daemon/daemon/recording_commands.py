@@ -156,16 +156,16 @@ def origin(config: Config, name: str | None, daemon_boot_id: str | None, config_
 
 
 def _series(config: Config, name: str, label: str | None) -> Series:
-    wanted = config.recording
+    settings = config.recording
     return Series(
-        directory=wanted.directory,
+        directory=settings.directory,
         name=name,
         label=label,
-        file_max_bytes=round(wanted.file_max_mb * 1e6),
-        file_max_ns=round(wanted.file_max_minutes * _MINUTE_NS),
-        budget_bytes=round(wanted.budget_mb * 1e6),
-        keep_free_bytes=round(wanted.keep_free_mb * 1e6),
-        resumes=wanted.continuous,
+        file_max_bytes=round(settings.file_max_mb * 1e6),
+        file_max_ns=round(settings.file_max_minutes * _MINUTE_NS),
+        budget_bytes=round(settings.budget_mb * 1e6),
+        keep_free_bytes=round(settings.keep_free_mb * 1e6),
+        resumes=settings.continuous,
     )
 
 

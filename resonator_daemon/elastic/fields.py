@@ -132,11 +132,11 @@ class SurfaceFields:
             Loads of another shape, not numbers, or not finite.
         """
         frames = finite_array("loads", loads)
-        wanted = (3, *self._shape)
-        if frames.shape[-3:] != wanted:
-            raise ValueError(f"loads have shape {frames.shape}, must be (..., {', '.join(map(str, wanted))})")
+        expected = (3, *self._shape)
+        if frames.shape[-3:] != expected:
+            raise ValueError(f"loads have shape {frames.shape}, must be (..., {', '.join(map(str, expected))})")
         leading = frames.shape[:-3]
-        frames = frames.reshape(-1, *wanted)
+        frames = frames.reshape(-1, *expected)
         depths, rows = self._response.shape[:2]
         fields = np.empty((len(frames), depths, rows, *self._shape))
         for frame, field in zip(frames, fields, strict=True):

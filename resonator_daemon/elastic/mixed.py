@@ -91,9 +91,9 @@ class MixedBoundary:
         ValueError also for values of another shape or not finite.
         """
         values = finite_array("known_values", known_values)
-        wanted = (3, *self.grid.shape)
-        if values.shape != wanted:
-            raise ValueError(f"known_values have shape {values.shape}, must be {wanted}")
+        expected = (3, *self.grid.shape)
+        if values.shape != expected:
+            raise ValueError(f"known_values have shape {values.shape}, must be {expected}")
         spectrum = np.einsum("yxij,jyx->iyx", self.transfer_matrix(output, depth_m), fft.rfft2(values))
         return np.asarray(fft.irfft2(spectrum, s=self.grid.shape), np.float64)
 
