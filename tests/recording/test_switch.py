@@ -119,7 +119,6 @@ def test_a_recording_begun_while_frames_come_is_replayed_with_their_numbers(tmp_
     events, damage = read(path)
     assert damage is None
     assert isinstance(events[0], SnapshotTaken)
-    assert isinstance(events[0], SnapshotTaken)
     assert summary is not None
     assert summary == (path, 1, path.stat().st_size, len(events), 0, summary.seconds, None)
     assert 1.0 < summary.seconds < DEADLINE_S

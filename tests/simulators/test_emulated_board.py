@@ -89,17 +89,6 @@ def test_handshake_then_a_frame_for_each_gate_numbered_from_0() -> None:
     assert bench.board.frames_made == 3
 
 
-def test_blocks_are_counted_ahead_and_join() -> None:
-    bench = Bench()
-    bench.advance(500)
-    bench.start()
-    bench.board.count_ahead()
-    assert bench.plate.asked == [(500, 0, GATE_TICKS, 4)]
-    bench.board.count_ahead()
-    bench.advance(9 * GATE_TICKS)
-    assert bench.plate.asked == [(500 + k * GATE_TICKS, k * GATE_TICKS, GATE_TICKS, 4) for k in (0, 4, 8)]
-
-
 def test_a_full_queue_drops_its_oldest_frames_and_says_so_before_the_next_that_goes_out() -> None:
     bench = Bench(queue_limit_bytes=3 * FRAME_BYTES + 20)
     bench.start()

@@ -5,7 +5,7 @@ from typing import get_args
 import pytest
 from fake_plate import fake_board
 
-from firmware_protocol.host import Described, HostEvent, HostSession, HostState, Rebooted
+from firmware_protocol.host import Described, HostEvent, HostSession, Rebooted
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.messages import (
     Configuration,
@@ -89,14 +89,6 @@ def test_gates_that_were_not_asked_for(lie: Violation, confirmed: int, counted: 
     answer(board, MessageType.START)
     frames = board.advance(4 * GATE_TICKS)
     assert [frame.board_ticks for frame in frames] == list(range(counted, 4001, counted))
-
-
-def test_limits_that_are_not_kept() -> None:
-    board, host = liar("limits"), HostSession()
-    talk(board, host)
-    host.configure(Configuration(GATE_TICKS))
-    talk(board, host)
-    assert host.state is HostState.REFUSED
 
 
 def test_a_boot_id_that_is_used_again_hides_the_boot() -> None:

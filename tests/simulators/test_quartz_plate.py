@@ -95,18 +95,6 @@ def test_a_touch_captures_every_corner_once_and_its_release_gives_them_back() ->
         assert frequency_hz(records[510:], channel) == pytest.approx(10.01e6, abs=40)
 
 
-def test_a_corner_that_hears_nothing_says_so() -> None:
-    plate = QuartzPlate(PLATE, scenario(held(1.0, site=9), pilot_level_db=-95.0), seed=2)
-    records = count(plate, 0.05, 100)
-    for frame in records[:50]:
-        for record in frame:
-            assert record.flags & RecordFlag.NO_SIGNAL
-            assert record.stamps == record.s1_ticks == record.q2_ticks2 == 0
-            assert record.attenuation_db256 == 100 * 256
-    assert all(record.flags == RecordFlag.STRIDE_BREAK for record in records[50])
-    assert all(record.flags == 0 for frame in records[51:] for record in frame)
-
-
 @pytest.mark.parametrize("sites", [1, 2, 3])
 def test_a_plate_of_few_sites_is_counted_while_all_are_touched(sites: int) -> None:
     counter = {"reference_hz": 1e9, "frame_rate_hz": 1000, "pilot_hz": 10.01e6}
