@@ -61,16 +61,15 @@ class DriftWatch:
         if last_s - first_s < _LEAST_S or not moved:
             return
         self._moved, self._span_s = max(moved), last_s - first_s
-        limit = WALKS * COMMON_MODE_WALK * math.sqrt(self._span_s)
-        self._drifting = self._moved > limit * (_OVER if self._drifting else 1.0)
+        self._limit = WALKS * COMMON_MODE_WALK * math.sqrt(self._span_s)
+        self._drifting = self._moved > self._limit * (_OVER if self._drifting else 1.0)
 
     @property
     def _verdict(self) -> str | None:
         if not self._drifting:
             return None
         rate = self._moved / self._span_s
-        limit = WALKS * COMMON_MODE_WALK * math.sqrt(self._span_s)
         return (
             f"the baseline moves by {rate * 1e6:.2g} ppm/s, {self._moved * 1e6:.2g} ppm in {self._span_s:.0f} s, where "
-            f"at most {limit * 1e6:.2g} ppm are explained: the plate is warmed or cooled, or its reference wanders"
+            f"at most {self._limit * 1e6:.2g} ppm are explained: the plate is warmed or cooled, or its reference wanders"
         )

@@ -121,17 +121,17 @@ class SkinSensor(Sensor[SkinReading]):
         ]
 
     def publish(self, reading: SkinReading, gate_middle: Instant) -> None:
-        output, decoding = self._output, self._decoding
+        output = self._output
+        decoding = self._decoding if reading.status == "ok" else None
         output.state.update(reading.status, reading.reason, (reading.common_mode,), gate_middle.utc_ns)
-        is_decoded = decoding is not None and reading.status == "ok"
         if output.is_late(gate_middle):
             output.skip(SIGNALS)
-            if decoding is not None and is_decoded:
+            if decoding is not None:
                 output.skip(*_SURFACE)
                 decoding.skip_late()
             return
         output.publish(SIGNALS, self._signals(reading, gate_middle))
-        if decoding is not None and is_decoded:
+        if decoding is not None:
             # If the frame is skipped, these numbers `seq` are missing.
             header = output.header(DECODED, reading, gate_middle)
             contacts_seq = output.headers.next_seq(CONTACTS)

@@ -22,3 +22,14 @@ def test_an_outage_is_as_long_as_it_was_though_the_clock_was_set_meanwhile(set_s
     end_ns = BEGUN_NS + (4 + slept_s + set_s) * S
     link.frame_received(before, Instant(end_ns, 100, 9 * S, (9 + slept_s) * S), 4000)
     assert said[2:] == [Outage(end_ns - (4 + slept_s) * S, end_ns, 4000, "unplugged")]
+
+
+@pytest.mark.parametrize(("previous", "frames_lost"), [(Instant(BEGUN_NS, 100, 5 * S, 5 * S), 0), (None, 4000)])
+def test_an_outage_without_a_loss_or_a_frame_before_is_not_announced(previous: Instant | None, frames_lost: int) -> None:
+    said: list[Arrival] = []
+    link = LinkState(said.append)
+    link.announce(Condition.ONLINE, "it counts", BEGUN_NS)
+    link.announce(Condition.LOST, "unplugged", BEGUN_NS + S)
+    link.frame_received(previous, Instant(BEGUN_NS + 4 * S, 100, 9 * S, 9 * S), frames_lost)
+    assert len(said) == 2
+    assert link.snapshot().outage_reasons == ()

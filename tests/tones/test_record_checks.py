@@ -6,7 +6,7 @@ from brute_force_board import REFERENCE_HZ, payload_of, record_of
 
 from firmware_protocol.layouts import RecordFlag, SingleToneRecord
 from resonator_daemon.tones.frequency_estimators import Sums, frequency_hz
-from resonator_daemon.tones.record_checks import FAULTS, RECORD, read_gates
+from resonator_daemon.tones.record_checks import FAULTS, RECORD, read_gate, read_gates
 
 GOOD = record_of([1000 * k for k in range(1000)], 0, 10)
 
@@ -14,6 +14,8 @@ GOOD = record_of([1000 * k for k in range(1000)], 0, 10)
 def gate_of(record, band_hz=(1e3, 1e9)):
     """Fault and frequency of one record."""
     gates = read_gates(np.frombuffer(payload_of([record]), RECORD), REFERENCE_HZ, band_hz)
+    gate = read_gate(tuple(record), REFERENCE_HZ, band_hz)
+    assert (gate if isinstance(gate, int) else 0) == gates.fault[0]
     return FAULTS[gates.fault[0]], gates.frequency_hz[0]
 
 
