@@ -187,6 +187,16 @@ def test_periodic_value_is_the_laterally_confined_body(nu: float):
     np.testing.assert_array_equal(moved[0], 0.0)
 
 
+@pytest.mark.parametrize("nu", POISSON)
+def test_mean_displacement_falls_with_depth_as_that_of_long_waves_in_all_directions(nu: float):
+    body, depths, long = HalfSpace(E, nu), np.array([0.0, 1e-3]), 1e-3
+    wx, wy = long * np.array([1.0, 0.0, -1.0, 0.0]), long * np.array([0.0, 1.0, 0.0, -1.0])
+    waves = [body.transfer_matrix("displacement", "traction", x, y, depths) for x, y in zip(wx, wy, strict=True)]
+    mean = np.mean(waves, axis=0).real
+    moved = body.transfer_matrix("displacement", "traction", 0.0, 0.0, depths, period_m=0.1).real
+    np.testing.assert_allclose(moved[1] - moved[0], mean[1] - mean[0], atol=1e-5 * 1e-3 / E)
+
+
 def test_zero_frequency_can_be_refused():
     with pytest.raises(ValueError, match="omega is 0"):
         HalfSpace(E, 0.5).transfer_matrix("p_n", "traction", [1.0, 0.0], 0.0, 0.0, zero="raise")

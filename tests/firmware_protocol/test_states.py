@@ -133,3 +133,5 @@ def test_another_answer_under_the_right_number_moves_nothing(answer: MessageType
     host, _, _ = host_in(HostState.IDENTIFYING)
     host.receive(answer_packet(answer, 1))
     assert (host.state, host.messages.stale) == (HostState.IDENTIFYING, 1)
+    assert host.receive(answer_packet(MessageType.REFUSED, 2)) == []  # nor does a refusal of what was not asked
+    assert host.messages.stale == 2

@@ -55,6 +55,7 @@ def test_all_messages_go_to_a_file(tmp_path: Path, capsys: pytest.CaptureFixture
     told = json.loads(capsys.readouterr().out)
     assert (told["verb"], told["ok"], told["messages"]) == ("replay", True, COUNTS)
     assert (told["differences"], told["damage"]) == (0, None)
+    assert told["seconds"] == pytest.approx(4.2, abs=0.3)
     assert counted(lines(output)) == COUNTS
     assert lines(output)[-1]["payload"]["daemon_boot_id"] == "0123456789abcdef"
     assert replay(TOUCHES, "--to", output) == 78
