@@ -71,5 +71,6 @@ class DriftWatch:
         rate = self._moved / self._span_s
         return (
             f"the baseline moves by {rate * 1e6:.2g} ppm/s, {self._moved * 1e6:.2g} ppm in {self._span_s:.0f} s, where "
-            f"at most {self._limit * 1e6:.2g} ppm are explained: the plate is warmed or cooled, or its reference wanders"
+            f"at most {self._limit * 1e6:.2g} ppm are explained: the plate is warmed or cooled, or its reference "
+            "wanders"
         )

@@ -71,6 +71,7 @@ def test_hysteresis_and_creep_are_fitted_from_loading_and_unloading(tmp_path: Pa
     assert record.response.hysteresis_newton == pytest.approx(0.1, rel=0.05)  # 1 % of 10 N
     assert record.response.creep_fraction == pytest.approx(0.005, rel=0.1)
     assert record.response.creep_time_s == pytest.approx(20.0, rel=0.1)
+    assert 0.01 <= record.response.relative_std < 0.1
     assert np.abs(sensitivity_errors(record)).max() < 3e-3
     without = fitted(procedure, replace(wanted, response=False))
     assert len(without.doubtful) == 2  # lag passes for two bad loads; what they lie off is in the residual all the same

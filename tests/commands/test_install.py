@@ -81,6 +81,15 @@ def test_a_file_of_others_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert f"{theirs}: kept: it was changed here" in capsys.readouterr().out
 
 
+def test_a_dry_run_for_this_system_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["install", "--dry-run", "--json"]) == ExitCode.DONE
+    commands = [entry["command"] for entry in json.loads(capsys.readouterr().out)["commands"]]
+    assert commands[:2] == [
+        "systemd-sysusers /etc/sysusers.d/resonatord.conf",
+        "systemd-tmpfiles --create /etc/tmpfiles.d/resonatord.conf",
+    ]
+
+
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     """The one line that says why nothing was installed."""
     assert main(["install", *arguments]) == ExitCode.FAILED

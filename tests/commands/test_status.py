@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import pty
 import signal
 import socket
 import subprocess
@@ -184,3 +185,22 @@ async def test_watching_goes_on_when_the_daemon_goes_and_ends_well(form: list[st
             line = await watch.stdout.readline()
         watch.send_signal(signal.SIGINT)
         assert await watch.wait() == 0
+
+
+async def test_watching_in_a_terminal_shows_the_page(home: Path) -> None:
+    terminal, slave = pty.openpty()
+    environment = os.environ | {"XDG_RUNTIME_DIR": str(home.parent), "TERM": "xterm"}
+    command = [sys.executable, "-m", "resonator_daemon", "status", "hand", "--watch"]
+    try:
+        async with daemons(status_samples.status()):
+            watch = await asyncio.create_subprocess_exec(*command, env=environment, stdout=slave)
+            os.close(slave)
+            shown = b""
+            try:
+                while b"left-index" not in shown:
+                    shown += await asyncio.to_thread(os.read, terminal, 65536)
+            finally:
+                watch.kill()  # also ends a read that waits
+                await watch.wait()
+    finally:
+        os.close(terminal)

@@ -25,7 +25,7 @@ def test_an_outage_is_as_long_as_it_was_though_the_clock_was_set_meanwhile(set_s
 
 
 @pytest.mark.parametrize(("previous", "frames_lost"), [(Instant(BEGUN_NS, 100, 5 * S, 5 * S), 0), (None, 4000)])
-def test_an_outage_without_a_loss_or_a_frame_before_is_not_announced(previous: Instant | None, frames_lost: int) -> None:
+def test_an_outage_without_a_loss_is_not_announced(previous: Instant | None, frames_lost: int) -> None:
     said: list[Arrival] = []
     link = LinkState(said.append)
     link.announce(Condition.ONLINE, "it counts", BEGUN_NS)

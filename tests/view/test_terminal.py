@@ -22,7 +22,7 @@ from view_messages import (
 
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.view.plate_view import PlateView, TrueContact, Truth
-from resonator_daemon.view.terminal import render
+from resonator_daemon.view.terminal import render, summary_line
 
 SITES = {7: (-0.0005, 0.002), 13: (0.007, 0.0066)}
 PIXEL_M2 = 4e-4**2
@@ -145,6 +145,7 @@ def beside_the_map(text: str, columns: int = 34) -> str:
 def test_each_contact_is_a_column_and_the_truth_another() -> None:
     truth = Truth((TrueContact(None, (0.002, 0.003), (0.4, 0.0, 1.5)),), skin_tractions()[2], (12.1, 17.9))
     beside = beside_the_map(page(skin32(), truth=truth), columns=68)
+    assert "no contact" not in summary_line(skin32(), NOW_NS)
     table = "contact 3 true normal 1.000 N 1.500 N shear 500.0 mN 400.0 mN towards 30° 0°"
     assert f"{table} margin 0.42 ± 0.02" in beside
     assert "status ok, open-plane+contact chi2 1.02, clear of the border" in beside
