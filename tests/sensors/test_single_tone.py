@@ -9,6 +9,10 @@ from brute_force_board import GATE_TICKS, Ladder, payload_of
 from single_tone_bench import CLOCK_ERROR, NO_SIGNAL, PLATE, UNTOUCHED, Bench, events
 
 from firmware_protocol.layouts import SingleToneRecord
+from resonator_daemon.session.clock import Line, TickScale
+from resonator_daemon.session.frames import SingleToneFrame
+
+SCALE = TickScale(10**12, 0, Line(0, 0, 0.0, 0.0, 0.0), 0, 0)
 
 
 def test_readings_come_at_step_boundaries_with_the_windows_end():
@@ -222,8 +226,9 @@ def test_how_frames_are_cut_into_blocks_changes_no_reading(window_frames):
     while frames:
         most = int(rng.choice([1, 5, 64, 700]))
         adjacent = [frame for at, frame in enumerate(frames[:most]) if frame[0] == frames[0][0] + at]
-        payload = b"".join(payload_of(records) for _, _, records in adjacent)
-        seen += in_blocks.chain.push(frames[0][0], [ticks for _, ticks, _ in adjacent], payload)
+        seen += in_blocks.chain.process(
+            [SingleToneFrame(index, ticks, ticks, SCALE, payload_of(records)) for index, ticks, records in adjacent]
+        )
         del frames[: len(adjacent)]
     assert repr(seen) == repr(expected)
     assert {"ok", "overload", "settling"} <= {reading.status for reading in seen}
