@@ -25,6 +25,8 @@ from resonator_daemon.commands._output import print_error, print_json
 from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError
 from resonator_daemon.host.journal import set_up_logging
 
+_UNTIL_STOPPED = frozenset({"decode", "emulate", "run", "watch"})  # commands for which that is the regular end
+
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run one command; return its exit code."""
@@ -43,6 +45,8 @@ def main(words: Sequence[str] | None = None) -> int:
         print_error(*error.messages)
         return error.exit_code
     except KeyboardInterrupt:  # while the command is loaded
+        if words[:1] and words[0] in _UNTIL_STOPPED:
+            return ExitCode.DONE
         print_error("interrupted")
         return ExitCode.FAILED
     except BrokenPipeError:  # the reader of the output has what it wants, as `head`

@@ -53,13 +53,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    from simulators.emulator import EmulatorOptions
-    from simulators.emulator import run as emulate
-    from simulators.faults import parse_faults
-
-    check_plate_name(arguments.plate)
     try:
         with suppress(KeyboardInterrupt):
+            from simulators.emulator import EmulatorOptions
+            from simulators.emulator import run as emulate
+            from simulators.faults import parse_faults
+
+            check_plate_name(arguments.plate)
             emulate(options_of(EmulatorOptions, arguments, faults=parse_faults(arguments.faults)))
     except ValueError as error:
         raise UsageError(*str(error).split("\n")) from error  # a line for each mistake

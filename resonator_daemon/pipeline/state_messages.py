@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping
 from importlib.metadata import version
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ from resonator_daemon.publishing.units import UNITS
 from resonator_daemon.publishing.verbs import permitted
 from resonator_daemon.sensors.base import Sensor
 from resonator_daemon.session.frames import BoardOnline, LinkChange, Outage
+
+_VERSION: Final = version("resonatord")  # of this process; an upgrade replaces the file that has it
 
 
 class StateMessages:
@@ -99,7 +101,7 @@ class StateMessages:
         return Info(
             **self._headers.of(INFO, utc_ns),
             schema_version=SCHEMA_VERSION,
-            daemon_version=version("resonatord"),
+            daemon_version=_VERSION,
             plate=plate.name,
             link=self._link,
             product=board.identity.product,

@@ -119,7 +119,9 @@ sys.exit(main())
     [
         (("run", "--config", "hand.toml"), "resonator_daemon.daemon.daemon", 0),
         (("schema",), "resonator_daemon.publishing.asyncapi", 1),
-        (("watch", "--help"), "argparse", 1),
+        (("schema", "--help"), "argparse", 1),
+        (("run", "--config", "hand.toml"), "argparse", 0),
+        (("emulate", "--plate", "quartz16", "--pty", "board"), "simulators.emulator", 0),
     ],
 )
 def test_a_signal_while_modules_load_ends_it_without_a_traceback(

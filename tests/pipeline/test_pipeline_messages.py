@@ -259,6 +259,13 @@ def test_info_of_a_plate_of_force_sites(tmp_path: Path) -> None:
     )
 
 
+def test_info_needs_no_file(messages: Messages, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An upgrade replaces the installed files, and descriptors may run out, while a board comes back."""
+    running = literal(messages.states.info(BOARD, {}, 1))["daemon_version"]
+    monkeypatch.setattr("importlib.metadata.Distribution.from_name", lambda name: pytest.fail(f"{name} is read"))
+    assert literal(messages.states.info(BOARD, {}, 1))["daemon_version"] == running
+
+
 def test_rates_that_a_command_has_lowered_are_told(tmp_path: Path) -> None:
     said = literal(
         Messages(configured(tmp_path, FORCE_PLATE)).states.info(BOARD, {"forces": 10.0, "contacts": 900.0}, 1)
