@@ -23,7 +23,7 @@ struct hardware_start {
 /* Begin: UART, timer, a wake-up each millisecond. Call once, first. */
 struct hardware_start hardware_begin(void);
 
-/* Start the whole board anew. */
+/* Start the whole board again. */
 void hardware_restart(enum restart cause) __attribute__((noreturn));
 
 /* Ticks since the start. Call it from the main loop alone, and more often than the timer wraps (171 s). */

@@ -15,7 +15,7 @@ enum { CLOCK_SLICE = 7, CLOCK_BITS = 16 };
 enum { RING_BITS = 10, RING_WORDS = 1 << RING_BITS }; /* 20 ms at 10 MHz */
 enum { LAG_TICKS = TICKS_HZ / 100000, POLL_TICKS_MAX = TICKS_HZ / 100 };
 
-/* DMA counts 2^31 words down; then a second channel writes this number into the first and starts it anew. */
+/* DMA counts 2^31 words down; then a second channel writes this number into the first and starts it again. */
 enum { LAP_BITS = 31 };
 static const uint32_t lap_words = 1u << LAP_BITS;
 
@@ -89,7 +89,7 @@ static void begin_pio(void)
     for (uint32_t channel = 0; channel < RESONATOR_CHANNELS; channel++) {
         pio_sm_config settings = capture_program_get_default_config(program_offset);
         sm_config_set_jmp_pin(&settings, FIRST_PIN + channel);
-        dma_channel_abort(again_channel[channel]); /* first, so that it cannot start the other one anew */
+        dma_channel_abort(again_channel[channel]); /* first, so that it cannot start the other one again */
         dma_channel_abort(data_channel[channel]);
         pio_sm_init(pio0, channel, program_offset + capture_offset_low, &settings);
         load(channel, STRIDE_EDGES - 1, pio_y); /* and osr keeps it, as it is loaded last below */

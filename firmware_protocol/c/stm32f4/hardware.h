@@ -15,7 +15,7 @@ uint32_t hardware_boot_id(void);
 /* Return the reset cause as enum resonator_reset_cause, and clear it. */
 uint8_t hardware_reset_cause(void);
 
-/* Start the whole board anew. */
+/* Start the whole board again. */
 void hardware_restart(void) __attribute__((noreturn));
 
 /* Open the serial line, USART3: PD8 sends, PD9 receives, 3 Mbaud with clocks of 168 MHz. */
