@@ -196,7 +196,7 @@ def board_sessions() -> list[Case]:
             ],
         ),
         session(
-            "a fault ends a run, which begins anew when it is over",
+            "a fault ends a run, which begins again when it is over",
             [
                 asked(ONE, [answer(0x81, 1, IDENTITY_PAYLOAD)], "idle"),
                 configured,

@@ -133,7 +133,7 @@ def test_signals_without_jitter_are_no_cross_talk(calm: Capture, quartz16: Plate
 
 
 def test_gates_that_do_not_continue_each_other_are_the_firmwares(calm: Capture, quartz16: Plate) -> None:
-    """An edge index that begins anew with each gate: each gate has its tone, and no reading has one."""
+    """An edge index that begins again with each gate: each gate has its tone, and no reading has one."""
     nothing = np.full((1, CHANNEL_COUNT), np.nan)
     findings = judged(changed(calm, shift=nothing, std=nothing), quartz16)
     assert bad(findings) == {"board.stamps": Outcome.FAULT}

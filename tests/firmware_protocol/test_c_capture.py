@@ -123,7 +123,7 @@ def test_words_that_were_overwritten_are_lost_edges_and_a_stride_break() -> None
 
     write(0, 10)
     commands.append("sort 10 0")
-    write(10, 10 + 61)  # one more than the ring keeps beside what may be overwritten just now
+    write(10, 10 + 61)  # one more than the ring keeps besides what may be overwritten just now
     commands += [f"update {stamps[70] % 2**32}", "sort 71 0", "close"]
     write(71, 110)
     commands += ["sort 110 0", "close", "sort 110 0"]

@@ -63,7 +63,7 @@ def test_frames_are_the_sums_of_the_words_in_each_gate(driver: Path, start: int)
     bench.commands.append(f"run {GATE}")
     now = start
     while now < start + (count + 6) * GATE:
-        # Beside a wrap of the PWM counter, too, with its interrupt served or not yet.
+        # Close to a wrap of the PWM counter, too, with its interrupt served or not yet.
         now += rng.choice((100, 20_000, 65_536 - now % 65_536, 65_537 - now % 65_536, 300_000))
         bench.play(now - rng.randrange(500))
         bench.commands.append(f"time {now} {int(rng.random() < 0.5 or now % 65_536 > 20_000)}")

@@ -31,7 +31,7 @@ class BoardEnd(Generic[L]):
 
     def __init__(self, make_link: Callable[[Callable[[], None]], L]) -> None:
         self.session = DeviceSession(IDENTITY, DESCRIPTION, boot_id=0x1234)
-        self.answers = threading.Event()  # cleared: it hears nothing, not even that it is to begin anew
+        self.answers = threading.Event()  # cleared: it receives nothing, not even the request to begin again
         self.answers.set()
         self.begins = 0
         self.received = b""

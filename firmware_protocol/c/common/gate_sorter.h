@@ -15,7 +15,7 @@
 struct gate_channel {
     struct resonator_sums sums;
     uint32_t edge;  /* index of the newest stamped edge */
-    uint16_t flags; /* of the open gate's record, beside those that follow from its sums */
+    uint16_t flags; /* of the open gate's record, besides those that follow from its sums */
     bool broken;    /* the next record does not continue the last one */
     bool closed;    /* no further stamp is added to this record: one is missing */
 };

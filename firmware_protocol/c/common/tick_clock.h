@@ -40,7 +40,7 @@ static inline uint64_t tick_clock_at(const struct tick_clock *clock, uint32_t co
 
 /* Return the 64-bit value of the count, where an interrupt counts the wraps and `pending` is its flag.
  *
- * The race: the counter wraps beside the reading, and the interrupt has not run yet. With that interrupt masked read,
+ * The race: the counter wraps close to the reading, and the interrupt has not run yet. With that interrupt masked read,
  * in this order: count, flag, wraps. A small count with the flag set is of behind the wrap, a large one of before it.
  * The interrupt must run within half a wrap.
  *

@@ -1,4 +1,4 @@
-/* What the board program uses of an STM32F405 or F407 beside the capture: clocks, a serial line, a LED, how it started. */
+/* What the board program uses of an STM32F405 or F407 besides the capture: clocks, a serial line, a LED, how it started. */
 #ifndef STM32F4_HARDWARE_H
 #define STM32F4_HARDWARE_H
 

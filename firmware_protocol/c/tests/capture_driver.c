@@ -1,7 +1,7 @@
 /* Runs the files of common/ by commands, one a line on standard input, and prints what comes of them: for tests.
  *
  *   extended WRAPS PENDING COUNT BITS             prints tick_clock_extended
- *   captured WRAPS PENDING COUNT BITS CAPTURE    prints the ticks of a capture beside that reading
+ *   captured WRAPS PENDING COUNT BITS CAPTURE    prints the ticks of a capture close to that reading
  *   clock BITS COUNT                              begins a clock
  *   update COUNT | at COUNT                       prints the ticks
  *   begin START GATE STRIDE                       begins a run
