@@ -1,6 +1,7 @@
 """Direct delivery of streams by the embedded broker; amqtt queues them without limit."""
 
 import asyncio
+import contextlib
 import logging
 from typing import TYPE_CHECKING, Final
 
@@ -15,8 +16,11 @@ TOPICS_MAX: Final = 1024  # whose subscribers are remembered
 
 _READ_BYTES: Final = 64 * 1024
 _STREAM: Final = 0x30  # PUBLISH with QoS 0, neither retained nor a duplicate
+_DISCONNECT: Final = b"\xe0\x00"
 _CONNACK, _SUBACK, _UNSUBACK = b"\x20", b"\x90", b"\xb0"
 _LENGTH_BYTES_MAX: Final = 4
+_DELIVERY_S: Final = 5.0  # at most, for messages of a client that has disconnected
+_DELIVERY_CHECK_S: Final = 0.001
 
 log = logging.getLogger(__name__)
 
@@ -49,6 +53,11 @@ class StreamDelivery:
     def subscriptions_changed(self) -> None:
         self._subscribers.clear()
 
+    def undelivered(self, sender: "Connection") -> int:
+        """Return how many messages of a client amqtt has acknowledged, but not passed to their subscribers yet."""
+        sessions = self._broker.sessions.values()
+        return sum(session.delivered_message_queue.qsize() for session, handler in sessions if handler.writer is sender)
+
     def _find(self, topic: str) -> list["Connection"]:
         identifiers = {
             session.client_id
@@ -68,21 +77,21 @@ class PacketReader:
 
     def __init__(self) -> None:
         self._reader = asyncio.StreamReader()
-        self._unread_bytes = 0
+        self.unread_bytes = 0
         self._read = asyncio.Event()
         self._ended = False
 
     async def feed(self, data: bytes) -> None:
         """Append packets; wait until little enough is unread."""
         self._reader.feed_data(data)
-        self._unread_bytes += len(data)
-        while self._unread_bytes > UNREAD_BYTES_MAX and not self._ended:
+        self.unread_bytes += len(data)
+        while self.unread_bytes > UNREAD_BYTES_MAX and not self._ended:
             self._read.clear()
             await self._read.wait()
 
     async def read(self, n: int = -1) -> bytes:
         data = await (self._reader.read() if n == -1 else self._reader.readexactly(n))
-        self._unread_bytes -= len(data)
+        self.unread_bytes -= len(data)
         self._read.set()
         return data
 
@@ -107,19 +116,33 @@ class Connection:
         self.reader = PacketReader()
 
     async def read_on(self) -> None:
-        """Read until the client disconnects."""
-        waiting = bytearray()
+        """Read until the client disconnects; amqtt is informed after it has delivered the client's messages.
+
+        With the end of a connection amqtt discards those that it has acknowledged and not delivered yet.
+        """
         try:
+            farewell = await self._read_packets()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_DELIVERY_S):
+                    while self.reader.unread_bytes or self._delivery.undelivered(self):  # noqa: ASYNC110 - no event
+                        await asyncio.sleep(_DELIVERY_CHECK_S)
+            await self.reader.feed(farewell)
+        finally:
+            self.reader.feed_eof()
+
+    async def _read_packets(self) -> bytes:
+        """Pass on packets until the client disconnects; return its DISCONNECT packet, empty where there was none."""
+        waiting = bytearray()
+        with contextlib.suppress(OSError):
             while data := await self._socket_reader.read(_READ_BYTES):
                 waiting += data
                 used_bytes, packets = self._sort(bytes(waiting))
                 del waiting[:used_bytes]
                 if packets:
                     await self.reader.feed(packets)
-        except OSError:
-            pass  # it disconnected without a DISCONNECT packet
-        finally:
-            self.reader.feed_eof()
+                if waiting[:1] == _DISCONNECT[:1]:
+                    return _DISCONNECT
+        return b""
 
     def write_stream(self, packet: bytes) -> bool:
         """Write a packet unless too much waits already; return whether it was written."""
@@ -154,9 +177,9 @@ class Connection:
             self._writer.close()
 
     def _sort(self, data: bytes) -> tuple[int, bytes]:
-        """Forward the whole packets of streams; return the number of bytes of whole packets, and the others of them."""
+        """Forward the packets of streams up to DISCONNECT; return the number of bytes read, and the others of them."""
         start, others = 0, bytearray()
-        while (ends := packet_ends(data, start)) is not None:
+        while data[start : start + 1] != _DISCONNECT[:1] and (ends := packet_ends(data, start)) is not None:
             body, end = ends
             if data[start] == _STREAM and self._accepted:
                 topic_end = body + 2 + int.from_bytes(data[body : body + 2], "big")

@@ -12,6 +12,7 @@ from resonator_daemon.publishing.embedded_broker import embedded_broker
 from resonator_daemon.publishing.embedded_delivery import UNREAD_BYTES_MAX, PacketReader
 
 CONNECT, CONNACK, PUBLISH, PUBACK, SUBSCRIBE, SUBACK, UNSUBSCRIBE = (0x10, 0x20, 0x30, 0x40, 0x82, 0x90, 0xA2)
+DISCONNECT = 0xE0
 LARGE = 100_000
 
 
@@ -118,6 +119,20 @@ async def test_a_slow_subscriber_misses_streams_and_no_event(url: str) -> None:
         slow.send(PUBACK, packet[1][7:9])
         sender.publish("stream", b"next")
         assert await slow.payload() == b"next"
+
+
+async def test_what_a_client_sent_before_it_disconnected_reaches_the_subscribers(url: str) -> None:
+    count = 100
+    async with client(url, "reader") as reader:
+        await reader.subscribe("event")
+        async with client(url, "sender") as sender:
+            for number in range(count):
+                sender.send(PUBLISH | 2, text("event") + struct.pack(">HI", number + 1, number))
+            for number in range(count):
+                assert await sender.receive() == (PUBACK, struct.pack(">H", number + 1))
+            sender.send(DISCONNECT)
+        numbers = [struct.unpack(">I", await reader.payload())[0] for _ in range(count)]
+    assert numbers == list(range(count))
 
 
 async def test_a_client_is_read_as_fast_as_amqtt_reads_its_packets() -> None:
