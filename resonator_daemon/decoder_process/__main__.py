@@ -7,8 +7,9 @@ import socket
 import sys
 
 from resonator_daemon.host.journal import set_up_logging, tag_log
+from resonator_daemon.host.parent_death import signal_at_parent_death
 
-_PR_SET_PDEATHSIG, _PR_SET_NAME = 1, 15  # linux/prctl.h
+_PR_SET_NAME = 15  # linux/prctl.h
 
 
 def main() -> None:
@@ -16,9 +17,8 @@ def main() -> None:
     name, descriptor = sys.argv[1:]
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    libc = ctypes.CDLL(None)
-    libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # also ends a frame that never ends; else the closed socket does
-    libc.prctl(_PR_SET_NAME, b"resonatord-dec")  # 15 bytes at most
+    signal_at_parent_death(signal.SIGKILL)  # also ends a frame that never ends; else the closed socket does
+    ctypes.CDLL(None).prctl(_PR_SET_NAME, b"resonatord-dec")  # 15 bytes at most
     set_up_logging()
     tag_log(name)
     connection = socket.socket(fileno=int(descriptor))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.demo.processes import PYTHON, Child, start_child
+from resonator_daemon.demo.processes import PYTHON, Child, start_child, stopped_on_error
 from resonator_daemon.errors import UserError
 
 BROKER_PART: Final = "broker"
@@ -50,7 +50,8 @@ async def local_broker(folder: Path) -> AsyncIterator[LocalBroker]:
 async def _start_amqtt(folder: Path) -> LocalBroker:
     command = (*PYTHON, "resonator_daemon.publishing.embedded_broker")
     child = await start_child(BROKER_PART, folder, command, stdout=PIPE)
-    return LocalBroker("amqtt", (await child.first_line()).decode().strip(), child)
+    async with stopped_on_error(child):
+        return LocalBroker("amqtt", (await child.first_line()).decode().strip(), child)
 
 
 async def _start_mosquitto(program: str, folder: Path) -> LocalBroker:
@@ -60,19 +61,20 @@ async def _start_mosquitto(program: str, folder: Path) -> LocalBroker:
     # Without nodelay, messages wait for the acknowledgement of those before them.
     settings.write_text(
         f"listener {port} 127.0.0.1\nallow_anonymous true\nset_tcp_nodelay true\npersistence false\nlog_type error\n"
+        "user root\n"  # applies to root alone: after a change of its user, it would not end with the demo
     )
     child = await start_child(BROKER_PART, folder, (program, "-c", str(settings)))
-    try:
-        async with asyncio.timeout(_START_S):
-            while (failure := child.failure()) is None:
-                try:
-                    _, writer = await asyncio.open_connection("127.0.0.1", port)
-                except OSError:
-                    await asyncio.sleep(_LOOK_S)
-                else:
-                    writer.close()
-                    return LocalBroker("mosquitto", f"mqtt://127.0.0.1:{port}", child)
-    except TimeoutError:
-        await child.stop()
-        raise UserError(f"Mosquitto does not listen on port {port} within {_START_S:g} s") from None
+    async with stopped_on_error(child):
+        try:
+            async with asyncio.timeout(_START_S):
+                while (failure := child.failure()) is None:
+                    try:
+                        _, writer = await asyncio.open_connection("127.0.0.1", port)
+                    except OSError:
+                        await asyncio.sleep(_LOOK_S)
+                    else:
+                        writer.close()
+                        return LocalBroker("mosquitto", f"mqtt://127.0.0.1:{port}", child)
+        except TimeoutError:
+            raise UserError(f"Mosquitto does not listen on port {port} within {_START_S:g} s") from None
     raise UserError(f"{failure}; is port {port} taken?")

@@ -5,13 +5,14 @@ import json
 import signal
 import sys
 from asyncio.subprocess import DEVNULL, PIPE, Process
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 import psutil
 
 from resonator_daemon.errors import UserError
+from resonator_daemon.host.parent_death import ended_with_parent
 
 PYTHON = (sys.executable, "-m")
 _RESONATORD = (*PYTHON, "resonator_daemon")
@@ -109,9 +110,10 @@ async def start_emulator(plate: str, folder: Path, *, over_tcp: bool) -> tuple[C
     link = ("--tcp", "127.0.0.1:0") if over_tcp else ("--pty", str(folder / f"{plate}.port"))
     arguments = ("emulate", "--plate", plate, *link, "--truth", str(truth), "--json")
     child = await start_child(f"emulator {plate}", folder, (*_RESONATORD, *arguments), stdout=PIPE)
-    report = json.loads(await child.first_line())
-    if "error" in report:
-        raise UserError(f"emulator {plate}: {report['error']['message']}")
+    async with stopped_on_error(child):
+        report = json.loads(await child.first_line())
+        if "error" in report:
+            raise UserError(f"emulator {plate}: {report['error']['message']}")
     return child, report["link"], truth
 
 
@@ -126,6 +128,16 @@ async def start_daemons(
     return [await start_child(part, folder, command) for part, command in commands.items()]
 
 
+@asynccontextmanager
+async def stopped_on_error(child: Child) -> AsyncIterator[None]:
+    """Stop the child where the context ends with an exception, as of a cancelled task."""
+    try:
+        yield
+    except BaseException:
+        await child.stop()
+        raise
+
+
 def raise_if_ended(children: Iterable[Child]) -> None:
     """Raise UserError for a command that has ended by itself."""
     for child in children:
@@ -134,11 +146,16 @@ def raise_if_ended(children: Iterable[Child]) -> None:
 
 
 async def start_child(part: str, folder: Path, command: Sequence[str], stdout: int = DEVNULL) -> Child:
-    """Start a command; its stderr is written to a file in the folder."""
+    """Start a command that ends with this process, however that ends; its stderr goes to a file in the folder."""
     log = folder / f"{part}.log"
     with log.open("w") as stderr:
         # A session of its own: Ctrl-C at the terminal reaches this process, which then ends its children in order.
         process = await asyncio.create_subprocess_exec(
-            *command, stdin=DEVNULL, stdout=stdout, stderr=stderr, start_new_session=True
+            *command,
+            stdin=DEVNULL,
+            stdout=stdout,
+            stderr=stderr,
+            start_new_session=True,
+            preexec_fn=ended_with_parent(signal.SIGTERM),
         )
     return Child(part, process, log)

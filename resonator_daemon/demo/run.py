@@ -26,7 +26,7 @@ from resonator_daemon.demo.results import delays, failures, in_words, percentile
 from resonator_daemon.demo.score import SCORED, PlateScore
 from resonator_daemon.demo.subscription import Subscription
 from resonator_daemon.demo.truth import TruthTable, site_traction, surface_traction
-from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError
 from resonator_daemon.host.printable import print_note
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.publishing.receiver import Arrival
@@ -37,6 +37,7 @@ from resonator_daemon.view.terminal import render
 
 _START_S: Final = 120.0  # decoders of a skin are set up first
 _END_S: Final = 10.0  # for the last messages of the daemons
+_STOPPED_END_S: Final = 1.0  # for them after Ctrl-C
 _TURN_S: Final = 1 / 5  # period of scoring and drawing; decimated maps are published as often
 _BEGIN_S: Final = 0.01  # period of looking for the answers that begin the measurement
 _SWITCH_S: Final = 0.5e-3  # the longest that scoring and drawing keep the receiving thread from the interpreter
@@ -57,7 +58,15 @@ class DemoOptions:
 
 
 def run_demo(options: DemoOptions) -> ExitCode:
-    """Run the demo; FAILED when a touch was missed or a frame lost."""
+    """Run the demo; FAILED when a touch was missed or a frame lost.
+
+    Raises
+    ------
+    InterruptedCommandError
+        Interrupted before the measurement began; later, an interruption ends the measurement.
+    UserError
+        A part does not start, or ends by itself.
+    """
     plates = {name: load_plate(name) for name in dict.fromkeys(options.plates)}
     return asyncio.run(_Demo(options, plates).run())
 
@@ -80,6 +89,7 @@ class _Demo:
         self._plates = plates
         self._stations: dict[str, _Station] = {}
         self._stop = asyncio.Event()
+        self._setting_up: asyncio.Task[None] | None = None
         self._own_usage = psutil.Process()
         self._prefix = Mqtt().prefix
         self._arrivals: deque[Arrival] = deque()
@@ -87,24 +97,41 @@ class _Demo:
     async def run(self) -> ExitCode:
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            loop.add_signal_handler(number, self._stop.set)
+            loop.add_signal_handler(number, self._end)
         sys.setswitchinterval(_SWITCH_S)
         async with AsyncExitStack() as stack:
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="resonatord-demo-")))
-            self._broker = await stack.enter_async_context(local_broker(folder))
-            url = self._broker.url
-            print_note(f"broker at {url}; watch it too: resonatord watch --url {url}")
-            self._subscription = Subscription(url, self._filters(), self._arrivals.append)
-            stack.callback(self._subscription.close)
-            for name, plate in self._plates.items():
-                await self._start(name, plate, url, folder, stack)
+            self._setting_up = asyncio.create_task(self._set_up(stack))
             try:
-                seconds = await self._measure()
-            finally:
-                for station in self._stations.values():
-                    await station.daemon.stop()
+                await self._setting_up
+            except asyncio.CancelledError:
+                raise InterruptedCommandError("interrupted before the measurement began") from None
+            self._setting_up = None
+            seconds = await self._measure()
+            await asyncio.gather(*(station.daemon.stop() for station in self._stations.values()))
             result = await self._evaluate(seconds)
         return self._conclude(result)
+
+    def _end(self) -> None:
+        self._stop.set()
+        if self._setting_up is not None:
+            self._setting_up.cancel()
+            self._setting_up = None  # what ends the parts is not interrupted
+
+    async def _set_up(self, stack: AsyncExitStack) -> None:
+        """Start all parts and begin the scores; the parts end with the stack."""
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="resonatord-demo-")))
+        self._broker = await stack.enter_async_context(local_broker(folder))
+        url = self._broker.url
+        print_note(f"broker at {url}; watch it too: resonatord watch --url {url}")
+        self._subscription = Subscription(url, self._filters(), self._arrivals.append)
+        stack.callback(self._subscription.close)
+        for name, plate in self._plates.items():
+            await self._start(name, plate, url, folder, stack)
+        await self._wait_for_frames()
+        gc.freeze()  # modules stay in use: collections that visit them delay messages by tens of ms
+        self._load = HostLoad()
+        await self._begin_scores()
+        print_note(f"measuring for {self._options.seconds:g} s")
 
     def _filters(self) -> dict[str, int]:
         """Return the topics that are scored at their full rate, and for the page the decimated topics."""
@@ -114,11 +141,12 @@ class _Demo:
         return filters
 
     async def _start(self, name: str, plate: Plate, broker_url: str, folder: Path, stack: AsyncExitStack) -> None:
-        """Start the processes of one plate; the emulator ends with the stack."""
+        """Start the processes of one plate; they end with the stack."""
         print_note(f"starting emulated board and daemon: {name}")
         emulator, link, truth_path = await start_emulator(name, folder, over_tcp=plate.counter.frames_in_parts)
         stack.push_async_callback(emulator.stop)
         (daemon,) = await start_daemons({f"daemon {name}": "run"}, name, name, link, broker_url, folder)
+        stack.push_async_callback(daemon.stop)
         truth = TruthTable(truth_path)
         score = PlateScore(
             truth,
@@ -145,12 +173,7 @@ class _Demo:
             station.score.join()
 
     async def _measure(self) -> float:
-        """Wait for the first frame of every plate, then measure for the time asked for; return how long it was."""
-        await self._wait_for_frames()
-        print_note(f"measuring for {self._options.seconds:g} s")
-        gc.freeze()  # modules stay in use: collections that visit them delay messages by tens of ms
-        self._load = HostLoad()
-        await self._begin_scores()
+        """Measure for the time asked for; return how long it was."""
         for child in self._children():
             child.mark()
         own_mark_s = cpu_s(self._own_usage)
@@ -180,7 +203,7 @@ class _Demo:
 
     async def _wait_for_frames(self) -> None:
         deadline = time.monotonic() + _START_S
-        while not self._stop.is_set():
+        while True:
             raise_if_ended(self._children())
             self._take_arrivals()
             silent = [name for name, station in self._stations.items() if not station.score.started]
@@ -188,21 +211,21 @@ class _Demo:
                 return
             if time.monotonic() > deadline:
                 raise UserError(f"no frame of {' and '.join(silent)} within {_START_S:g} s")
-            await self._pause(_TURN_S)
+            await asyncio.sleep(_TURN_S)
 
     async def _begin_scores(self) -> None:
         """Request `health` of each daemon; its score begins at the answer."""
         for name, station in self._stations.items():
             station.score.begin()
             self._subscription.publish(full_topic(self._prefix, name, "cmd/health"), b"{}")
-        while not (self._stop.is_set() or all(station.score.begun for station in self._stations.values())):
+        while not all(station.score.begun for station in self._stations.values()):
             raise_if_ended(self._children())
-            await self._pause(_BEGIN_S)
+            await asyncio.sleep(_BEGIN_S)
             self._take_arrivals()
 
     async def _wait_for_last_messages(self) -> None:
-        """Wait up to 10 s for each daemon's last message: the state offline."""
-        deadline = time.monotonic() + _END_S
+        """Wait for each daemon's last message, the state offline: up to 10 s, after Ctrl-C up to 1 s."""
+        deadline = time.monotonic() + (_STOPPED_END_S if self._stop.is_set() else _END_S)
         while time.monotonic() < deadline and not all(each.score.ended for each in self._stations.values()):
             await asyncio.sleep(_TURN_S)
             self._take_arrivals()

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 
+import psutil
 import pytest
 
 pytestmark = pytest.mark.undisturbed
@@ -92,19 +93,30 @@ def test_without_mosquitto_amqtt_is_the_broker() -> None:
     assert plate["force_error_newton_rms"] <= 0.005
 
 
-def test_ctrl_c_ends_it_with_a_result() -> None:
-    demo = subprocess.Popen(
-        [*COMMAND, "--plate", "quartz16", "--headless", "--json"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+def ended_at(progress: str, number: signal.Signals) -> tuple[int, str]:
+    """Run the demo until it prints this, then send the signal; return exit code and output once no child is left."""
+    command = [*COMMAND, "--plate", "quartz16", "--headless", "--json"]
+    demo = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert demo.stderr is not None
-    for line in demo.stderr:
-        if "measuring" in line:
-            break
-    demo.send_signal(signal.SIGINT)
+    assert any(progress in line for line in demo.stderr)
+    children = psutil.Process(demo.pid).children(recursive=True)
+    demo.send_signal(number)
     stdout, stderr = demo.communicate(timeout=60)
-    assert "Traceback" not in stderr
-    assert demo.returncode in (0, 1)
+    _, alive = psutil.wait_procs(children, timeout=60)
+    assert (bool(children), alive, "Traceback" in stderr) == (True, [], False)
+    return demo.returncode, stdout
+
+
+def test_ctrl_c_ends_it_with_a_result() -> None:
+    code, stdout = ended_at("measuring", signal.SIGINT)
+    assert code in (0, 1)
     assert json.loads(stdout)["plates"].keys() == {"quartz16"}
+
+
+def test_ctrl_c_before_the_measurement_ends_it_without_a_result() -> None:
+    code, stdout = ended_at("starting", signal.SIGINT)
+    assert (code, json.loads(stdout)["error"]["code"]) == (1, "interrupted")
+
+
+def test_its_children_end_when_it_is_killed() -> None:
+    assert ended_at("measuring", signal.SIGKILL) == (-signal.SIGKILL, "")
