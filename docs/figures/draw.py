@@ -16,7 +16,7 @@ from scene import (
     COUNT,
     CURVATURE_RADIUS_M,
     DEPTH_M,
-    EDGE_MM,
+    EXTENT_MM,
     FINER,
     FRICTION,
     LOAD_NEWTON,
@@ -110,9 +110,7 @@ def encoding(folder: Path) -> None:
         for column, (image, name) in enumerate(zip(images, ("3 p_n / (2 E)", "eps_xz", "eps_yz"), strict=True)):
             axes = all_axes[row, column]
             limit = np.abs(signals[column]).max()
-            shown = axes.imshow(
-                image, cmap="RdBu_r", vmin=-limit, vmax=limit, origin="lower", extent=(-EDGE_MM, EDGE_MM) * 2
-            )
+            shown = axes.imshow(image, cmap="RdBu_r", vmin=-limit, vmax=limit, origin="upper", extent=EXTENT_MM)
             axes.set_title(f"{'abcdef'[3 * row + column]}) {name}{what}", fontsize="small")
             figure.colorbar(shown, ax=axes, shrink=0.8)
     figure.supxlabel("x, mm", fontsize="small")

@@ -81,7 +81,7 @@ def fingertip(folder: Path) -> None:
         axes.set_title(name, fontsize="medium")
     figure.colorbar(shown, ax=all_axes, shrink=0.85, pad=0.01, label="pressure, kPa")
     for axes in all_axes:
-        axes.set(xlabel="x, mm", xticks=[-5, 0, 5], yticks=[-5, 0, 5], xlim=(-7.2, 7.2), ylim=(-9.2, 9.2))
+        axes.set(xlabel="x, mm", xticks=[-5, 0, 5], yticks=[-5, 0, 5], xlim=(-7.2, 7.2), ylim=(9.2, -9.2))
         axes.spines[:].set_visible(False)
     all_axes[0].set_ylabel("y, mm")
     figure.savefig(folder / "fingertip400.svg")
@@ -105,7 +105,7 @@ def draw_traction(
     """Pressure in colours and shear as arrows, inside the outline."""
     (x0, y0), (x1, y1) = (corner * 1e3 for corner in corners_m)
     kpa = traction_pascal * 1e-3
-    shown = axes.imshow(kpa[2], cmap="viridis", vmin=0.0, vmax=full_kpa, origin="lower", extent=(x0, x1, y0, y1))
+    shown = axes.imshow(kpa[2], cmap="viridis", vmin=0.0, vmax=full_kpa, origin="upper", extent=(x0, x1, y1, y0))
     border = PathPatch(Curve(np.vstack([outline_m, outline_m[:1]]) * 1e3), transform=axes.transData, fill=False)
     axes.add_patch(border)
     shown.set_clip_path(border)
@@ -113,7 +113,7 @@ def draw_traction(
     shear = kpa[:2].reshape(2, -1)
     arrow = (x % PIXELS_PER_ARROW == 0) & (y % PIXELS_PER_ARROW == 0) & (np.hypot(*shear) > WEAK * full_kpa)
     places = (x0 + (x[arrow] + 0.5) / PIXELS_PER_MM, y0 + (y[arrow] + 0.5) / PIXELS_PER_MM)
-    axes.quiver(*places, *shear[:, arrow], color="white", scale=5.0 * full_kpa, width=0.008)
+    axes.quiver(*places, *shear[:, arrow], color="white", scale=5.0 * full_kpa, width=0.008, angles="xy")
     return shown
 
 

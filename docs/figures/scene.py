@@ -19,6 +19,7 @@ LOAD_NEWTON = (
 NOISE_DB = 11.0
 FINER = 3  # pixels of the contact for each sensor, odd: one of them lies above it
 EDGE_MM = COUNT * PITCH_M * 500.0
+EXTENT_MM = (-EDGE_MM, EDGE_MM, EDGE_MM, -EDGE_MM)  # of an image whose row 0 is on top: y downwards
 
 AXIS_M = (np.arange(COUNT) - (COUNT - 1) / 2.0) * PITCH_M
 SITES_M = np.stack(np.meshgrid(AXIS_M, AXIS_M), axis=-1).reshape(-1, 2)

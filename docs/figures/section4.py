@@ -13,6 +13,7 @@ from scene import (
     CURVATURE_RADIUS_M,
     DEPTH_M,
     EDGE_MM,
+    EXTENT_MM,
     FRICTION,
     NOISE_DB,
     PITCH_M,
@@ -118,8 +119,7 @@ def maps(path: Path, fields: Fields, panels: tuple[tuple[str, int, int, float], 
         limit = np.abs(fields[TRUTH][kind][component]).max() * factor
         for (name, found), axes in zip(fields.items(), row, strict=True):
             image = found[kind][component] * factor
-            extent = (-EDGE_MM, EDGE_MM) * 2
-            shown = axes.imshow(image, cmap="RdBu_r", vmin=-limit, vmax=limit, origin="lower", extent=extent)
+            shown = axes.imshow(image, cmap="RdBu_r", vmin=-limit, vmax=limit, origin="upper", extent=EXTENT_MM)
             axes.set_title(f"{label.split(',')[0]}, {name}", fontsize="small")
         figure.colorbar(shown, ax=list(row), label=label, extend="both", pad=0.01)
     figure.supxlabel("x, mm", fontsize="small")

@@ -52,7 +52,7 @@ def depth_inside_mm(place: Point) -> float:
 
 
 def outline_mm() -> list[Point]:
-    """Corners of the outline from the lower left one on, the arcs in steps of 10 degrees."""
+    """Corners of the outline from that of least x and y on, the arcs in steps of 10 degrees."""
     corners = []
     for sign_x, sign_y, begin in ((-1, -1, 18), (1, -1, 27), (1, 1, 0), (-1, 1, 9)):
         radius = TIP_RADIUS_MM if sign_y > 0 else BASE_RADIUS_MM

@@ -170,7 +170,7 @@ class Decoded(Measured):
     """What happens on the skin's surface; components x, y, z in this order."""
 
     traction_pascal: Float32Array = Field(
-        description="float32 [3, ny, nx], or [3, m] at scattered points; what the object exerts, z into the skin"
+        description="float32 [3, ny, nx], or [3, m] at scattered points; what the object exerts on the skin"
     )
     traction_std_pascal: Float32Array | None = Field(
         description="standard deviation of that map, same shape; null where the decoder was not asked for it"

@@ -44,6 +44,7 @@ def write_code_figure(
     for (x_mm, y_mm), code in zip(sites_mm, codes.tolist(), strict=True):
         above.annotate(str(code), (x_mm, y_mm), ha="center", va="center", fontsize="x-small", color="white")
     above.set_aspect("equal")
+    above.invert_yaxis()
     above.set_xlabel("x, mm")
     above.set_ylabel("y, mm")
     above.set_title("Codes on the plate", fontsize="medium")

@@ -26,8 +26,8 @@ def write_density_figure(
     titles
         One for each panel.
     power
-        Spectra, shape (n, m, m), rows along omega_y, NaN where one has no value, as at 0; each panel is scaled to its
-        own maximum.
+        Spectra, shape (n, m, m), rows along omega_y, which points downwards; NaN where one has no value, as at 0.
+        Each panel is scaled to its own maximum.
     omega_rad_per_m
         Frequencies of rows and columns, m of them, odd, increasing, symmetric about 0.
     title
@@ -41,11 +41,11 @@ def write_density_figure(
     axes = figure.subplots(2 * bands, columns, squeeze=False, height_ratios=[3, 1] * bands)
     omega = omega_rad_per_m * 1e-3
     scaled = power / np.nanmax(power, axis=(1, 2), keepdims=True)
-    middle, edges = len(omega) // 2, (omega[0], omega[-1], omega[0], omega[-1])
+    middle, edges = len(omega) // 2, (omega[0], omega[-1], omega[-1], omega[0])
     for index, (name, spectrum) in enumerate(zip(titles, scaled, strict=True)):
         band, column = divmod(index, columns)
         density, profile = axes[2 * band, column], axes[2 * band + 1, column]
-        density.imshow(_filled(spectrum), cmap="Greys", vmin=0.0, vmax=1.0, origin="lower", extent=edges)
+        density.imshow(_filled(spectrum), cmap="Greys", vmin=0.0, vmax=1.0, origin="upper", extent=edges)
         density.set_title(name, fontsize="small")
         density.tick_params(labelbottom=False)
         for angle, along, values in (

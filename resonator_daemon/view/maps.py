@@ -1,4 +1,4 @@
-"""Maps of a plate in characters, x to the right and y upwards: sites with their forces, and a traction in colours."""
+"""Maps of a plate in characters, x to the right and y downwards: sites with their forces, and a traction in colours."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -101,7 +101,7 @@ class _Canvas:
 
     def _place(self, position_m: Point, text: str) -> tuple[int, int]:
         x, y = (np.asarray(position_m) - self._low) / self._size
-        row = self._rows - min(max(math.floor(y * self._rows), 0), self._rows - 1)
+        row = 1 + min(max(math.floor(y * self._rows), 0), self._rows - 1)
         middle = 1 + min(max(math.floor(x * self._columns), 0), self._columns - 1)
         return row, middle - (len(text) - 1) // 2
 
@@ -117,7 +117,7 @@ def _border(outline_m: tuple[Point, ...], rows: int, columns: int) -> NDArray[np
     """Return which of (rows + 2, columns + 2) cells, the top row first, lie outside the outline and next to it."""
     (x0, y0), (x1, y1) = np.min(outline_m, axis=0), np.max(outline_m, axis=0)
     x = x0 + (x1 - x0) * (np.arange(-1, columns + 1) + 0.5) / columns
-    y = (y1 - (y1 - y0) * (np.arange(-1, rows + 1) + 0.5) / rows)[:, np.newaxis]
+    y = (y0 + (y1 - y0) * (np.arange(-1, rows + 1) + 0.5) / rows)[:, np.newaxis]
     inside = inside_outline(outline_m, x, y)
     around = np.pad(inside, 1)
     near = np.zeros_like(inside)
@@ -145,7 +145,8 @@ def pooling(shape: tuple[int, int], rows: int, columns: int) -> int:
 def traction_map(traction_pascal: NDArray[np.floating], full_pascal: float, pool: int, *, colours: bool) -> list[Line]:
     """Draw a traction (ny, nx), two pixels in a character: from 0, dark, to the full value; "?" is unknown.
 
-    Without colours characters that are more and more dense take their place. Pixels outside the plate stay empty.
+    Row 0 is on top. Without colours characters that are more and more dense take their place. Pixels outside the
+    plate stay empty.
     """
     pooled = _pooled(np.asarray(traction_pascal, np.float64), pool)
     if len(pooled) % 2:
@@ -156,7 +157,7 @@ def traction_map(traction_pascal: NDArray[np.floating], full_pascal: float, pool
     levels[np.isnan(pooled)] = _UNKNOWN
     levels[pooled == OUTSIDE_PASCAL] = _OUTSIDE
     cell = _coloured if colours else _dense
-    pairs = zip(levels[::-2].tolist(), levels[-2::-2].tolist(), strict=True)
+    pairs = zip(levels[::2].tolist(), levels[1::2].tolist(), strict=True)
     return [list(Segment.simplify(map(cell, upper, lower))) for upper, lower in pairs]
 
 

@@ -30,7 +30,7 @@ class Truth:
     """Truth of an emulated plate, shown next to the measurement."""
 
     contacts: tuple[TrueContact, ...]
-    traction_z_pascal: NDArray[np.float64] | None  # (ny, nx), y upwards, or at the sites (n,); positive where pressed
+    traction_z_pascal: NDArray[np.float64] | None  # (ny, nx), or at the sites (n,); positive where pressed
     latency_ms: tuple[float, float] | None  # from touch to subscriber: median and 99 %
     losses: Mapping[str, int] = field(default_factory=dict)  # by cause, since the measurement began
 

@@ -16,7 +16,7 @@ _NOWHERE: Final = -1
 def as_pixels(
     values_pascal: NDArray[np.floating], outline_m: tuple[Point, ...], positions_m: tuple[Point, ...]
 ) -> NDArray[np.float64]:
-    """Return values (n,) at positions (n, 2) as (ny, nx), y upwards, for `traction_map`."""
+    """Return values (n,) at positions (n, 2) as (ny, nx), row 0 at the least y, for `traction_map`."""
     nearest = _nearest_sites(outline_m, positions_m)
     return np.where(nearest == _NOWHERE, OUTSIDE_PASCAL, np.asarray(values_pascal, np.float64)[nearest])
 

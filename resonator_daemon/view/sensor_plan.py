@@ -177,7 +177,7 @@ class SensorPlan:
         yield ""
         edge = _EDGE_IN_DEPTHS / self._sensors.depth_m
         yield (
-            f"Power density of each signal, then of the set: omega_x to the right and omega_y upwards, to "
+            f"Power density of each signal, then of the set: omega_x to the right and omega_y downwards, to "
             f"{1e-3 * edge:.3g} rad/mm; {'bright' if colours else 'dense'} is strong, each scaled to its own maximum."
         )
         yield from self._pictures(options.max_width, colours=colours)

@@ -42,7 +42,7 @@ async def discover(broker_url: str, folder: Path) -> str:
 def drawn(picture: Path, kind: str) -> tuple[list[str | None], np.ndarray]:
     """Return what the circles of a kind are called, and where they are on the plate, in m."""
     circles = [each for each in ElementTree.parse(picture).iter(CIRCLE) if each.get("class") == kind]
-    places = np.array([(float(each.get("cx", "nan")), -float(each.get("cy", "nan"))) for each in circles])
+    places = np.array([(float(each.get("cx", "nan")), float(each.get("cy", "nan"))) for each in circles])
     return [each.findtext("{http://www.w3.org/2000/svg}title") for each in circles], places / 1e3
 
 
@@ -53,7 +53,7 @@ def assert_drawn_in_place(plate: Plate, picture: Path) -> None:
     np.testing.assert_allclose(drawn(picture, "transducer")[1], plate.transducers_m, atol=1e-8)
     (outline,) = ElementTree.parse(picture).iter("{http://www.w3.org/2000/svg}polygon")
     corners = [[float(number) for number in corner.split(",")] for corner in outline.get("points", "").split()]
-    np.testing.assert_allclose(np.array(corners) * (1e-3, -1e-3), plate.outline_m, atol=1e-8)
+    np.testing.assert_allclose(np.array(corners) / 1e3, plate.outline_m, atol=1e-8)
 
 
 async def test_every_plate_is_drawn_from_its_info(broker, tmp_path: Path) -> None:

@@ -1,10 +1,9 @@
-"""The figure of power densities: dark is strong, x to the right, y upwards, profiles below."""
+"""The figure of power densities: dark is strong, x to the right, y downwards, profiles below."""
 
 import math
 from pathlib import Path
 
 import numpy as np
-import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
@@ -18,28 +17,15 @@ def blob(wx: float, wy: float) -> np.ndarray:
     return np.exp(-20.0 * ((OMEGA * 1e-3 - wx) ** 2 + (OMEGA[:, None] * 1e-3 - wy) ** 2))
 
 
-@pytest.fixture
-def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    """Every figure as it is saved."""
-    saved: list[Figure] = []
-    save = Figure.savefig
-
-    def remember(figure: Figure, *arguments: object) -> None:
-        saved.append(figure)
-        save(figure, *arguments)
-
-    monkeypatch.setattr(Figure, "savefig", remember)
-    return saved
-
-
 def test_dark_is_strong_and_every_panel_has_its_own_scale(tmp_path: Path, figures: list[Figure]) -> None:
     path = tmp_path / "two.png"
-    write_density_figure(path, ["right", "up"], np.stack([blob(1.0, 0.0), 7.0 * blob(0.0, 1.0)]), OMEGA, "both")
+    write_density_figure(path, ["right", "down"], np.stack([blob(1.0, 0.0), 7.0 * blob(0.0, 1.0)]), OMEGA, "both")
     picture = imread(path)[..., :3].mean(axis=-1)
     figure = figures[0]
     height = picture.shape[0]
     for axes, dark, light in zip(figure.axes[:2], ((1.0, 0.0), (0.0, 1.0)), ((-1.0, 0.0), (0.0, -1.0)), strict=True):
         (dark_x, dark_y), (light_x, light_y) = axes.transData.transform([dark, light]).round().astype(int)
+        assert (np.sign(dark_x - light_x), np.sign(light_y - dark_y)) == dark
         assert picture[height - dark_y, dark_x] < 0.05
         assert picture[height - light_y, light_x] > 0.95
 

@@ -1,4 +1,4 @@
-"""Maps in characters: everything is where it is on the plate, x to the right and y upwards."""
+"""Maps in characters: everything is where it is on the plate, x to the right and y downwards."""
 
 import math
 
@@ -40,10 +40,10 @@ def pixels_of(lines: list[list[Segment]]) -> list[list[tuple[int, int, int]]]:
 
 def test_sites_lie_where_they_are_on_the_plate() -> None:
     marks = [
-        untouched("1", -0.0095, 0.0095),
-        untouched("2", 0.0095, 0.0095),
-        untouched("3", -0.0095, -0.0095),
-        untouched("4", 0.0, -0.0095),
+        untouched("1", -0.0095, -0.0095),
+        untouched("2", 0.0095, -0.0095),
+        untouched("3", -0.0095, 0.0095),
+        untouched("4", 0.0, 0.0095),
     ]
     lines = text_of(site_map(SQUARE_M, marks, 10.0, rows=12, columns_max=80))
     # 10 rows of 2 mm and 20 columns of 1 mm inside the border
@@ -59,12 +59,12 @@ def test_the_outline_is_drawn_also_where_it_is_not_convex() -> None:
     notched_m = ((0.0, 0.0), (0.02, 0.0), (0.02, 0.01), (0.01, 0.01), (0.01, 0.02), (0.0, 0.02))
     lines = text_of(site_map(notched_m, [], 10.0, rows=6, columns_max=80))
     assert lines == [
-        "······    ",
-        "·    ·    ",
-        "·    ·····",
-        "·        ·",
-        "·        ·",
         "··········",
+        "·        ·",
+        "·        ·",
+        "·    ·····",
+        "·    ·    ",
+        "······    ",
     ]
 
 
@@ -88,13 +88,13 @@ def test_a_pressed_pixel_lies_where_it_is_on_the_skin(x: int, y: int) -> None:
     traction[y, x] = 1e4
     drawn = pixels_of(traction_map(traction, 1e4, 1, colours=True))
     assert len(drawn) == 6
-    assert drawn[5 - y][x] == BRIGHT
+    assert drawn[y][x] == BRIGHT
     assert sum(colour != DARK for row in drawn for colour in row) == 1
 
 
 def test_pixels_outside_the_plate_are_empty() -> None:
     outside = -math.inf
-    traction = np.array([[outside, 0.0, 0.0, outside], [outside, 1.0, outside, 1.0]])  # the lower row first
+    traction = np.array([[outside, 1.0, outside, 1.0], [outside, 0.0, 0.0, outside]])  # the upper row first
     (line,) = traction_map(traction, 1.0, 1, colours=True)
     cells = [(letter, segment.style) for segment in line for letter in segment.text]
     assert [letter for letter, _ in cells] == [" ", "▀", "▄", "▀"]
@@ -105,7 +105,7 @@ def test_pixels_outside_the_plate_are_empty() -> None:
 
 def test_unknown_pixels_are_question_marks() -> None:
     traction = np.zeros((4, 3))
-    traction[0, 2] = math.nan
+    traction[3, 2] = math.nan
     for colours in (True, False):
         top, bottom = text_of(traction_map(traction, 1.0, 1, colours=colours))
         assert "?" not in top

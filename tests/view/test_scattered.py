@@ -1,4 +1,4 @@
-"""Scattered sites as pixels: the nearest site's value inside the outline, nothing outside, y upwards."""
+"""Scattered sites as pixels: the nearest site's value inside the outline, nothing outside, row 0 at the least y."""
 
 import math
 

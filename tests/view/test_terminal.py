@@ -58,7 +58,7 @@ def words(text: str) -> str:
 
 
 def skin_tractions() -> np.ndarray:
-    """1 N of pressure and 0.5 N of shear, at 30° from x, all on one pixel right of the middle and above it."""
+    """1 N of pressure and 0.5 N of shear, at 30° from x, all on one pixel right of the middle and below it."""
     traction = np.zeros((3, 32, 32))
     traction[:, 24, 20] = np.array([0.5 * math.cos(math.pi / 6), 0.25, 1.0]) / PIXEL_M2
     return traction

@@ -78,8 +78,8 @@ def draw(info, lines):
 
 
 def to_mm(point_m):
-    """Return a place on the plate in the picture, where y runs downwards."""
-    return 1e3 * point_m[0], -1e3 * point_m[1]
+    """Return a place on the plate in the picture; in both x is to the right and y downwards."""
+    return 1e3 * point_m[0], 1e3 * point_m[1]
 
 
 def text(x, y, words, size, anchor):

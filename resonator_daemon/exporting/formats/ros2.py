@@ -54,7 +54,7 @@ _DATATYPES: Final = {"<u2": 4, "<f4": 7, "<f8": 8}  # UINT16, FLOAT32, FLOAT64 o
 class Format(McapOutput):
     """Messages of kinds that ROS has, under `/NAME/...`, and contacts in a kind that comes with the file.
 
-    Coordinates are the plate's, whose frame has its name: x to the right, z into the plate; metres.
+    Coordinates are the plate's, whose frame has its name: x to the right, y downwards, z into the plate; metres.
     """
 
     profile = "ros2"
