@@ -1,5 +1,6 @@
 """Interface of links, and the file-descriptor link that serial ports and sockets share."""
 
+import errno
 import os
 import select
 import time
@@ -12,6 +13,7 @@ WRITE_TIMEOUT_S = 1.0  # in which a board must take what it is sent
 _READ_BYTES = 1 << 18  # about this much a call, so that a flood is handed on in pieces
 _TERMINAL_BYTES, _TERMINAL_BYTES_MAX = 2048, 4096  # a terminal with more waiting never gives less, nor ever more
 _SELECT_LIMIT = 1024  # descriptors that select can wait for
+_CLOSED = frozenset({errno.ECONNRESET, errno.EPIPE})  # by the other end, as an end of the stream
 _BROKEN = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
@@ -56,11 +58,14 @@ class FileDescriptorLink:
         Non-blocking, open for reading and writing.
     close
         Gives the descriptor back; called once.
+    refusal
+        What a stream means that ends before a byte has come; None: unplugged, as later.
     """
 
-    def __init__(self, descriptor: int, close: Callable[[], None]) -> None:
+    def __init__(self, descriptor: int, close: Callable[[], None], refusal: str | None = None) -> None:
         self._descriptor = descriptor
         self._close: Callable[[], None] | None = close
+        self._ended = refusal or "unplugged"  # until a byte has come
         self._lost: str | None = None
         self._buffer = memoryview(bytearray(_READ_BYTES))
         self._readable = select.poll()
@@ -78,7 +83,7 @@ class FileDescriptorLink:
             return b""
         data = self._drain()
         if not data and self._lost is None and any(state & _BROKEN for _, state in self._readable.poll(0)):
-            self._lost = "unplugged (hung up)"  # the next wait would return at once again, for ever
+            self._lost = f"{self._ended} (hung up)"  # the next wait would return at once again, for ever
         if not data:
             self._check()
         return data
@@ -95,7 +100,7 @@ class FileDescriptorLink:
             except BlockingIOError:
                 continue
             except OSError as error:
-                raise LinkLostError(f"unplugged ({error.strerror})") from error
+                raise LinkLostError(self._error(error)) from error
 
     def reset(self) -> None:
         self._check()
@@ -124,15 +129,19 @@ class FileDescriptorLink:
             except BlockingIOError:
                 break
             except OSError as error:
-                self._lost = f"unplugged ({error.strerror})"
+                self._lost = self._error(error)
                 break
             if not piece_bytes:
-                self._lost = "unplugged (end of stream)"
+                self._lost = f"{self._ended} (end of stream)"
                 break
+            self._ended = "unplugged"
             size += piece_bytes
             if piece_bytes < _TERMINAL_BYTES or piece_bytes > _TERMINAL_BYTES_MAX:
                 break  # a socket gives all that has come
         return bytes(buffer[:size])
+
+    def _error(self, error: OSError) -> str:
+        return f"{self._ended if error.errno in _CLOSED else 'unplugged'} ({error.strerror})"
 
     def _check(self) -> None:
         # A closed descriptor's number may be somebody else's by now.

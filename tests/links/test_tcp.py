@@ -68,6 +68,12 @@ def test_a_board_that_vanished_without_a_word_is_noticed(connected: Connected) -
         assert connected.link.read(AMPLE_S) == b""
 
 
+def test_a_board_that_serves_another_program_is_not_unplugged(connected: Connected) -> None:
+    connected.board.close()
+    with pytest.raises(LinkLostError, match="one program at a time"):
+        connected.link.read(AMPLE_S)
+
+
 def test_a_host_that_does_not_answer_is_given_up() -> None:
     with socket.create_server(("127.0.0.1", 0), backlog=0) as busy:
         where = target(busy)

@@ -21,6 +21,11 @@ CONNECT_TIMEOUT_S = 3.0
 _IDLE_S, _PROBE_S, _PROBES = 1, 1, 3
 UNACKNOWLEDGED_MS = 4000
 
+_REFUSAL = (
+    "the board closed the connection before it sent a byte: it serves one program at a time; "
+    "stop the one that it serves, such as a running daemon (resonatord status lists those of this computer)"
+)
+
 
 @dataclass(frozen=True)
 class TcpTarget(LinkTarget):
@@ -81,7 +86,7 @@ def open_tcp(
             except OSError as error:
                 reasons.append(f"{address[0]!s}: {_reason(error)}")
             else:
-                return FileDescriptorLink(connection.fileno(), connection.close)
+                return FileDescriptorLink(connection.fileno(), connection.close, _REFUSAL)
     except (OSError, UnicodeError) as error:  # UnicodeError: no host can have such a name
         raise LinkUnavailableError(f"{target} does not answer: no such host ({_reason(error)})") from error
     raise LinkUnavailableError(f"{target} does not answer ({'; '.join(reasons)})")
