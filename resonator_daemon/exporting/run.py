@@ -14,6 +14,7 @@ from resonator_daemon.exporting.formats import FORMATS, ROS2, format_class
 from resonator_daemon.exporting.output import Output, Recorded
 from resonator_daemon.host.new_file import check_new, takes_a_stream
 from resonator_daemon.publishing.units import UNITS
+from resonator_daemon.recording.reader import damage_in_words
 from resonator_daemon.replay.progress import Progress
 from resonator_daemon.replay.recorded_pipeline import Moment, RecordingReplay
 from resonator_daemon.replay.source import open_replay
@@ -152,7 +153,7 @@ def _metadata(path: Path, config: Config) -> dict[str, str]:
 def _what_is_wrong(replaying: RecordingReplay, output: Output, target: Target, span: Span) -> Sequence[str]:
     wrong = []
     if replaying.damage is not None:
-        wrong.append(f"the file is {replaying.damage}; all before that was exported")
+        wrong.append(damage_in_words(replaying.damage, "exported"))
     if replaying.differences:
         wrong.append(f"the replay differs from what is recorded in {replaying.differences} places")
     if replaying.refused:

@@ -138,6 +138,11 @@ class Origin:
         return {name: text for name, text in texts.items() if text is not None}
 
 
+def damage_in_words(damage: str, done: str) -> str:
+    """Return a sentence for the damage of a file, what was done with what came before it, and the remedy."""
+    return f"the file is {damage}; all before that was {done}; resonatord repair FILE copies all that is whole"
+
+
 @dataclass(eq=False)
 class Recording:
     """An open recording.

@@ -15,6 +15,7 @@ from resonator_daemon.host.new_file import interruptible
 from resonator_daemon.host.printable import printable
 from resonator_daemon.publishing.payloads import Info
 from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.recording.reader import damage_in_words
 from resonator_daemon.replay.broker import AtBroker
 from resonator_daemon.replay.outputs import Lines, Output
 from resonator_daemon.replay.pacing import AtSpeed, Pacing, StepByStep
@@ -91,7 +92,7 @@ def what_is_wrong(differences: int, damage: str | None) -> list[str]:
     """Return a sentence for damage of the file, and one for differences from what is recorded."""
     wrong = []
     if damage is not None:
-        wrong.append(f"the file is {damage}; all before that was replayed")
+        wrong.append(damage_in_words(damage, "replayed"))
     if differences:
         wrong.append(f"the replay differs from what is recorded in {differences} places")
     return wrong

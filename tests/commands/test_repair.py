@@ -176,7 +176,7 @@ def test_what_a_replay_cannot_read_is_left_out_and_told(tmp_path: Path, capsys: 
     assert [type(event) for event in events] == [Closed, Skipped, Closed]
     assert events[1] == Skipped(events[2].now, 1, 24)
     printed = capsys.readouterr().err
-    assert "run.mcap: 3 entries that cannot be read are left out; 1 events are missing; " in printed
+    assert "run.mcap: 3 unreadable records are left out; 1 event is missing; " in printed
     assert printed.endswith("; it does not carry its plate file and settings: replay it with --config FILE\n")
     assert repair(copy, tmp_path / "again.mcap").was_whole
 

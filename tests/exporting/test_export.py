@@ -86,7 +86,7 @@ def test_of_a_file_that_was_cut_off_all_that_is_whole_is_exported(
     assert export(recording("cut-off"), "--output", path, "--topics", "forces", "--json") == 1
     printed = capsys.readouterr()
     assert json.loads(printed.out)["damage"] == "cut off"
-    assert f"{recording('cut-off')}: the file is cut off; all before that was exported\n" in printed.err
+    assert f"{recording('cut-off')}: the file is cut off; all before that was exported; " in printed.err
     assert len(path.read_text().splitlines()) == 1 + len(played("cut-off").messages("forces"))
 
 

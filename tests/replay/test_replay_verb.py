@@ -137,7 +137,7 @@ def test_a_damaged_file_is_played_up_to_there(case: str, capsys: pytest.CaptureF
     assert replay(CORPUS / case / "recording.mcap", "--to", "-") == 1
     said = capsys.readouterr()
     assert said.out.count('"topic":"forces"') >= 30
-    assert said.err.splitlines()[-1].endswith("; all before that was replayed")
+    assert said.err.splitlines()[-1].endswith("; resonatord repair FILE copies all that is whole")
 
 
 @pytest.mark.parametrize(
