@@ -103,6 +103,7 @@ class Service:
         self._ages = Ages()
         self._in_use = ConfigInUse(store)
         config = self._in_use.config
+        self._config_path = store.path
         self._file_stem = store.path.stem
         self._instance = as_json_text(self._file_stem)
         loop = asyncio.get_running_loop()
@@ -348,7 +349,7 @@ class Service:
             "decoding": self._pipeline.sensor.run(),
             "watchdog": self._keep_watch(),
             "reloading": self._keep_reloading(),
-            "status": StatusServer(socket, self._status).run(),
+            "status": StatusServer(socket, self._config_path, self._status).run(),
         }
         if (listen := self._config.metrics.listen) is not None:
             helpers["metrics"] = MetricsServer(listen, self._status).run()

@@ -13,6 +13,8 @@ from resonator_daemon.publishing.payloads import Condition, State
 _BOOT_ID_LENGTH_MAX: Final = 64
 _OTHERS_MAX: Final = 4  # that are named; nobody runs more under one name, but anyone may claim to
 
+_REMEDY: Final = "stop one of them, or, if they read different boards, give each a name of its own"
+
 log = logging.getLogger(__name__)
 
 
@@ -79,8 +81,7 @@ class DaemonState:
         reason = self._reason
         if self._others:
             reason += (
-                f"; another daemon (boot id {', '.join(sorted(self._others))}) publishes under this name: stop one of "
-                "them, or give it another name"
+                f"; another daemon (boot id {', '.join(sorted(self._others))}) publishes under this name: {_REMEDY}"
             )
         return DaemonSnapshot(self._condition, reason, self._since_utc_ns, self._connections, self._connected_utc_ns)
 
@@ -119,9 +120,6 @@ class DaemonState:
         elif boot_id not in (self._daemon_boot_id, *self._others) and len(self._others) < _OTHERS_MAX:
             self._others.add(boot_id)
             log.warning(
-                "another daemon (boot id %s) publishes under this name on %s; "
-                "stop one of them, or give it another name",
-                boot_id,
-                message.topic,
+                "another daemon (boot id %s) publishes under this name on %s: %s", boot_id, message.topic, _REMEDY
             )
             self._announce(self.snapshot)

@@ -22,6 +22,7 @@ _MODE: Final = 0o660
 _BACKLOG: Final = 128
 _TOGETHER: Final = 25  # connections, then a pause: 500 a second at most, about a tenth of a core
 _FRESH_S: Final = 0.1  # those who ask within it get the same answer
+_CONFIG_BYTES_MAX: Final = 4096  # PATH_MAX
 _CREDENTIALS: Final = struct.Struct("3i")  # pid, uid, gid of SO_PEERCRED
 
 log = logging.getLogger(__name__)
@@ -43,14 +44,17 @@ class StatusServer:
     ----------
     path
         Of the socket. A file next to it, `status.lock`, is locked meanwhile and stays.
+    config
+        Path of the daemon's configuration file, written to the lock for another daemon that finds it locked.
     make
         Makes the answer; called on the event loop's thread, at most ten times a second.
     times
     """
 
-    def __init__(self, path: Path, make: Callable[[], Status], times: StatusTimes | None = None) -> None:
+    def __init__(self, path: Path, config: Path, make: Callable[[], Status], times: StatusTimes | None = None) -> None:
         self._times = times or StatusTimes()
         self._path = path
+        self._config = os.fsencode(config.resolve())
         self._make = make
         self._made = b""
         self._made_s = -_FRESH_S
@@ -104,7 +108,7 @@ class StatusServer:
                 "at most; give the configuration file a shorter name, or set XDG_RUNTIME_DIR to a shorter path"
             )
         make_private(self._path.parent)
-        with _alone(self._path) as lock, socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listening:
+        with _alone(self._path, self._config) as lock, socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listening:
             _remove_socket(self._path)  # left by a daemon that was killed: ours is the lock
             listening.setblocking(False)
             listening.bind(os.fspath(self._path))
@@ -161,7 +165,7 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 
 @contextlib.contextmanager
-def _alone(path: Path) -> Iterator[Path]:
+def _alone(path: Path, config: bytes) -> Iterator[Path]:
     """Hold the lock next to the socket and yield its path; OSError where another process does."""
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
     lock = os.open(path.with_suffix(".lock"), flags, 0o600)
@@ -169,10 +173,15 @@ def _alone(path: Path) -> Iterator[Path]:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise OSError(
-                f"{_listener(path)} answers on {path}, for a configuration file of the same name; give one of both "
-                "files another name"
-            ) from None
+            others = os.pread(lock, _CONFIG_BYTES_MAX, 0)
+            if others == config:
+                what = "runs with this configuration file already; stop one of both"
+            else:
+                named = f" ({os.fsdecode(others)})" if others else ""
+                what = f"runs with a configuration file of the same name{named}; rename one of both files"
+            raise OSError(f"{_listener(path)}, which answers on {path}, {what}") from None
+        os.ftruncate(lock, 0)
+        os.pwrite(lock, config, 0)
         yield path.with_suffix(".lock")
     finally:
         os.close(lock)

@@ -48,7 +48,7 @@ async def daemons(*statuses: Status) -> AsyncIterator[None]:
     async with AsyncExitStack() as stack, asyncio.timeout(DEADLINE_S):
         for status in statuses:
             path = runtime_directory(status.instance) / SOCKET_NAME
-            task = asyncio.create_task(StatusServer(path, lambda status=status: status).run())
+            task = asyncio.create_task(StatusServer(path, Path("hand.toml"), lambda status=status: status).run())
             stack.push_async_callback(asyncio.wait, [task])
             stack.callback(task.cancel)
             while not listens(path):  # noqa: ASYNC110 - a socket that is not there yet has no event

@@ -17,6 +17,7 @@ from resonator_daemon.monitoring.status import Status
 from resonator_daemon.monitoring.status_server import PATH_BYTES_MAX, StatusServer, StatusTimes
 
 DEADLINE_S = 20.0
+CONFIG = Path("hand.toml")
 
 
 @pytest.fixture
@@ -28,7 +29,7 @@ def path(tmp_path: Path) -> Path:
 async def serving(
     path: Path, make: Callable[[], Status] = status_samples.status, **times: float
 ) -> AsyncIterator[None]:
-    task = asyncio.create_task(StatusServer(path, make, StatusTimes(**times)).run())
+    task = asyncio.create_task(StatusServer(path, CONFIG, make, StatusTimes(**times)).run())
     try:
         yield
     finally:
@@ -81,15 +82,17 @@ sys.path.insert(0, sys.argv[2])
 import status_samples
 from pathlib import Path
 from resonator_daemon.monitoring.status_server import StatusServer
-asyncio.run(StatusServer(Path(sys.argv[1]), lambda: status_samples.status(instance="other")).run())
+path, config = map(Path, (sys.argv[1], sys.argv[3]))
+asyncio.run(StatusServer(path, config, lambda: status_samples.status(instance="other")).run())
 """
 
 
+@pytest.mark.parametrize(("config", "remedy"), [("hand.toml", "stop one"), ("other/hand.toml", "rename one")])
 async def test_a_living_daemons_socket_is_not_taken_and_becomes_free_when_it_ends(
-    path: Path, caplog: pytest.LogCaptureFixture
+    path: Path, caplog: pytest.LogCaptureFixture, config: str, remedy: str
 ) -> None:
     tests = Path(__file__).parents[1] / "support"
-    with subprocess.Popen([sys.executable, "-c", OTHER_DAEMON, str(path), str(tests)]) as other:
+    with subprocess.Popen([sys.executable, "-c", OTHER_DAEMON, str(path), str(tests), config]) as other:
         try:
             await until(lambda: path.exists() and listens(path))
             async with serving(path, retry_s=0.01):
@@ -98,7 +101,8 @@ async def test_a_living_daemons_socket_is_not_taken_and_becomes_free_when_it_end
                     await asyncio.sleep(0.01)  # tries again, and says nothing new
                 assert json.loads(await ask(path))["instance"] == "other"
                 assert len(caplog.records) == 1
-                assert f"process {other.pid} answers on {path}" in caplog.text
+                assert f"process {other.pid}, which answers on {path}, " in caplog.text
+                assert remedy in caplog.text
                 other.kill()
                 await until(lambda: other.poll() is not None)
                 await until(lambda: listens(path))
