@@ -21,8 +21,10 @@ class Word(StrEnum):
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         plain = handler.resolve_ref_schema(handler(schema))
-        plain.pop("enum", None)
-        plain["oneOf"] = [{"const": str(word), "description": word.meaning} for word in cls]
+        about = [plain["description"], *(f"- `{word}`: {word.meaning}" for word in cls)]
+        plain["description"] = "\n".join(about)
+        plain["x-enum-varnames"] = [word.name for word in cls]
+        plain["x-enum-descriptions"] = [word.meaning for word in cls]
         return plain
 
 

@@ -1,17 +1,30 @@
-"""JSON schemas (draft 7, as AsyncAPI has them) of the payloads, from their pydantic models."""
+"""JSON schemas (draft 7, as AsyncAPI has them) of the payloads, from their pydantic models.
 
-from collections.abc import Callable, Iterable
+Their form is one that code generators (modelina, json-schema-to-typescript) turn into types without loss:
+
+- A value that may be null has the type `[T, "null"]`, or is `anyOf` a `$ref` and null. Its key is in `dependencies`
+  instead of `required`: generators make pointers of optional keys only.
+- A set of words is an `enum` of its own, by name.
+- What has a name is referred to by a bare `$ref`; the meaning of the key is then in the description of the object.
+- Messages include their header by `allOf`.
+"""
+
+from collections.abc import Callable, Collection, Iterable
 from typing import Any, Final
 
 from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode, models_json_schema
 from pydantic_core import core_schema
 
+from resonator_daemon.publishing.payload_types import Header, Measured
 from resonator_daemon.publishing.units import unit_of
 
 REF: Final = "#/components/schemas/{model}"
 
 Schema = dict[str, Any]
+
+_HEADERS: Final = (Measured, Header)  # the one with more keys first
+_NULL: Final = {"type": "null"}
 
 
 class _Untitled(GenerateJsonSchema):
@@ -34,16 +47,17 @@ class _Published(_Untitled):
 
 
 def schemas_of_json(models: Iterable[type[BaseModel]]) -> dict[str, Schema]:
-    """Return the schemas, by name, of messages that are published as JSON, and of their parts."""
-    return _generate(models, "serialization", _Published)
+    """Return the schemas, by name, of messages that are published as JSON, and of their parts and headers."""
+    return _generate([*models, *_HEADERS], "serialization", _Published)
 
 
 def schemas_of_cbor(models: Iterable[type[BaseModel]]) -> dict[str, Schema]:
     """Return those of messages that are published as CBOR, once their typed arrays are read as rows of numbers.
 
     Numbers are numbers in CBOR, so that these are the schemas of what the models take, not of the JSON they give.
+    The headers' names end in `InCbor`.
     """
-    return _generate(models, "validation", _Published)
+    return _generate([*models, *_HEADERS], "validation", _Published, header_suffix="InCbor")
 
 
 def schemas_of_requests(models: Iterable[type[BaseModel]]) -> dict[str, Schema]:
@@ -52,11 +66,52 @@ def schemas_of_requests(models: Iterable[type[BaseModel]]) -> dict[str, Schema]:
 
 
 def _generate(
-    models: Iterable[type[BaseModel]], mode: JsonSchemaMode, generator: type[GenerateJsonSchema]
+    models: Iterable[type[BaseModel]],
+    mode: JsonSchemaMode,
+    generator: type[GenerateJsonSchema],
+    *,
+    header_suffix: str = "",
 ) -> dict[str, Schema]:
-    wanted: list[tuple[type[BaseModel], JsonSchemaMode]] = [(model, mode) for model in models]
-    _, generated = models_json_schema(wanted, ref_template=REF, schema_generator=generator)
-    return {name: _as_draft_7(schema) for name, schema in generated["$defs"].items()}
+    wanted: list[tuple[type[BaseModel], JsonSchemaMode]] = [(model, mode) for model in dict.fromkeys(models)]
+    references, generated = models_json_schema(wanted, ref_template=REF, schema_generator=generator)
+    classes = {reference["$ref"].rpartition("/")[2]: model for (model, _), reference in references.items()}
+    schemas = {}
+    for name, schema in generated["$defs"].items():
+        model = classes.get(name)
+        published = name + header_suffix if model in _HEADERS else name
+        header = next((base for base in _HEADERS if model is not None and base in model.__mro__[1:]), None)
+        inherited = () if header is None else header.model_fields.keys()
+        schemas[published] = _component(published, schema, inherited)
+        if header is not None:
+            own = schemas[published]
+            about = {key: own.pop(key) for key in ("title", "description")}
+            included = {"$ref": REF.format(model=header.__name__ + header_suffix)}
+            schemas[published] = about | {"allOf": [included, own]}
+    return schemas
+
+
+def _component(name: str, schema: Schema, inherited: Collection[str]) -> Schema:
+    """Return the schema of a named type, without the keys that its header has."""
+    component: Schema = _as_draft_7(schema) | {"title": name}
+    if "properties" not in component:
+        return component
+    keys, required = component["properties"], component.pop("required", [])
+    certain = [key for key in required if not _may_be_null(keys[key])]
+    own = {key: value for key, value in keys.items() if key not in inherited}
+    referring = {key: value.pop("description") for key, value in own.items() if "$ref" in value and len(value) > 1}
+    about = [component["description"], *(f"- `{key}`: {meaning}" for key, meaning in referring.items())]
+    component |= {"description": "\n".join(about), "properties": own}
+    if own_certain := [key for key in certain if key in own]:
+        component["required"] = own_certain
+    if uncertain := [key for key in required if key in own and key not in certain]:
+        if not certain:
+            raise ValueError(f"{name}: needs a key that is never null")
+        component["dependencies"] = {certain[0]: uncertain}
+    return component
+
+
+def _may_be_null(schema: Schema) -> bool:
+    return "null" in schema.get("type", ()) or _NULL in schema.get("anyOf", ())
 
 
 def _as_draft_7(schema: Any) -> Any:
@@ -69,9 +124,34 @@ def _as_draft_7(schema: Any) -> Any:
     if "prefixItems" in converted:
         items = converted.pop("prefixItems")
         converted["items"] = items[0] if all(item == items[0] for item in items) else items
-    if "$ref" in converted and len(converted) > 1:  # what stands next to a reference would be passed over
-        converted["allOf"] = [{"$ref": converted.pop("$ref")}]
+    if _NULL in converted.get("anyOf", ()):
+        converted = _nullable(converted)
+    if converted.get("type") == "array":
+        converted = _array(converted)
     return converted
+
+
+def _nullable(schema: Schema) -> Schema:
+    """Return the form of a value or null."""
+    value: Schema
+    (value,) = (part for part in schema["anyOf"] if part != _NULL)
+    if "$ref" in value:
+        return schema | {"title": f"{value['$ref'].rpartition('/')[2]}OrNull"}
+    if "enum" in value:
+        raise ValueError(f"{schema}: words that may be null need a type of their own, with a name")
+    outer = {key: part for key, part in schema.items() if key != "anyOf"}
+    return value | outer | {"type": [value["type"], "null"]}
+
+
+def _array(schema: Schema) -> Schema:
+    """Return an array whose elements may be null as a list of them: generators lose it in an array of any length."""
+    items = schema.get("items", {})
+    if isinstance(items, list) or not _may_be_null(items):
+        return schema
+    length = schema.get("minItems")
+    if length is None or length != schema.get("maxItems"):
+        raise ValueError(f"{schema}: an array of values that may be null must have a fixed length")
+    return schema | {"items": [items] * length, "additionalItems": False}
 
 
 def _properties(properties: dict[str, Schema]) -> dict[str, Schema]:
@@ -80,7 +160,7 @@ def _properties(properties: dict[str, Schema]) -> dict[str, Schema]:
 
 def _with_unit(key: str, schema: Schema) -> Schema:
     unit = unit_of(key)
-    return schema if unit is None else schema | {"x-unit": unit}
+    return schema if unit is None or "$ref" in schema else schema | {"x-unit": unit}
 
 
 def _unchanged(value: Any) -> Any:

@@ -11,6 +11,8 @@ from resonator_daemon.publishing.payload_types import (
     Int64,
     Measured,
     Message,
+    PerChannel,
+    SignalArray,
     Status,
     Vector2,
     Vector3,
@@ -49,7 +51,7 @@ class Compensation(Message):
         description="`followed` from tones that nothing touches; `held` while none is detected; `unknown` until it is "
         "known"
     )
-    common_mode: tuple[Float, ...] = Field(
+    common_mode: PerChannel = Field(
         description="relative error of the frequencies of each channel: the board's reference, and the plate's "
         "temperature as the pilot shows it"
     )
@@ -147,10 +149,10 @@ class ContactEvent(Measured):
 class Signals(Measured):
     """What the sites of a skin sense."""
 
-    signals: Float32Array = Field(
+    signals: SignalArray = Field(
         description="float32 [3, n] in the order of the sites, rows 3 p_n / (2 E), eps_xz, eps_yz; NaN where not known"
     )
-    noise_std: Float32Array = Field(description="standard deviation of each, same shape; NaN where not known")
+    noise_std: SignalArray = Field(description="standard deviation of each, same shape; NaN where not known")
     status: Status = Field(description="of the frame; `ok` alone is fit for decoding")
 
     @model_validator(mode="after")

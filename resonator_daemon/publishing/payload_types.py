@@ -19,22 +19,22 @@ from pydantic import (
     WithJsonSchema,
 )
 
+from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.conditions import Word
 
 _DECIMAL: Final = {"type": "string", "pattern": "^[0-9]{1,20}$"}
 _UNKNOWN_IS_NULL: Final = {"type": ["number", "null"]}
-_ROW: Final = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}]}
-_NESTED_ROWS: Final = {
-    "type": "array",
-    "minItems": 3,
-    "maxItems": 3,
-    "items": {"type": "array", "items": _ROW},
-    "x-rfc8746": {
-        "tag": 40,
-        "shape": ["[3, n]", "[3, ny, nx]"],
-        "elements": {"tag": 85, "type": "float32, little-endian"},
-    },
-}
+
+
+def _nested_rows(*shapes: str, row: dict[str, Any]) -> dict[str, Any]:
+    elements = {"tag": 85, "type": "float32, little-endian"}
+    typed_array = {"tag": 40, "shape": list(shapes), "elements": elements}
+    return {"type": "array", "minItems": 3, "maxItems": 3, "items": row, "x-rfc8746": typed_array}
+
+
+_SIGNAL_ROWS: Final = _nested_rows("[3, n]", row={"type": "array", "items": {"type": "number"}})
+# Numbers or rows of numbers: a choice of types would give generators one that reads neither.
+_MAP_ROWS: Final = _nested_rows("[3, n]", "[3, ny, nx]", row={"type": "array"})
 
 
 def _float32(value: Any) -> NDArray[np.float32]:
@@ -56,7 +56,9 @@ Float = Annotated[
 ]
 Vector2 = tuple[Float, Float]
 Vector3 = tuple[Float, Float, Float]
-Float32Array = Annotated[NDArray[np.float32], PlainValidator(_float32), WithJsonSchema(_NESTED_ROWS)]
+PerChannel = Annotated[tuple[Float, ...], Field(min_length=CHANNEL_COUNT, max_length=CHANNEL_COUNT)]
+Float32Array = Annotated[NDArray[np.float32], PlainValidator(_float32), WithJsonSchema(_MAP_ROWS)]
+SignalArray = Annotated[Float32Array, WithJsonSchema(_SIGNAL_ROWS)]
 
 
 class Status(Word):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal, get_args
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, SerializeAsAny
 
 from resonator_daemon.config.tables import ChangingVerb
-from resonator_daemon.publishing.payloads import Float, Health, Int64, Message
+from resonator_daemon.publishing.payloads import Health, Int64, Message, PerChannel
 from resonator_daemon.publishing.topics import JSON, TOPICS
 
 LABEL_PATTERN: Final = "^[A-Za-z0-9_-]{1,64}$"
@@ -123,7 +123,7 @@ class TareAnswer(Answer):
 
     verb: Literal["tare"] = "tare"
     did: str
-    common_mode: tuple[Float, ...] = Field(description="relative frequency error by channel")
+    common_mode: PerChannel = Field(description="relative frequency error by channel")
 
 
 class StartRecording(Request):
