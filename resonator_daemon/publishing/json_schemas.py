@@ -16,15 +16,15 @@ from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode, models_json_schema
 from pydantic_core import core_schema
 
-from resonator_daemon.publishing.payload_types import Header, Measured
+from resonator_daemon.publishing.payload_types import Header
 from resonator_daemon.publishing.units import unit_of
 
 REF: Final = "#/components/schemas/{model}"
 
 Schema = dict[str, Any]
 
-_HEADERS: Final = (Measured, Header)  # the one with more keys first
 _NULL: Final = {"type": "null"}
+_TYPES: Final = ("string", "number", "boolean", "array", "object", "null")  # an integer is a number
 
 
 class _Untitled(GenerateJsonSchema):
@@ -48,7 +48,7 @@ class _Published(_Untitled):
 
 def schemas_of_json(models: Iterable[type[BaseModel]]) -> dict[str, Schema]:
     """Return the schemas, by name, of messages that are published as JSON, and of their parts and headers."""
-    return _generate([*models, *_HEADERS], "serialization", _Published)
+    return _generate(models, "serialization", _Published)
 
 
 def schemas_of_cbor(models: Iterable[type[BaseModel]]) -> dict[str, Schema]:
@@ -57,7 +57,7 @@ def schemas_of_cbor(models: Iterable[type[BaseModel]]) -> dict[str, Schema]:
     Numbers are numbers in CBOR, so that these are the schemas of what the models take, not of the JSON they give.
     The headers' names end in `InCbor`.
     """
-    return _generate([*models, *_HEADERS], "validation", _Published, header_suffix="InCbor")
+    return _generate(models, "validation", _Published, header_suffix="InCbor")
 
 
 def schemas_of_requests(models: Iterable[type[BaseModel]]) -> dict[str, Schema]:
@@ -72,22 +72,29 @@ def _generate(
     *,
     header_suffix: str = "",
 ) -> dict[str, Schema]:
-    wanted: list[tuple[type[BaseModel], JsonSchemaMode]] = [(model, mode) for model in dict.fromkeys(models)]
+    models = tuple(models)
+    headers = {header for model in models for header in _headers_of(model)}
+    every = dict.fromkeys((*models, *sorted(headers, key=lambda header: header.__name__)))
+    wanted: list[tuple[type[BaseModel], JsonSchemaMode]] = [(model, mode) for model in every]
     references, generated = models_json_schema(wanted, ref_template=REF, schema_generator=generator)
     classes = {reference["$ref"].rpartition("/")[2]: model for (model, _), reference in references.items()}
     schemas = {}
     for name, schema in generated["$defs"].items():
         model = classes.get(name)
-        published = name + header_suffix if model in _HEADERS else name
-        header = next((base for base in _HEADERS if model is not None and base in model.__mro__[1:]), None)
-        inherited = () if header is None else header.model_fields.keys()
-        schemas[published] = _component(published, schema, inherited)
-        if header is not None:
-            own = schemas[published]
-            about = {key: own.pop(key) for key in ("title", "description")}
-            included = {"$ref": REF.format(model=header.__name__ + header_suffix)}
-            schemas[published] = about | {"allOf": [included, own]}
+        included = _headers_of(model) if model is not None else ()
+        published = name + header_suffix if model in headers else name
+        component = _component(published, schema, included[0].model_fields.keys() if included else ())
+        if included:
+            about = {key: component.pop(key) for key in ("title", "description")}
+            header = {"$ref": REF.format(model=included[0].__name__ + header_suffix)}
+            component = about | {"allOf": [header, component]}
+        schemas[published] = component
     return schemas
+
+
+def _headers_of(model: type[Any]) -> tuple[type[Header], ...]:
+    """Return the headers that a message includes, the one with most keys first."""
+    return tuple(base for base in model.__mro__[1:] if issubclass(base, Header))
 
 
 def _component(name: str, schema: Schema, inherited: Collection[str]) -> Schema:
@@ -99,7 +106,7 @@ def _component(name: str, schema: Schema, inherited: Collection[str]) -> Schema:
     certain = [key for key in required if not _may_be_null(keys[key])]
     own = {key: value for key, value in keys.items() if key not in inherited}
     referring = {key: value.pop("description") for key, value in own.items() if "$ref" in value and len(value) > 1}
-    about = [component["description"], *(f"- `{key}`: {meaning}" for key, meaning in referring.items())]
+    about = [component.get("description", ""), *(f"- `{key}`: {meaning}" for key, meaning in referring.items())]
     component |= {"description": "\n".join(about), "properties": own}
     if own_certain := [key for key in certain if key in own]:
         component["required"] = own_certain
@@ -108,10 +115,6 @@ def _component(name: str, schema: Schema, inherited: Collection[str]) -> Schema:
             raise ValueError(f"{name}: needs a key that is never null")
         component["dependencies"] = {certain[0]: uncertain}
     return component
-
-
-def _may_be_null(schema: Schema) -> bool:
-    return "null" in schema.get("type", ()) or _NULL in schema.get("anyOf", ())
 
 
 def _as_draft_7(schema: Any) -> Any:
@@ -124,23 +127,45 @@ def _as_draft_7(schema: Any) -> Any:
     if "prefixItems" in converted:
         items = converted.pop("prefixItems")
         converted["items"] = items[0] if all(item == items[0] for item in items) else items
-    if _NULL in converted.get("anyOf", ()):
-        converted = _nullable(converted)
+    if "anyOf" in converted:
+        converted = _choice(converted)
     if converted.get("type") == "array":
         converted = _array(converted)
     return converted
 
 
-def _nullable(schema: Schema) -> Schema:
-    """Return the form of a value or null."""
-    value: Schema
-    (value,) = (part for part in schema["anyOf"] if part != _NULL)
-    if "$ref" in value:
-        return schema | {"title": f"{value['$ref'].rpartition('/')[2]}OrNull"}
-    if "enum" in value:
-        raise ValueError(f"{schema}: words that may be null need a type of their own, with a name")
+def _may_be_null(schema: Schema) -> bool:
+    """Whether null is among the values of a schema of this module."""
+    if "not" in schema:
+        return "null" not in schema["not"]["type"]
+    return "null" in schema.get("type", ()) or _NULL in schema.get("anyOf", ())
+
+
+def _choice(schema: Schema) -> Schema:
+    """Return the form of a value or null, or of values of several types.
+
+    Of several types, modelina makes one that decodes nothing in Go; where it is stated what a value is not, it takes
+    any. json-schema-to-typescript reads `tsType`.
+    """
+    values: list[Schema] = [part for part in schema["anyOf"] if part != _NULL]
     outer = {key: part for key, part in schema.items() if key != "anyOf"}
-    return value | outer | {"type": [value["type"], "null"]}
+    null = ["null"] if _NULL in schema["anyOf"] else []
+    if len(values) == 1 and "$ref" in values[0]:
+        return schema | {"title": f"{values[0]['$ref'].rpartition('/')[2]}OrNull"}
+    if any(value.keys() & {"enum", "const", "$ref"} for value in values):
+        raise ValueError(f"{schema}: words that may be null, and a choice of objects, need a type with a name")
+    if len(values) == 1 and "not" not in values[0]:
+        return values[0] | outer | {"type": [values[0]["type"], *null]}
+    types = {*null, *(kind for value in values for kind in _types_of(value))}
+    limits = {key: limit for value in values for key, limit in value.items() if key not in ("type", "not")}
+    named = " | ".join(kind for kind in _TYPES if kind in types)
+    return limits | outer | {"not": {"type": [kind for kind in _TYPES if kind not in types]}, "tsType": named}
+
+
+def _types_of(schema: Schema) -> set[str]:
+    if "not" in schema:
+        return set(_TYPES) - set(schema["not"]["type"])
+    return {"number" if schema["type"] == "integer" else schema["type"]}
 
 
 def _array(schema: Schema) -> Schema:

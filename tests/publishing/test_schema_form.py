@@ -2,23 +2,26 @@
 
 import json
 from collections.abc import Iterator
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import pytest
+from jsonschema import Draft7Validator
+from pydantic import BaseModel, Field, create_model
 
 from resonator_daemon.publishing import asyncapi, payloads
-from resonator_daemon.publishing.payloads import Header, Measured
+from resonator_daemon.publishing.json_schemas import schemas_of_requests
+from resonator_daemon.publishing.payloads import Header, Lost, Status
 from resonator_daemon.publishing.topics import CBOR, DECODER_HEALTH, DECODER_STATE, TOPICS
 
 DOCUMENT = json.loads(asyncapi.encoded())
 SCHEMAS = DOCUMENT["components"]["schemas"]
 NULL = {"type": "null"}
 SCALARS = {"string", "number", "integer", "boolean", "array"}
-WITH_SCHEMA = {"properties", "additionalProperties", "items", "additionalItems", "anyOf", "allOf"}
+WITH_SCHEMA = {"properties", "additionalProperties", "items", "additionalItems", "anyOf", "allOf", "not"}
 PLAIN = {
     "type", "title", "description", "enum", "const", "default", "required", "dependencies", "pattern", "minimum",
     "maximum", "exclusiveMinimum", "exclusiveMaximum", "minItems", "maxItems", "minLength", "maxLength",
-    "x-unit", "x-rfc8746", "x-enum-varnames", "x-enum-descriptions",
+    "x-unit", "x-rfc8746", "tsType", "x-enum-varnames", "x-enum-descriptions",
 }  # fmt: skip
 
 
@@ -41,6 +44,8 @@ PARTS = [found for name, schema in SCHEMAS.items() for found in parts_of(schema,
 
 
 def is_nullable(schema: dict[str, Any]) -> bool:
+    if "not" in schema:
+        return "null" not in schema["not"]["type"]
     return "null" in schema.get("type", ()) or NULL in schema.get("anyOf", ())
 
 
@@ -96,17 +101,46 @@ def test_words_are_enumerations_with_their_meanings() -> None:
     assert {"Status", "Condition"} <= enumerations
 
 
+def test_a_choice_of_types_states_what_the_value_is_not() -> None:
+    """Generators for Go make a type that decodes nothing of two types; without any they take every value."""
+
+    class Request(BaseModel):
+        id: Annotated[int, Field(ge=0)] | Annotated[str, Field(max_length=3)] | None = None
+
+    schema = schemas_of_requests([Request])["Request"]["properties"]["id"]
+    assert schema == {
+        "minimum": 0,
+        "maxLength": 3,
+        "default": None,
+        "not": {"type": ["boolean", "array", "object"]},
+        "tsType": "string | number | null",
+    }
+    valid = Draft7Validator(schema).is_valid
+    assert [valid(value) for value in (7, "abc", None)] == [True] * 3
+    assert [valid(value) for value in (-1, "abcd", False, [], {})] == [False] * 5
+
+
+@pytest.mark.parametrize("value", [Literal["a", "b"] | None, tuple[float | None, ...], Status | Lost])
+def test_what_generators_do_not_understand_is_refused(value: Any) -> None:
+    model = create_model("Request", key=(value, None))
+    with pytest.raises(ValueError, match=r"null|name"):
+        schemas_of_requests([model])
+
+
 @pytest.mark.parametrize("topic", [*TOPICS.values(), DECODER_STATE, DECODER_HEALTH], ids=lambda topic: topic.path)
 def test_headers_are_included_by_reference(topic: Any) -> None:
     model, schema = topic.payload, SCHEMAS[topic.payload.__name__]
     if not issubclass(model, Header):
         assert "allOf" not in schema
         return
-    header = Measured if issubclass(model, Measured) else Header
+    header = next(base for base in model.__mro__[1:] if issubclass(base, Header))
     included, own = schema["allOf"]
     name = header.__name__ + ("InCbor" if topic.content_type == CBOR else "")
     assert included == {"$ref": f"#/components/schemas/{name}"}
     assert own["properties"].keys() == model.model_fields.keys() - header.model_fields.keys()
-    for key in ("Header", "HeaderInCbor"):
-        assert SCHEMAS[key]["properties"]["lost"] == {"$ref": "#/components/schemas/Lost"}
-        assert SCHEMAS[key]["properties"].keys() == Header.model_fields.keys()
+
+
+def test_lost_is_in_the_header_by_reference() -> None:
+    for name in ("Header", "HeaderInCbor"):
+        assert SCHEMAS[name]["properties"]["lost"] == {"$ref": "#/components/schemas/Lost"}
+        assert SCHEMAS[name]["properties"].keys() == Header.model_fields.keys()
