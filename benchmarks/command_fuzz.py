@@ -29,11 +29,12 @@ from resonator_daemon.publishing.commands import (
 )
 from resonator_daemon.publishing.mqtt_messages import Incoming, Outgoing
 from resonator_daemon.publishing.strict_json import PAYLOAD_BYTES_MAX
-from resonator_daemon.publishing.verbs import VERBS, ErrorCode
+from resonator_daemon.publishing.verbs import ID_LENGTH_MAX, VERBS, ErrorCode
 
 BASE = "resonator/left"
 SOUND: tuple[tuple[str, dict[str, Any]], ...] = (
     ("ping", {}),
+    ("ping", {"id": "question 7"}),
     ("health", {}),
     ("snapshot", {}),
     ("snapshot", {"topics": ["info", "forces"]}),
@@ -69,6 +70,7 @@ RESPONSE_TOPICS = (
     "x" * 2000,
 )
 LATE_S = 30.0
+ID_SHARE = 0.2  # of requests
 QUICK_SHARE = 1e-3  # of commands, after which many come at once
 TASKS_MAX = 3 * WAITING_MAX
 
@@ -122,9 +124,10 @@ class Inputs:
 
     def _request(self, verb: str) -> dict[str, Any]:
         """Return a request with the verb's own keys, mostly, and any values."""
-        fields = (*VERBS[verb].request.model_fields, *TEXTS)
-        known = len(VERBS[verb].request.model_fields) or 1
+        own = [key for key in VERBS[verb].request.model_fields if key != "id"]
+        fields, known = (*own, *TEXTS), len(own) or 1
         keys = [fields[int(self._rng.random() ** 2 * 2 * known) % len(fields)] for _ in range(known)]
+        keys += ["id"] * (self._rng.random() < ID_SHARE)
         return {key: self._value(1) for key in keys}
 
     def _tree(self, depth: int) -> Any:
@@ -178,6 +181,8 @@ class Judge:
         if len(answer.payload) > 2 * SNAPSHOT_BYTES_MAX:
             self.problems.append(f"an answer has {len(answer.payload)} bytes")
         said = json.loads(answer.payload)
+        if not isinstance(said["id"], str | None) or len(said["id"] or "") > ID_LENGTH_MAX:
+            self.problems.append(f"an answer has the id {said['id']!a}")
         if said["ok"]:
             verb = VERBS[said["verb"]]
             if verb.changes and verb.name not in self._allowed:

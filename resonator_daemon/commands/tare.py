@@ -34,7 +34,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     if arguments.json:
         print_json(answer)
     elif done:
-        sys.stdout.write(f"{printable(answer.get('did', 'done'))}\n")
+        sys.stdout.write(f"{printable(answer.get('message', 'done'))}\n")
     if not done:
         refusal = answer.get("error")
         reasons = refusal if isinstance(refusal, dict) else {}

@@ -113,7 +113,7 @@ class CommandHandlers:
     def _snapshot(self, request: Snapshot) -> SnapshotAnswer:
         wanted = get_args(JsonTopic) if request.topics is None else dict.fromkeys(request.topics)
         messages: dict[str, Message] = {}
-        left_out = []
+        omitted = []
         room_bytes = SNAPSHOT_BYTES_MAX
         for path in wanted:
             message = self._parts.last_message(path)
@@ -124,14 +124,14 @@ class CommandHandlers:
                 messages[path] = message
                 room_bytes -= size_bytes
             else:
-                left_out.append(path)
-        return SnapshotAnswer(messages=messages, left_out=tuple(left_out))
+                omitted.append(path)
+        return SnapshotAnswer(messages=messages, omitted=tuple(omitted))
 
     async def _tare(self, _request: Tare) -> TareAnswer:
         sensor = self._adjustable_sensor()
         if reason := await self._parts.apply(control_requests.Tare()):
             raise CommandRefusedError("not_untouched", reason, "take everything off the plate and ask again")
-        return TareAnswer(did="the present readings count as untouched", common_mode=sensor.common_mode)
+        return TareAnswer(message="the present readings count as untouched", common_mode=sensor.common_mode)
 
     async def _set_window(self, request: SetWindow) -> SetWindowAnswer:
         self._adjustable_sensor()

@@ -80,7 +80,7 @@ class RecordingCommands:
             self._label, self._by_config = request.label, False
             if (now := self._switch.current) is None:
                 raise CommandRefusedError("recording_failed", "the daemon is stopping", "send it again when it is back")
-            return StartRecordingAnswer(file=as_json_text(now.path), since_t_ns=now.since_utc_ns, already=False)
+            return StartRecordingAnswer(file=as_json_text(now.path), since_t_ns=now.since_utc_ns, was_active=False)
 
     async def keep_recording(self) -> None:
         """Record from now on, if `continuous` is configured and nothing is recorded."""
@@ -107,7 +107,7 @@ class RecordingCommands:
     async def stop(self, _request: StopRecording) -> StopRecordingAnswer:
         async with self._one_at_a_time:
             summary = await self._end()
-            return StopRecordingAnswer(recording=self._last, already=summary is None)
+            return StopRecordingAnswer(recording=self._last, was_active=summary is not None)
 
     async def _end(self) -> RecordingSummary | None:
         summary = await asyncio.to_thread(self._switch.stop)
@@ -134,7 +134,7 @@ class RecordingCommands:
             raise CommandRefusedError(
                 "recording", f"{as_json_text(now.path)} is being recorded", "send stop_recording first"
             )
-        return StartRecordingAnswer(file=as_json_text(now.path), since_t_ns=now.since_utc_ns, already=True)
+        return StartRecordingAnswer(file=as_json_text(now.path), since_t_ns=now.since_utc_ns, was_active=True)
 
     def _begin(self, label: str | None) -> None:
         """Begin a recording; it takes a while, and waits for the disk."""

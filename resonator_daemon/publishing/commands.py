@@ -230,15 +230,24 @@ class Commands:
             self._refuse(command, "failed", f"{command.verb} failed in the daemon", "see its log")
 
     def _answer(self, command: _Command, answer: Answer) -> None:
+        answer = answer.model_copy(update={"id": _request_id(command.payload)})
         self._send(Outgoing(command.topic, answer.model_dump_json().encode(), command.correlation))
         self.counts["done"] += 1
 
     def _refuse(self, command: _Command, code: ErrorCode, message: str, hint: str = "") -> None:
         problem = Problem(code=code, message=message[:_TEXT_LENGTH_MAX], hint=hint[:_TEXT_LENGTH_MAX])
-        refusal = Refusal(verb=command.verb, error=problem)
+        refusal = Refusal(verb=command.verb, id=_request_id(command.payload), error=problem)
         # In ASCII, which takes any text: a path may hold what UTF-8 does not.
         self._send(Outgoing(command.topic, json.dumps(refusal.model_dump()).encode(), command.correlation))
         self.counts[code] += 1
+
+
+def _request_id(payload: bytes) -> str | None:
+    """Return the `id` of a request whatever else it has; None where there is none, or none that is sound."""
+    try:
+        return Request.model_validate({"id": read_object(payload).get("id")}).id
+    except ValueError:
+        return None
 
 
 def _request(verb: Verb, payload: bytes) -> Request:
@@ -259,7 +268,7 @@ def _sentence(verb: Verb, error: ErrorDetails) -> str:
     match error["type"]:
         case "extra_forbidden":
             known = list(verb.request.model_fields)
-            return f"{where}: unknown key; {nearest(str(error['loc'][-1]), known) if known else 'there are none'}"
+            return f"{where}: unknown key; {nearest(str(error['loc'][-1]), known)}"
         case "missing":
             return f"{where}: missing; give a value"
         case "value_error":

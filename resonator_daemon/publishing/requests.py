@@ -66,8 +66,8 @@ async def request(
 ) -> dict[str, Any]:
     """Send a command to the daemon of this name; return its answer.
 
-    A connection that ends meanwhile is made again and the command sent again: the daemon may get it twice. Without
-    MQTT 5 the answer to another who asks the same at the same time counts, too.
+    A connection that ends meanwhile is made again and the command sent again: the daemon may get it twice. The answer
+    is recognised by its `id`, that of the payload, or else a random one.
 
     Raises
     ------
@@ -86,14 +86,16 @@ async def request(
     command_topic = full_topic(broker.prefix, name, f"cmd/{verb}")
     common_topic = full_topic(broker.prefix, name, f"rsp/{verb}")
     own_topic = f"{common_topic}/{number}"
+    payload = {"id": number, **payload}
 
     def receive(message: Incoming) -> None:
         try:
             content = json.loads(message.payload)
         except (ValueError, RecursionError):
             return
-        is_answer = isinstance(content, dict) and content.get("verb") == verb and not message.retained
-        if is_answer and not answer.done():
+        if not isinstance(content, dict) or content.get("verb") != verb or message.retained or answer.done():
+            return
+        if content.get("id") == payload["id"] or message.topic == own_topic:  # a payload that cannot be read has no id
             answer.set_result(content)
 
     def denied(topic: str) -> None:

@@ -11,6 +11,7 @@ from resonator_daemon.publishing.payloads import Health, Int64, Message, PerChan
 from resonator_daemon.publishing.topics import JSON, TOPICS
 
 LABEL_PATTERN: Final = "^[A-Za-z0-9_-]{1,64}$"
+ID_LENGTH_MAX: Final = 64
 
 if TYPE_CHECKING:
     JsonTopic = str
@@ -45,10 +46,15 @@ def _printable(text: str) -> str:
     return text
 
 
+RequestId = Annotated[str, Field(min_length=1, max_length=ID_LENGTH_MAX), AfterValidator(_printable)]
+
+
 class Request(BaseModel):
     """Base of the commands; `{}` for one without fields."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    id: RequestId | None = Field(None, description="1 to 64 printable characters, repeated in the answer")
 
 
 class Answer(Message):
@@ -56,6 +62,7 @@ class Answer(Message):
 
     verb: str
     ok: Literal[True] = True
+    id: RequestId | None = Field(None, description="that of the request; null where it had none")
 
 
 class Problem(Message):
@@ -71,6 +78,7 @@ class Refusal(Message):
 
     verb: str
     ok: Literal[False] = False
+    id: RequestId | None = Field(None, description="that of the request; null where it had none that could be read")
     error: Problem
 
 
@@ -111,7 +119,7 @@ class SnapshotAnswer(Answer):
 
     verb: Literal["snapshot"] = "snapshot"
     messages: dict[str, SerializeAsAny[Message]] = Field(description="by topic; none of those that had no message yet")
-    left_out: tuple[str, ...] = Field(description="topics whose messages would make the answer too long: ask for fewer")
+    omitted: tuple[str, ...] = Field(description="topics whose messages would make the answer too long: ask for fewer")
 
 
 class Tare(Request):
@@ -122,7 +130,7 @@ class TareAnswer(Answer):
     """What was taken for untouched."""
 
     verb: Literal["tare"] = "tare"
-    did: str
+    message: str = Field(description="sentence for display: what was done")
     common_mode: PerChannel = Field(description="relative frequency error by channel")
 
 
@@ -138,7 +146,7 @@ class StartRecordingAnswer(Answer):
     verb: Literal["start_recording"] = "start_recording"
     file: str = Field(description="on the daemon's machine")
     since_t_ns: Int64 = Field(description="UTC")
-    already: bool = Field(description="it ran before this command came")
+    was_active: bool = Field(description="it ran before this command came")
 
 
 class StopRecording(Request):
@@ -162,7 +170,7 @@ class StopRecordingAnswer(Answer):
 
     verb: Literal["stop_recording"] = "stop_recording"
     recording: RecordingSummaryInfo | None = Field(description="the last one; null where none ran yet")
-    already: bool = Field(description="none ran when this command came")
+    was_active: bool = Field(description="a recording ran when this command came")
 
 
 class Mark(Request):

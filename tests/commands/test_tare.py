@@ -65,7 +65,7 @@ async def daemon(
 
 
 def tared(_: Tare) -> TareAnswer:
-    return TareAnswer(did="common mode taken as untouched", common_mode=(1e-6, *[float("nan")] * 3))
+    return TareAnswer(message="common mode taken as untouched", common_mode=(1e-6, *[float("nan")] * 3))
 
 
 def touched(_: Tare) -> TareAnswer:
@@ -78,10 +78,12 @@ async def test_what_the_daemon_did_is_printed(mosquitto: Mosquitto, tmp_path: Pa
         assert await tare_in_a_process(config) == (0, "common mode taken as untouched\n", "")
         code, printed, _ = await tare_in_a_process(config, "--json")
     assert code == 0
-    assert json.loads(printed) == {
+    answer = json.loads(printed)
+    del answer["id"]
+    assert answer == {
         "verb": "tare",
         "ok": True,
-        "did": "common mode taken as untouched",
+        "message": "common mode taken as untouched",
         "common_mode": [1e-6, None, None, None],
     }
 

@@ -26,7 +26,7 @@ class Bench:
         answer = outcome if isinstance(outcome, Answer) else await outcome
         assert type(answer) is VERBS[verb].answer
         said: dict[str, Any] = json.loads(answer.model_dump_json())
-        assert (said.pop("verb"), said.pop("ok")) == (verb, True)
+        assert (said.pop("verb"), said.pop("ok"), said.pop("id")) == (verb, True, None)
         return said
 
     async def refusal(self, verb: str, **request: Any) -> CommandRefusedError:
@@ -44,15 +44,15 @@ async def test_a_snapshot_is_bounded(bench: Bench, monkeypatch: pytest.MonkeyPat
     info = len(messages()["info"].model_dump_json())
     monkeypatch.setattr(command_handlers, "SNAPSHOT_BYTES_MAX", info)
     said = await bench.ask("snapshot", topics=["info", "state/link"])
-    assert (list(said["messages"]), said["left_out"]) == (["info"], ["state/link"])
-    assert (await bench.ask("snapshot", topics=["info", "info"]))["left_out"] == []
+    assert (list(said["messages"]), said["omitted"]) == (["info"], ["state/link"])
+    assert (await bench.ask("snapshot", topics=["info", "info"]))["omitted"] == []
     said = await bench.ask("snapshot", topics=["state/link", "info"])
-    assert (list(said["messages"]), said["left_out"]) == (["state/link"], ["info"])
+    assert (list(said["messages"]), said["omitted"]) == (["state/link"], ["info"])
 
 
 async def test_tare(bench: Bench) -> None:
     said = await bench.ask("tare")
-    assert said == {"did": "the present readings count as untouched", "common_mode": [1e-6, None, None, None]}
+    assert said == {"message": "the present readings count as untouched", "common_mode": [1e-6, None, None, None]}
     bench.daemon.touched = "site 7 is touched"
     refused = await bench.refusal("tare")
     assert (refused.code, refused.message) == ("not_untouched", "site 7 is touched")
@@ -95,4 +95,4 @@ async def test_a_recording_that_has_failed_is_not_taken_for_one_that_runs(bench:
         assert (refused.code, refused.hint) == ("recording_failed", "send stop_recording, then start_recording")
         assert "disk full" in refused.message
     assert (await bench.ask("stop_recording"))["recording"]["failure"] == "disk full"
-    assert (await bench.ask("start_recording"))["already"] is False
+    assert (await bench.ask("start_recording"))["was_active"] is False

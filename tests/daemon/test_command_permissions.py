@@ -48,8 +48,9 @@ def ticks_between(messages: list[dict[str, Any]]) -> set[int]:
 
 async def test_each_command_does_what_it_says(bench: Bench) -> None:
     async def ask(verb: str, **payload: Any) -> dict[str, Any]:
-        answer = await request(Mqtt(url=bench.broker_url), "hand", verb, payload)
+        answer = await request(Mqtt(url=bench.broker_url), "hand", verb, {"id": verb, **payload})
         assert answer["ok"], answer
+        assert answer["id"] == verb
         return answer
 
     async with (
@@ -83,6 +84,7 @@ async def test_each_command_does_what_it_says(bench: Bench) -> None:
         assert await ask("set_window", window_ms=20, step_ms=10) == {
             "verb": "set_window",
             "ok": True,
+            "id": "set_window",
             "window_s": 0.02,
             "step_s": 0.01,
         }
@@ -100,7 +102,7 @@ async def test_each_command_does_what_it_says(bench: Bench) -> None:
         snapshot = await ask("snapshot", topics=["info", "state/sensor", "forces"])
         assert snapshot["messages"]["info"] == heard.payloads(INFO)[-1]
         assert snapshot["messages"]["state/sensor"]["state"] == "online"
-        assert snapshot["left_out"] == []
+        assert snapshot["omitted"] == []
         assert service.link_counters.lost.total == 0
 
 

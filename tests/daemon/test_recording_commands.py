@@ -43,7 +43,7 @@ async def test_a_recording_without_end_begins_once_and_ends_where_it_is_not_want
     now = switch.current
     assert now is not None
     await commands.keep_recording()
-    assert (await commands.start(StartRecording())).already
+    assert (await commands.start(StartRecording())).was_active
     assert switch.current is not None
     assert switch.current.path == now.path
     await commands.adopt(config(tmp_path), "2")
@@ -83,7 +83,7 @@ async def test_what_a_command_began_goes_on_where_the_configuration_stops_record
     assert switch.current is not None
     assert str(switch.current.path) == began.file
     assert caplog.messages == []
-    assert not (await commands.stop(StopRecording())).already
+    assert (await commands.stop(StopRecording())).was_active
 
 
 async def test_what_the_configuration_began_ends_with_it_and_the_log_says_so(

@@ -96,11 +96,11 @@ def incoming(
 @pytest.mark.parametrize(
     ("payload", "sentence"),
     [
-        (b'{"txt": "a"}', "text: missing; give a value; txt: unknown key; allowed: text; did you mean text?"),
+        (b'{"txt": "a"}', "text: missing; give a value; txt: unknown key; allowed: id, text; did you mean text?"),
         (b'{"text": 7}', "text: got 7; must be a valid string"),
         (b"", "the payload is empty"),
         (b'{"text": "a\\nb"}', 'text: got "a\\nb"; must be printable characters, without line breaks and control'),
-        (b'{"text": "a", "at\\u0000": 1}', '"at\\u0000": unknown key; allowed: text'),
+        (b'{"text": "a", "at\\u0000": 1}', '"at\\u0000": unknown key; allowed: id, text'),
         (b'{"text": "' + b"x" * 300 + b'"}', "must have at most 200 characters"),
         (b'{"text": "a", "text": "b"}', 'key "text" is there twice'),
     ],
@@ -112,6 +112,37 @@ async def test_a_request_that_is_not_the_verbs_is_refused_with_every_finding(
     assert said["error"]["code"] == "payload"
     assert sentence in said["error"]["message"]
     assert bench.asked == []
+
+
+@pytest.mark.parametrize("id_", ["drop-1", "é" * 64])
+async def test_each_answer_repeats_the_id_of_its_request(bench: Bench, id_: str) -> None:
+    asked = json.dumps({"id": id_}).encode()
+    wrong = json.dumps({"id": id_, "more": 1}).encode()
+    bench.board.set_exception(CommandRefusedError("not_located", "no board"))
+    bench.make(allowed=("identify",))
+    answers = await bench.ask(
+        incoming(payload=asked),
+        incoming(payload=wrong),
+        *(incoming(verb, asked) for verb in ("mark", "fly", "identify")),
+    )
+    assert bench.codes == ["done", "payload", "not_permitted", "unknown_verb", "not_located"]
+    assert [answer["id"] for answer in answers] == [id_] * 5
+    bench.sent.clear()
+    await bench.ask(*[incoming(payload=asked)] * AT_ONCE)
+    assert "too_many" in bench.codes
+    assert {answer["id"] for answer in bench.said} == {id_}
+
+
+@pytest.mark.parametrize("id_", ["7", "1.5", "true", '""', '"' + "x" * 65 + '"', '"a\\n"', "[1]"])
+async def test_an_id_of_another_form_is_refused_and_not_repeated(bench: Bench, id_: str) -> None:
+    (said,) = await bench.ask(incoming(payload=b'{"id": %s}' % id_.encode()))
+    assert (said["id"], said["error"]["code"], bench.asked) == (None, "payload", [])
+
+
+@pytest.mark.parametrize("payload", [b"{}", b'{"id": null}', b"", b"[]", b'{"id": "1", "id": "2"}', b'{"id": "1"'])
+async def test_without_an_id_that_can_be_read_it_is_null(bench: Bench, payload: bytes) -> None:
+    (said,) = await bench.ask(incoming(payload=payload))
+    assert said["id"] is None
 
 
 async def test_correlation_data_that_are_too_long_are_refused(bench: Bench) -> None:
@@ -227,7 +258,7 @@ async def test_a_deferred_answer_comes_when_it_is_there_and_holds_nobody_up(benc
     assert [each["verb"] for each in said] == ["ping"]
     bench.board.set_result(None)
     await bench.settle()
-    assert bench.said[1:] == [{"verb": "identify", "ok": True}]
+    assert bench.said[1:] == [{"verb": "identify", "ok": True, "id": None}]
     assert (bench.sent[1].topic, bench.sent[1].correlation) == ("robot/answers", b"1")
 
 

@@ -4,7 +4,7 @@ import asyncio
 import json
 import re
 import sys
-from typing import Any
+from typing import Any, get_args
 
 import cbor2
 import key_tables
@@ -17,6 +17,7 @@ from resonator_daemon.publishing import payloads, topics
 from resonator_daemon.publishing.codec import decode, encode
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Message
+from resonator_daemon.publishing.verbs import VERBS, ErrorCode, Refusal
 
 PAGE = key_tables.PAGE.read_text()
 SECTIONS = dict(re.findall(r"^## (.+)\n((?:(?!^## ).*\n?)*)", PAGE, re.MULTILINE))
@@ -73,6 +74,25 @@ def test_each_json_payload_has_an_example() -> None:
     assert {title for title, _ in EXAMPLES_SHOWN} == EXAMPLES.keys()
     published = {*topics.TOPICS.values(), topics.DECODER_STATE, topics.DECODER_HEALTH}
     assert EXAMPLES.keys() == {topic.payload.__name__ for topic in published if topic.content_type == topics.JSON}
+
+
+def test_the_tables_of_commands_and_codes_are_those_of_the_verbs() -> None:
+    verbs = [cells for cells in rows("Commands") if len(cells) == 4]
+    assert [(verb, allowed) for verb, _, _, allowed in verbs] == [
+        (verb.name, "by name" if verb.changes else "always") for verb in VERBS.values()
+    ]
+    for verb, _, request, _ in verbs:
+        assert [*VERBS[verb].request.model_fields] == ["id", *re.findall(r"\w+", request.partition(":")[0])]
+    assert sorted(code for code, *rest in rows("Commands") if len(rest) == 1) == sorted(get_args(ErrorCode))
+
+
+def test_the_answers_shown_are_whole() -> None:
+    text = "\n".join(line for line in SECTIONS["Commands"].splitlines() if line.startswith("    "))
+    shown = [json.loads(each) for each in re.findall(r"^    (\{.*?\}$)(?=\n    \{|\Z)", text, re.DOTALL | re.MULTILINE)]
+    assert len(shown) >= 4
+    for answer in shown:
+        model = VERBS[answer["verb"]].answer if answer["ok"] else Refusal
+        assert json.loads(model.model_validate_json(json.dumps(answer)).model_dump_json()) == answer
 
 
 async def test_the_ten_lines_subscribe(mosquitto) -> None:

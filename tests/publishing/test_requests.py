@@ -33,8 +33,8 @@ ALLOWED = ("mark",)
 async def test_a_command_is_answered(broker: Mosquitto | Amqtt) -> None:
     async with commanded(broker.url, HANDLERS, ALLOWED) as daemon:
         await until(lambda: daemon.publisher.connected)
-        answer = await request(Mqtt(url=broker.url), "left", "mark", {"text": "warm"})
-        assert answer == {"verb": "mark", "ok": True, "t_ns": "4"}
+        answer = await request(Mqtt(url=broker.url), "left", "mark", {"text": "warm", "id": "7"})
+        assert answer == {"verb": "mark", "ok": True, "id": "7", "t_ns": "4"}
         answer = await request(Mqtt(url=broker.url), "left", "explode", {})
         assert answer["error"]["code"] == "unknown_verb"
 
@@ -58,6 +58,22 @@ async def test_response_topic_and_correlation_of_mqtt_5_are_honoured(mosquitto: 
         assert message.properties.CorrelationData == b"\x00\xff7"
         assert message.properties.ContentType == "application/json"
         assert not message.retain
+
+
+async def test_answers_of_others_are_told_apart_by_their_id(broker: Mosquitto | Amqtt) -> None:
+    async with commanded(broker.url, HANDLERS, ALLOWED) as daemon:
+        await until(lambda: daemon.publisher.connected)
+        texts = ["a" * length for length in range(1, 6)]
+        asked = (request(Mqtt(url=broker.url), "left", "mark", {"text": text}) for text in texts)
+        answers = await asyncio.gather(*asked)
+    assert [int(answer["t_ns"]) for answer in answers] == [1, 2, 3, 4, 5]
+
+
+async def test_a_request_that_cannot_be_read_is_answered_all_the_same(mosquitto: Mosquitto) -> None:
+    async with commanded(mosquitto.url, HANDLERS, ALLOWED) as daemon:
+        await until(lambda: daemon.publisher.connected)
+        answer = await request(Mqtt(url=mosquitto.url), "left", "mark", {"text": "a" * 20_000})
+    assert (answer["id"], answer["error"]["code"]) == (None, "payload")
 
 
 async def test_nobody_there_is_said(mosquitto: Mosquitto) -> None:

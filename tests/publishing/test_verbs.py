@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from resonator_daemon.publishing.verbs import VERBS, Refusal
 
 EXAMPLES: dict[str, list[dict[str, Any]]] = {
-    "ping": [{}],
+    "ping": [{}, {"id": None}, *({"id": id_} for id_ in ("a", "é" * 64))],
     "health": [{}],
     "snapshot": [{}, {"topics": ["info", "state/link"]}, {"topics": []}, {"topics": None}],
     "tare": [{}],
@@ -22,6 +22,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
 }
 REFUSED: list[tuple[str, dict[str, Any]]] = [
     *((verb, {**examples[0], "more": 1}) for verb, examples in EXAMPLES.items()),
+    *(("ping", {"id": id_}) for id_ in (7, 1.0, True, "", "a" * 65, "a\n", "\ud800", [], {})),
     ("snapshot", {"topics": ["signals"]}),
     ("snapshot", {"topics": "info"}),
     ("snapshot", {"topics": {"info": 1}}),
@@ -55,4 +56,5 @@ def test_each_verb_answers_with_its_name() -> None:
     for name, verb in VERBS.items():
         assert verb.name == name
         assert verb.answer.model_fields["verb"].default == name
-    assert [*Refusal.model_fields] == ["verb", "ok", "error"]
+        assert [*verb.answer.model_fields][:3] == ["verb", "ok", "id"]
+    assert [*Refusal.model_fields] == ["verb", "ok", "id", "error"]

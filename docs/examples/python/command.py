@@ -1,4 +1,4 @@
-"""Sends a command to a daemon and prints its answer; the exit code tells whether it was done."""
+"""Sends a command to a daemon and prints its answer; the exit code is 0 if it was done."""
 
 import argparse
 import asyncio
@@ -7,46 +7,28 @@ import secrets
 import sys
 
 import aiomqtt
-from paho.mqtt.packettypes import PacketTypes
-from paho.mqtt.properties import Properties
 
 ANSWER_S = 10
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("name", help="of the plate")
 parser.add_argument("verb", help="ping, tare, ...")
-parser.add_argument("payload", nargs="?", default="{}", help="JSON (default: {})")
+parser.add_argument("request", nargs="?", type=json.loads, default={}, help="JSON object (default: {})")
 parser.add_argument("--host", default="127.0.0.1")
 parser.add_argument("--port", type=int, default=1883)
 parser.add_argument("--prefix", default="resonator")
 options = parser.parse_args()
 
 
-async def ask(version):
-    """Return the answer; with MQTT 5 on a topic of this program's own, known by its number, else on `rsp/<verb>`."""
-    base = f"{options.prefix}/{options.name}"
-    answers, number, asked = f"{base}/rsp/{options.verb}", secrets.token_hex(8), None
-    if version is aiomqtt.ProtocolVersion.V5:
-        answers += f"/{number}"
-        asked = Properties(PacketTypes.PUBLISH)
-        asked.ResponseTopic, asked.CorrelationData = answers, number.encode()
-    async with aiomqtt.Client(options.host, options.port, protocol=version) as client, asyncio.timeout(ANSWER_S):
-        await client.subscribe(answers, qos=1)
-        await client.publish(f"{base}/cmd/{options.verb}", options.payload, qos=1, properties=asked)
-        async for message in client.messages:
-            if asked is None or getattr(message.properties, "CorrelationData", None) == number.encode():
-                break
-        try:
-            return json.loads(message.payload)
-        except (ValueError, RecursionError) as error:
-            sys.exit(f"the answer is no JSON: {error}")
-
-
 async def main():
-    try:
-        return await ask(aiomqtt.ProtocolVersion.V5)
-    except aiomqtt.MqttError:  # a broker that does not speak MQTT 5
-        return await ask(aiomqtt.ProtocolVersion.V311)
+    """Return the answer that has the `id` of the request; others may send commands at the same time."""
+    base = f"{options.prefix}/{options.name}"
+    request = {"id": secrets.token_hex(8), **options.request}
+    async with aiomqtt.Client(options.host, options.port) as client, asyncio.timeout(ANSWER_S):
+        await client.subscribe(f"{base}/rsp/{options.verb}", qos=1)
+        await client.publish(f"{base}/cmd/{options.verb}", json.dumps(request), qos=1)
+        answers = (json.loads(message.payload) async for message in client.messages)
+        return await anext(answer async for answer in answers if answer["id"] == request["id"])
 
 
 try:
