@@ -171,14 +171,18 @@ class Client(Table):
 
 
 def load_client(path: Path) -> Client:
-    """Load a client's configuration from the daemon's file or from a file of its own.
+    """Load a client's configuration from the daemon's file, which is checked as a whole, or from a file of its own.
 
     Raises
     ------
     ConfigurationError
         One message for each finding.
     """
-    return load_part(Client, path)
+    file = read_toml(path)
+    if "plate" not in file.content:
+        return load_part(Client, path)
+    config = config_from(file, path.parent)
+    return Client.model_construct(name=config.name, link=config.link, mqtt=config.mqtt)
 
 
 def load_part(model: type[_Part], path: Path) -> _Part:

@@ -107,7 +107,7 @@ async def test_every_failure_is_an_object(mosquitto: Mosquitto, tare: Ask, monke
     port = free_port()
     url = f"mqtt://127.0.0.1:{port}"
     codes = []
-    for place, name in ((url, ""), (mosquitto.url, ""), (mosquitto.url, "nam = 1")):
+    for place, name in ((url, ""), (mosquitto.url, ""), (mosquitto.url, 'name = "left"\nmetrics.listen = 1')):
         with monkeypatch.context() as patch:
             patch.setattr(daemon_search, "LOOK_S", 0.3)
             code, printed, reported = await tare(place, "--json", name=name)
