@@ -24,6 +24,7 @@ from typing import Any
 from resonator_daemon.commands._output import print_error, print_json
 from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError
 from resonator_daemon.host.journal import set_up_logging
+from resonator_daemon.host.system_limits import check_open_files, reason_of
 
 _UNTIL_STOPPED = frozenset({"decode", "emulate", "run", "watch"})  # commands for which that is the regular end
 
@@ -38,6 +39,7 @@ def main(words: Sequence[str] | None = None) -> int:
         arguments = make_parser(words).parse_args(words)  # which may print help and exit
         _set_up_output()
         with _json_errors(arguments.command, as_json=getattr(arguments, "json", False)):
+            check_open_files()
             code: int = arguments.run(arguments)
             sys.stdout.flush()
         return code
@@ -57,7 +59,7 @@ def main(words: Sequence[str] | None = None) -> int:
         print_error(f"{what}; set LC_ALL=C.UTF-8")
         return ExitCode.CONFIG
     except OSError as error:  # as of a standard output on a full disk
-        print_error(f"{'' if error.filename is None else f'{error.filename}: '}{error.strerror or error}")
+        print_error(reason_of(error))
         _discard_output()
         return ExitCode.FAILED
 
@@ -69,8 +71,8 @@ def make_parser(words: Sequence[str] = ()) -> argparse.ArgumentParser:
         description="Acquisition daemon for a quartz-resonator tactile plate: counts to forces, sites, contacts and "
         "surface traction, published over MQTT.",
         epilog="Exit codes: 0 done, or stopped where a command runs until it is stopped; 1 the run failed (touches or "
-        "frames lost) or was interrupted; 2 usage; 69 link or broker cannot ever work; 78 configuration, or an output "
-        "that is there already or cannot be made. "
+        "frames lost) or was interrupted; 2 usage; 69 link or broker cannot ever work; 78 configuration, an output "
+        "that is there already or cannot be made, or a limit of fewer than 64 open files. "
         "Start with: resonatord demo",
     )
     _add_commands(parser, sys.modules[__name__], words)

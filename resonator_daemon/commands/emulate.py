@@ -12,6 +12,7 @@ from typing import Any
 
 from resonator_daemon.commands._argument_types import check_plate_name, options_of, positive
 from resonator_daemon.errors import ExitCode, UsageError, UserError
+from resonator_daemon.host.system_limits import reason_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,7 +65,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     except ValueError as error:
         raise UsageError(*str(error).split("\n")) from error  # a line for each mistake
     except OSError as error:
-        raise UserError(str(error)) from error
+        raise UserError(reason_of(error)) from error
     return ExitCode.DONE
 
 

@@ -18,6 +18,7 @@ import psutil
 from resonator_daemon.decoder_process.connection import WorkerConnection
 from resonator_daemon.decoder_process.followed_contacts import FollowedContacts, no_contacts
 from resonator_daemon.decoder_process.messages import EndContacts, Reply, Results, SetUpStep, Undecodable, Work
+from resonator_daemon.host.system_limits import reason_of
 from resonator_daemon.monitoring.health import ProcessUsage
 from resonator_daemon.publishing.backoff import Backoff
 from resonator_daemon.publishing.codec import Encoded
@@ -182,7 +183,7 @@ class DecoderSupervisor(Generic[Origin]):
                     async with asyncio.timeout(_EXIT_S):
                         await process.wait()
         except OSError as error:
-            return "crashed", str(error)
+            return "crashed", reason_of(error)
         finally:
             self._disconnect()
             if process is not None and process.returncode is None:

@@ -13,6 +13,7 @@ from typing import Final
 from urllib.parse import urlsplit
 
 from resonator_daemon.errors import UserError
+from resonator_daemon.host.system_limits import reason_of
 from resonator_daemon.publishing.embedded_delivery import packet_ends
 from resonator_daemon.publishing.receiver import Arrival
 
@@ -52,7 +53,7 @@ class Subscription:
                 self._subscribe(filters)
                 undo.pop_all()
         except OSError as error:
-            raise UserError(f"the broker at {url} refuses the connection of the demo: {error}") from error
+            raise UserError(f"the broker at {url} refuses the connection of the demo: {reason_of(error)}") from error
         self._thread = threading.Thread(target=self._receive, name="subscription", daemon=True)
         self._thread.start()
 

@@ -14,6 +14,7 @@ from resonator_daemon.config import Mqtt
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, excused, not_checked
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.load import Load
+from resonator_daemon.host.system_limits import reason_of
 from resonator_daemon.publishing import connection_errors
 from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes
 from resonator_daemon.publishing.mqtt_messages import Incoming
@@ -53,7 +54,7 @@ async def check_broker(broker: Mqtt, host: Host, times: ConnectionTimes | None =
         async with asyncio.timeout(_CONNECT_S):
             _, writer = await asyncio.open_connection(broker.host, broker.port)
     except (OSError, TimeoutError) as error:
-        reason = f"no answer within {_CONNECT_S:g} s" if isinstance(error, TimeoutError) else str(error)
+        reason = f"no answer within {_CONNECT_S:g} s" if isinstance(error, TimeoutError) else reason_of(error)
         fault = LISTENS.fault(
             f"{where}: {reason}",
             "start the broker, see that it listens on that address (and the firewall), or mqtt.url",

@@ -12,6 +12,7 @@ from importlib import resources
 from pathlib import Path, PurePosixPath
 
 from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.host.system_limits import reason_of
 from resonator_daemon.host.whole_file import replace_file
 
 _PROGRAM_IN_UNITS = "/opt/resonatord/bin/resonatord"
@@ -212,6 +213,8 @@ def run_command(command: tuple[str, ...]) -> str | None:
         done = subprocess.run(
             command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_COMMAND_S, check=False
         )
-    except (OSError, subprocess.TimeoutExpired) as error:
+    except OSError as error:
+        return reason_of(error)
+    except subprocess.TimeoutExpired as error:
         return str(error)
     return (" ".join(done.stderr.split()) or f"exit code {done.returncode}") if done.returncode else None

@@ -9,6 +9,7 @@ from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.config.broker_files import UnusableFileError
 from resonator_daemon.config.mqtt import Mqtt
+from resonator_daemon.host.system_limits import reason_of
 
 UNSUPPORTED_VERSION: Final = 132
 UNSPECIFIED: Final = 128  # the library's code for a connection that ended without a DISCONNECT packet
@@ -59,7 +60,7 @@ def of_opening(error: OSError, broker: Mqtt) -> BrokerError:
         case socket.gaierror():
             return BrokerError(f"no host of this name ({error.strerror}); see mqtt.url")
         case _:
-            return BrokerError(str(error))
+            return BrokerError(reason_of(error))
 
 
 def of_silent_end(reason_code: int, version: MQTTProtocolVersion, broker: Mqtt) -> BrokerError:

@@ -9,6 +9,7 @@ from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.host.system_limits import reason_of
 from resonator_daemon.publishing.broker_connection import FAILURE, MQTT_5, BrokerConnection
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.reconnection import connection_session, keep_connected
@@ -57,7 +58,7 @@ async def reach(broker: Mqtt, *, named_by: str = "mqtt.url") -> None:
             _, writer = await asyncio.open_connection(broker.host, broker.port)
     except (OSError, TimeoutError) as error:
         where = f"{broker.host}:{broker.port}"
-        raise BrokerUnreachableError(f"no broker at {where} ({error or 'no answer'}); see {named_by}") from None
+        raise BrokerUnreachableError(f"no broker at {where} ({reason_of(error)}); see {named_by}") from None
     writer.close()
 
 

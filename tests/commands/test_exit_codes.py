@@ -93,3 +93,10 @@ def test_ctrl_c_before_a_board_counts_interrupts_a_recording(seconds: tuple[str,
     assert record.returncode == 1, stderr
     assert '"code": "interrupted"' in stdout
     assert not output.exists()
+
+
+@pytest.mark.parametrize("files", [5, 8])
+def test_too_few_open_files_are_a_matter_of_configuration(files: int) -> None:
+    command = ["bash", "-c", f'ulimit -n {files}; exec "$@"', "-", *PROGRAM, "watch", "--url", "mqtt://127.0.0.1:9"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stdout, len(ended.stderr.splitlines())) == (78, "", 1)
