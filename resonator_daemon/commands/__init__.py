@@ -10,149 +10,28 @@ A module with the name of its command has
 underscore are no commands.
 """
 
-import argparse
-import importlib
-import io
-import os
-import signal
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
-from types import ModuleType
-from typing import Any
 
-from resonator_daemon.commands._output import print_error, print_json
-from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError
-from resonator_daemon.host.journal import set_up_logging
-from resonator_daemon.host.system_limits import check_open_files, reason_of
+TYPE_CHECKING = False
+if TYPE_CHECKING:  # every import here is time in which Ctrl-C gives a traceback
+    from collections.abc import Sequence
 
-_UNTIL_STOPPED = frozenset({"decode", "emulate", "run", "watch"})  # commands for which that is the regular end
+_UNTIL_STOPPED = ("decode", "emulate", "run", "watch")  # commands for which that is the regular end
 
 
-def main(words: Sequence[str] | None = None) -> int:
+def main(words: "Sequence[str] | None" = None) -> int:
     """Run one command; return its exit code."""
-    if words is None:
-        words = sys.argv[1:]
-        # As Ctrl-C, until a command that runs for long has handlers of its own.
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    own_process, words = words is None, sys.argv[1:] if words is None else words
     try:
-        arguments = make_parser(words).parse_args(words)  # which may print help and exit
-        _set_up_output()
-        with _json_errors(arguments.command, as_json=getattr(arguments, "json", False)):
-            check_open_files()
-            code: int = arguments.run(arguments)
-            sys.stdout.flush()
-        return code
-    except UserError as error:
-        print_error(*error.messages)
-        return error.exit_code
+        if own_process:  # SIGTERM as Ctrl-C, until a command that runs for long has handlers of its own
+            import signal
+
+            signal.signal(signal.SIGTERM, signal.default_int_handler)
+        from resonator_daemon.commands._command_line import run_command
+
+        return run_command(words)
     except KeyboardInterrupt:  # while the command is loaded
         if words[:1] and words[0] in _UNTIL_STOPPED:
-            return ExitCode.DONE
-        print_error("interrupted")
-        return ExitCode.FAILED
-    except BrokenPipeError:  # the reader of the output has what it wants, as `head`
-        _discard_output()
-        return ExitCode.DONE
-    except UnicodeEncodeError as error:  # the streams print everything: it is the name of a file
-        what = f"{error.object!a} cannot name a file in this locale, whose encoding is {error.encoding}"
-        print_error(f"{what}; set LC_ALL=C.UTF-8")
-        return ExitCode.CONFIG
-    except OSError as error:  # as of a standard output on a full disk
-        print_error(reason_of(error))
-        _discard_output()
-        return ExitCode.FAILED
-
-
-def make_parser(words: Sequence[str] = ()) -> argparse.ArgumentParser:
-    """Return the parser of the command that `words` begin with, or of all commands where they name none."""
-    parser = _Parser(
-        prog="resonatord",
-        description="Acquisition daemon for a quartz-resonator tactile plate: counts to forces, sites, contacts and "
-        "surface traction, published over MQTT.",
-        epilog="Exit codes: 0 done, or stopped where a command runs until it is stopped; 1 the run failed (touches or "
-        "frames lost) or was interrupted; 2 usage; 69 link or broker cannot ever work; 78 configuration, an output "
-        "that is there already or cannot be made, or a limit of fewer than 64 open files. "
-        "Start with: resonatord demo",
-    )
-    _add_commands(parser, sys.modules[__name__], words)
-    return parser
-
-
-def command_names(package: ModuleType | None = None) -> Iterator[str]:
-    """Yield the names of all commands, as `plan codes`; all are imported."""
-    package = package or sys.modules[__name__]
-    for name in _names(package):
-        module = importlib.import_module(f"{package.__name__}.{name}")
-        yield from (f"{name} {sub}" for sub in command_names(module)) if hasattr(module, "__path__") else (name,)
-
-
-def _names(package: ModuleType) -> list[str]:
-    files = os.listdir(package.__path__[0])  # pkgutil costs 10 ms more
-    return sorted(file.removesuffix(".py") for file in files if file[0] not in "._")
-
-
-def _add_commands(parser: argparse.ArgumentParser, package: ModuleType, words: Sequence[str], group: str = "") -> None:
-    sub_parsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    names = _names(package)
-    for name in words[:1] if words and words[0] in names else names:
-        module = importlib.import_module(f"{package.__name__}.{name}")
-        summary, *paragraphs = (module.__doc__ or name).strip().split("\n\n")
-        sub = sub_parsers.add_parser(
-            name,
-            help=summary[0].lower() + summary[1:].removesuffix("."),
-            description=" ".join([summary, *paragraphs[:-1]]),
-            epilog=paragraphs[-1] if paragraphs else None,
-        )
-        if hasattr(module, "__path__"):
-            _add_commands(sub, module, words[1:], f"{name} ")
-        else:
-            module.add_arguments(sub)
-            sub.set_defaults(command=group + name, run=module.run)
-
-
-class _Parser(argparse.ArgumentParser):
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse, with an error where the command does not have an argument: argparse prints the usage of all."""
-        namespace, unknown = super().parse_known_args(args, namespace)
-        if unknown:
-            self.error(f"unrecognized arguments: {' '.join(unknown)}")
-        return namespace, unknown
-
-    def print_help(self, file: Any = None) -> None:
-        """Print the help; OSError where it cannot be written, which argparse ignores."""
-        if file is None and sys.stdout is not None:
-            sys.stdout.write(self.format_help())
-            sys.stdout.flush()
-        else:
-            super().print_help(file)
-
-
-def _set_up_output() -> None:
-    set_up_logging()
-    if sys.stdout is None:  # closed by the parent process
-        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - for as long as the process lives
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # characters that this locale lacks, and paths that are no text
-            stream.reconfigure(errors="backslashreplace")
-
-
-def _discard_output() -> None:
-    """Discard unflushed output, so that Python does not retry it at exit."""
-    with suppress(OSError, ValueError, AttributeError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-@contextmanager
-def _json_errors(command: str, *, as_json: bool) -> Iterator[None]:
-    """Print an error as one JSON object to stdout, too, where `--json` asks for objects."""
-    try:
-        try:
-            yield
-        except KeyboardInterrupt:  # those that run until stopped catch it themselves
-            raise InterruptedCommandError("interrupted") from None
-    except UserError as error:
-        if as_json:
-            described = {"code": error.code, "message": str(error), "hint": error.hint}
-            print_json({**error.so_far, "verb": command, "ok": False, "error": described})
-        raise
+            return 0
+        sys.stderr.write("resonatord: interrupted\n")
+        return 1

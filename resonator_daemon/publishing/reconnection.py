@@ -9,6 +9,7 @@ from typing import Any
 from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.config import Mqtt
+from resonator_daemon.host.system_limits import reason_of
 from resonator_daemon.publishing import connection_errors
 from resonator_daemon.publishing.backoff import Backoff
 from resonator_daemon.publishing.broker_connection import MQTT_3, MQTT_5, BrokerConnection, ConnectionTimes
@@ -99,7 +100,8 @@ async def keep_connected(
             if broker.username is None or version is MQTT_3 or not (accepted_s is not None or refused):
                 version = None  # another broker may answer next time; else one attempt without a user name is spared
             answered = connection_errors.code_of(error) != connection_errors.UNSPECIFIED
-            report_change(logging.WARNING, f"{error if answered else 'connection lost'}; trying again")
+            reason = reason_of(error) if isinstance(error, OSError) else error
+            report_change(logging.WARNING, f"{reason if answered else 'connection lost'}; trying again")
         if accepted_s is not None and loop.time() - accepted_s > times.stable_s:
             pauses.reset()
         await asyncio.wait([closing], timeout=pauses.next_s(longest_pause_s))

@@ -13,7 +13,7 @@ from brokers import Mosquitto
 from command_line import exit_code
 from observer import observe
 
-from resonator_daemon.commands import command_names
+from resonator_daemon.commands._command_line import command_names
 from resonator_daemon.config import load_config
 from resonator_daemon.demo.run import DemoOptions
 from resonator_daemon.publishing.asyncapi import document

@@ -99,7 +99,6 @@ async def test_a_replay_to_a_broker_says_what_it_published(mosquitto: Mosquitto)
 
 INTERRUPTED_IMPORT: Final = """
 import builtins, signal, sys
-from resonator_daemon.commands import main
 
 def interrupted(name, *rest):
     if name == module:
@@ -109,6 +108,7 @@ def interrupted(name, *rest):
 module, number = sys.argv[1:3]
 del sys.argv[1:3]
 import_module, builtins.__import__ = builtins.__import__, interrupted
+from resonator_daemon.commands import main
 sys.exit(main())
 """
 
