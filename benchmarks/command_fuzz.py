@@ -46,7 +46,7 @@ SOUND: tuple[tuple[str, dict[str, Any]], ...] = (
     ("set_window", {"window_ms": 20}),
     ("set_window", {"window_ms": 10, "step_ms": 2}),
     ("set_rate", {"topic": "forces", "rate_hz": 20}),
-    ("set_rate", {"topic": "contacts", "rate_hz": None}),
+    ("set_rate", {"topic": "contacts", "rate_hz": 3, "lease_s": 1}),
     ("identify", {}),
 )
 VERBS_TRIED = (*VERBS, "unknown", "TARE", "tare ", "../tare", "a/b", "#", "\ud800", "x" * 300, "")

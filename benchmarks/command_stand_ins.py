@@ -3,7 +3,7 @@
 import math
 import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +46,8 @@ class StandIn:
         self.acts.append(("locate",))
         done(self.board_refuses)
 
-    def set_rate(self, path: str, rate_hz: float | None, limits_hz: Mapping[str, float]) -> None:
-        self.acts.append(("set_rate", path, rate_hz, dict(limits_hz)))
+    def publish_rates(self, rates_hz: Mapping[str, Collection[int]]) -> None:
+        self.acts.append(("publish_rates", dict(rates_hz)))
 
     async def apply(self, request: Control) -> str | None:
         if isinstance(request, Tare):
@@ -103,7 +103,7 @@ def handlers_on(stand_in: StandIn, config: Config) -> CommandHandlers:
         sensor=stand_in.sensor,  # type: ignore[arg-type]
         locate=stand_in.locate,
         streams=("forces", "contacts"),
-        set_rate=stand_in.set_rate,
+        publish_rates=stand_in.publish_rates,
         measurement=lambda: stand_in.measurement,
         apply=stand_in.apply,
     )

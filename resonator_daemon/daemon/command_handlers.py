@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final, get_args
 
 from resonator_daemon.config import Config, Measurement, timing_problems
+from resonator_daemon.daemon.rate_commands import PublishRates, RateCommands
 from resonator_daemon.daemon.recording_commands import RecordingCommands
 from resonator_daemon.pipeline import control_requests
 from resonator_daemon.pipeline.control_requests import Control
@@ -20,8 +21,6 @@ from resonator_daemon.publishing.verbs import (
     JsonTopic,
     Ping,
     Pong,
-    SetRate,
-    SetRateAnswer,
     SetWindow,
     SetWindowAnswer,
     Snapshot,
@@ -52,8 +51,8 @@ class DaemonParts:
         Asks the board to blink; calls, on the event loop, with why it did not, or None.
     streams
         Paths of the topics that this daemon publishes as streams.
-    set_rate
-        Lowers the rate of a stream, or with None no longer; is handed what holds then of all topics, too.
+    publish_rates
+        Called with the further rates of all streams, in Hz by path, when they have changed.
     measurement
         Returns the window that holds now.
     apply
@@ -65,7 +64,7 @@ class DaemonParts:
     sensor: Callable[[], Sensor[Any] | None]
     locate: Callable[[Located], None]
     streams: Collection[str]
-    set_rate: Callable[[str, float | None, Mapping[str, float]], None]
+    publish_rates: PublishRates
     measurement: Callable[[], Measurement]
     apply: Callable[[Control], Awaitable[str | None]]
 
@@ -88,7 +87,6 @@ class CommandHandlers:
         self._plate = config.plate
         self._daemon_boot_id = daemon_boot_id
         self._parts = parts
-        self._limits_hz: dict[str, float] = {}
         self._started_s = time.monotonic()
         self.by_verb: Mapping[str, Handler] = {
             "ping": self._ping,
@@ -99,7 +97,7 @@ class CommandHandlers:
             "stop_recording": recording.stop,
             "mark": recording.mark,
             "set_window": self._set_window,
-            "set_rate": self._set_rate,
+            "set_rate": RateCommands(parts.streams, parts.publish_rates).set_rate,
             "identify": self._identify,
         }
 
@@ -143,18 +141,6 @@ class CommandHandlers:
         if reason := await self._parts.apply(control_requests.SetWindow(measurement=measurement)):
             raise CommandRefusedError("window", reason, "see state/sensor")
         return SetWindowAnswer(window_s=measurement.window_s, step_s=measurement.step_s)
-
-    def _set_rate(self, request: SetRate) -> SetRateAnswer:
-        topic, rate_hz = request.topic, request.rate_hz
-        if topic not in self._parts.streams:
-            published = ", ".join(self._parts.streams)
-            raise CommandRefusedError("not_published", f"this daemon does not publish {topic}", f"streams: {published}")
-        if rate_hz is None:
-            self._limits_hz.pop(topic, None)
-        else:
-            self._limits_hz[topic] = rate_hz
-        self._parts.set_rate(topic, rate_hz, self._limits_hz)
-        return SetRateAnswer(topic=topic, rate_hz=rate_hz)
 
     async def _identify(self, _request: Identify) -> IdentifyAnswer:
         answered: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()

@@ -9,7 +9,7 @@ import secrets
 import signal
 import sys
 import time
-from collections.abc import Coroutine, Mapping
+from collections.abc import Collection, Coroutine, Mapping
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
@@ -216,7 +216,7 @@ class Service:
             sensor=self._measuring_sensor,
             locate=self._reader.blink,
             streams=tuple(topic.path for topic in self._pipeline.sensor.streams),
-            set_rate=self._set_rate,
+            publish_rates=self._publish_rates,
             measurement=lambda: self._pipeline.sensor.measurement,
             apply=self._control_requests.apply,
         )
@@ -246,9 +246,9 @@ class Service:
         link, sensor = self._pipeline.link, self._pipeline.sensor
         return sensor if sensor.ready and link is not None and link.state == Condition.ONLINE else None
 
-    def _set_rate(self, path: str, rate_hz: float | None, limits_hz: Mapping[str, float]) -> None:
-        self._plate_publisher.set_rate(path, rate_hz)
-        self._pipeline.limit_rates(limits_hz)
+    def _publish_rates(self, rates_hz: Mapping[str, Collection[int]]) -> None:
+        self._plate_publisher.set_rates(rates_hz)
+        self._pipeline.publish_rates(rates_hz)
 
     async def _keep_reloading(self) -> None:
         while True:

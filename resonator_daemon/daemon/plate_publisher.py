@@ -124,10 +124,12 @@ class PlatePublisher:
         if self._commands is not None:
             self._commands.allowed = verbs
 
-    def set_rate(self, path: str, rate_hz: float | None) -> None:
-        """Lower the rate of a stream; None: no longer."""
+    def set_rates(self, rates_hz: Mapping[str, Collection[int]]) -> None:
+        """Set the further rates of streams, by path, each published on a topic of its own."""
         if self._publisher is not None:
-            self._publisher.set_rate(path, rate_hz)
+            for topic in TOPICS.values():
+                if topic.slow_hz is not None:
+                    self._publisher.set_rates(self._base, topic, rates_hz.get(topic.path, ()))
 
     async def close(self, *, wait_for_broker: bool) -> None:
         """Answer pending commands, publish that the daemon stopped, and end `run`."""

@@ -112,7 +112,7 @@ class BoardPipeline:
         self._arrived_utc_ns = 0  # of what arrived last: the same live and from a recording
         self._now_utc_ns = 0
         self._day = -1
-        self._limits_hz: Mapping[str, float] = {}  # of topics whose rate a command has lowered
+        self._rates_hz: Mapping[str, Collection[int]] = {}  # further ones, by path
 
     @property
     def skipped_late(self) -> int:
@@ -200,9 +200,9 @@ class BoardPipeline:
         except ValueError as error:
             return f"{request!r} is no request of this version: {error}"
 
-    def limit_rates(self, limits_hz: Mapping[str, float]) -> None:
-        """Publish how often topics are published whose rate was lowered."""
-        self._limits_hz = dict(limits_hz)
+    def publish_rates(self, rates_hz: Mapping[str, Collection[int]]) -> None:
+        """Publish which further rates streams have now, by path."""
+        self._rates_hz = rates_hz
         self._publish_info()
 
     def allow(self, verbs: Collection[str]) -> None:
@@ -249,4 +249,4 @@ class BoardPipeline:
 
     def _publish_info(self) -> None:
         if self.board is not None:
-            self._publish(INFO, self.states.info(self.board, self._limits_hz, self._arrived_utc_ns))
+            self._publish(INFO, self.states.info(self.board, self._rates_hz, self._arrived_utc_ns))

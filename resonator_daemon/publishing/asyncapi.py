@@ -30,7 +30,9 @@ _PARAMETERS: Final = {
     "prefix": {"description": "`mqtt.prefix` of the configuration; may have several levels", "default": "resonator"},
     "name": {"description": "`name` of the configuration, by default the board's serial number"},
     "id": {"description": "of a decoder process"},
+    "rate_hz": {"description": "messages a second, at most; an integer from 1 to 1000"},
 }
+_NO_BRACES: Final = str.maketrans("", "", "{}")
 _DOCUMENT: Final = "AsyncApiDocument"
 _ABOUT: Final = (
     "Topics of a tactile plate, as the daemon and its decoders publish them. On MQTT 5 and 3.1.1 topics and payloads "
@@ -59,6 +61,8 @@ def document() -> Object:
             if topic.slow_hz is not None:
                 copied = f"The messages of `{topic.path}`, at most {topic.slow_hz} a second; for display."
                 _add_topic(channels, operations, base, topic.slow_path, topic, copied)
+                further = f"The messages of `{topic.path}` at a rate that `set_rate` asked for, while its lease lasts."
+                _add_topic(channels, operations, base, topic.path_at("{rate_hz}"), topic, further)
     _add_document(channels, operations)
     for verb in VERBS.values():
         _add_verb(channels, operations, verb)
@@ -113,7 +117,7 @@ def _add_verb(channels: Object, operations: Object, verb: Verb) -> None:
 
 
 def _key(base: str, path: str) -> str:
-    return ("" if base == _PLATE else f"{DECODER}_") + path.replace("/", "_")
+    return ("" if base == _PLATE else f"{DECODER}_") + path.replace("/", "_").translate(_NO_BRACES)
 
 
 def _channel(address: str, about: str | None, *messages: str) -> Object:

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
@@ -52,15 +52,25 @@ def ignore(*_: object) -> None:
 
 
 class _Stream:
-    """Packets of a stream, and those of its decimated topic with their pace; None where there is none."""
+    """Packets of a stream, and those of its decimated topics with their paces."""
 
     def __init__(self, base: str, topic: Topic[Any]) -> None:
-        properties, perishable = properties_of(topic), topic.perishable
-        self.packets = StreamPackets(f"{base}/{topic.path}", properties, perishable=perishable)
-        self.slow: tuple[Pace, StreamPackets] | None = None
-        if topic.slow_hz is not None:
-            slow_packets = StreamPackets(f"{base}/{topic.slow_path}", properties, perishable=perishable)
-            self.slow = Pace(topic.slow_hz), slow_packets
+        self._base, self._topic = base, topic
+        self._by_rate: dict[int, tuple[Pace, StreamPackets]] = {}
+        self.packets = self._packets(topic.path)
+        self.set_rates(())
+
+    def set_rates(self, rates_hz: Collection[int]) -> None:
+        """Set the rates that are published in addition to the fixed ones; a rate that goes on keeps its pace."""
+        fixed = () if self._topic.slow_hz is None else (self._topic.slow_hz,)
+        self._by_rate = {
+            rate_hz: self._by_rate.get(rate_hz) or (Pace(rate_hz), self._packets(self._topic.path_at(rate_hz)))
+            for rate_hz in (*fixed, *rates_hz)
+        }
+        self.decimated = tuple(self._by_rate.values())
+
+    def _packets(self, path: str) -> StreamPackets:
+        return StreamPackets(f"{self._base}/{path}", properties_of(self._topic), perishable=self._topic.perishable)
 
 
 class Publisher:
@@ -122,7 +132,6 @@ class Publisher:
         self._account = Account()
         self._outbox = Outbox(self._account, spool_directory, stream_wait_max_s)
         self._retained = RetainedTopics(self._outbox.republish, conflict)
-        self._paces: dict[str, Pace] = {}  # of main topics that are slowed down, by path
         self._streams: dict[tuple[str, str], _Stream] = {}  # by base and path
         self._denied: set[str] = set()  # filters whose refusal was logged
         self._defects: set[tuple[str, type[Exception]]] = set()  # filters, and kinds of errors that were logged
@@ -208,18 +217,9 @@ class Publisher:
             properties = pack(content_type=JSON, expiry_s=outgoing.expiry_s, correlation=outgoing.correlation)
             self._outbox.put_answer(Packet(outgoing.topic, outgoing.payload, properties))
 
-    def set_rate(self, topic_path: str, rate_hz: float | None) -> None:
-        """Publish at most this often on a main topic; None: each message. A decimated topic stays as it is.
-
-        Raises
-        ------
-        ValueError
-            The rate is not above 0.
-        """
-        if rate_hz is None:
-            self._paces.pop(topic_path, None)
-        else:
-            self._paces[topic_path] = Pace(rate_hz)
+    def set_rates(self, base: str, topic: Topic[Any], rates_hz: Collection[int]) -> None:
+        """Set the rates, each above 0, at which a stream is published on topics of their own, besides its fixed one."""
+        self._stream(base, topic).set_rates(rates_hz)
 
     async def run(self) -> None:
         """Keep connected until `close`; when cancelled instead, the broker publishes the last will."""
@@ -283,17 +283,13 @@ class Publisher:
             client.subscribe(topic, no_local=True)
 
     def _publish_stream(self, base: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
-        """Queue the message and its decimated topic, the same bytes, each where its pace lets it pass."""
+        """Queue the message, and the same bytes on each decimated topic whose pace lets it pass."""
         t_ns = message.t_ns if isinstance(message, (Encoded, Header)) else 0
-        stream = self._streams.get((base, topic.path))
-        if stream is None:
-            stream = self._streams[base, topic.path] = _Stream(base, topic)
-        pace = self._paces.get(topic.path) if self._paces else None
-        wanted = [stream.packets] if pace is None or pace.lets_pass(t_ns) else []
-        if stream.slow is not None and stream.slow[0].lets_pass(t_ns):
-            wanted.append(stream.slow[1])
-        if not wanted:
-            return
+        stream = self._stream(base, topic)
+        wanted = [stream.packets]
+        for pace, packets in stream.decimated:
+            if pace.lets_pass(t_ns):
+                wanted.append(packets)
         self._account.enqueued += len(wanted)
         if self._closed or self._client is None:
             for packets in wanted:
@@ -302,6 +298,12 @@ class Publisher:
         payload = encode(message)
         for packets in wanted:
             self._outbox.put_stream(packets, payload)
+
+    def _stream(self, base: str, topic: Topic[Any]) -> _Stream:
+        stream = self._streams.get((base, topic.path))
+        if stream is None:
+            stream = self._streams[base, topic.path] = _Stream(base, topic)
+        return stream
 
     def _make_connection(self, version: MQTTProtocolVersion) -> BrokerConnection:
         will = self._make_will()

@@ -36,6 +36,7 @@ ErrorCode = Literal[
     "recording_failed",
     "window",
     "not_published",
+    "too_many_rates",
     "not_located",
 ]
 
@@ -208,20 +209,20 @@ class SetWindowAnswer(Answer):
 
 
 class SetRate(Request):
-    """Lower the rate of a stream; the decimated topic next to it stays as it is. Until the daemon ends."""
+    """Publish a stream at a further rate, too, on a topic of its own, for a time that asking again extends."""
 
     topic: StreamTopic
-    rate_hz: Annotated[float, Field(ge=0.1, le=10_000, allow_inf_nan=False)] | None = Field(
-        description="at most so many messages a second; null: all of them"
-    )
+    rate_hz: int = Field(ge=1, le=1000, description="at most so many messages a second")
+    lease_s: int = Field(60, ge=1, le=3600, description="how long from now")
 
 
 class SetRateAnswer(Answer):
-    """What holds from the next message on."""
+    """The topic that has this rate."""
 
     verb: Literal["set_rate"] = "set_rate"
-    topic: StreamTopic
-    rate_hz: float | None
+    topic: str = Field(description="below prefix and name")
+    rate_hz: int = Field(description="at most so many messages a second")
+    until_t_ns: Int64 | None = Field(description="UTC, when it ends; null: it is always published")
 
 
 class Identify(Request):
@@ -271,7 +272,7 @@ VERBS: Final[dict[str, Verb]] = {
         Verb(StopRecording, StopRecordingAnswer, "ends the recording"),
         Verb(Mark, MarkAnswer, "writes a remark into the recording", idempotent=False),
         Verb(SetWindow, SetWindowAnswer, "sets window and step of the forces"),
-        Verb(SetRate, SetRateAnswer, "lowers the rate of a stream"),
+        Verb(SetRate, SetRateAnswer, "publishes a stream at a further rate on a topic of its own"),
         Verb(Identify, IdentifyAnswer, "makes the board blink"),
     )
 }

@@ -94,10 +94,14 @@ async def test_each_command_does_what_it_says(bench: Bench) -> None:
         await heard.until_count(FORCES, count + 5)
         assert ticks_between(heard.payloads(FORCES)[count:]) == {2 * step_ticks}
 
-        await ask("set_rate", topic="forces", rate_hz=20)
-        await heard.until(lambda: heard.payloads(INFO)[-1]["rates_hz"]["forces"] == 20.0)
-        await heard.until_count(FORCES, len(heard.payloads(FORCES)) + 8)  # the first may have been on their way
-        assert min(ticks_between(heard.payloads(FORCES)[-3:])) >= 8 * step_ticks
+        rate = await ask("set_rate", topic="forces", rate_hz=25, lease_s=1)
+        assert (rate["topic"], rate["rate_hz"]) == ("forces/25hz", 25)
+        await heard.until(lambda: heard.payloads(INFO)[-1]["rates_hz"].get("forces/25hz") == 25.0)
+        await heard.until_count(f"{FORCES}/25hz", 5)
+        slow = heard.payloads(f"{FORCES}/25hz")[1:]  # the first came in the middle of its period
+        assert ticks_between(slow) <= {2 * count * step_ticks for count in (3, 4, 5)}
+        await heard.until(lambda: "forces/25hz" not in heard.payloads(INFO)[-1]["rates_hz"])
+        assert ticks_between(heard.payloads(FORCES)[count:]) == {2 * step_ticks}
 
         snapshot = await ask("snapshot", topics=["info", "state/sensor", "forces"])
         assert snapshot["messages"]["info"] == heard.payloads(INFO)[-1]

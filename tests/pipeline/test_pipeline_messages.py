@@ -266,11 +266,12 @@ def test_info_needs_no_file(messages: Messages, monkeypatch: pytest.MonkeyPatch)
     assert literal(messages.states.info(BOARD, {}, 1))["daemon_version"] == running
 
 
-def test_rates_that_a_command_has_lowered_are_told(tmp_path: Path) -> None:
+def test_further_rates_have_their_topics_in_info(tmp_path: Path) -> None:
     said = literal(
-        Messages(configured(tmp_path, FORCE_PLATE)).states.info(BOARD, {"forces": 10.0, "contacts": 900.0}, 1)
+        Messages(configured(tmp_path, FORCE_PLATE)).states.info(BOARD, {"forces": [10, 5], "contacts": [900]}, 1)
     )
-    assert said["rates_hz"] == {"forces": 10.0, "forces/20hz": 20.0, "contacts": 200.0, "contacts/20hz": 20.0}
+    fixed = {"forces": 200.0, "forces/20hz": 20.0, "contacts": 200.0, "contacts/20hz": 20.0}
+    assert said["rates_hz"] == fixed | {"forces/10hz": 10.0, "forces/5hz": 5.0, "contacts/900hz": 200.0}
 
 
 def test_a_skin_that_is_decoded_elsewhere_has_its_signals_alone(tmp_path: Path) -> None:

@@ -140,22 +140,26 @@ async def test_close_does_not_wait_for_a_frozen_broker(mosquitto) -> None:
     mosquitto.thaw()
 
 
-async def test_a_lower_rate_of_a_main_topic_leaves_its_copy_and_the_account_alone(mosquitto) -> None:
+async def test_a_further_rate_is_a_topic_of_its_own_and_leaves_the_others_alone(mosquitto) -> None:
     async with observe(mosquitto.url) as observer, publishing(mosquitto.url) as left:
         await until(lambda: left.connected)
-        left.set_rate("forces", 50.0)
-        left.set_rate("health", 50.0)
-        for number in range(200):
-            t_ns = 1_789_000_000_000_000_000 + number * 5_000_000
-            left.publish(LEFT, topics.FORCES, Messages.forces(number).model_copy(update={"t_ns": t_ns}))
-            assert_exact(left)
-        assert left.account.made == 50 + 20
-        left.set_rate("forces", None)
-        left.publish(LEFT, topics.FORCES, Messages.forces(200))
-        await observer.until(lambda: len(observer.raw("resonator/left/forces")) == 51)
-        assert len(observer.raw("resonator/left/forces/20hz")) == 20
-    with pytest.raises(ValueError, match="above 0"):
-        left.set_rate("forces", 0.0)
+
+        def publish(first: int, end: int) -> None:
+            for number in range(first, end):
+                t_ns = 1_789_000_000_000_000_000 + number * 5_000_000  # 200 Hz
+                left.publish(LEFT, topics.FORCES, Messages.forces(number).model_copy(update={"t_ns": t_ns}))
+                assert_exact(left)
+
+        left.set_rates(LEFT, topics.FORCES, (5,))
+        publish(0, 100)
+        left.set_rates(LEFT, topics.FORCES, (5, 50))
+        publish(100, 200)
+        left.set_rates(LEFT, topics.FORCES, ())
+        publish(200, 300)
+        await observer.until_count("resonator/left/forces", 300)
+        counts = {rate_hz: len(observer.raw(f"resonator/left/forces/{rate_hz}hz")) for rate_hz in (5, 20, 50)}
+        assert counts == {5: 5, 20: 30, 50: 25}
+        assert left.account.made == 300 + 60
 
 
 async def test_states_that_are_published_on_connecting_go_before_those_restored() -> None:
