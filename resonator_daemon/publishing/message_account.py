@@ -15,6 +15,7 @@ log = logging.getLogger(__name__)
 class Cause(StrEnum):
     """Why a message was never handed over."""
 
+    NOT_CONNECTED_YET = "not_connected_yet"  # a stream before the first connection: it had no subscribers to miss it
     NO_CONNECTION = "no_connection"
     QUEUE_FULL = "queue_full"
     LATE = "late"  # a stream that waited too long for the socket
@@ -31,6 +32,7 @@ _ON_REFUSAL: Final = (
     "; the broker's access rules refuse them to this user: does `name` match its user name or certificate?"
 )
 
+_NOT_MISSED: Final = (Cause.SUPERSEDED, Cause.NOT_CONNECTED_YET)
 # A connection that is lost, a spool that fails and a message that is too large are logged where they occur.
 _LOGGED: Final = (Cause.QUEUE_FULL, Cause.LATE, Cause.REFUSED, Cause.SPOOL_FULL)
 
@@ -47,7 +49,7 @@ class Account:
         self.written = 0
         self.unknown_at_disconnect = 0
         self.dropped: Counter[str] = Counter()
-        self.missed = 0  # of those that were dropped, what subscribers miss: not superseded, not late
+        self.missed = 0  # of those that were dropped, what subscribers miss
         self.late = 0
         self._unlogged: Counter[tuple[str, Cause]] = Counter()
         self._timer: asyncio.TimerHandle | None = None
@@ -59,7 +61,7 @@ class Account:
         self.dropped[cause.value] += count
         if cause is Cause.LATE:
             self.late += count
-        elif cause is not Cause.SUPERSEDED:
+        elif cause not in _NOT_MISSED:
             self.missed += count
         if cause in _LOGGED:
             self._unlogged[topic, cause] += count

@@ -155,7 +155,8 @@ class Publisher:
     def dropped(self) -> int:
         """Number of messages that subscribers miss; `lost.publish_dropped` of the messages to come.
 
-        States that a newer one replaced before they were sent, and late messages, count in `account.dropped` only.
+        Streams before the first connection, states that a newer one replaced before they were sent, and late messages
+        count in `account.dropped` only.
         """
         return self._account.missed
 
@@ -292,8 +293,9 @@ class Publisher:
                 wanted.append(packets)
         self._account.enqueued += len(wanted)
         if self._closed or self._client is None:
+            absent = Cause.NO_CONNECTION if self._connections else Cause.NOT_CONNECTED_YET
             for packets in wanted:
-                self._account.drop(Cause.CLOSED if self._closed else Cause.NO_CONNECTION, packets.topic)
+                self._account.drop(Cause.CLOSED if self._closed else absent, packets.topic)
             return
         payload = encode(message)
         for packets in wanted:
