@@ -24,7 +24,6 @@ REF: Final = "#/components/schemas/{model}"
 Schema = dict[str, Any]
 
 _NULL: Final = {"type": "null"}
-_TYPES: Final = ("string", "number", "boolean", "array", "object", "null")  # an integer is a number
 
 
 class _Untitled(GenerateJsonSchema):
@@ -78,18 +77,20 @@ def _generate(
     wanted: list[tuple[type[BaseModel], JsonSchemaMode]] = [(model, mode) for model in every]
     references, generated = models_json_schema(wanted, ref_template=REF, schema_generator=generator)
     classes = {reference["$ref"].rpartition("/")[2]: model for (model, _), reference in references.items()}
-    schemas = {}
+    schemas: dict[str, Schema] = {}
+    words: dict[str, Schema] = {}
     for name, schema in generated["$defs"].items():
         model = classes.get(name)
         included = _headers_of(model) if model is not None else ()
         published = name + header_suffix if model in headers else name
-        component = _component(published, schema, included[0].model_fields.keys() if included else ())
+        inherited = included[0].model_fields.keys() if included else ()
+        component = _component(published, schema, inherited, words)
         if included:
             about = {key: component.pop(key) for key in ("title", "description")}
             header = {"$ref": REF.format(model=included[0].__name__ + header_suffix)}
             component = about | {"allOf": [header, component]}
         schemas[published] = component
-    return schemas
+    return schemas | words
 
 
 def _headers_of(model: type[Any]) -> tuple[type[Header], ...]:
@@ -97,14 +98,14 @@ def _headers_of(model: type[Any]) -> tuple[type[Header], ...]:
     return tuple(base for base in model.__mro__[1:] if issubclass(base, Header))
 
 
-def _component(name: str, schema: Schema, inherited: Collection[str]) -> Schema:
-    """Return the schema of a named type, without the keys that its header has."""
+def _component(name: str, schema: Schema, inherited: Collection[str], words: dict[str, Schema]) -> Schema:
+    """Return the schema of a named type, without the keys that its header has; `words` takes its sets of words."""
     component: Schema = _as_draft_7(schema) | {"title": name}
     if "properties" not in component:
         return component
     keys, required = component["properties"], component.pop("required", [])
     certain = [key for key in required if not _may_be_null(keys[key])]
-    own = {key: value for key, value in keys.items() if key not in inherited}
+    own = {key: _with_words_named(value, words) for key, value in keys.items() if key not in inherited}
     referring = {key: value.pop("description") for key, value in own.items() if "$ref" in value and len(value) > 1}
     about = [component.get("description", ""), *(f"- `{key}`: {meaning}" for key, meaning in referring.items())]
     component |= {"description": "\n".join(about), "properties": own}
@@ -115,6 +116,18 @@ def _component(name: str, schema: Schema, inherited: Collection[str]) -> Schema:
             raise ValueError(f"{name}: needs a key that is never null")
         component["dependencies"] = {certain[0]: uncertain}
     return component
+
+
+def _with_words_named(schema: Any, words: dict[str, Schema]) -> Any:
+    """Return a part of a schema with each set of words that has a title by reference."""
+    if isinstance(schema, list):
+        return [_with_words_named(part, words) for part in schema]
+    if not isinstance(schema, dict):
+        return schema
+    if schema.keys() >= {"enum", "title"}:
+        words[schema["title"]] = schema
+        return {"$ref": REF.format(model=schema["title"])}
+    return {key: _with_words_named(part, words) for key, part in schema.items()}
 
 
 def _as_draft_7(schema: Any) -> Any:
@@ -128,44 +141,25 @@ def _as_draft_7(schema: Any) -> Any:
         items = converted.pop("prefixItems")
         converted["items"] = items[0] if all(item == items[0] for item in items) else items
     if "anyOf" in converted:
-        converted = _choice(converted)
+        converted = _nullable(converted)
     if converted.get("type") == "array":
         converted = _array(converted)
     return converted
 
 
 def _may_be_null(schema: Schema) -> bool:
-    """Whether null is among the values of a schema of this module."""
-    if "not" in schema:
-        return "null" not in schema["not"]["type"]
     return "null" in schema.get("type", ()) or _NULL in schema.get("anyOf", ())
 
 
-def _choice(schema: Schema) -> Schema:
-    """Return the form of a value or null, or of values of several types.
-
-    Of several types, modelina makes one that decodes nothing in Go; where it is stated what a value is not, it takes
-    any. json-schema-to-typescript reads `tsType`.
-    """
-    values: list[Schema] = [part for part in schema["anyOf"] if part != _NULL]
+def _nullable(schema: Schema) -> Schema:
+    """Return the form of a value or null."""
+    value, *others = (part for part in schema["anyOf"] if part != _NULL)
+    if others or value.keys() & {"enum", "const"}:
+        raise ValueError(f"{schema}: types of which generators make one that decodes nothing; give the words a name")
+    if "$ref" in value:
+        return schema | {"title": f"{value['$ref'].rpartition('/')[2]}OrNull"}
     outer = {key: part for key, part in schema.items() if key != "anyOf"}
-    null = ["null"] if _NULL in schema["anyOf"] else []
-    if len(values) == 1 and "$ref" in values[0]:
-        return schema | {"title": f"{values[0]['$ref'].rpartition('/')[2]}OrNull"}
-    if any(value.keys() & {"enum", "const", "$ref"} for value in values):
-        raise ValueError(f"{schema}: words that may be null, and a choice of objects, need a type with a name")
-    if len(values) == 1 and "not" not in values[0]:
-        return values[0] | outer | {"type": [values[0]["type"], *null]}
-    types = {*null, *(kind for value in values for kind in _types_of(value))}
-    limits = {key: limit for value in values for key, limit in value.items() if key not in ("type", "not")}
-    named = " | ".join(kind for kind in _TYPES if kind in types)
-    return limits | outer | {"not": {"type": [kind for kind in _TYPES if kind not in types]}, "tsType": named}
-
-
-def _types_of(schema: Schema) -> set[str]:
-    if "not" in schema:
-        return set(_TYPES) - set(schema["not"]["type"])
-    return {"number" if schema["type"] == "integer" else schema["type"]}
+    return {**value, **outer, "type": [value["type"], "null"]}
 
 
 def _array(schema: Schema) -> Schema:

@@ -1,7 +1,7 @@
 """Messages about what presses on a plate: forces, contacts, and what a skin senses and a decoder makes of it."""
 
 import math
-from typing import Literal, Self
+from typing import Self
 
 from pydantic import Field, model_validator
 
@@ -17,6 +17,7 @@ from resonator_daemon.publishing.payload_types import (
     Vector2,
     Vector3,
 )
+from resonator_daemon.publishing.words import Baseline, ContactChange, ResponseCompensation
 
 _NOISE = "one standard deviation of what averages out, from the counts themselves"
 _SYSTEMATIC = (
@@ -47,10 +48,7 @@ class SiteForce(Message):
 class Compensation(Message):
     """What was taken out of the frequencies before they became forces."""
 
-    baseline: Literal["followed", "held", "unknown"] = Field(
-        description="`followed` from tones that nothing touches; `held` while none is detected; `unknown` until it is "
-        "known"
-    )
+    baseline: Baseline = Field(description="how the frequencies of the untouched plate are known")
     common_mode: PerChannel = Field(
         description="relative error of the frequencies of each channel: the board's reference, and the plate's "
         "temperature as the pilot shows it"
@@ -66,10 +64,7 @@ class Compensation(Message):
         description="its standard deviation; near 20 K where nothing but changes was seen, or where all sites have "
         "the same coefficients"
     )
-    response: Literal["on", "off"] = Field(
-        description="`on`: hysteresis and creep of the sites are taken out; `off`: they were not calibrated, and "
-        "`systematic_newton` holds their usual size"
-    )
+    response: ResponseCompensation = Field(description="whether hysteresis and creep of the sites are taken out")
 
 
 class Forces(Measured):
@@ -128,7 +123,7 @@ class Contacts(Measured):
 class ContactEvent(Measured):
     """A contact begins, ends or slips."""
 
-    event: Literal["onset", "release", "incipient_slip", "gross_slip"] = Field(description="what happens")
+    event: ContactChange = Field(description="what happens")
     reason: str = Field(
         "",
         description="why a contact is released, empty for other events: its force has fallen, it is `no longer felt`, "

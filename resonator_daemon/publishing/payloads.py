@@ -49,18 +49,22 @@ from resonator_daemon.publishing.state_payloads import (
     SkinInfo,
     State,
 )
+from resonator_daemon.publishing.words import Baseline, ContactChange, CounterType, ResponseCompensation
 
 WITH_ARRAYS: Final = (Signals, Decoded)  # these are CBOR, all others JSON
 
 __all__ = [
     "WITH_ARRAYS",
+    "Baseline",
     "BootInfo",
     "CalibrationInfo",
     "Compensation",
     "Condition",
     "Contact",
+    "ContactChange",
     "ContactEvent",
     "Contacts",
+    "CounterType",
     "Decoded",
     "DecodedSummary",
     "DecoderHealth",
@@ -86,6 +90,7 @@ __all__ = [
     "Patch",
     "PerChannel",
     "RecordingInfo",
+    "ResponseCompensation",
     "SignalArray",
     "Signals",
     "SiteForce",

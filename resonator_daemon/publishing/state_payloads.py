@@ -1,13 +1,11 @@
 """Messages about the parts that measure: states, what a plate is, and how daemon and decoders fare."""
 
-from typing import Literal
-
 from pydantic import Field
 
 from resonator_daemon.conditions import Condition
-from resonator_daemon.plate import CounterType
 from resonator_daemon.publishing.measured_payloads import Grid
 from resonator_daemon.publishing.payload_types import Float, Header, Int64, Message
+from resonator_daemon.publishing.words import CounterType, ResponseCompensation
 
 _CPU = "of one core, since the last message"
 _MESSAGES = "where each message went"
@@ -68,9 +66,7 @@ class CalibrationInfo(Message):
         description="relative, one standard deviation: scatter of K from touch to touch and corner"
     )
     sensitivity_std: float = Field(description="relative, one standard deviation: what all K share")
-    response: Literal["on", "off"] = Field(
-        description="`on`: hysteresis and creep are taken out; `off`: not calibrated"
-    )
+    response: ResponseCompensation = Field(description="whether hysteresis and creep are taken out")
 
 
 class SkinInfo(Message):
@@ -94,7 +90,7 @@ class Info(Header):
     product: str = Field(description="of the board, as it reports it")
     serial_number: str | None = Field(description="of the board; null where it has none")
     firmware: str = Field(description="version of the board's firmware")
-    counter: CounterType = Field(description="`single-tone`: one captured tone per corner; `channelised`: one per site")
+    counter: CounterType = Field(description="what the board counts")
     frame_rate_hz: float = Field(description="frames of the board")
     window_s: float = Field(description="length of a window of `forces`; of a skin each frame is one")
     step_s: float = Field(description="from window to window")

@@ -16,9 +16,13 @@ ID_LENGTH_MAX: Final = 64
 if TYPE_CHECKING:
     JsonTopic = str
     StreamTopic = str
+    NamedJsonTopic = str
+    NamedStreamTopic = str
 else:
     JsonTopic = Literal[tuple(path for path, topic in TOPICS.items() if topic.content_type == JSON)]
     StreamTopic = Literal[tuple(path for path, topic in TOPICS.items() if topic.slow_hz is not None)]
+    NamedJsonTopic = Annotated[JsonTopic, Field(title="JsonTopic")]
+    NamedStreamTopic = Annotated[StreamTopic, Field(title="StreamTopic")]
 ErrorCode = Literal[
     "unknown_verb",
     "not_permitted",
@@ -69,7 +73,7 @@ class Answer(Message):
 class Problem(Message):
     """Why a command was refused."""
 
-    code: ErrorCode = Field(description="for programs")
+    code: Annotated[ErrorCode, Field(title="ErrorCode")] = Field(description="for programs")
     message: str = Field(description="sentence for display: what is wrong")
     hint: str = Field(description="what to do about it; may be empty")
 
@@ -110,7 +114,7 @@ class HealthAnswer(Answer):
 class Snapshot(Request):
     """Ask for the last messages on the JSON topics."""
 
-    topics: Annotated[tuple[JsonTopic, ...], Field(strict=False, max_length=16)] | None = Field(
+    topics: Annotated[tuple[NamedJsonTopic, ...], Field(strict=False, max_length=16)] | None = Field(
         None, description="those wanted; all where not given"
     )
 
@@ -211,7 +215,7 @@ class SetWindowAnswer(Answer):
 class SetRate(Request):
     """Publish a stream at a further rate, too, on a topic of its own, for a time that asking again extends."""
 
-    topic: StreamTopic
+    topic: NamedStreamTopic
     rate_hz: int = Field(ge=1, le=1000, description="at most so many messages a second")
     lease_s: int = Field(60, ge=1, le=3600, description="how long from now")
 

@@ -13,12 +13,14 @@ from resonator_daemon.forces.site_identification import SiteForce as MeasuredFor
 from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.codec import Encoded, encode_fields
 from resonator_daemon.publishing.payloads import (
+    Baseline,
     Compensation,
     ContactEvent,
     Contacts,
     EventContact,
     Forces,
     Message,
+    ResponseCompensation,
     SiteForce,
     Status,
 )
@@ -30,6 +32,8 @@ from resonator_daemon.session.clock import Instant
 
 _NS: Final = 1_000_000_000
 _STATUS = {str(word): word for word in Status}
+_BASELINE = {str(word): word for word in Baseline}
+_RESPONSE = {str(word): word for word in ResponseCompensation}
 
 
 def _common_fields(reading: type[Any], payload: type[Message]) -> Callable[[Any], dict[str, Any]]:
@@ -76,7 +80,11 @@ class ForceMessages:
                 **_forces_of(reading),
                 "status": _STATUS[reading.status],
                 "sites": tuple([self._site_force(force, gate_middle) for force in reading.sites]),
-                "compensation": _compensation_of(reading.compensation),
+                "compensation": {
+                    **_compensation_of(reading.compensation),
+                    "baseline": _BASELINE[reading.compensation.baseline],
+                    "response": _RESPONSE[reading.compensation.response],
+                },
             },
         )
 

@@ -1,0 +1,34 @@
+"""Closed sets of words in the payloads of measurements, apart from states and statuses."""
+
+from resonator_daemon.conditions import Word
+
+
+class Baseline(Word):
+    """How the frequencies of the untouched plate are known."""
+
+    FOLLOWED = "followed", "from tones that nothing touches"
+    HELD = "held", "as they were; no untouched tone is detected"
+    UNKNOWN = "unknown", "not known yet"
+
+
+class ResponseCompensation(Word):
+    """Whether hysteresis and creep of the sites are taken out."""
+
+    ON = "on", "hysteresis and creep are taken out"
+    OFF = "off", "they were not calibrated; `systematic_newton` holds their usual size"
+
+
+class ContactChange(Word):
+    """What happens to a contact."""
+
+    ONSET = "onset", "it begins"
+    RELEASE = "release", "it ends; `reason` states why"
+    INCIPIENT_SLIP = "incipient_slip", "under a skin: its margin to slip has fallen below 0.3"
+    GROSS_SLIP = "gross_slip", "under a skin: no margin is left, all of it slips"
+
+
+class CounterType(Word):
+    """What the board counts."""
+
+    SINGLE_TONE = "single-tone", "one captured tone per corner"
+    CHANNELISED = "channelised", "one tone per site and corner"
