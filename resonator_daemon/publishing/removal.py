@@ -104,7 +104,7 @@ class _Removal:
     def receive(self, message: Incoming) -> None:
         """Take a retained message, a live one on the same topic, or an empty one, which cleared a topic."""
         path = message.topic.removeprefix(self._base)
-        if path == message.topic:  # amqtt 0.12 delivers retained messages of other topics, too
+        if path == message.topic:  # amqtt 0.12 delivers retained messages of all subscriptions that it has
             return
         if message.payload and (message.retained or path in (*self.cleared, *self._retained)):
             self._retained[path] = message.payload

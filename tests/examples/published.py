@@ -8,7 +8,7 @@ from example_messages import example, header
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.payloads import Decoded, Forces, Grid, Message, SiteForce
+from resonator_daemon.publishing.payloads import ContactEvent, Decoded, Forces, Grid, Message, SiteForce
 
 HEADER: dict[str, Any] = header(t_ns=1789000000000000123)
 
@@ -19,6 +19,10 @@ def forces(seq: int, *sites: SiteForce) -> Forces:
 
 def force(site: int, force_newton: float, status: str = "ok") -> SiteForce:
     return example(SiteForce, site=site, force_newton=force_newton, status=status)
+
+
+def event(seq: int, word: str) -> ContactEvent:
+    return example(ContactEvent, **HEADER | {"seq": seq, "event": word})
 
 
 def decoded(seq: int, traction_pascal: np.ndarray, grid: Grid | None) -> Decoded:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cbor2 import CBORTag
 from example_programs import EXAMPLES, run
-from published import decoded, force, forces
+from published import decoded, event, force, forces
 
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import Grid
@@ -19,7 +19,7 @@ SANITIZERS = ("-std=c99", "-O1", "-g", "-fsanitize=address,undefined", "-fno-san
 ENVIRONMENT = {**os.environ, "ASAN_OPTIONS": "allocator_may_return_null=1:max_allocation_size_mb=16"}
 ARRAY = np.arange(27.0).reshape(3, 3, 3)
 SOUND = {
-    "forces": [encode(forces(1, force(7, 1.234), force(12, 0.5)))],
+    "forces": [encode(forces(1, force(7, 1.234), force(12, 0.5))), encode(event(2, "onset"))],
     "decoded": [
         encode(decoded(1, ARRAY, Grid(origin_m=(0.0, 0.0), pitch_m=4e-4))),
         encode(decoded(2, ARRAY.reshape(3, 9), None)),

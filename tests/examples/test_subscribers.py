@@ -1,18 +1,24 @@
 """The subscribers of docs/examples, in C and in Python, print what was published, whatever MQTT the broker speaks."""
 
 import math
+import signal
 from asyncio.subprocess import Process
 from collections.abc import AsyncIterator
 from pathlib import Path
 
+import aiomqtt
 import numpy as np
 import pytest
 from brokers import Amqtt, Mosquitto
 from example_programs import LANGUAGES, next_line, running
-from published import decoded, force, forces, publish
+from published import decoded, event, force, forces, publish
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.config import Mqtt
+from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import Grid
+
+BEHIND_MESSAGES = 3000  # beyond what sockets hold and the broker keeps
 
 
 @pytest.fixture
@@ -32,6 +38,7 @@ async def test_forces_and_decoded(broker, another, language: str) -> None:
     on_grid, scattered = random.normal(size=(3, 4, 5)) * 1e3, random.normal(size=(3, 7)) * 1e3
     scattered[2, 0] = math.nan
     await publish(broker.url, "forces", forces(1, force(7, 1.234), force(12, math.nan, "overload")))
+    await publish(broker.url, "contacts/event", event(1, "onset"))
     await publish(another.url, "decoded", decoded(5, on_grid, Grid(origin_m=(-0.0012, 0.0034), pitch_m=4e-4)))
     async with (
         running(language, "forces", broker.url) as of_forces,
@@ -43,13 +50,17 @@ async def test_forces_and_decoded(broker, another, language: str) -> None:
 
 
 async def check_forces(program: Process, url: str, language: str) -> None:
-    at_topic = "resonator/left/forces t_ns 1789000000000000123"
-    assert await next_line(program) == f"{at_topic} site 7 1.234 N ok"
+    at_topic, when = "resonator/left/forces", "t_ns 1789000000000000123"
     unknown = {"c": "nan", "python": "None"}[language]
-    assert await next_line(program) == f"{at_topic} site 12 {unknown} N overload"
+    at_first = {await next_line(program) for _ in range(3)}  # events have a connection of their own
+    assert at_first == {
+        f"{at_topic} {when} site 7 1.234 N ok",
+        f"{at_topic} {when} site 12 {unknown} N overload",
+        f"resonator/left/contacts/event {when} onset contact 12 site 7",
+    }
     await publish(url, "forces", forces(2))
     await publish(url, "forces", forces(3, force(3, -0.5)))
-    assert await next_line(program) == f"{at_topic} site 3 -0.5 N ok"
+    assert await next_line(program) == f"{at_topic} {when} site 3 -0.5 N ok"
 
 
 async def check_decoded(program: Process, url: str, on_grid: Floats, scattered: Floats) -> None:
@@ -86,3 +97,20 @@ async def test_a_restart_of_the_broker_is_survived(mosquitto, language: str) -> 
         await mosquitto.start()
         await publish(mosquitto.url, "forces", forces(2, force(8, 2.0)))
         assert "site 8 2" in await next_line(program)
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+async def test_events_arrive_while_streams_are_behind(mosquitto, language: str) -> None:
+    """Mosquitto keeps 1000 packets for a connection whose reader is behind, and drops what comes then, QoS 1 too."""
+    at = Mqtt(url=mosquitto.url)
+    await publish(mosquitto.url, "forces", forces(1, force(7, 1.0)))
+    await publish(mosquitto.url, "contacts/event", event(1, "onset"))
+    async with running(language, "forces", mosquitto.url) as program, aiomqtt.Client(at.host, at.port) as daemon:
+        assert len({await next_line(program) for _ in range(2)}) == 2  # both are subscribed
+        program.send_signal(signal.SIGSTOP)
+        padded = encode(forces(2))[:-1] + b', "padding": "' + 16_000 * b"x" + b'"}'
+        for _ in range(BEHIND_MESSAGES):
+            await daemon.publish("resonator/left/forces", padded)
+        await daemon.publish("resonator/left/contacts/event", encode(event(2, "release")), qos=1)
+        program.send_signal(signal.SIGCONT)
+        assert " release contact 12 " in await next_line(program)

@@ -101,22 +101,25 @@ async def test_the_ten_lines_subscribe(mosquitto) -> None:
     program = program.replace("1883", str(Mqtt(url=mosquitto.url).port))
     async with publishing(mosquitto.url) as left:
         left.publish(LEFT, topics.STATE_LINK, Messages.state("online", "plugged in"))
+        left.retain(f"{LEFT}/decoded", encode(Messages.decoded(1)), topics.CBOR)  # for whoever comes later, too
         reader = await asyncio.create_subprocess_exec(
             sys.executable, "-c", program, stdout=asyncio.subprocess.PIPE, limit=2**20
         )
         assert reader.stdout is not None
         try:
             async with asyncio.timeout(20):
-                first = await reader.stdout.readline()
-                left.publish(LEFT, topics.DECODED, Messages.decoded(1))
-                second = await reader.stdout.readline()
+                at_first = sorted([await reader.stdout.readline() for _ in range(2)])  # from two connections
+                left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(1))
+                last = await reader.stdout.readline()
         finally:
             reader.kill()
             await reader.communicate()
-    assert first.startswith(b"resonator/left/state/link {")
-    assert b"'reason': 'plugged in'" in first
-    assert second.startswith(b"resonator/left/decoded {")
-    assert b"CBORTag(40, " in second
+    decoded, state = at_first
+    assert state.startswith(b"resonator/left/state/link {")
+    assert b"'reason': 'plugged in'" in state
+    assert decoded.startswith(b"resonator/left/decoded {")
+    assert b"CBORTag(40, " in decoded
+    assert last.startswith(b"resonator/left/contacts/event {")
     names: dict[str, Any] = {}
     exec(function, names)
     message = Messages.decoded(1)

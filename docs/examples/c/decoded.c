@@ -51,5 +51,6 @@ void take(const char *topic, const void *payload, size_t size_bytes)
 
 int main(int count, char **arguments)
 {
-    return subscribe(count, arguments, "resonator/+/decoded", take);
+    static const char *const topic_filters[] = {"resonator/+/decoded", NULL};
+    return subscribe(count, arguments, topic_filters, take);
 }

@@ -1,4 +1,4 @@
-/* Prints the force on each touched site of every plate: forces [HOST [PORT [TOPIC_FILTER]]] */
+/* Prints the force on each touched site of every plate, and contact events: forces [HOST [PORT [FORCES [EVENTS]]]] */
 #include "subscriber.h"
 
 #include <cjson/cJSON.h>
@@ -20,7 +20,10 @@ static double number(const cJSON *object, const char *key)
 void take(const char *topic, const void *payload, size_t size_bytes)
 {
     cJSON *message = cJSON_ParseWithLength(payload, size_bytes);
-    const cJSON *site = NULL;
+    const cJSON *contact = cJSON_GetObjectItem(message, "contact"), *site = NULL;
+    if (contact)
+        printf("%s t_ns %s %s contact %.0f site %.0f\n", topic, words(message, "t_ns"), words(message, "event"),
+               number(contact, "id"), number(contact, "site"));
     cJSON_ArrayForEach(site, cJSON_GetObjectItem(message, "sites"))
         printf("%s t_ns %s site %.0f %.6g N %s\n", topic, words(message, "t_ns"), number(site, "site"),
                number(site, "force_newton"), words(site, "status"));
@@ -29,5 +32,6 @@ void take(const char *topic, const void *payload, size_t size_bytes)
 
 int main(int count, char **arguments)
 {
-    return subscribe(count, arguments, "resonator/+/forces", take);
+    static const char *const topic_filters[] = {"resonator/+/forces", "resonator/+/contacts/event", NULL};
+    return subscribe(count, arguments, topic_filters, take);
 }

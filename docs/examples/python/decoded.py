@@ -35,6 +35,6 @@ def take(client, context, message):
 
 client = Client(CallbackAPIVersion.VERSION2)
 client.on_connect = lambda *_: client.subscribe(topic_filter)
-client.on_message = take
+client.message_callback_add(topic_filter, take)  # amqtt delivers retained messages of other topics, too
 client.connect_async(host, int(port))
 client.loop_forever(retry_first_connection=True)
