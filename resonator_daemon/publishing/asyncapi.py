@@ -6,7 +6,13 @@ from typing import Any, Final
 
 from resonator_daemon.config import DECODER
 from resonator_daemon.publishing.json_schemas import REF, schemas_of_cbor, schemas_of_json, schemas_of_requests
-from resonator_daemon.publishing.message_examples import EXAMPLES
+from resonator_daemon.publishing.message_examples import (
+    ANSWER_EXAMPLES,
+    ARRAY_EXAMPLES,
+    EXAMPLES,
+    FURTHER_EXAMPLES,
+    REQUEST_EXAMPLES,
+)
 from resonator_daemon.publishing.payloads import WITH_ARRAYS, Message
 from resonator_daemon.publishing.topics import (
     CBOR,
@@ -34,6 +40,32 @@ _PARAMETERS: Final = {
 }
 _NO_BRACES: Final = str.maketrans("", "", "{}")
 _DOCUMENT: Final = "AsyncApiDocument"
+_REPLY: Final = "reply"
+_CORRELATION: Final = "command"
+_VERSION: Final = {"type": "string", "const": SCHEMA_VERSION, "description": "user property of MQTT 5"}
+_PROPERTIES: Final[dict[str, Object]] = {
+    "RequestProperties": {
+        "type": "object",
+        "title": "RequestProperties",
+        "description": "Properties of MQTT 5 of a command; each may be left out.",
+        "properties": {
+            "response_topic": {"type": "string", "maxLength": 1024, "description": "where the answer is published to"},
+            "correlation_data": {
+                "type": "string",
+                "description": "up to 1024 bytes, which the answer repeats",
+            },
+        },
+    },
+    "AnswerProperties": {
+        "type": "object",
+        "title": "AnswerProperties",
+        "description": "Properties of MQTT 5 of an answer.",
+        "properties": {
+            "schema_version": _VERSION,
+            "correlation_data": {"type": "string", "description": "that of the command, if it had any"},
+        },
+    },
+}
 _ABOUT: Final = (
     "Topics of a tactile plate, as the daemon and its decoders publish them. On MQTT 5 and 3.1.1 topics and payloads "
     "are the same; content type, message expiry, `schema_version` and correlation data come with MQTT 5 alone.\n\n"
@@ -64,6 +96,12 @@ def document() -> Object:
                 further = f"The messages of `{topic.path}` at a rate that `set_rate` asked for, while its lease lasts."
                 _add_topic(channels, operations, base, topic.path_at("{rate_hz}"), topic, further)
     _add_document(channels, operations)
+    channels[_REPLY] = _channel(
+        None,
+        "The response topic that a command names.",
+        *(verb.answer.__name__ for verb in VERBS.values()),
+        Refusal.__name__,
+    )
     for verb in VERBS.values():
         _add_verb(channels, operations, verb)
     return {
@@ -77,7 +115,7 @@ def document() -> Object:
         "defaultContentType": JSON,
         "channels": channels,
         "operations": operations,
-        "components": {"messages": _messages(), "schemas": _schemas()},
+        "components": {"messages": _messages(), "schemas": _schemas(), "correlationIds": _correlation_ids()},
     }
 
 
@@ -89,14 +127,14 @@ def _add_topic(
     delivery: Object = _BINDING | {"qos": topic.qos, "retain": topic.retained}
     if topic.expiry_s is not None:
         delivery["messageExpiryInterval"] = topic.expiry_s
-    operations[f"publish_{key}"] = _operation("send", key, topic.payload.__name__, delivery)
+    operations[f"publish_{key}"] = _operation("send", key, delivery, topic.payload.__name__)
 
 
 def _add_document(channels: Object, operations: Object) -> None:
     about = "This document, made from the models of the payloads."
     channels[SCHEMA_PATH] = _channel(_PLATE + SCHEMA_PATH, about, _DOCUMENT)
     delivery = _BINDING | {"qos": 1, "retain": True}
-    operations[f"publish_{SCHEMA_PATH}"] = _operation("send", SCHEMA_PATH, _DOCUMENT, delivery)
+    operations[f"publish_{SCHEMA_PATH}"] = _operation("send", SCHEMA_PATH, delivery, _DOCUMENT)
 
 
 def _add_verb(channels: Object, operations: Object, verb: Verb) -> None:
@@ -107,33 +145,50 @@ def _add_verb(channels: Object, operations: Object, verb: Verb) -> None:
     channels[response] = _channel(
         f"{_PLATE}rsp/{verb.name}", "Its answer, where no response topic was named.", *answers
     )
-    operations[command] = _operation("receive", command, request, delivery) | {
+    operations[command] = _operation("receive", command, delivery, request) | {
         "summary": f"{verb.summary[0].upper()}{verb.summary[1:]}.",
-        "description": "Answered on the response topic with the correlation data, where the command has them (MQTT 5).",
-        "reply": {"channel": _channel_ref(response), "messages": [_message_of(response, answer) for answer in answers]},
+        "description": f"Answered on the response topic, where the command names one (MQTT 5), else on `{response}`.",
+        "reply": {
+            "address": {
+                "location": "$message.header#/response_topic",
+                "description": "the property Response Topic of MQTT 5",
+            },
+            "channel": _channel_ref(_REPLY),
+            "messages": [_message_of(_REPLY, answer) for answer in answers],
+        },
         "x-changes": verb.changes,
         "x-idempotent": verb.idempotent,
     }
+    operations[response] = _operation("send", response, delivery, *answers) | {
+        "summary": f"Answers `{verb.name}`, where the command names no response topic."
+    }
+
+
+def _correlation_ids() -> Object:
+    about = "A text that the answer repeats, over MQTT 3.1.1, too; the correlation data of MQTT 5 are repeated, too."
+    return {_CORRELATION: {"description": about, "location": "$message.payload#/id"}}
 
 
 def _key(base: str, path: str) -> str:
     return ("" if base == _PLATE else f"{DECODER}_") + path.replace("/", "_").translate(_NO_BRACES)
 
 
-def _channel(address: str, about: str | None, *messages: str) -> Object:
-    return {
+def _channel(address: str | None, about: str | None, *messages: str) -> Object:
+    channel: Object = {
         "address": address,
         "description": about,
         "messages": {message: {"$ref": f"#/components/messages/{message}"} for message in messages},
-        "parameters": {name: about for name, about in _PARAMETERS.items() if f"{{{name}}}" in address},
     }
+    if address is not None:
+        channel["parameters"] = {name: about for name, about in _PARAMETERS.items() if f"{{{name}}}" in address}
+    return channel
 
 
-def _operation(action: str, channel: str, message: str, delivery: Object) -> Object:
+def _operation(action: str, channel: str, delivery: Object, *messages: str) -> Object:
     return {
         "action": action,
         "channel": _channel_ref(channel),
-        "messages": [_message_of(channel, message)],
+        "messages": [_message_of(channel, message) for message in messages],
         "bindings": {"mqtt": delivery},
     }
 
@@ -152,27 +207,53 @@ def _published() -> list[type[Message]]:
 
 def _messages() -> Object:
     messages = {
-        kind.__name__: _message(kind.__name__, CBOR if kind in WITH_ARRAYS else JSON, versioned=True)
-        for kind in _published()
+        kind.__name__: _versioned(kind.__name__, CBOR if kind in WITH_ARRAYS else JSON) for kind in _published()
     }
-    messages[_DOCUMENT] = _message(_DOCUMENT, JSON, versioned=True)
+    messages[_DOCUMENT] = _versioned(_DOCUMENT, JSON)
     for verb in VERBS.values():
-        messages[verb.request.__name__] = _message(verb.request.__name__, JSON, versioned=False)
-        messages[verb.answer.__name__] = _message(verb.answer.__name__, JSON, versioned=False)
-    messages[Refusal.__name__] = _message(Refusal.__name__, JSON, versioned=False)
+        request = verb.request.__name__
+        messages[request] = _of_command(request, "RequestProperties", REQUEST_EXAMPLES[request])
+        messages[request]["bindings"] = {"mqtt": _BINDING | _request_properties()}
+    for answer, example in ANSWER_EXAMPLES.items():
+        messages[answer] = _of_command(answer, "AnswerProperties", example)
+        correlation = _PROPERTIES["AnswerProperties"]["properties"]["correlation_data"]
+        messages[answer]["bindings"] = {"mqtt": _format(JSON) | {"correlationData": correlation}}
     return messages
 
 
-def _message(name: str, content_type: str, *, versioned: bool) -> Object:
-    message: Object = {"name": name, "contentType": content_type, "payload": {"$ref": REF.format(model=name)}}
-    if versioned:
-        properties = {"contentType": content_type, "payloadFormatIndicator": int(content_type == JSON)}
-        version = {"type": "string", "const": SCHEMA_VERSION, "description": "user property of MQTT 5"}
-        message["bindings"] = {"mqtt": _BINDING | properties}
-        message["headers"] = {"type": "object", "properties": {"schema_version": version}}
-    if name in EXAMPLES:
-        message["examples"] = [{"payload": EXAMPLES[name]}]
+def _versioned(name: str, content_type: str) -> Object:
+    message = _message(name, content_type) | {
+        "bindings": {"mqtt": _format(content_type)},
+        "headers": {"type": "object", "properties": {"schema_version": _VERSION}},
+    }
+    if example := EXAMPLES.get(name) or ARRAY_EXAMPLES.get(name):
+        further = FURTHER_EXAMPLES.get(name, {})
+        message["examples"] = [
+            {"payload": example},
+            *({"name": title, "payload": other} for title, other in further.items()),
+        ]
     return message
+
+
+def _of_command(name: str, properties: str, example: Object) -> Object:
+    return _message(name, JSON) | {
+        "correlationId": {"$ref": f"#/components/correlationIds/{_CORRELATION}"},
+        "headers": {"$ref": REF.format(model=properties)},
+        "examples": [{"payload": example}],
+    }
+
+
+def _format(content_type: str) -> Object:
+    return _BINDING | {"contentType": content_type, "payloadFormatIndicator": int(content_type == JSON)}
+
+
+def _request_properties() -> Object:
+    properties = _PROPERTIES["RequestProperties"]["properties"]
+    return {"responseTopic": properties["response_topic"], "correlationData": properties["correlation_data"]}
+
+
+def _message(name: str, content_type: str) -> Object:
+    return {"name": name, "contentType": content_type, "payload": {"$ref": REF.format(model=name)}}
 
 
 def _schemas() -> Object:
@@ -188,5 +269,6 @@ def _schemas() -> Object:
         **schemas_of_json([*in_json, *(verb.answer for verb in verbs), Refusal]),
         **schemas_of_cbor(WITH_ARRAYS),
         **schemas_of_requests(verb.request for verb in verbs),
+        **_PROPERTIES,
         _DOCUMENT: of_document,
     }

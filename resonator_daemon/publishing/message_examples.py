@@ -1,17 +1,22 @@
-"""One whole message of each JSON topic, as docs/mqtt.md shows them and the AsyncAPI document carries them."""
+"""One whole message of each topic and command, as the AsyncAPI document and docs/mqtt.md show them."""
 
 import json
+from enum import StrEnum
 from types import NoneType
-from typing import Any, Final, get_args, get_origin
+from typing import Any, Final, Literal, TypeVar, get_args, get_origin
 
+import numpy as np
 from pydantic import BaseModel
 
-from resonator_daemon.publishing.payloads import WITH_ARRAYS
+from resonator_daemon.publishing.payloads import WITH_ARRAYS, Forces, Grid, State
 from resonator_daemon.publishing.topics import DECODER_HEALTH, DECODER_STATE, SCHEMA_VERSION, TOPICS
 from resonator_daemon.publishing.units import UNITS
+from resonator_daemon.publishing.verbs import VERBS, Refusal
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
 
 # Value of each key in all messages, or in one model. A key without one has the value of what has not happened.
-_VALUES: Final[dict[str, Any]] = {
+_VALUES: dict[str, Any] = {
     "seq": 1234,
     "daemon_boot_id": "9f3c52d07b1e4a60",
     "board_boot_id": "51aa03c4",
@@ -123,8 +128,48 @@ _VALUES: Final[dict[str, Any]] = {
     "DecoderHealth.latency": {"decoded": {"bounds_ms": [2.0, 5.0, 10.0], "counts": [0, 2710, 260, 28]}},
 }
 
+# Arrays of numbers that float32 holds exactly: four sites, and a map of 2 x 2 pixels.
+_VALUES |= {
+    "Signals.signals": np.multiply.outer([4.0, 1.0, -1.0], [0.125, 0.25, 0.5, 1.0]) / 1024,
+    "Signals.noise_std": np.full((3, 4), 2.0**-15),
+    "traction_pascal": np.multiply.outer([128.0, 0.0, 1024.0], [[0.5, 1.0], [2.0, 4.0]]),
+    "traction_std_pascal": np.full((3, 2, 2), 64.0),
+    "Decoded.grid": Grid(origin_m=(-0.0002, -0.0002), pitch_m=0.0004),
+}
+# Of commands.
+_VALUES |= {
+    "id": "1f9c",
+    "Snapshot.topics": ("state/link",),
+    "StartRecording.label": "drop",
+    "Mark.text": "new fingertip",
+    "SetWindow.window_ms": 20.0,
+    "SetWindow.step_ms": 10.0,
+    "SetRate.topic": "forces",
+    "SetRate.rate_hz": 50,
+    "SetRate.lease_s": 60,
+    "SetRateAnswer.topic": "forces/50hz",
+    "SetRateAnswer.rate_hz": 50,
+    "SetRateAnswer.until_t_ns": 1789000060000000000,
+    "TareAnswer.message": "the present readings count as untouched",
+    "file": "/var/lib/resonatord/recordings/left-index-20261122T101500.250Z-drop.mcap",
+    "RecordingInfo.file": None,
+    "StopRecordingAnswer.recording": {
+        "file": "/var/lib/resonatord/recordings/left-index-20261122T101500.250Z-drop.mcap",
+        "files": 1,
+        "all_bytes": 1250304,
+        "events": 41230,
+        "events_missing": 0,
+        "duration_s": 12.5,
+        "failure": None,
+    },
+    "Refusal.verb": "tare",
+    "Problem.code": "not_untouched",
+    "Problem.message": "sites are touched",
+    "Problem.hint": "take everything off the plate and ask again",
+}
 
-def _example(kind: type[BaseModel]) -> BaseModel:
+
+def _example(kind: type[ModelT]) -> ModelT:
     """Return a message with a value for each key of a model."""
     return kind.model_validate({key: _value(kind, key) for key in kind.model_fields})
 
@@ -137,6 +182,8 @@ def _value(kind: type[BaseModel], key: str) -> Any:
     parts = get_args(annotation)
     if NoneType in parts:
         return None
+    if get_origin(annotation) is Literal:
+        return parts[0]
     if parts and get_origin(annotation) is tuple and issubclass(parts[0], BaseModel):
         return (_example(parts[0]),)
     empty = get_origin(annotation) or annotation
@@ -146,4 +193,41 @@ def _value(kind: type[BaseModel], key: str) -> Any:
 _KINDS: Final = [topic.payload for topic in TOPICS.values()] + [DECODER_STATE.payload, DECODER_HEALTH.payload]
 EXAMPLES: Final[dict[str, dict[str, Any]]] = {
     kind.__name__: json.loads(_example(kind).model_dump_json()) for kind in _KINDS if kind not in WITH_ARRAYS
+}
+
+
+def _as_rows(value: Any) -> Any:
+    """Return a field of a CBOR message with arrays as nested rows."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, BaseModel):
+        return {key: _as_rows(getattr(value, key)) for key in type(value).model_fields}
+    if isinstance(value, tuple):
+        return [_as_rows(part) for part in value]
+    return str(value) if isinstance(value, StrEnum) else value
+
+
+ARRAY_EXAMPLES: Final[dict[str, dict[str, Any]]] = {kind.__name__: _as_rows(_example(kind)) for kind in WITH_ARRAYS}
+
+
+def _unknown_force() -> dict[str, Any]:
+    """Return a message of `forces` with a force that is not known."""
+    forces = _example(Forces)
+    (site,) = forces.sites
+    unknown = {"force_newton": None, "noise_newton": None, "systematic_newton": None}
+    beyond = type(site).model_validate({**vars(site), **unknown, "status": "overload", "at_least_newton": 10.0})
+    message: dict[str, Any] = json.loads(forces.model_copy(update={"sites": (beyond,)}).model_dump_json())
+    return message
+
+
+FURTHER_EXAMPLES: Final[dict[str, dict[str, Any]]] = {"Forces": {"overload": _unknown_force()}}
+
+_VALUES["SnapshotAnswer.messages"] = {"state/link": _example(State)}
+REQUEST_EXAMPLES: Final[dict[str, dict[str, Any]]] = {
+    verb.request.__name__: json.loads(_example(verb.request).model_dump_json(exclude_none=True))
+    for verb in VERBS.values()
+}
+_ANSWERS: Final[tuple[type[BaseModel], ...]] = (*(verb.answer for verb in VERBS.values()), Refusal)
+ANSWER_EXAMPLES: Final[dict[str, dict[str, Any]]] = {
+    kind.__name__: json.loads(_example(kind).model_dump_json()) for kind in _ANSWERS
 }

@@ -13,7 +13,7 @@ from sample_messages import Messages
 from resonator_daemon.publishing import asyncapi
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.message_examples import EXAMPLES
-from resonator_daemon.publishing.payloads import Message
+from resonator_daemon.publishing.payloads import Decoded, Message, Signals
 from resonator_daemon.publishing.topics import TOPICS
 from resonator_daemon.publishing.verbs import VERBS
 
@@ -47,6 +47,7 @@ DELIVERY = {
     PLATE + "health": (0, False, 60),
     "{prefix}/decoder/{id}/state": (1, True, 3600),
     "{prefix}/decoder/{id}/health": (0, False, 60),
+    **{PLATE + f"rsp/{verb}": EVENT for verb in VERBS},
 }
 
 
@@ -106,20 +107,51 @@ def test_every_verb_is_there_with_its_answers() -> None:
     for verb in VERBS.values():
         operation = DOCUMENT["operations"][f"cmd_{verb.name}"]
         assert resolved(operation["channel"]["$ref"])["address"] == f"{PLATE}cmd/{verb.name}"
-        assert resolved(operation["reply"]["channel"]["$ref"])["address"] == f"{PLATE}rsp/{verb.name}"
-        answers = [resolved(resolved(answer["$ref"])["$ref"])["name"] for answer in operation["reply"]["messages"]]
-        assert answers == [verb.answer.__name__, "Refusal"]
         assert operation["x-changes"] is verb.changes
-        kinds = (verb.request.__name__, verb.answer.__name__, "Refusal")
-        assert not any("headers" in DOCUMENT["components"]["messages"][kind] for kind in kinds)
+        reply, without_response_topic = operation["reply"], DOCUMENT["operations"][f"rsp_{verb.name}"]
+        assert resolved(without_response_topic["channel"]["$ref"])["address"] == f"{PLATE}rsp/{verb.name}"
+        for answered in (reply, without_response_topic):
+            answers = [resolved(resolved(answer["$ref"])["$ref"])["name"] for answer in answered["messages"]]
+            assert answers == [verb.answer.__name__, "Refusal"]
+        assert (resolved(reply["channel"]["$ref"])["address"], reply["address"]["location"]) == (
+            None,  # as AsyncAPI demands where the address is in the message
+            "$message.header#/response_topic",
+        )
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_examples_obey_their_schema(name: str) -> None:
-    validator_of(name).validate(EXAMPLES[name])
-    told = DOCUMENT["components"]["messages"][name]
-    assert told["examples"] == [{"payload": EXAMPLES[name]}]
-    assert told["contentType"] == "application/json"
+def test_a_command_and_its_answer_name_what_belongs_together() -> None:
+    messages = DOCUMENT["components"]["messages"]
+    for verb in VERBS.values():
+        for kind in (verb.request.__name__, verb.answer.__name__, "Refusal"):
+            location = resolved(messages[kind]["correlationId"]["$ref"])["location"]
+            assert location == "$message.payload#/id"
+            assert messages[kind]["examples"][0]["payload"]["id"] == "1f9c"
+            properties = resolved(messages[kind]["headers"]["$ref"])["properties"]
+            assert properties.keys() >= {"correlation_data"}
+            assert ("response_topic" in properties) == (kind == verb.request.__name__)
+            assert "correlationData" in messages[kind]["bindings"]["mqtt"]
+
+
+@pytest.mark.parametrize("name", sorted(DOCUMENT["components"]["messages"].keys() - {"AsyncApiDocument"}))
+def test_each_message_has_examples_that_obey_its_schema(name: str) -> None:
+    examples = DOCUMENT["components"]["messages"][name]["examples"]
+    assert examples
+    for example in examples:
+        validator_of(name).validate(example["payload"])
+    assert name not in EXAMPLES or examples[0] == {"payload": EXAMPLES[name]}
+
+
+def test_an_unknown_force_has_an_example() -> None:
+    (_, overload) = DOCUMENT["components"]["messages"]["Forces"]["examples"]
+    (site,) = overload["payload"]["sites"]
+    assert (overload["name"], site["force_newton"], site["at_least_newton"]) == ("overload", None, 10.0)
+
+
+@pytest.mark.parametrize(("name", "model"), [("Signals", Signals), ("Decoded", Decoded)])
+def test_examples_of_arrays_are_messages(name: str, model: type[Message]) -> None:
+    (example,) = DOCUMENT["components"]["messages"][name]["examples"]
+    arrays = {key: np.array(rows, np.float32) for key, rows in example["payload"].items() if isinstance(rows, list)}
+    assert read(model.model_validate(example["payload"] | arrays)) == example["payload"]
 
 
 @pytest.mark.parametrize(
