@@ -18,7 +18,7 @@ from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import DecoderPlateHealth, GridInfo, Info, Signals, Status
 from resonator_daemon.publishing.topics import DECODED, SCHEMA_VERSION, MessageT, Topic
 
-NO_INFO = "no info yet"
+NO_INFO = "no info yet: no daemon has published under this name"
 DECODED_BY_DAEMON = "the daemon decodes this plate itself; set apart = true in [decoding] of its configuration"
 SITES_MAX: Final = 10_000
 INFO_BYTES_MAX: Final = 2_000_000

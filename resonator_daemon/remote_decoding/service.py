@@ -24,7 +24,7 @@ from resonator_daemon.monitoring.liveness import LivenessMonitor
 from resonator_daemon.publishing.codec import Encoded, encode
 from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.payloads import Condition, DecoderHealth, DecoderState
-from resonator_daemon.publishing.publisher import FRESH_S, Publisher
+from resonator_daemon.publishing.publisher import FRESH_S, Publisher, Subscription
 from resonator_daemon.publishing.topics import (
     DECODED,
     DECODER_EXPIRY_S,
@@ -35,6 +35,7 @@ from resonator_daemon.publishing.topics import (
     full_topic,
 )
 from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
+from resonator_daemon.remote_decoding.rival_decoders import RivalDecoders
 from resonator_daemon.remote_decoding.shared_plates import SharedPlates
 
 log = logging.getLogger(__name__)
@@ -93,11 +94,12 @@ class DecoderProcess:
         self.decoder_id = decoder_id or own_id()
         self._base = full_topic(config.mqtt.prefix, DECODER, self.decoder_id)
         self._mode = self._make_mode()
+        self._rivals = RivalDecoders(self.decoder_id, self._mode.topic_filter)
         self._publisher = Publisher(
             config.mqtt,
             identifier=f"resonatord-decoder-{self.decoder_id}-{secrets.token_hex(4)}",
             make_will=self._make_will,
-            subscriptions=self._mode.subscriptions,
+            subscriptions=(*self._mode.subscriptions, *self._rival_subscriptions()),
             spool_directory=self._spool_directory(),
             on_connected=self._connected,
             on_denied=self._denied,
@@ -160,6 +162,13 @@ class DecoderProcess:
             return None
         return state_directory() / "spool" / quote(self._config.mqtt.prefix, safe="") / DECODER / name
 
+    def _rival_subscriptions(self) -> tuple[Subscription, ...]:
+        if self._config.decoding.plates:  # those of a group share the frames
+            return ()
+        states = full_topic(self._config.mqtt.prefix, DECODER, f"+/{DECODER_STATE.path}")
+        # QoS 0: each state comes again, and no acknowledgement is open when this process ends.
+        return (Subscription(states, 0, lambda it: self._rivals.receive(it, time.monotonic())),)
+
     def _make_mode(self) -> FollowedPlate | SharedPlates:
         decoding = self._config.decoding
         mode = SharedPlates if decoding.plates else FollowedPlate
@@ -199,9 +208,11 @@ class DecoderProcess:
         while True:
             await asyncio.sleep(LOOK_S)
             turns += 1
-            state = self._mode.condition()
+            condition, reason = self._mode.condition()
+            rivals = self._rivals.remark(time.monotonic())
+            state = condition, "; ".join(filter(None, (reason, rivals)))
             decoded = sum(plate.decoded for plate in self._mode.health().values())
-            online = state[0] is Condition.ONLINE
+            online = condition is Condition.ONLINE
             if self._liveness.healthy(decoded, Condition.ONLINE if online else Condition.WAITING, turns):
                 self._manager.alive()
             self._manager.status(self._sentence())
@@ -209,7 +220,8 @@ class DecoderProcess:
                 if state[0] != self._state[0]:
                     self._since_utc_ns = time.time_ns()
                 self._state = state
-                log.info("%s: %s", *state)
+                well = condition in (Condition.ONLINE, Condition.STARTING) and not rivals
+                log.log(logging.INFO if well else logging.WARNING, "%s: %s", *state)
                 self._publish_state(*state)
             elif time.monotonic() - self._published_s > STATE_AGAIN_S:
                 self._publish_state(*state)

@@ -30,6 +30,7 @@ from resonator_daemon.remote_decoding.service import CannotShareError, own_id
 
 RESONATORD = Path(sys.executable).with_name("resonatord")
 STATE = "resonator/decoder/host-1/state"
+NO_INFO = "hand: no info yet: no daemon has published under this name"
 SHARING = 'plates = ["+"]\ngroup = "touch"\ncontact_physics = false'
 LINEAR = "contact_physics = false"
 
@@ -57,7 +58,7 @@ async def test_a_followed_plate_is_decoded_and_its_states_and_account_are_told(
     async with observe(broker.url) as heard, daemon(broker.url) as hand:
         decoder = process(tmp_path, broker.url, decoding=LINEAR)
         async with running(decoder):
-            await heard.until_last(STATE, state="waiting", reason="hand: no info yet")
+            await heard.until_last(STATE, state="waiting", reason=NO_INFO)
             await hand.tell("hand", info())
             await heard.until_last(STATE, state="waiting", reason="hand: no signals that could be decoded")
             for seq in range(5):
@@ -79,6 +80,21 @@ async def test_a_followed_plate_is_decoded_and_its_states_and_account_are_told(
     summaries = heard.payloads("resonator/hand/decoded/summary")
     assert {summary["decoder_id"] for summary in summaries} == {"host-1"}
     assert [event["event"] for event in heard.payloads("resonator/hand/contacts/event")] == ["onset"]
+
+
+async def test_two_that_follow_one_plate_report_each_other_until_one_has_gone(
+    tmp_path: Path, broker: Mosquitto | Amqtt, caplog: pytest.LogCaptureFixture
+) -> None:
+    def remarks(of: str, rival: str) -> bool:
+        (*_, state) = heard.payloads(f"resonator/decoder/{of}/state") or [{"reason": ""}]
+        return f"decoder {rival} follows this plate, too" in state["reason"]
+
+    async with observe(broker.url) as heard, running(process(tmp_path, broker.url)):
+        await heard.until_last(STATE, state="waiting", reason=NO_INFO)
+        async with running(process(tmp_path, broker.url, "host-2")):
+            await heard.until(lambda: remarks("host-1", "host-2") and remarks("host-2", "host-1"))
+        await heard.until_last(STATE, state="waiting", reason=NO_INFO)
+    assert sum("host-2 follows this plate" in line for line in caplog.messages) == 1
 
 
 async def test_it_starts_without_a_broker_and_outlives_one(tmp_path: Path, mosquitto: Mosquitto) -> None:
@@ -285,7 +301,7 @@ async def test_a_state_lasts_while_its_reason_changes_and_is_said_again_before_i
     monkeypatch.setattr(decode_service, "STATE_AGAIN_S", 0.2)
     decoder = process(tmp_path, mosquitto.url, decoding=LINEAR)
     async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand, running(decoder):
-        await heard.until(lambda: [state["reason"] for state in heard.payloads(STATE)].count("hand: no info yet") >= 3)
+        await heard.until(lambda: [state["reason"] for state in heard.payloads(STATE)].count(NO_INFO) >= 3)
         await hand.tell("hand", info())
         await heard.until_last(STATE, state="waiting", reason="hand: no signals that could be decoded")
         await send_until_decoded(hand, heard, 0)

@@ -1,0 +1,54 @@
+"""Other decoder processes that follow the same plate, by the states that they publish."""
+
+import json
+from typing import Final
+
+from resonator_daemon.publishing.mqtt_messages import Incoming
+from resonator_daemon.publishing.payloads import Condition
+from resonator_daemon.publishing.topics import DECODER_EXPIRY_S
+
+_ID_LENGTH_MAX: Final = 120
+_NAMED_MAX: Final = 4  # nobody runs more, but anyone may claim to
+
+
+class RivalDecoders:
+    """Decoders that take the same signals as this one; each state is published again within `DECODER_EXPIRY_S`.
+
+    A live state adds a decoder, `offline` removes it. What the broker had retained adds none: that decoder may be
+    long gone, and one that runs publishes again when it receives this one's state.
+
+    Parameters
+    ----------
+    decoder_id
+        Of this process.
+    topic_filter
+        Of its signals.
+    """
+
+    def __init__(self, decoder_id: str, topic_filter: str) -> None:
+        self._decoder_id = decoder_id
+        self._topic_filter = topic_filter
+        self._seen_s: dict[str, float] = {}  # when its last state came, by id
+
+    def receive(self, message: Incoming, now_s: float) -> None:
+        """Handle the state of any decoder."""
+        try:
+            content = json.loads(message.payload)
+            other, state, taken = content["decoder_id"], content["state"], content["topic_filter"]
+        except (ValueError, RecursionError, TypeError, KeyError):
+            return
+        if not isinstance(other, str) or not other.isprintable() or not 0 < len(other) <= _ID_LENGTH_MAX:
+            return
+        if state == Condition.OFFLINE or taken != self._topic_filter:
+            self._seen_s.pop(other, None)
+        elif other in self._seen_s or (
+            other != self._decoder_id and not message.retained and len(self._seen_s) < _NAMED_MAX
+        ):
+            self._seen_s[other] = now_s
+
+    def remark(self, now_s: float) -> str:
+        """Return a sentence about the decoders that are there; "" where there is none."""
+        self._seen_s = {other: at_s for other, at_s in self._seen_s.items() if now_s - at_s < DECODER_EXPIRY_S}
+        if not self._seen_s:
+            return ""
+        return f"decoder {', '.join(sorted(self._seen_s))} follows this plate, too, and both publish: stop one of them"
