@@ -14,7 +14,7 @@ class ExitCode(IntEnum):
     DONE = 0
     FAILED = 1
     USAGE = 2
-    UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h: link or broker cannot ever work
+    UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h: no such link, broker or recording, or none that can be used
     CONFIG = 78  # EX_CONFIG of sysexits.h
 
 

@@ -50,10 +50,11 @@ def make_parser(words: Sequence[str] = ()) -> argparse.ArgumentParser:
         description="Acquisition daemon for a quartz-resonator tactile plate: counts to forces, sites, contacts and "
         "surface traction, published over MQTT.",
         epilog="Exit codes: 0 done, or stopped where a command runs until it is stopped; 1 the run failed (touches or "
-        "frames lost) or was interrupted; 2 usage; 69 link or broker cannot ever work; 78 configuration, an output "
-        "that is there already or cannot be made, or a limit of fewer than 64 open files. "
+        "frames lost) or was interrupted; 2 usage; 69 a link, broker or recording that is not there or cannot be used; "
+        "78 configuration, an output that is there already or cannot be made, or a limit of fewer than 64 open files. "
         "Start with: resonatord demo",
     )
+    parser.add_argument("--version", action=_PrintVersion, nargs=0, help="print the version and exit")
     _add_commands(parser, commands, words)
     return parser
 
@@ -88,6 +89,15 @@ def _add_commands(parser: argparse.ArgumentParser, package: ModuleType, words: S
         else:
             module.add_arguments(sub)
             sub.set_defaults(command=group + name, run=module.run)
+
+
+class _PrintVersion(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
+        from importlib.metadata import version  # slow to import
+
+        sys.stdout.write(f"resonatord {version('resonatord')}\n")
+        sys.stdout.flush()
+        parser.exit()
 
 
 class _Parser(argparse.ArgumentParser):

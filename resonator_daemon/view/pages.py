@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 
 from resonator_daemon.errors import UserError
+from resonator_daemon.host.printable import how_to_install
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,5 +25,7 @@ def make_figure(inches: tuple[float, float]) -> "Figure":
     try:
         from matplotlib.figure import Figure
     except ModuleNotFoundError as error:
-        raise UserError(f"--picture needs {error.name}, which is not installed: pip install matplotlib") from error
+        raise UserError(
+            f"--picture needs {error.name}, which is not installed: {how_to_install('matplotlib')}"
+        ) from error
     return Figure(figsize=inches, layout="constrained")

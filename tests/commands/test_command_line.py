@@ -4,6 +4,7 @@ import json
 import signal
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -59,6 +60,11 @@ def test_each_command_explains_itself(name: str, resonatord: Resonatord) -> None
     assert run.stdout.startswith(f"usage: resonatord {name} [-h]")
     assert f"Example: resonatord {name} " in f"{' '.join(run.stdout.split())} " or name == "install"  # by sudo
     assert ("--json" in run.stdout) == (name not in ("decode", "run"))
+
+
+def test_its_version_is_that_of_the_project(resonatord: Resonatord) -> None:
+    project = tomllib.loads(Path(__file__).parents[2].joinpath("pyproject.toml").read_text())["project"]
+    assert resonatord("--version") == (0, f"resonatord {project['version']}\n", "")
 
 
 def test_usage_errors_exit_with_2(resonatord: Resonatord) -> None:

@@ -32,6 +32,6 @@ async def test_it_is_quiet_and_stops_at_once_with_clients_connected(caplog: pyte
 
 async def test_what_to_install_where_amqtt_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "amqtt.broker", None)
-    with pytest.raises(UserError, match=r"pip install amqtt"):
+    with pytest.raises(UserError, match=r"python\S* -m pip install amqtt"):
         async with embedded_broker():
             pass

@@ -10,13 +10,14 @@ import numpy as np
 from resonator_daemon.errors import UserError
 from resonator_daemon.exporting.clouds import Clouds, Points
 from resonator_daemon.exporting.mcap_output import McapOutput, cloud_fields, severity, state_text
+from resonator_daemon.host.printable import how_to_install
 from resonator_daemon.publishing.payloads import Contact, ContactEvent, Contacts, DecodedSummary, State
 from resonator_daemon.publishing.topics import Topic
 
 try:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 except ImportError as error:
-    raise UserError("messages of ROS 2 need rosbags: pip install rosbags") from error
+    raise UserError(f"messages of ROS 2 need rosbags: {how_to_install('rosbags')}") from error
 
 _CONTACT, _CONTACTS, _EVENT = (f"resonator_msgs/msg/{name}" for name in ("Contact", "Contacts", "ContactEvent"))
 _WRENCH: Final = "geometry_msgs/msg/WrenchStamped"
