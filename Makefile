@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-firmware coverage bench bench-cost figures fuzz soak pins clean
+.PHONY: help setup demo test test-firmware test-schema coverage bench bench-cost figures fuzz soak pins clean
 
 # A user's PATH on Debian lacks the place of mosquitto.
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
@@ -56,6 +56,7 @@ COMPILER := gcc:gcc /usr/include/stdio.h:libc6-dev
 EXAMPLES := /usr/include/mosquitto.h:libmosquitto-dev /usr/include/cbor.h:libcbor-dev /usr/include/cjson/cJSON.h:libcjson-dev
 FIRMWARE := arm-none-eabi-gcc:gcc-arm-none-eabi qemu-system-arm:qemu-system-arm cmake:cmake g++:g++ \
   /usr/lib/arm-none-eabi/include/stdio.h:libnewlib-arm-none-eabi
+GENERATORS := node:nodejs npm:npm go:golang-go
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile | expand -t 20
@@ -90,6 +91,18 @@ test-firmware: .venv/test-stamp build/pico-sdk  ## the C reference under QEMU, t
 	debian-packages $(FIRMWARE)
 	.venv/bin/pytest -m firmware tests/firmware
 	.venv/bin/python benchmarks/firmware.py
+
+test-schema: .venv/test-stamp  ## types that modelina and json-schema-to-typescript make of the AsyncAPI document, compiled and used
+	$(debian-packages)
+	debian-packages $(GENERATORS)
+	mkdir -p build/generators
+	cd build/generators
+	if ! cmp -s ../../tests/generators/package-lock.json package-lock.json || [ ! -e node_modules/.package-lock.json ]; then
+	  cp ../../tests/generators/{package.json,package-lock.json,.npmrc} .
+	  npm ci
+	fi
+	cd ../..
+	.venv/bin/pytest -m generators tests/generators
 
 PICO_SDK := @xpack-3rd-party/raspberrypi-pico-sdk@2.3.0-5
 PICO_SDK_SHA512 := 082f30dac4285ddd422b075311c73d636cbc9fe0cf6a43413d940998f8b1d99e461e26cf42aaf491f26c3bd50a08c5403fa57ed1881fccef37dc3062688ff73d
