@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any
+from typing import Any, Final
 from urllib.parse import quote
 
 from resonator_daemon.config import Config
@@ -14,7 +14,20 @@ from resonator_daemon.publishing.commands import Commands, Handler
 from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.payloads import Message, MessageAccount, State
 from resonator_daemon.publishing.publisher import FRESH_S, Publisher, Subscription
-from resonator_daemon.publishing.topics import JSON, SCHEMA_PATH, STATE_DAEMON, TOPICS, Topic, full_topic
+from resonator_daemon.publishing.topics import (
+    CONTACT_EVENT,
+    CONTACTS,
+    DECODED,
+    DECODED_SUMMARY,
+    JSON,
+    SCHEMA_PATH,
+    STATE_DAEMON,
+    TOPICS,
+    Topic,
+    full_topic,
+)
+
+_OF_DECODERS: Final = (CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY)  # where decoding is apart
 
 MakeOffline = Callable[[str], State]
 
@@ -101,6 +114,7 @@ class PlatePublisher:
             spool_directory=state_directory() / "spool" / quote(broker.prefix, safe="") / name,
             on_connected=daemon_state.connected,
             conflict=lambda: daemon_state.conflict,
+            never_retained=self._never_retained(),
             stream_wait_max_s=FRESH_S,
         )
         self._publisher.retain(full_topic(broker.prefix, name, SCHEMA_PATH), asyncapi.encoded(), JSON)
@@ -138,6 +152,13 @@ class PlatePublisher:
         if self._publisher is not None:
             farewell = (self._base, STATE_DAEMON, self._make_offline("stopped"))
             await self._publisher.close(farewell, wait_for_broker=wait_for_broker)
+
+    def _never_retained(self) -> Collection[str]:
+        written = [topic for topic in TOPICS.values() if not topic.retained]
+        if self._config.decoding.apart:  # its messages would come back here, from the decoder
+            written = [topic for topic in written if topic not in _OF_DECODERS]
+        paths = [topic.path for topic in written] + [topic.slow_path for topic in written if topic.slow_hz is not None]
+        return [f"{self._base}/{path}" for path in paths]
 
     def _answer(self, answer: Outgoing) -> None:
         if self._publisher is not None:

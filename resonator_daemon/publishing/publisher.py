@@ -98,6 +98,8 @@ class Publisher:
         Called with filter and reason when the broker refuses a subscription.
     conflict
         Returns whether another publisher uses the same topics: what it overwrites is not restored.
+    never_retained
+        Topics that this publisher alone writes, without a retained message: those of others are removed.
     stream_wait_max_s
         How long a measured message may wait for the socket, in seconds; older ones are skipped.
     times
@@ -115,6 +117,7 @@ class Publisher:
         on_connected: Callable[[int], None] = ignore,
         on_denied: Callable[[str, str], None] = ignore,
         conflict: Callable[[], bool] = lambda: False,
+        never_retained: Collection[str] = (),
         stream_wait_max_s: float = math.inf,
         times: ConnectionTimes | None = None,
     ) -> None:
@@ -131,7 +134,8 @@ class Publisher:
         self._connections = 0
         self._account = Account()
         self._outbox = Outbox(self._account, spool_directory, stream_wait_max_s)
-        self._retained = RetainedTopics(self._outbox.republish, conflict)
+        self._never_retained = never_retained
+        self._retained = RetainedTopics(self._outbox.republish, self._outbox.clear_retained, conflict, never_retained)
         self._streams: dict[tuple[str, str], _Stream] = {}  # by base and path
         self._denied: set[str] = set()  # filters whose refusal was logged
         self._defects: set[tuple[str, type[Exception]]] = set()  # filters, and kinds of errors that were logged
@@ -281,7 +285,7 @@ class Publisher:
     def _watch_retained(self, client: BrokerConnection, topic: str) -> None:
         """Subscribe to what others send to a retained topic; before MQTT 5 every own message would come back, too."""
         if client.version is MQTT_5:
-            client.subscribe(topic, no_local=True)
+            client.subscribe(topic, no_local=True, retain_as_published=topic in self._never_retained)
 
     def _publish_stream(self, base: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
         """Queue the message, and the same bytes on each decimated topic whose pace lets it pass."""
@@ -343,7 +347,7 @@ class Publisher:
                 subscription.topic_filter, subscription.qos, retain_as_published=subscription.retain_as_published
             )
         subscribed = {subscription.topic_filter for subscription in self._subscriptions}
-        for topic in self._outbox.retained_topics - subscribed:
+        for topic in {*self._outbox.retained_topics, *self._never_retained} - subscribed:
             self._watch_retained(client, topic)
         self._on_connected(self._connections)
         self._outbox.republish(self._outbox.retained_topics)

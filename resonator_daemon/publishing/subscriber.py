@@ -8,7 +8,10 @@ from collections.abc import AsyncGenerator, Collection
 from contextlib import suppress
 from typing import Final, NamedTuple
 
+from pydantic import ValidationError
+
 from resonator_daemon.config import Mqtt
+from resonator_daemon.host.printable import printable
 from resonator_daemon.publishing.codec import decode
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.receiver import Arrival, Receiver
@@ -17,6 +20,8 @@ from resonator_daemon.publishing.topics import TOPICS, Topic, full_topic, split_
 STREAM_AGE_MAX_S: Final = 0.25  # of a message of a stream, where the same topic has a newer one
 STREAM_WAITING_MAX: Final = 1024  # the oldest are dropped
 OTHERS_WAITING_MAX: Final = 65_536  # bounds the memory where a consumer never reads
+
+_REASON_MAX: Final = 200  # characters
 
 log = logging.getLogger(__name__)
 
@@ -112,11 +117,23 @@ class _Waiting:
 
 
 def read_message(prefix: str, arrival: Arrival) -> Received | None:
-    """Read a message of a plate below the prefix; log it and return None where it cannot be read."""
+    """Read a message of a plate below the prefix; log why it cannot be read. None then, and where it is empty."""
+    if not arrival.payload:  # what the broker retained was cleared
+        return None
     plate, path = split_topic(prefix, arrival.topic)
     kind = _BY_PATH[path]
     try:
         return Received(plate, kind.path, decode(kind.payload, arrival.payload))
     except (ValueError, RecursionError, OverflowError) as error:
-        log.warning("%s: message cannot be read: %s", arrival.topic, str(error).partition("\n")[0])
+        log.warning("%s: message cannot be read: %s", printable(arrival.topic), printable(_reason(error)))
         return None
+
+
+def _reason(error: Exception) -> str:
+    """Return what is wrong with a payload: of its fields, the first that is."""
+    if not isinstance(error, ValidationError):
+        return str(error)[:_REASON_MAX]
+    first, *others = error.errors(include_url=False, include_input=False)
+    where = ".".join(str(part) for part in first["loc"])
+    more = f" (and {len(others)} more)" if others else ""
+    return f"{where}{': ' if where else ''}{first['msg']}"[:_REASON_MAX] + more

@@ -127,6 +127,7 @@ async def publishing(
     on_connected: Callable[[int], None] = lambda number: None,
     stream_wait_max_s: float = math.inf,
     times: ConnectionTimes | None = None,
+    never_retained: tuple[str, ...] = (),
 ) -> AsyncIterator[Publisher]:
     """A running publisher of the plate "left"; closed at the end, when nothing but what is on disk still waits."""
     publisher = Publisher(
@@ -138,6 +139,7 @@ async def publishing(
         on_connected=on_connected,
         stream_wait_max_s=stream_wait_max_s,
         times=times,
+        never_retained=never_retained,
     )
     running = asyncio.create_task(publisher.run())
     yield publisher

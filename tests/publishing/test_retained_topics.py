@@ -14,6 +14,7 @@ from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.publisher import Subscription
 
 ONLINE = Messages.state("online", "all is well")
+FORCES, HEALTH = f"{LEFT}/forces", f"{LEFT}/health"
 LINK, SENSOR, SCHEMA = f"{LEFT}/state/link", f"{LEFT}/state/sensor", f"{LEFT}/schema"
 
 
@@ -22,7 +23,23 @@ def client(url: str, version: MQTTProtocolVersion = MQTTProtocolVersion.MQTTv311
     return aiomqtt.Client(parts.hostname or "", parts.port or 1883, protocol=aiomqtt.ProtocolVersion(version))
 
 
-async def test_retained_topics_that_another_overwrites_or_clears_are_restored(mosquitto) -> None:
+async def test_what_another_retains_on_streams_is_cleared_live_and_left_from_before(mosquitto, caplog) -> None:
+    async with client(mosquitto.url) as other:
+        await other.publish(FORCES, b"junk", qos=1, retain=True)
+        async with publishing(mosquitto.url, never_retained=(FORCES, HEALTH)) as left:
+            await until(lambda: left.account.acknowledged == 1)
+            await other.publish(FORCES, b"not retained", qos=1)
+            await other.publish(HEALTH, b"junk", qos=1, retain=True)
+            await until(lambda: left.account.acknowledged == 2)
+        async with observe(mosquitto.url, f"{LEFT}/#") as late:
+            await other.publish(f"{LEFT}/marker", b"", qos=1)  # comes after what is retained
+            await late.until_count(f"{LEFT}/marker", 1)
+            assert late.raw(FORCES) == late.raw(HEALTH) == []
+    (line,) = [record.getMessage() for record in caplog.records if FORCES in record.getMessage()]
+    assert HEALTH in line
+
+
+async def test_retained_topics_that_another_overwrites_or_clears_are_restored(mosquitto, caplog) -> None:
     async with publishing(mosquitto.url) as left, client(mosquitto.url) as other:
         left.publish(LEFT, topics.STATE_LINK, ONLINE)
         left.retain(SCHEMA, b"{}", "application/json")
@@ -38,6 +55,9 @@ async def test_retained_topics_that_another_overwrites_or_clears_are_restored(mo
             for topic in (LINK, SENSOR):
                 await late.until_last(topic, state="online")
             assert await late.until_count(SCHEMA, 1) == [b"{}"]
+    (line,) = [record.getMessage() for record in caplog.records if LINK in record.getMessage()]
+    assert SENSOR in line
+    assert SCHEMA in line
 
 
 async def test_a_flood_on_a_retained_topic_draws_a_message_a_second(mosquitto, caplog) -> None:
