@@ -1,10 +1,11 @@
 """The commands on `cmd/<verb>`: what each takes and what it answers. A request with a key too many is refused."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Final, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, SerializeAsAny
+from pydantic.fields import FieldInfo
 
 from resonator_daemon.config.tables import ChangingVerb
 from resonator_daemon.publishing.payloads import Health, Int64, Message, PerChannel
@@ -12,6 +13,19 @@ from resonator_daemon.publishing.topics import JSON, TOPICS
 
 LABEL_PATTERN: Final = "^[A-Za-z0-9_-]{1,64}$"
 ID_LENGTH_MAX: Final = 64
+
+
+def _named(name: str, about: str, meanings: Mapping[Any, str | None]) -> FieldInfo:
+    """Return what gives a set of words its name, and each word its meaning, in a JSON schema."""
+
+    def describe(schema: dict[str, Any]) -> None:
+        lines = [about, *(f"- `{word}`: {meanings[word]}" for word in schema["enum"])]
+        schema["description"] = "\n".join(lines)
+        schema["x-enum-descriptions"] = [meanings[word] for word in schema["enum"]]
+
+    field: FieldInfo = Field(title=name, json_schema_extra=describe)
+    return field
+
 
 if TYPE_CHECKING:
     JsonTopic = str
@@ -21,8 +35,9 @@ if TYPE_CHECKING:
 else:
     JsonTopic = Literal[tuple(path for path, topic in TOPICS.items() if topic.content_type == JSON)]
     StreamTopic = Literal[tuple(path for path, topic in TOPICS.items() if topic.slow_hz is not None)]
-    NamedJsonTopic = Annotated[JsonTopic, Field(title="JsonTopic")]
-    NamedStreamTopic = Annotated[StreamTopic, Field(title="StreamTopic")]
+    _ABOUT = {path: topic.payload.__doc__ for path, topic in TOPICS.items()}
+    NamedJsonTopic = Annotated[JsonTopic, _named("JsonTopic", "Topics with JSON.", _ABOUT)]
+    NamedStreamTopic = Annotated[StreamTopic, _named("StreamTopic", "Topics that are published at rates.", _ABOUT)]
 ErrorCode = Literal[
     "unknown_verb",
     "not_permitted",
@@ -43,6 +58,26 @@ ErrorCode = Literal[
     "too_many_rates",
     "not_located",
 ]
+ERRORS: Final[dict[ErrorCode, str]] = {
+    "unknown_verb": "there is no such command",
+    "not_permitted": "it changes something, and the configuration does not allow it",
+    "payload": "no such JSON object as the verb takes, an empty payload, or more than 16 KiB",
+    "response_topic": "a topic with wildcards, or a daemon's own outside `rsp/`: answers would pass for its messages",
+    "correlation": "correlation data of more than 1024 bytes, which the answer does not repeat",
+    "too_many": "more than 20 at once, or 10 a second; most of those get no answer at all",
+    "busy": "32 commands wait already",
+    "timeout": "not done within 8 s; it may still be done",
+    "failed": "an error of the daemon; its log has more",
+    "not_ready": "no force sites are being measured: no board, or a plate with a skin; or the link is a recording",
+    "not_untouched": "the plate is touched, or not all of it is detected",
+    "recording": "another recording runs",
+    "not_recording": "nothing is being recorded",
+    "recording_failed": "the file cannot be made, or takes nothing more",
+    "window": "window and step do not fit each other, or the frames",
+    "not_published": "the daemon does not publish this stream",
+    "too_many_rates": "16 further rates are published already",
+    "not_located": "the board did not answer, or cannot blink",
+}
 
 
 def _printable(text: str) -> str:
@@ -73,7 +108,7 @@ class Answer(Message):
 class Problem(Message):
     """Why a command was refused."""
 
-    code: Annotated[ErrorCode, Field(title="ErrorCode")] = Field(description="for programs")
+    code: Annotated[ErrorCode, _named("ErrorCode", "Why a command was refused.", ERRORS)]
     message: str = Field(description="sentence for display: what is wrong")
     hint: str = Field(description="what to do about it; may be empty")
 

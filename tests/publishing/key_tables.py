@@ -8,6 +8,7 @@ from pathlib import Path
 
 from resonator_daemon.publishing import payloads
 from resonator_daemon.publishing.units import unit_of
+from resonator_daemon.publishing.verbs import ERRORS
 
 PAGE = Path(__file__).parents[2] / "docs" / "mqtt.md"
 KEYS = re.compile(r"(<!-- (keys|words): ([\w, ]+) -->\n\n)(?:\|.*\n)*\n*")
@@ -39,7 +40,8 @@ def _row(*cells: str) -> str:
 
 def table_of_words(names: list[str]) -> str:
     (name,) = names
-    rows = [f"| `{word}` | {word.meaning} |" for word in getattr(payloads, name)]
+    meanings = ERRORS if name == "ErrorCode" else {word: word.meaning for word in getattr(payloads, name)}
+    rows = [f"| `{word}` | {meaning} |" for word, meaning in meanings.items()]
     return "\n".join(["| word | meaning |", "| --- | --- |", *rows]) + "\n"
 
 

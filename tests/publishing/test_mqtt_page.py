@@ -13,7 +13,7 @@ import pytest
 from mqtt_helpers import LEFT, Messages, publishing
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing import payloads, topics
+from resonator_daemon.publishing import asyncapi, payloads, topics
 from resonator_daemon.publishing.codec import decode, encode
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Message
@@ -62,6 +62,12 @@ def test_every_topic_is_described() -> None:
 
 def test_tables_of_keys_and_words_are_those_of_the_models() -> None:
     assert key_tables.with_tables(PAGE) == PAGE, "python tests/publishing/key_tables.py writes them anew"
+
+
+def test_each_set_of_words_has_a_table() -> None:
+    """Those of topics are in the table of topics."""
+    sets = {name for name, schema in asyncapi.document()["components"]["schemas"].items() if "enum" in schema}
+    assert sets - {"JsonTopic", "StreamTopic"} == set(re.findall(r"<!-- words: (\w+) -->", PAGE))
 
 
 @pytest.mark.parametrize(("title", "example"), EXAMPLES_SHOWN, ids=[title for title, _ in EXAMPLES_SHOWN])
