@@ -13,10 +13,8 @@ from resonator_daemon.publishing.topics import DECODER_HEALTH, DECODER_STATE, SC
 from resonator_daemon.publishing.units import UNITS
 from resonator_daemon.publishing.verbs import VERBS, Refusal
 
-ModelT = TypeVar("ModelT", bound=BaseModel)
-
 # Value of each key in all messages, or in one model. A key without one has the value of what has not happened.
-_VALUES: dict[str, Any] = {
+_VALUES: Final[dict[str, Any]] = {
     "seq": 1234,
     "daemon_boot_id": "9f3c52d07b1e4a60",
     "board_boot_id": "51aa03c4",
@@ -128,17 +126,18 @@ _VALUES: dict[str, Any] = {
     "DecoderHealth.latency": {"decoded": {"bounds_ms": [2.0, 5.0, 10.0], "counts": [0, 2710, 260, 28]}},
 }
 
-# Arrays of numbers that float32 holds exactly: four sites, and a map of 2 x 2 pixels.
-_VALUES |= {
+# Numbers that float32 holds exactly: of four sites, and a map of 2 x 2 pixels.
+_ARRAY_VALUES: Final[dict[str, Any]] = {
     "Signals.signals": np.multiply.outer([4.0, 1.0, -1.0], [0.125, 0.25, 0.5, 1.0]) / 1024,
     "Signals.noise_std": np.full((3, 4), 2.0**-15),
     "traction_pascal": np.multiply.outer([128.0, 0.0, 1024.0], [[0.5, 1.0], [2.0, 4.0]]),
     "traction_std_pascal": np.full((3, 2, 2), 64.0),
     "Decoded.grid": Grid(origin_m=(-0.0002, -0.0002), pitch_m=0.0004),
 }
-# Of commands.
-_VALUES |= {
-    "id": "1f9c",
+_COMMAND_VALUES: Final[dict[str, Any]] = {
+    "Request.id": "1f9c",
+    "Answer.id": "1f9c",
+    "Refusal.id": "1f9c",
     "Snapshot.topics": ("state/link",),
     "StartRecording.label": "drop",
     "Mark.text": "new fingertip",
@@ -168,6 +167,8 @@ _VALUES |= {
     "Problem.hint": "take everything off the plate and ask again",
 }
 
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
 
 def _example(kind: type[ModelT]) -> ModelT:
     """Return a message with a value for each key of a model."""
@@ -175,9 +176,10 @@ def _example(kind: type[ModelT]) -> ModelT:
 
 
 def _value(kind: type[BaseModel], key: str) -> Any:
-    for name in (f"{kind.__name__}.{key}", key):
-        if name in _VALUES:
-            return _VALUES[name]
+    values = _VALUES | _ARRAY_VALUES | _COMMAND_VALUES
+    for name in (*(f"{base.__name__}.{key}" for base in kind.__mro__), key):
+        if name in values:
+            return values[name]
     annotation: Any = kind.model_fields[key].annotation
     parts = get_args(annotation)
     if NoneType in parts:
@@ -222,7 +224,7 @@ def _unknown_force() -> dict[str, Any]:
 
 FURTHER_EXAMPLES: Final[dict[str, dict[str, Any]]] = {"Forces": {"overload": _unknown_force()}}
 
-_VALUES["SnapshotAnswer.messages"] = {"state/link": _example(State)}
+_COMMAND_VALUES["SnapshotAnswer.messages"] = {"state/link": _example(State)}
 REQUEST_EXAMPLES: Final[dict[str, dict[str, Any]]] = {
     verb.request.__name__: json.loads(_example(verb.request).model_dump_json(exclude_none=True))
     for verb in VERBS.values()
