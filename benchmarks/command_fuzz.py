@@ -17,7 +17,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any, get_args
 
-from command_stand_ins import StandIn, configured, handlers_on
+from command_stand_ins import BOOT_ID, StandIn, configured, handlers_on
 
 from resonator_daemon.daemon.command_handlers import SNAPSHOT_BYTES_MAX
 from resonator_daemon.publishing.commands import (
@@ -38,6 +38,8 @@ SOUND: tuple[tuple[str, dict[str, Any]], ...] = (
     ("health", {}),
     ("snapshot", {}),
     ("snapshot", {"topics": ["info", "forces"]}),
+    ("events", {}),
+    ("events", {"after_seq": 8, "daemon_boot_id": BOOT_ID}),
     ("tare", {}),
     ("start_recording", {}),
     ("start_recording", {"label": "drop-1"}),

@@ -12,13 +12,17 @@ from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonPart
 from resonator_daemon.daemon.recording_commands import RecordingCommands
 from resonator_daemon.errors import UserError
 from resonator_daemon.pipeline.control_requests import Control, Tare
+from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.event_history import HistoryPage, UnknownRunError
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Health, Message
+from resonator_daemon.publishing.spool import SpoolError
 from resonator_daemon.publishing.topics import TOPICS
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.reader import Origin
 from resonator_daemon.recording.switch import NothingRecordedError, RecordingNow, RecordingSummary
 
+BOOT_ID = "9f3c"
 RECORDING_NAME = re.compile(r"left-\d{8}T\d{6}\.\d{3}Z(-[A-Za-z0-9_-]{1,64})?\.mcap")
 
 
@@ -33,6 +37,7 @@ class StandIn:
         self.counts = True
         self.board_refuses: str | None = None
         self.disk_problem = ""
+        self.streams: tuple[str, ...] = ("forces", "contacts")
         self.current: RecordingNow | None = None
 
     @property
@@ -48,6 +53,15 @@ class StandIn:
 
     def publish_rates(self, rates_hz: Mapping[str, Collection[int]]) -> None:
         self.acts.append(("publish_rates", dict(rates_hz)))
+
+    async def stored_events(self, boot_id: str | None, after_seq: int, bytes_max: int) -> HistoryPage:
+        if boot_id == "unreadable":
+            raise SpoolError("another process holds the file")
+        if boot_id not in (None, BOOT_ID):
+            raise UnknownRunError(boot_id)
+        example = messages()["contacts/event"]
+        events = (example.model_copy(update={"seq": seq}) for seq in range(max(after_seq + 1, 7), 10))
+        return HistoryPage(tuple(encode(event) for event in events), after_seq >= 6, 7, 9)
 
     async def apply(self, request: Control) -> str | None:
         if isinstance(request, Tare):
@@ -102,12 +116,13 @@ def handlers_on(stand_in: StandIn, config: Config) -> CommandHandlers:
         last_message=last_messages.get,
         sensor=stand_in.sensor,  # type: ignore[arg-type]
         locate=stand_in.locate,
-        streams=("forces", "contacts"),
+        streams=stand_in.streams,
         publish_rates=stand_in.publish_rates,
+        stored_events=stand_in.stored_events,
         measurement=lambda: stand_in.measurement,
         apply=stand_in.apply,
     )
-    return CommandHandlers(config, "9f3c", parts, RecordingCommands(config, "left", stand_in))  # type: ignore[arg-type]
+    return CommandHandlers(config, BOOT_ID, parts, RecordingCommands(config, "left", stand_in))  # type: ignore[arg-type]
 
 
 def configured(directory: Path, link: str = "tcp://127.0.0.1:5000") -> Config:

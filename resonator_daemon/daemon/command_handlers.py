@@ -8,12 +8,18 @@ from typing import Any, Final, get_args
 
 from resonator_daemon.config import Config, Measurement, timing_problems
 from resonator_daemon.daemon.rate_commands import PublishRates, RateCommands
-from resonator_daemon.daemon.recording_commands import RecordingCommands
+from resonator_daemon.daemon.recording_commands import RecordingCommands, as_json_text
 from resonator_daemon.pipeline import control_requests
 from resonator_daemon.pipeline.control_requests import Control
+from resonator_daemon.publishing.codec import decode
 from resonator_daemon.publishing.commands import CommandRefusedError, Handler
-from resonator_daemon.publishing.payloads import Health, Message
+from resonator_daemon.publishing.event_history import HistoryPage, UnknownRunError
+from resonator_daemon.publishing.payloads import ContactEvent, Health, Message
+from resonator_daemon.publishing.spool import SpoolError
+from resonator_daemon.publishing.topics import CONTACTS
 from resonator_daemon.publishing.verbs import (
+    Events,
+    EventsAnswer,
     HealthAnswer,
     HealthRequest,
     Identify,
@@ -31,6 +37,7 @@ from resonator_daemon.publishing.verbs import (
 from resonator_daemon.sensors.base import Sensor
 
 SNAPSHOT_BYTES_MAX: Final = 128 * 1024
+EVENTS_BYTES_MAX: Final = 128 * 1024
 
 Located = Callable[[str | None], None]
 
@@ -53,6 +60,8 @@ class DaemonParts:
         Paths of the topics that this daemon publishes as streams.
     publish_rates
         Called with the further rates of all streams, in Hz by path, when they have changed.
+    stored_events
+        Returns stored events of a run (None: the present one), beyond a `seq`, up to a size in bytes.
     measurement
         Returns the window that holds now.
     apply
@@ -65,6 +74,7 @@ class DaemonParts:
     locate: Callable[[Located], None]
     streams: Collection[str]
     publish_rates: PublishRates
+    stored_events: Callable[[str | None, int, int], Awaitable[HistoryPage]]
     measurement: Callable[[], Measurement]
     apply: Callable[[Control], Awaitable[str | None]]
 
@@ -92,6 +102,7 @@ class CommandHandlers:
             "ping": self._ping,
             "health": self._health,
             "snapshot": self._snapshot,
+            "events": self._events,
             "tare": self._tare,
             "start_recording": recording.start,
             "stop_recording": recording.stop,
@@ -124,6 +135,21 @@ class CommandHandlers:
             else:
                 omitted.append(path)
         return SnapshotAnswer(messages=messages, omitted=tuple(omitted))
+
+    async def _events(self, request: Events) -> EventsAnswer:
+        if CONTACTS.path not in self._parts.streams:
+            raise CommandRefusedError(
+                "not_published", "this daemon publishes no contacts", "see decoder_id in contacts"
+            )
+        try:
+            page = await self._parts.stored_events(request.daemon_boot_id, request.after_seq, EVENTS_BYTES_MAX)
+        except UnknownRunError:
+            raise CommandRefusedError(
+                "unknown_boot", "no such run of the daemon is on record", "ask without daemon_boot_id"
+            ) from None
+        except SpoolError as error:
+            raise CommandRefusedError("storage_failed", as_json_text(error), "see the daemon's log") from None
+        return await asyncio.to_thread(_events_answer, page)  # takes milliseconds
 
     async def _tare(self, _request: Tare) -> TareAnswer:
         sensor = self._adjustable_sensor()
@@ -164,3 +190,12 @@ class CommandHandlers:
                 "not_ready", "no force sites are being measured", "see state/link and state/sensor"
             )
         return sensor
+
+
+def _events_answer(page: HistoryPage) -> EventsAnswer:
+    return EventsAnswer(
+        events=tuple(decode(ContactEvent, payload) for payload in page.payloads),
+        complete=page.complete,
+        oldest_seq=page.oldest_seq,
+        newest_seq=page.newest_seq,
+    )

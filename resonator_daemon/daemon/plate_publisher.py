@@ -11,6 +11,7 @@ from resonator_daemon.monitoring.daemon_state import DaemonState
 from resonator_daemon.publishing import asyncapi
 from resonator_daemon.publishing.codec import Encoded, decoded, encode
 from resonator_daemon.publishing.commands import Commands, Handler
+from resonator_daemon.publishing.event_history import HistoryPage
 from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.payloads import Message, MessageAccount, State
 from resonator_daemon.publishing.publisher import FRESH_S, Publisher, Subscription
@@ -112,6 +113,7 @@ class PlatePublisher:
                 Subscription(full_topic(broker.prefix, name, STATE_DAEMON.path), 1, daemon_state.receive),
             ),
             spool_directory=state_directory() / "spool" / quote(broker.prefix, safe="") / name,
+            boot_id=self._daemon_boot_id,
             on_connected=daemon_state.connected,
             conflict=lambda: daemon_state.conflict,
             never_retained=self._never_retained(),
@@ -144,6 +146,12 @@ class PlatePublisher:
             for topic in TOPICS.values():
                 if topic.slow_hz is not None:
                     self._publisher.set_rates(self._base, topic, rates_hz.get(topic.path, ()))
+
+    async def stored_events(self, boot_id: str | None, after_seq: int, bytes_max: int) -> HistoryPage:
+        """Return stored events of a run, the present one where not given, beyond `after_seq`."""
+        if self._publisher is None:
+            return HistoryPage((), complete=True, oldest_seq=None, newest_seq=None)
+        return await self._publisher.stored_events(boot_id, after_seq, bytes_max)
 
     async def close(self, *, wait_for_broker: bool) -> None:
         """Answer pending commands, publish that the daemon stopped, and end `run`."""

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.event_history import EventHistory
 from resonator_daemon.publishing.message_account import Account, Cause
-from resonator_daemon.publishing.payloads import Message
+from resonator_daemon.publishing.payloads import ContactEvent, Message
 from resonator_daemon.publishing.spool import Key, Progress, Spool, SpoolDamagedError, SpooledEvent, SpoolError
 
 IN_MEMORY_MAX: Final = 1024
@@ -59,8 +60,9 @@ class EventQueue:
     """A queue of events that loses none while the disk takes them; to be used from the event loop's thread only.
 
     What waits lies in three places, the oldest first: the head, which is sent next and is on disk, too, where it came
-    from there; what is on disk alone; the tail, the newest 1024. While there is a connection that keeps up, nothing is
-    written. Disk and event loop meet in one task, which has one thing at a time done by a thread.
+    from there; what is on disk alone; the tail, the newest 1024. While there is a connection that keeps up, none is
+    written to wait; each is written to the history. Disk and event loop meet in one task, which has one thing at a time
+    done by a thread.
 
     Parameters
     ----------
@@ -70,9 +72,18 @@ class EventQueue:
         Of the spool; None: what memory cannot hold is dropped.
     on_ready
         Called when events that had to be read can be taken.
+    boot_id
+        Of this run of the daemon: its events are stored for those who have missed them. None: they are not.
+
+    Attributes
+    ----------
+    history
+        The stored events; None without `boot_id`.
     """
 
-    def __init__(self, account: Account, directory: Path | None, on_ready: Callable[[], None]) -> None:
+    def __init__(
+        self, account: Account, directory: Path | None, on_ready: Callable[[], None], *, boot_id: str | None = None
+    ) -> None:
         self._account = account
         self._spool = Spool(directory) if directory is not None else None
         self._on_ready = on_ready
@@ -98,6 +109,7 @@ class EventQueue:
         self._wake = asyncio.Event()
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="spool") if self._spool is not None else None
         self._working: asyncio.Task[None] | None = None
+        self.history = EventHistory(boot_id, self._spool, self._in_thread, self._abandon_disk) if boot_id else None
 
     @property
     def waiting(self) -> int:
@@ -114,7 +126,9 @@ class EventQueue:
         while len(self._tail) > (IN_MEMORY_MAX if failing or self._spool is None else UNWRITTEN_MAX):
             self._drop(self._tail.popleft(), Cause.SPOOL_FAILED if failing else Cause.QUEUE_FULL)
             self._leave_to_disk()
-        if not self._connected or len(self._tail) > IN_MEMORY_MAX // 2:
+        if self.history is not None and isinstance(message, ContactEvent):
+            self.history.add(message)
+        if self.history is not None or not self._connected or len(self._tail) > IN_MEMORY_MAX // 2:
             self._wake.set()
 
     def pop(self) -> Event | None:
@@ -256,6 +270,8 @@ class EventQueue:
             await self._try("look", self._look(spool))
         while self._lasting and "write" not in self._paused and (events := self._to_be_written()):
             await self._try("write", self._write(spool, self._run, events))
+        while self._lasting and "store" not in self._paused and self.history is not None and self.history.unwritten:
+            await self._try("store", self.history.write())
         if self._unneeded and "delete" not in self._paused:
             await self._try("delete", self._delete(spool, self._run))
         if self._on_disk and len(self._head) <= _READ_TOGETHER // 2 and "read" not in self._paused:
@@ -331,17 +347,16 @@ class EventQueue:
         try:
             await work
         except SpoolDamagedError as error:
-            self._abandon_disk()
-            self._log_change(logging.WARNING, str(error))
-            self._wake.set()
+            self._abandon_disk(error)
         except SpoolError as error:
             self._log_change(
-                logging.WARNING, f"events cannot be kept on disk ({error}); the newest {IN_MEMORY_MAX} wait"
+                logging.WARNING, f"events cannot be kept on disk ({error}): memory has the newest {IN_MEMORY_MAX}"
             )
             self._paused.add(what)
             asyncio.get_running_loop().call_later(RETRY_S, self._resume, what)
         else:
-            if self._failure and self._lasting and not self._paused and not self._to_be_written():
+            unwritten = bool(self._to_be_written()) or (self.history is not None and self.history.unwritten)
+            if self._failure and self._lasting and not self._paused and not unwritten:
                 self._log_change(logging.INFO, "events can be kept on disk again")
                 self._failure = None
 
@@ -349,11 +364,15 @@ class EventQueue:
         self._paused.discard(what)
         self._wake.set()
 
-    def _abandon_disk(self) -> None:
+    def _abandon_disk(self, error: SpoolDamagedError) -> None:
         """Go on with what is in memory: the rest went with the damaged file."""
+        self._log_change(logging.WARNING, str(error))
+        self._wake.set()
         self._lose(self._on_disk)
         self._on_disk = self.spooled = 0
         self._unneeded.clear()
+        if self.history is not None:
+            self.history.lost()
         for event in (*self._head, *self._tail, *self._on_the_way):
             event.stored = event.given = False
         self._on_ready()

@@ -8,7 +8,7 @@ from typing import Any, Final, Literal, TypeVar, get_args, get_origin
 import numpy as np
 from pydantic import BaseModel
 
-from resonator_daemon.publishing.payloads import WITH_ARRAYS, Forces, Grid, State
+from resonator_daemon.publishing.payloads import WITH_ARRAYS, ContactEvent, Forces, Grid, State
 from resonator_daemon.publishing.topics import DECODER_HEALTH, DECODER_STATE, SCHEMA_VERSION, TOPICS
 from resonator_daemon.publishing.units import UNITS
 from resonator_daemon.publishing.verbs import VERBS, Refusal
@@ -139,6 +139,11 @@ _COMMAND_VALUES: Final[dict[str, Any]] = {
     "Answer.id": "1f9c",
     "Refusal.id": "1f9c",
     "Snapshot.topics": ("state/link",),
+    "Events.after_seq": 1233,
+    "Events.daemon_boot_id": "9f3c52d07b1e4a60",
+    "EventsAnswer.complete": True,
+    "EventsAnswer.oldest_seq": 0,
+    "EventsAnswer.newest_seq": 1234,
     "StartRecording.label": "drop",
     "Mark.text": "new fingertip",
     "SetWindow.window_ms": 20.0,
@@ -225,6 +230,7 @@ def _unknown_force() -> dict[str, Any]:
 FURTHER_EXAMPLES: Final[dict[str, dict[str, Any]]] = {"Forces": {"overload": _unknown_force()}}
 
 _COMMAND_VALUES["SnapshotAnswer.messages"] = {"state/link": _example(State)}
+_COMMAND_VALUES["EventsAnswer.events"] = (_example(ContactEvent).model_copy(update={"replayed": True}),)
 REQUEST_EXAMPLES: Final[dict[str, dict[str, Any]]] = {
     verb.request.__name__: json.loads(_example(verb.request).model_dump_json(exclude_none=True))
     for verb in VERBS.values()

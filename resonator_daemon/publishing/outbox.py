@@ -67,6 +67,8 @@ class Outbox:
         Takes what becomes of each message.
     spool_directory
         Where events wait; None: in memory alone.
+    boot_id
+        Of this run of the daemon, whose events are stored; None: they are not.
 
     Attributes
     ----------
@@ -74,12 +76,14 @@ class Outbox:
         How long a perishable stream may wait for the socket, in seconds; older ones are skipped.
     """
 
-    def __init__(self, account: Account, spool_directory: Path | None, stream_wait_max_s: float) -> None:
+    def __init__(
+        self, account: Account, spool_directory: Path | None, stream_wait_max_s: float, *, boot_id: str | None = None
+    ) -> None:
         self._account = account
         self._client: BrokerConnection | None = None
         self._retained: dict[str, Packet] = {}  # last message by topic
         self._states: dict[str, Packet] = {}  # those of them that wait
-        self.events = EventQueue(account, spool_directory, self.pump_soon)
+        self.events = EventQueue(account, spool_directory, self.pump_soon, boot_id=boot_id)
         self._answers: BoundedQueue[Packet] = BoundedQueue(ANSWERS_WAITING_MAX, ANSWER_BYTES_WAITING_MAX)
         self._streams: BoundedQueue[_Stream] = BoundedQueue(STREAMS_WAITING_MAX, STREAM_BYTES_WAITING_MAX)
         self._reports: BoundedQueue[_Stream] = BoundedQueue(STREAMS_WAITING_MAX, STREAM_BYTES_WAITING_MAX)

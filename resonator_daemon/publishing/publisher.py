@@ -18,6 +18,7 @@ from resonator_daemon.publishing.bounded_queue import Pace
 from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes, Will
 from resonator_daemon.publishing.broker_limits import BrokerLimits
 from resonator_daemon.publishing.codec import Encoded, encode
+from resonator_daemon.publishing.event_history import HistoryPage
 from resonator_daemon.publishing.message_account import Account, Cause
 from resonator_daemon.publishing.mqtt_messages import Incoming, Outgoing
 from resonator_daemon.publishing.outbox import Outbox, Packet
@@ -92,6 +93,8 @@ class Publisher:
         Renewed with each connection. What `handle` raises is logged once, and costs nothing but that message.
     spool_directory
         Where events wait; None: in memory alone.
+    boot_id
+        Of this run of the daemon, whose events are stored next to those that wait; None: they are not.
     on_connected
         Called with the number of each connection, before the retained messages are sent again.
     on_denied
@@ -114,6 +117,7 @@ class Publisher:
         make_will: Callable[[], Outgoing],
         subscriptions: Sequence[Subscription] = (),
         spool_directory: Path | None = None,
+        boot_id: str | None = None,
         on_connected: Callable[[int], None] = ignore,
         on_denied: Callable[[str, str], None] = ignore,
         conflict: Callable[[], bool] = lambda: False,
@@ -133,7 +137,7 @@ class Publisher:
         self._limits = BrokerLimits()  # that attempts have shown since the last connection, for the next last will
         self._connections = 0
         self._account = Account()
-        self._outbox = Outbox(self._account, spool_directory, stream_wait_max_s)
+        self._outbox = Outbox(self._account, spool_directory, stream_wait_max_s, boot_id=boot_id)
         self._never_retained = never_retained
         self._retained = RetainedTopics(self._outbox.republish, self._outbox.clear_retained, conflict, never_retained)
         self._streams: dict[tuple[str, str], _Stream] = {}  # by base and path
@@ -225,6 +229,12 @@ class Publisher:
     def set_rates(self, base: str, topic: Topic[Any], rates_hz: Collection[int]) -> None:
         """Set the rates, each above 0, at which a stream is published on topics of their own, besides its fixed one."""
         self._stream(base, topic).set_rates(rates_hz)
+
+    async def stored_events(self, boot_id: str | None, after_seq: int, bytes_max: int) -> HistoryPage:
+        """Return stored events, as of `EventHistory.page`; only where the publisher stores them."""
+        if (history := self._outbox.events.history) is None:
+            raise ValueError("events are stored under a boot_id only")
+        return await history.page(boot_id, after_seq, bytes_max)
 
     async def run(self) -> None:
         """Keep connected until `close`; when cancelled instead, the broker publishes the last will."""

@@ -1,4 +1,4 @@
-"""Events that wait on disk and outlive the process.
+"""The file of events, which outlives the process: those that wait, and those of the last days.
 
 Each batch is one transaction with a write-ahead log, not flushed to the medium (SQLite's `synchronous=NORMAL`): what
 was written survives the end of the process, in whatever way. A power loss can cost what the operating system had
@@ -20,9 +20,22 @@ _FORMAT: Final = 1
 _FULL: Final = sqlite3.SQLITE_FULL
 _DAMAGED: Final = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 _IN_USE: Final = (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED)
-_CREATE: Final = """CREATE TABLE IF NOT EXISTS events (
-    run INTEGER, number INTEGER, topic TEXT NOT NULL, payload BLOB NOT NULL, PRIMARY KEY (run, number)
-)"""
+_CREATE: Final = (
+    """CREATE TABLE IF NOT EXISTS events (
+        run INTEGER, number INTEGER, topic TEXT NOT NULL, payload BLOB NOT NULL, PRIMARY KEY (run, number)
+    )""",
+    # Of `event_history`.
+    "CREATE TABLE IF NOT EXISTS runs (id INTEGER PRIMARY KEY, boot TEXT NOT NULL UNIQUE, newest_seq INTEGER NOT NULL)",
+    """CREATE TABLE IF NOT EXISTS history (
+        id INTEGER PRIMARY KEY, boot TEXT NOT NULL, seq INTEGER NOT NULL, stored_ns INTEGER NOT NULL,
+        payload BLOB NOT NULL, UNIQUE (boot, seq)
+    )""",
+)
+_COPIED: Final = {  # columns by table; numbers of rows are the file's own
+    "events": "run, number, topic, payload",
+    "runs": "boot, newest_seq",
+    "history": "boot, seq, stored_ns, payload",
+}
 _SIZES: Final = "SELECT count(*), coalesce(sum(length(payload)), 0) FROM events"
 _OLDEST_BEYOND: Final = """FROM events WHERE (run, number) > (?, ?) AND NOT (run = ? AND number <= ?)
     ORDER BY run, number LIMIT ?"""
@@ -55,7 +68,9 @@ class Progress(NamedTuple):
 
 
 class Spool:
-    """A queue of events in a directory of its own, which one process holds; calls take as long as the disk does.
+    """A queue of events in a file of its own, which one process holds; calls take as long as the disk does.
+
+    `transact` gives `EventHistory` the same file.
 
     To be used by one thread at a time. Every method but `close` raises SpoolError where directory or disk refuse or
     another process holds the spool, and SpoolDamagedError.
@@ -75,7 +90,7 @@ class Spool:
 
     def open(self) -> tuple[int, int]:
         """Return the number of this run, and how many events are on disk."""
-        return self._do(lambda _: (self._run or 0, self._count))
+        return self.transact(lambda _: (self._run or 0, self._count))
 
     def make_again(self) -> bool:
         """Where the open file is not the one of its name any more, write all of it to a new one; True: it was done.
@@ -88,7 +103,7 @@ class Spool:
         before = self._file, self._count, self._bytes
         self._database = None
         try:
-            self._do(lambda database: self._copy(removed, database))
+            self.transact(lambda database: self._copy(removed, database))
         except SpoolError as error:
             self.close()
             self._database = removed
@@ -124,7 +139,7 @@ class Spool:
             self._bytes += new_bytes
             return len(gone)
 
-        return self._do(append)
+        return self.transact(append)
 
     def read(self, progress: Progress, count: int) -> list[SpooledEvent]:
         """Return the oldest events beyond `progress`; they stay on disk."""
@@ -135,10 +150,10 @@ class Spool:
             )
             return [SpooledEvent((run, number), topic, payload) for run, number, topic, payload in rows]
 
-        return self._do(read)
+        return self.transact(read)
 
     def delete(self, keys: Sequence[Key]) -> None:
-        self._do(lambda database: self._delete(database, keys))
+        self.transact(lambda database: self._delete(database, keys))
 
     def close(self) -> None:
         """Close the file."""
@@ -155,7 +170,10 @@ class Spool:
         return status.st_dev, status.st_ino
 
     def _copy(self, source: sqlite3.Connection, target: sqlite3.Connection) -> None:
-        target.executemany("INSERT OR REPLACE INTO events VALUES (?, ?, ?, ?)", source.execute("SELECT * FROM events"))
+        for table, columns in _COPIED.items():
+            places = ", ".join("?" * len(columns.split(", ")))
+            rows = source.execute(f"SELECT {columns} FROM {table} ORDER BY rowid")
+            target.executemany(f"INSERT OR REPLACE INTO {table} ({columns}) VALUES ({places})", rows)
         self._count, self._bytes = target.execute(_SIZES).fetchone()
 
     def _delete(self, database: sqlite3.Connection, keys: Sequence[Key]) -> None:
@@ -166,8 +184,8 @@ class Spool:
                 self._count -= 1
                 self._bytes -= row[0]
 
-    def _do(self, transact: Callable[[sqlite3.Connection], ResultT]) -> ResultT:
-        """Carry out one transaction, on a database that is opened for it where it is not open."""
+    def transact(self, transact: Callable[[sqlite3.Connection], ResultT]) -> ResultT:
+        """Carry out one transaction and return its result, on a database that is opened for it where it is not open."""
         before = None
         try:
             database = self._database or self._open()
@@ -225,7 +243,8 @@ class Spool:
             database.execute("PRAGMA synchronous=NORMAL")
             database.execute("BEGIN IMMEDIATE")
             self._check(database)
-            database.execute(_CREATE)
+            for statement in _CREATE:
+                database.execute(statement)
             database.execute(f"PRAGMA user_version={_FORMAT}")
             self._count, self._bytes = database.execute(_SIZES).fetchone()
             (newest_run,) = database.execute("SELECT coalesce(max(run), 0) FROM events").fetchone()

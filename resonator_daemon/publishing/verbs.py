@@ -8,7 +8,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, SerializeAsAn
 from pydantic.fields import FieldInfo
 
 from resonator_daemon.config.tables import ChangingVerb
-from resonator_daemon.publishing.payloads import Health, Int64, Message, PerChannel
+from resonator_daemon.publishing.payloads import ContactEvent, Health, Int64, Message, PerChannel
 from resonator_daemon.publishing.topics import JSON, TOPICS
 
 LABEL_PATTERN: Final = "^[A-Za-z0-9_-]{1,64}$"
@@ -56,6 +56,8 @@ ErrorCode = Literal[
     "window",
     "not_published",
     "too_many_rates",
+    "unknown_boot",
+    "storage_failed",
     "not_located",
 ]
 ERRORS: Final[dict[ErrorCode, str]] = {
@@ -76,6 +78,8 @@ ERRORS: Final[dict[ErrorCode, str]] = {
     "window": "window and step do not fit each other, or the frames",
     "not_published": "the daemon does not publish this stream",
     "too_many_rates": "16 further rates are published already",
+    "unknown_boot": "no run with this `daemon_boot_id` is on record",
+    "storage_failed": "stored events of an earlier run cannot be read: the disk failed, or another process holds it",
     "not_located": "the board did not answer, or cannot blink",
 }
 
@@ -160,6 +164,25 @@ class SnapshotAnswer(Answer):
     verb: Literal["snapshot"] = "snapshot"
     messages: dict[str, SerializeAsAny[Message]] = Field(description="by topic; none of those that had no message yet")
     omitted: tuple[str, ...] = Field(description="topics whose messages would make the answer too long: ask for fewer")
+
+
+class Events(Request):
+    """Ask for the stored events of a run of the daemon; the next page is asked for with the last `seq` of this one."""
+
+    after_seq: int = Field(-1, ge=-1, le=2**53 - 1, description="`seq` of the last event that the client has")
+    daemon_boot_id: Annotated[str, Field(min_length=1, max_length=64)] | None = Field(
+        None, description="of an earlier run; the present one where not given"
+    )
+
+
+class EventsAnswer(Answer):
+    """Stored events, in order; there are more where the last one is older than `newest_seq`."""
+
+    verb: Literal["events"] = "events"
+    events: tuple[ContactEvent, ...] = Field(description="those after `after_seq`, with `replayed` true")
+    complete: bool = Field(description="false: some of those after `after_seq` are no longer stored")
+    oldest_seq: int | None = Field(description="of the oldest that is stored of this run; null where none is")
+    newest_seq: int | None = Field(description="of the newest that happened in this run; null where none did")
 
 
 class Tare(Request):
@@ -306,6 +329,7 @@ VERBS: Final[dict[str, Verb]] = {
         Verb(Ping, Pong, "confirms that the daemon runs"),
         Verb(HealthRequest, HealthAnswer, "answers with the health of the daemon"),
         Verb(Snapshot, SnapshotAnswer, "repeats the last message of each JSON topic"),
+        Verb(Events, EventsAnswer, "answers with stored events"),
         Verb(Tare, TareAnswer, "takes the present readings as those of the untouched plate"),
         Verb(StartRecording, StartRecordingAnswer, "records the link to a file"),
         Verb(StopRecording, StopRecordingAnswer, "ends the recording"),

@@ -19,7 +19,7 @@ class Difference(NamedTuple):
 
 ABSENT: Final = "nothing"
 
-_NOT_COMPARED: Final = {"info": ("daemon_version",)}  # of another version the same is expected
+_NOT_COMPARED: Final = {"info": ("daemon_version", "commands")}  # of another version the same is expected
 
 
 class Scales:

@@ -7,7 +7,7 @@ from command_fuzz import fuzz
 from resonator_daemon.publishing.verbs import VERBS
 
 READ_ONLY = {verb.name for verb in VERBS.values() if not verb.changes}
-REFUSALS = {"payload", "response_topic", "unknown_verb", "not_permitted", "too_many", "correlation"}
+REFUSALS = {"payload", "response_topic", "unknown_verb", "not_permitted", "too_many", "correlation", "unknown_boot"}
 
 
 async def test_where_nothing_is_allowed_nothing_is_changed(tmp_path: Path) -> None:

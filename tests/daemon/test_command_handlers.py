@@ -50,6 +50,24 @@ async def test_a_snapshot_is_bounded(bench: Bench, monkeypatch: pytest.MonkeyPat
     assert (list(said["messages"]), said["omitted"]) == (["state/link"], ["info"])
 
 
+async def test_stored_events(bench: Bench) -> None:
+    for boot_id in ({}, {"daemon_boot_id": "9f3c"}):
+        said = await bench.ask("events", after_seq=7, **boot_id)
+        events = said.pop("events")
+        assert [event["seq"] for event in events] == [8, 9]
+        assert events[0] == json.loads(messages()["contacts/event"].model_dump_json()) | {"seq": 8}
+        assert said == {"complete": True, "oldest_seq": 7, "newest_seq": 9}
+    assert not (await bench.ask("events"))["complete"]
+    assert (await bench.refusal("events", daemon_boot_id="other")).code == "unknown_boot"
+    assert (await bench.refusal("events", daemon_boot_id="unreadable")).code == "storage_failed"
+
+
+async def test_a_daemon_that_does_not_follow_contacts_has_no_events(bench: Bench) -> None:
+    bench.daemon.streams = ("signals",)
+    bench.handlers = handlers_on(bench.daemon, configured(bench.directory))
+    assert (await bench.refusal("events")).code == "not_published"
+
+
 async def test_tare(bench: Bench) -> None:
     said = await bench.ask("tare")
     assert said == {"message": "the present readings count as untouched", "common_mode": [1e-6, None, None, None]}

@@ -118,7 +118,7 @@ async def test_without_permission_nothing_is_changed(bench: Bench) -> None:
     ):
         await heard.until_last("resonator/hand/state/sensor", state="online")
         info = await heard.until_last(INFO, window_s=0.01)
-        assert info["commands"] == ["ping", "health", "snapshot"]
+        assert info["commands"] == ["ping", "health", "snapshot", "events"]
         for verb in ALL:
             answer = await request(Mqtt(url=bench.broker_url), "hand", verb, {})
             assert answer["error"]["code"] == "not_permitted"

@@ -26,6 +26,8 @@ COMMANDS: list[tuple[str, dict[str, Any]]] = [
     ("health", {"id": "a text"}),
     ("snapshot", {}),
     ("snapshot", {"topics": ["state/link", "info"]}),
+    ("events", {"after_seq": 0}),
+    ("events", {"daemon_boot_id": "of nobody"}),
     ("tare", {}),  # refused while the plate is touched, else not
     ("start_recording", {"label": "schema"}),
     ("mark", {"text": "here"}),

@@ -242,7 +242,7 @@ def test_info_of_a_plate_of_force_sites(tmp_path: Path) -> None:
         "counter": "single-tone",
         "transducers_m": [[0.0, 0.0], [0.02, 0.0], [0.02, 0.01], [0.0, 0.01]],
         "rates_hz": {"forces": 250.0, "forces/20hz": 20.0, "contacts": 250.0, "contacts/20hz": 20.0},
-        "commands": ["ping", "health", "snapshot"],
+        "commands": ["ping", "health", "snapshot", "events"],
         "grid": None,
         "skin": None,
         "serial_number": "0042",

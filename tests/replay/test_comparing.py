@@ -50,5 +50,5 @@ def test_the_largest_value_of_a_field_sets_its_scale_in_whatever_order_they_come
 def test_another_version_says_the_same() -> None:
     scales = Scales()
     old, new = {"plate": "p", "daemon_version": "0.8"}, {"plate": "p", "daemon_version": "0.9"}
-    assert list(payload_differences("info", old, new, scales)) == []
+    assert list(payload_differences("info", old | {"commands": []}, new | {"commands": ["ping"]}, scales)) == []
     assert list(payload_differences("forces", old, new, scales)) == [Difference("daemon_version", "0.8", "0.9")]
