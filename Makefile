@@ -95,6 +95,7 @@ test-firmware: .venv/test-stamp build/pico-sdk  ## the C reference under QEMU, t
 test-schema: .venv/test-stamp  ## types that modelina and json-schema-to-typescript make of the AsyncAPI document, compiled and used
 	$(debian-packages)
 	debian-packages $(GENERATORS)
+	node -e 'process.exit(parseInt(process.versions.node) < 20 ? 1 : 0)' || { echo "needs Node.js 20 or newer; found $$(node --version)" >&2; exit 1; }
 	mkdir -p build/generators
 	cd build/generators
 	if ! cmp -s ../../tests/generators/package-lock.json package-lock.json || [ ! -e node_modules/.package-lock.json ]; then
