@@ -153,13 +153,16 @@ def _may_be_null(schema: Schema) -> bool:
 
 def _nullable(schema: Schema) -> Schema:
     """Return the form of a value or null."""
+    value: Schema
     value, *others = (part for part in schema["anyOf"] if part != _NULL)
     if others or value.keys() & {"enum", "const"}:
         raise ValueError(f"{schema}: types of which generators make one that decodes nothing; give the words a name")
     if "$ref" in value:
         return schema | {"title": f"{value['$ref'].rpartition('/')[2]}OrNull"}
     outer = {key: part for key, part in schema.items() if key != "anyOf"}
-    return {**value, **outer, "type": [value["type"], "null"]}
+    if _may_be_null(value):  # an optional key of a number that may be unknown
+        return value | outer
+    return value | outer | {"type": [value["type"], "null"]}
 
 
 def _array(schema: Schema) -> Schema:
