@@ -1,14 +1,14 @@
 """One whole message of each topic and command, as the AsyncAPI document and docs/mqtt.md show them."""
 
 import json
-from enum import StrEnum
 from types import NoneType
 from typing import Any, Final, Literal, TypeVar, get_args, get_origin
 
 import numpy as np
 from pydantic import BaseModel
 
-from resonator_daemon.publishing.payloads import WITH_ARRAYS, ContactEvent, Forces, Grid, State
+from resonator_daemon.publishing.codec import encode, read_arrays
+from resonator_daemon.publishing.payloads import WITH_ARRAYS, ContactEvent, Forces, Grid, Message, State
 from resonator_daemon.publishing.topics import DECODER_HEALTH, DECODER_STATE, SCHEMA_VERSION, TOPICS
 from resonator_daemon.publishing.units import UNITS
 from resonator_daemon.publishing.verbs import VERBS, Refusal
@@ -203,18 +203,13 @@ EXAMPLES: Final[dict[str, dict[str, Any]]] = {
 }
 
 
-def _as_rows(value: Any) -> Any:
-    """Return a field of a CBOR message with arrays as nested rows."""
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, BaseModel):
-        return {key: _as_rows(getattr(value, key)) for key in type(value).model_fields}
-    if isinstance(value, tuple):
-        return [_as_rows(part) for part in value]
-    return str(value) if isinstance(value, StrEnum) else value
+def _with_rows(kind: type[Message]) -> dict[str, Any]:
+    """Return the fields of a CBOR message with arrays as nested rows."""
+    fields = read_arrays(encode(_example(kind)))
+    return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in fields.items()}
 
 
-ARRAY_EXAMPLES: Final[dict[str, dict[str, Any]]] = {kind.__name__: _as_rows(_example(kind)) for kind in WITH_ARRAYS}
+ARRAY_EXAMPLES: Final[dict[str, dict[str, Any]]] = {kind.__name__: _with_rows(kind) for kind in WITH_ARRAYS}
 
 
 def _unknown_force() -> dict[str, Any]:
