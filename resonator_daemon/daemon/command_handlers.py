@@ -149,7 +149,8 @@ class CommandHandlers:
             ) from None
         except SpoolError as error:
             raise CommandRefusedError("storage_failed", as_json_text(error), "see the daemon's log") from None
-        return await asyncio.to_thread(_events_answer, page)  # takes milliseconds
+        boot_id = request.daemon_boot_id or self._daemon_boot_id
+        return await asyncio.to_thread(_events_answer, boot_id, page)  # takes milliseconds
 
     async def _tare(self, _request: Tare) -> TareAnswer:
         sensor = self._adjustable_sensor()
@@ -192,8 +193,9 @@ class CommandHandlers:
         return sensor
 
 
-def _events_answer(page: HistoryPage) -> EventsAnswer:
+def _events_answer(boot_id: str, page: HistoryPage) -> EventsAnswer:
     return EventsAnswer(
+        daemon_boot_id=boot_id,
         events=tuple(decode(ContactEvent, payload) for payload in page.payloads),
         complete=page.complete,
         oldest_seq=page.oldest_seq,

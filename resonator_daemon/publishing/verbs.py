@@ -179,6 +179,7 @@ class EventsAnswer(Answer):
     """Stored events, in order; there are more where the last one is older than `newest_seq`."""
 
     verb: Literal["events"] = "events"
+    daemon_boot_id: str = Field(description="of the run that the events are of")
     events: tuple[ContactEvent, ...] = Field(description="those after `after_seq`, with `replayed` true")
     complete: bool = Field(description="false: some of those after `after_seq` are no longer stored")
     oldest_seq: int | None = Field(description="of the oldest that is stored of this run; null where none is")

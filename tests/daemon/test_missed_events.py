@@ -48,6 +48,7 @@ async def test_a_client_closes_its_gap(tmp_path: Path, mosquitto: Mosquitto) -> 
             assert [*have, *map(as_published, rest["events"])] == of_first
             assert (rest["complete"], rest["newest_seq"]) == (True, of_first[-1]["seq"])
             present = await missed(bench)
+            assert (rest["daemon_boot_id"], present["daemon_boot_id"]) == (first.daemon_boot_id, second.daemon_boot_id)
             assert {event["daemon_boot_id"] for event in present["events"]} == {second.daemon_boot_id}
             answer = await request(Mqtt(url=bench.broker_url), "hand", "events", {"daemon_boot_id": "of nobody"})
             assert answer["error"]["code"] == "unknown_boot"
