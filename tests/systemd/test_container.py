@@ -28,7 +28,7 @@ password_file = "credential:mqtt-password"
 apart = true
 """
 CREDENTIAL = "[Service]\nLoadCredential=mqtt-password:/etc/resonatord/broker.password\n"
-QUICK = f"{CREDENTIAL}WatchdogSec=1\nRestartSec=100ms\n"
+QUICK = f"{CREDENTIAL}WatchdogSec=3\nRestartSec=100ms\n"
 FILES = {
     "/etc/resonatord/left.toml": LEFT,
     "/etc/resonatord/skin.toml": SKIN,
@@ -42,6 +42,12 @@ SCRIPT = """
 exec 2>/dev/null
 wait_for() { for _ in $(seq 400); do if eval "$1"; then return; fi; sleep 0.05; done; echo "never: $1"; return 1; }
 show() { systemctl show "$1" -p ActiveState,StatusText,NRestarts,MainPID,ExecMainStatus,Result; }
+well() {
+  python -c '
+import json
+daemon = json.load(open("/out/status"))["daemons"][0]
+raise SystemExit(not daemon["broker"]["connected"] or daemon["link"]["state"] != "online")'
+}
 says() { [[ "$(systemctl show "$1" --value -p StatusText)" == *"$2"* ]]; }
 emulator() {
   systemd-run -q --unit=emulator resonatord emulate --plate quartz16 --pty /run/board
@@ -54,10 +60,8 @@ resonatord install
 systemd-run -q --unit=broker mosquitto -c /etc/mosquitto.conf
 emulator
 systemctl start resonatord@left
-wait_for 'says resonatord@left "frames/s,"'
-wait_for 'resonatord status left --json | grep -q "\\"connected\\": *true"'
-show resonatord@left > /out/started
-resonatord status left --json > /out/status
+wait_for 'resonatord status left --json > /out/status && well'
+wait_for 'show resonatord@left > /out/started && grep -q "frames/s," /out/started'
 cat /proc/$(systemctl show --value -p MainPID resonatord@left)/status > /out/process
 stat -c '%U %a %n' /var/lib/resonatord /var/cache/resonatord /run/resonatord/left /etc/resonatord > /out/directories
 
@@ -67,7 +71,7 @@ show resonatord@left > /out/reloaded
 
 systemctl stop emulator
 wait_for 'says resonatord@left "link waiting"'
-sleep 1.5
+sleep 3.5
 show resonatord@left > /out/waiting
 
 systemctl kill --signal=STOP --kill-who=main resonatord@left

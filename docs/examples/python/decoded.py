@@ -16,6 +16,8 @@ def to_array(tag):
 
 
 def take(client, context, message):
+    if not message.payload:  # somebody's retained message was cleared
+        return
     decoded = cbor2.loads(message.payload)
     traction = to_array(decoded["traction_pascal"])  # components x, y, z, each (ny, nx) or, scattered, (m,)
     said, grid = f"{message.topic} seq {decoded['seq']}", decoded["grid"]

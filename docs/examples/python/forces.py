@@ -14,6 +14,8 @@ host, port, forces_filter, events_filter = sys.argv[1:] + DEFAULTS[len(sys.argv)
 
 
 def take_forces(client, context, message):
+    if not message.payload:  # somebody's retained message was cleared
+        return
     forces = json.loads(message.payload)
     for site in forces["sites"]:  # force_newton is None where it is not known; the status says why
         where = f"{message.topic} t_ns {forces['t_ns']} site {site['site']}"
@@ -21,6 +23,8 @@ def take_forces(client, context, message):
 
 
 def take_event(client, context, message):
+    if not message.payload:
+        return
     event = json.loads(message.payload)
     contact, when = event["contact"], f"{message.topic} t_ns {event['t_ns']}"
     print(f"{when} {event['event']} contact {contact['id']} site {contact['site']}\n", end="", flush=True)
