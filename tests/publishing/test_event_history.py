@@ -1,6 +1,7 @@
 """Stored events: what a client has missed, from this run and earlier ones, within bounds, and whatever a disk does."""
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -44,7 +45,8 @@ def seqs(page: HistoryPage) -> list[int]:
 def stored(directory: Path) -> set[int]:
     """Return the numbers of the events in a copy of the file: it is held by one process alone."""
     copy = directory.parent / "copy"
-    copy.mkdir(exist_ok=True)
+    shutil.rmtree(copy, ignore_errors=True)
+    copy.mkdir()
     for path in directory.glob("events.sqlite3*"):
         (copy / path.name).write_bytes(path.read_bytes())
     found = Spool(copy)
@@ -208,6 +210,23 @@ async def test_a_damaged_file_costs_what_was_in_it(tmp_path: Path) -> None:
         with pytest.raises(UnknownRunError):
             await left.stored_events("first", -1, LARGE)
         assert seqs(await left.stored_events(None, -1, LARGE)) == list(range(5))
+
+
+async def test_a_file_that_was_removed_is_made_again_with_what_is_stored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(event_queue, "LOOK_S", 0.01)
+    directory = tmp_path / "kept"
+    async with publishing(NOBODY, spool_directory=directory, boot_id="first") as left:
+        await happen(left, range(5))
+    async with publishing(NOBODY, spool_directory=directory, boot_id="second") as left:
+        await happen(left, range(5))
+        await until(lambda: stored(directory) == set(range(5)) and left.account.spooled == 10)
+        shutil.rmtree(directory)
+        await until(lambda: stored(directory) == set(range(5)))
+        for boot_id in ("first", "second"):
+            page = await left.stored_events(boot_id, 1, LARGE)
+            assert (seqs(page), *page[1:]) == ([2, 3, 4], True, 0, 4)
 
 
 async def test_where_another_process_holds_the_file_memory_has_this_run_alone(tmp_path: Path) -> None:
