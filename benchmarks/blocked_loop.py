@@ -77,7 +77,7 @@ async def blocked(plate: str, link: str, folder: Path, seconds: float) -> tuple[
     time.sleep(seconds)  # noqa: ASYNC251 - this is what is looked at
     account = service.link_counters
     before = service.seen.frames
-    kept = account.frames - account.lost.ring_overflow - before
+    kept = account.frames - account.lost.queue_overflow - before
     await service.reaches(before + kept)
     seen = replace(service.seen, kept=kept)
     service.stop()
@@ -92,7 +92,7 @@ def main() -> int:
     for plate in ("quartz16", "skin32"):
         with tempfile.TemporaryDirectory() as folder, emulated_board(plate, Path(folder)) as (link, _):
             account, seen = asyncio.run(blocked(plate, link, Path(folder), seconds))
-        holds, given_up = FRAME_QUEUE_BYTES // seen.frame_memory_bytes, account.lost.ring_overflow
+        holds, given_up = FRAME_QUEUE_BYTES // seen.frame_memory_bytes, account.lost.queue_overflow
         otherwise = account.lost.total - given_up
         print(
             f"{plate}: event loop blocked for {seconds:g} s; the ring holds {holds} frames: {seen.kept} kept, "

@@ -54,9 +54,9 @@ fall_s = 0.02
 
 def imbalance(account: MessageAccount) -> int:
     """Return made less the sum of what became of it."""
-    return account.made - (
+    return account.enqueued - (
         account.acknowledged
-        + account.handed_to_socket
+        + account.written
         + sum(account.dropped.values())
         + account.unknown_at_disconnect
         + account.waiting
@@ -336,9 +336,9 @@ def _tell(case: str, scene: Scene, watch: Watch, before_end: MessageAccount, boa
     excused = sum(account.dropped.get(cause, 0) for cause in ("spool_full", "spool_failed"))
     restored = "" if scene.restored_s is None else f", retained set back after {scene.restored_s:.2f} s"
     print(
-        f"{case:9}  frames {link.frames}, lost {link.lost.total}, board made {board['frames_made']}; messages made "
-        f"{account.made}, off by {off} in {watch.samples} samples, acknowledged {account.acknowledged}, handed over "
-        f"{account.handed_to_socket}, dropped {dict(account.dropped)}, unknown {account.unknown_at_disconnect}, resent "
+        f"{case:9}  frames {link.frames}, lost {link.lost.total}, board made {board['frames_made']}; messages "
+        f"{account.enqueued}, off by {off} in {watch.samples} samples, acknowledged {account.acknowledged}, written "
+        f"{account.written}, dropped {dict(account.dropped)}, unknown {account.unknown_at_disconnect}, resent "
         f"{account.resent}; waiting at most {watch.waiting_most}, on disk {watch.spooled_most}; memory "
         f"{watch.rss_first_mb:.0f} MB + {more_mb:.1f} MB; events heard {len(heard.events)}, "
         f"{sum(replayed for _, replayed in heard.events)} replayed, missing {heard.missing}, out of order "

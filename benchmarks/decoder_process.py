@@ -62,7 +62,13 @@ class Client:
 
 def header(seq: int) -> MeasuredFields:
     return MeasuredFields(
-        seq=seq, daemon_boot_id="bench", board_boot_id=None, t_ns=10**18, t_unc_ns=0, lost=Lost(), board_ticks=seq
+        seq=seq,
+        name="bench",
+        daemon_boot_id="bench",
+        t_ns=10**18,
+        t_uncertainty_ns=0,
+        lost=Lost(),
+        board_ticks=seq,
     )
 
 

@@ -105,10 +105,11 @@ HEADINGS = (
 def header(seq: int) -> dict[str, Any]:
     return {
         "seq": seq,
-        "daemon_boot_id": "9f3c52d07b1e4a60",
+        "name": "left-index",
+        "daemon_boot_id": "9f3c52d0",
         "board_boot_id": None,
         "t_ns": time.time_ns(),
-        "t_unc_ns": 0,
+        "t_uncertainty_ns": 0,
         "lost": Lost(),
     }
 

@@ -83,7 +83,7 @@ class View:
 
     def wrong(self) -> str:
         """Return what is not as it must be while all parts run; an empty text where everything is."""
-        stream = f"{NAME}/{'signals' if self._system.apart else 'forces'}"
+        stream = f"{NAME}/{'signals' if self._system.external else 'forces'}"
         if self._came[stream] < _FLOWING:
             return f"{self._came[stream]} messages on {stream}"
         living = self._read(stream)["daemon_boot_id"]
@@ -98,7 +98,7 @@ class View:
         health = self._read(f"{NAME}/health")
         if self._came[f"{NAME}/health"] == 0 or health["daemon_boot_id"] != living:
             return "no health"
-        return self._wrong_decoder() if self._system.apart else ""
+        return self._wrong_decoder() if self._system.external else ""
 
     def tasks(self) -> int:
         return int(self._read(f"{NAME}/health")["tasks"])

@@ -63,8 +63,8 @@ class Run:
             f'[mqtt]\nurl = "mqtt://127.0.0.1:{self._port}"\n'
             '[commands]\nallow = ["tare", "mark", "set_window", "start_recording", "stop_recording"]\n'
             f'[metrics]\nlisten = "127.0.0.1:{self._metrics}"\n'
-            f'[recording]\ncontinuous = true\nderived = true\ndirectory = "{folder / "recordings"}"\n'
-            f"file_max_mb = {_FILE_MB}\nfile_max_minutes = 2\nbudget_mb = {_BUDGET_MB}\nkeep_free_mb = 10\n"
+            f'[recording]\nautostart = true\ninclude_messages = true\ndirectory = "{folder / "recordings"}"\n'
+            f"file_max_mb = {_FILE_MB}\nfile_max_minutes = 2\nmax_total_mb = {_BUDGET_MB}\nmin_free_mb = 10\n"
         )
         self._config.write_text(self._text)
         self._environment = {

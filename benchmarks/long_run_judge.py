@@ -142,19 +142,19 @@ def rises(found: Trend, flat: float) -> bool:
 def account_off(health: Mapping[str, Any]) -> list[str]:
     """Return which accounts of a message of `health` do not balance."""
     off = []
-    fates = sum(health["bytes_by_fate"].values())
+    fates = sum(health["bytes_by_outcome"].values())
     if health["bytes_in"] != fates:
         off.append(f"bytes_in {health['bytes_in']}, their fates {fates}")
     messages = health["messages"]
     came_to = (
         messages["acknowledged"]
-        + messages["handed_to_socket"]
+        + messages["written"]
         + sum(messages["dropped"].values())
         + messages["unknown_at_disconnect"]
         + messages["waiting"]
     )
-    if messages["made"] != came_to:
-        off.append(f"messages made {messages['made']}, accounted for {came_to}")
+    if messages["enqueued"] != came_to:
+        off.append(f"messages enqueued {messages['made']}, accounted for {came_to}")
     return off
 
 

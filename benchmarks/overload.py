@@ -182,7 +182,7 @@ def outcome(subscriber: Subscriber, truth: Path, begin_ns: int, end_ns: int, rep
     lost = {cause: last[cause] - first[cause] for cause in last}
     not_decoded = health[-1]["frames_not_decoded"] - health[0]["frames_not_decoded"]
     account = MessageAccount.model_validate(health[-1]["messages"])
-    settled = account.acknowledged + account.handed_to_socket + sum(account.dropped.values())
+    settled = account.acknowledged + account.written + sum(account.dropped.values())
     return {
         "age_ms": ages,
         "lost": lost,
@@ -193,7 +193,7 @@ def outcome(subscriber: Subscriber, truth: Path, begin_ns: int, end_ns: int, rep
         "missed": len(true) - found,
         "events_in_order": numbers == list(range(numbers[0], numbers[0] + len(numbers))) if numbers else True,
         "gaps_not_counted": uncounted,
-        "account_off": account.made - settled - account.unknown_at_disconnect - account.waiting,
+        "account_off": account.enqueued - settled - account.unknown_at_disconnect - account.waiting,
     }
 
 

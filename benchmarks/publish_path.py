@@ -37,10 +37,11 @@ _START_S = 0.3
 _NO_DELAY = (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 _HEADER: dict[str, Any] = {
     "seq": 1,
-    "daemon_boot_id": "9f3c52d07b1e4a60",
+    "name": "left-index",
+    "daemon_boot_id": "9f3c52d0",
     "board_boot_id": "51aa03c4",
     "t_ns": 1_789_000_000_000_000_000,
-    "t_unc_ns": 42_000,
+    "t_uncertainty_ns": 42_000,
     "lost": Lost(),
     "board_ticks": 1,
 }
@@ -116,7 +117,7 @@ async def ours(port: int, message: Message, qos: int) -> AsyncIterator[Send]:
     topic: Topic[Message] = Topic("stream", type(message), qos=1 if qos else 0)
 
     async def send(seconds: float) -> int:
-        before = left.account.acknowledged + left.account.handed_to_socket
+        before = left.account.acknowledged + left.account.written
         count = 0
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
@@ -127,7 +128,7 @@ async def ours(port: int, message: Message, qos: int) -> AsyncIterator[Send]:
                     await asyncio.sleep(0)
         while left._outbox.waiting:  # noqa: ASYNC110, SLF001
             await asyncio.sleep(0)
-        if left.dropped or left.account.acknowledged + left.account.handed_to_socket - before != count:
+        if left.dropped or left.account.acknowledged + left.account.written - before != count:
             raise RuntimeError(f"not all messages were sent: {left.account}")
         return count
 

@@ -133,11 +133,11 @@ class Part:
 class System:
     """Parts by name, and how to reach their broker."""
 
-    def __init__(self, folder: Path, plate: str, board: tuple[str, ...], link: str, *, apart: bool) -> None:
-        self.apart = apart
+    def __init__(self, folder: Path, plate: str, board: tuple[str, ...], link: str, *, external: bool) -> None:
+        self.external = external
         self.port = free_port()
         config = folder / "board.toml"
-        decoding = "[decoding]\napart = true\n" if apart else ""
+        decoding = "[decoding]\nexternal = true\n" if external else ""
         config.write_text(
             f'name = "{NAME}"\nplate = "{plate}"\nlink = "{link}"\n[mqtt]\nurl = "mqtt://127.0.0.1:{self.port}"\n{decoding}'
         )
@@ -146,7 +146,7 @@ class System:
             BROKER: mosquitto_command(self.port, folder),
             DAEMON: (*_COMMAND, "run", "--config", str(config)),
         }
-        if apart:
+        if external:
             commands[DECODER] = (*_COMMAND, "decode", "--config", str(config))
         environment = {
             "XDG_CACHE_HOME": str(folder / "cache"),
@@ -171,12 +171,12 @@ def skin_system(folder: Path) -> System:
     """Make the system of a small skin behind TCP, decoded in a process of its own."""
     plate, port = folder / "small.toml", free_port()
     plate.write_text(SMALL_SKIN)
-    return System(folder, str(plate), ("--tcp", f"127.0.0.1:{port}"), f"tcp://127.0.0.1:{port}", apart=True)
+    return System(folder, str(plate), ("--tcp", f"127.0.0.1:{port}"), f"tcp://127.0.0.1:{port}", external=True)
 
 
 def quartz_system(folder: Path) -> System:
     """Make the system of force sites behind a pseudo-terminal."""
     port = folder / "port"
-    system = System(folder, "quartz16", ("--pty", str(port)), f"serial:{port}?baud=4000000", apart=False)
+    system = System(folder, "quartz16", ("--pty", str(port)), f"serial:{port}?baud=4000000", external=False)
     system.parts[BOARD].leftover = port
     return system

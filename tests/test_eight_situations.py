@@ -53,7 +53,7 @@ def since_s(state: dict[str, Any]) -> float:
 def states(daemon: str, link: str | None, sensor: str | None, *, boots: int = 1) -> dict[str, Any]:
     said = {"daemon": {"state": daemon, "reason": "", "connections": 1}}
     if link is not None:
-        said["link"] = {"state": link, "boots": boots}
+        said["link"] = {"state": link, "boot_count": boots}
     if sensor is not None:
         said["sensor"] = {"state": sensor}
     return said
@@ -125,7 +125,7 @@ async def test_cable_out(bench: Bench, mosquitto: Mosquitto) -> None:
     ("scenario", "faults", "word", "state", "expected"),
     [
         (IDEAL, "freeze_at_s=1,freeze_for_s=60", "link", {"state": "stalled"}, "board hung"),
-        (IDEAL, "reboot_at_s=1", "link", {"state": "online", "boots": 2}, "board rebooted"),
+        (IDEAL, "reboot_at_s=1", "link", {"state": "online", "boot_count": 2}, "board rebooted"),
         (WARMED.replace("ideal = true", ""), "", "sensor", {"state": "drifting"}, "sensor drifting"),
     ],
 )

@@ -45,7 +45,7 @@ def service(bench: Bench) -> Service:
     config.write_text(
         f'name = "hand"\nplate = "quartz16"\nlink = "serial:{bench.port}?baud=4000000"\n'
         f'[mqtt]\nurl = "{bench.broker_url}"\n'
-        f'[recording]\ncontinuous = true\nfile_max_minutes = 0.005\ndirectory = "{bench.folder / "recordings"}"\n'
+        f'[recording]\nautostart = true\nfile_max_minutes = 0.005\ndirectory = "{bench.folder / "recordings"}"\n'
     )
     return Service(ConfigStore(config, bench.folder / "last-good"))
 
@@ -90,7 +90,7 @@ async def test_jumps_of_the_wall_clock_are_jumps_of_time_stamps_and_nothing_else
     if "stalled" not in {link["state"] for link in links}:  # the board of a busy machine is late, as without any jump
         assert account.clock_outliers == 0
         assert [event["event"] for event in observer.payloads("resonator/hand/contacts/event")] == ["onset"]
-        assert not [link for link in links if link["last_outage"]]
+        assert not [link for link in links if "last_outage" in link]
     assert files == sorted(files)
     assert files[-1] > files[0] > 0
     recordings = sorted((bench.folder / "recordings").iterdir())

@@ -41,7 +41,7 @@ async def daemon(bench: Bench, log: Path) -> AsyncIterator[psutil.Process]:
     config.write_text(
         f'name = "hand"\nplate = "quartz16"\nlink = "serial:{bench.port}?baud=4000000"\n'
         f'[mqtt]\nurl = "{bench.broker_url}"\n'
-        f'[recording]\ncontinuous = true\nfile_max_minutes = 0.01\ndirectory = "{bench.folder / "recordings"}"\n'
+        f'[recording]\nautostart = true\nfile_max_minutes = 0.01\ndirectory = "{bench.folder / "recordings"}"\n'
     )
     command = [sys.executable, "-c", RUN, "run", "--config", str(config)]
     with log.open("wb") as stderr:

@@ -43,7 +43,7 @@ async def test_a_disk_that_takes_nothing(
         config.write_text(
             f'name = "hand"\nplate = "quartz16"\nlink = "serial:{bench.port}?baud=4000000"\n'
             f'[mqtt]\nurl = "{mosquitto.url}"\n'
-            f'[recording]\ncontinuous = true\nkeep_free_mb = 0\ndirectory = "{disk / "recordings"}"\n'
+            f'[recording]\nautostart = true\nmin_free_mb = 0\ndirectory = "{disk / "recordings"}"\n'
         )
         spoil: Callable[[], None] = fill if how == "full" else lambda: remount(disk, "ro")
         mend: Callable[[], None] = free if how == "full" else lambda: remount(disk, "rw")

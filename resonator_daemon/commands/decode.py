@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="FILE",
-        help="the daemon's, with `apart = true` in [decoding], or one of [mqtt] and [decoding] alone",
+        help="the daemon's, with `external = true` in [decoding], or one of [mqtt] and [decoding] alone",
     )
 
 

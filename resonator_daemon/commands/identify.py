@@ -50,8 +50,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     if link is None:
         raise UsageError("name a LINK (see: resonatord ports) or --config FILE")
     result = _probe(link, blink=arguments.blink)
-    found = incompatibilities(result.described.description, config.plate) if config is not None else ()
-    problems = tuple(problem.text for problem in found)
+    problems = incompatibilities(result.described.description, config.plate) if config is not None else ()
     if arguments.json:
         print_json({"verb": "identify", "ok": not problems, **as_json(link, result, problems, blink=arguments.blink)})
     else:

@@ -25,7 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--max-minutes", type=positive, metavar="N", help="likewise, each of this time")
     parser.add_argument(
-        "--derived", action="store_true", help="measure, too, and record forces, contacts and states as JSON channels"
+        "--include-messages",
+        action="store_true",
+        help="measure, too, and record forces, contacts and states as JSON channels",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
 

@@ -132,8 +132,8 @@ class Config(Table):
                 'decoding.contact_physics = true has no effect with method = "fourier": it rests on "open-plane"; '
                 "tractions are those of the linear map"
             )
-        if self.recording.continuous and self.link.recording_path is not None:
-            notes.append("recording.continuous = true has no effect: link is a recording already")
+        if self.recording.autostart and self.link.recording_path is not None:
+            notes.append("recording.autostart = true has no effect: link is a recording already")
         return (*filter(None, notes), *self.mqtt.notes, *self.metrics.notes)
 
 

@@ -84,10 +84,10 @@ class Recording(Table):
         "state directory",
         examples=["/var/lib/resonatord/recordings"],
     )
-    continuous: StrictBool = Field(
+    autostart: StrictBool = Field(
         default=False, description="record from the start of the daemon on, without a command"
     )
-    derived: StrictBool = Field(
+    include_messages: StrictBool = Field(
         default=False, description="also what is published: forces, contacts, decoded and states, as JSON channels"
     )
     file_max_mb: Annotated[Number, Field(ge=1, le=1e6)] = Field(
@@ -96,23 +96,23 @@ class Recording(Table):
     file_max_minutes: Annotated[Number, Field(gt=0, le=1e6)] = Field(
         default=60.0, description="begin a new file after this time"
     )
-    budget_mb: Annotated[Number, Field(ge=1, le=1e9)] = Field(
+    max_total_mb: Annotated[Number, Field(ge=1, le=1e9)] = Field(
         default=10_000.0,
         validate_default=True,
         description="size of all recordings of this daemon's name there; the oldest are removed, and counted",
     )
-    keep_free_mb: Annotated[Number, Field(ge=0, le=1e9)] = Field(
+    min_free_mb: Annotated[Number, Field(ge=0, le=1e9)] = Field(
         default=500.0,
         description="with less room than this on the disk nothing more is recorded, until there is room again",
     )
 
-    @field_validator("budget_mb")
+    @field_validator("max_total_mb")
     @classmethod
-    def _holds_a_file(cls, budget_mb: float, info: ValidationInfo) -> float:
+    def _holds_a_file(cls, max_total_mb: float, info: ValidationInfo) -> float:
         file_max_mb = info.data.get("file_max_mb", 0.0)
-        if budget_mb < file_max_mb:
+        if max_total_mb < file_max_mb:
             raise ValueError(f"must be at least file_max_mb = {file_max_mb:g}; raise it, or lower file_max_mb")
-        return budget_mb
+        return max_total_mb
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ class Decoding(Table):
         default=True, description="publish the standard deviation of the traction in `decoded`"
     )
     displacement: StrictBool = Field(default=True, description="publish the displacement of the surface in `decoded`")
-    apart: StrictBool = Field(
+    external: StrictBool = Field(
         default=False, description="publish signals alone; `resonatord decode` takes them on, in a process of its own"
     )
     plates: Annotated[tuple[str, ...], AfterValidator(_plates)] = Field(

@@ -109,7 +109,7 @@ class Service:
         loop = asyncio.get_running_loop()
         self._over: asyncio.Future[None] = loop.create_future()  # done when nothing more is to be measured
         self._recording = RecordingSwitch()
-        self._daemon_boot_id = secrets.token_hex(8)
+        self._daemon_boot_id = secrets.token_hex(4)
         self._decoder: DecoderSupervisor[Any] | None = None
         self._pipeline = BoardPipeline(
             config,
@@ -133,7 +133,7 @@ class Service:
             replay=replay_of(config.link, config.plate),
         )
         self._control_requests = ControlRequests(self._reader.request_control)
-        self._recorded = RecordedMessages(self._recording.publish, derived=config.recording.derived)
+        self._recorded = RecordedMessages(self._recording.publish, include_messages=config.recording.include_messages)
         self._recordings: RecordingCommands | None = None
         self._plate_publisher = PlatePublisher(config, self._daemon_boot_id, self._make_offline)
         self._step_ns = round(1e9 * self._pipeline.sensor.step_s)
@@ -221,7 +221,7 @@ class Service:
             measurement=lambda: self._pipeline.sensor.measurement,
             apply=self._control_requests.apply,
         )
-        self._name = name
+        self._name = self._pipeline.headers.name = name
         tag_log(name)
         recordings = RecordingCommands(
             self._config,
@@ -266,7 +266,7 @@ class Service:
                 await self._control_requests.apply(SetWindow(measurement=config.measurement))
             self._pipeline.allow(config.commands.allow)
             self._plate_publisher.set_allowed(config.commands.allow)
-            self._recorded.derived = config.recording.derived
+            self._recorded.include_messages = config.recording.include_messages
             if self._recordings is not None:
                 await self._recordings.adopt(config, self._in_use.sha256)
         self._publish_measuring()

@@ -66,7 +66,7 @@ class RecordOptions:
         From the first frame on.
     max_mb, max_minutes
         After which the next file begins.
-    derived
+    include_messages
         Also record what is measured.
     open_s
         Time in which a board must count.
@@ -78,7 +78,7 @@ class RecordOptions:
     seconds: float | None = None
     max_mb: float | None = None
     max_minutes: float | None = None
-    derived: bool = False
+    include_messages: bool = False
     open_s: float = 10.0
     progress_s: float = 1.0
 
@@ -118,9 +118,9 @@ class _LinkRecording:
     """One recording, from its beginning to its end."""
 
     def __init__(self, config: Config, config_sha256: str, options: RecordOptions) -> None:
-        boot_id = secrets.token_hex(8)
+        boot_id = secrets.token_hex(4)
         self._recorder = Recorder(options.place, origin(config, config.name, boot_id, config_sha256))
-        self._pipeline = _pipeline(config, boot_id, self._recorder) if options.derived else None
+        self._pipeline = _pipeline(config, boot_id, self._recorder) if options.include_messages else None
         self._loop = BlockingReader(config.link, config.plate, step_frames=(64,), on_event=self._recorder.put)
         self._board: BoardOnline | None = None
         self._link = ""  # its last reason
@@ -236,7 +236,7 @@ def _pipeline(config: Config, boot_id: str, recorder: Recorder) -> "BoardPipelin
     from resonator_daemon.daemon.recorded_messages import RecordedMessages
     from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 
-    messages = RecordedMessages(recorder.publish, derived=True)
+    messages = RecordedMessages(recorder.publish, include_messages=True)
     return BoardPipeline(config, boot_id, messages.record)
 
 

@@ -121,7 +121,7 @@ class PlatePublisher:
         )
         self._publisher.retain(full_topic(broker.prefix, name, SCHEMA_PATH), asyncapi.encoded(), JSON)
         for topic, message in self._waiting.items():
-            self._publisher.publish(self._base, topic, message)
+            self._publisher.publish(self._base, topic, message.model_copy(update={"name": name}))
         self._waiting.clear()
 
     def republish(self) -> None:
@@ -163,7 +163,7 @@ class PlatePublisher:
 
     def _never_retained(self) -> Collection[str]:
         written = [topic for topic in TOPICS.values() if not topic.retained]
-        if self._config.decoding.apart:  # its messages would come back here, from the decoder
+        if self._config.decoding.external:  # its messages would come back here, from the decoder
             written = [topic for topic in written if topic not in _OF_DECODERS]
         paths = [topic.path for topic in written] + [topic.slow_path for topic in written if topic.slow_hz is not None]
         return [f"{self._base}/{path}" for path in paths]

@@ -18,18 +18,18 @@ class RecordedMessages:
     ----------
     publish
         Receives the messages: that of a recorder, or of a switch before one.
-    derived
+    include_messages
         Whether to record what is measured.
     """
 
-    def __init__(self, publish: Callable[[Published], None], *, derived: bool) -> None:
+    def __init__(self, publish: Callable[[Published], None], *, include_messages: bool) -> None:
         self._publish = publish
         self._schemas: dict[str, dict[str, Any]] = {}
-        self.derived = derived
+        self.include_messages = include_messages
 
     def record(self, topic: Topic[Any], message: Any) -> None:
         """Record a message if its topic is to be recorded."""
-        if not (topic.retained or self.derived) or topic.content_type != JSON:
+        if not (topic.retained or self.include_messages) or topic.content_type != JSON:
             return
         if topic.path not in self._schemas:
             self._schemas[topic.path] = topic.payload.model_json_schema(mode="serialization")

@@ -85,7 +85,7 @@ class RecordingCommands:
     async def keep_recording(self) -> None:
         """Record from now on, if `continuous` is configured and nothing is recorded."""
         async with self._one_at_a_time:
-            wanted = self._config.recording.continuous and self._config.link.recording_path is None
+            wanted = self._config.recording.autostart and self._config.link.recording_path is None
             if wanted and self._switch.current is None:
                 await asyncio.to_thread(self._begin, None)
                 self._label, self._by_config = None, True
@@ -163,9 +163,9 @@ def _series(config: Config, name: str, label: str | None) -> Series:
         label=label,
         file_max_bytes=round(settings.file_max_mb * 1e6),
         file_max_ns=round(settings.file_max_minutes * _MINUTE_NS),
-        budget_bytes=round(settings.budget_mb * 1e6),
-        keep_free_bytes=round(settings.keep_free_mb * 1e6),
-        resumes=settings.continuous,
+        budget_bytes=round(settings.max_total_mb * 1e6),
+        keep_free_bytes=round(settings.min_free_mb * 1e6),
+        resumes=settings.autostart,
     )
 
 

@@ -1,10 +1,13 @@
 """Contacts of a decoder process, as its messages show them, so that the daemon can release them when it ends."""
 
 from collections.abc import Iterator
+from typing import Final
 
 from resonator_daemon.publishing.codec import decode
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import ContactEvent, Contacts, EventContact, Status
+
+_NS: Final = 1_000_000_000
 
 
 class FollowedContacts:
@@ -17,34 +20,41 @@ class FollowedContacts:
     """
 
     def __init__(self, last_id: int = 0) -> None:
-        self._last_event: dict[int, ContactEvent] = {}  # by contact
-        self._last_contacts = b""  # payload
+        self._present: dict[int, tuple[EventContact, str | None]] = {}  # last state and decoder, by contact
         self.last_id = last_id
 
     def __bool__(self) -> bool:
-        return bool(self._last_event)
+        return bool(self._present)
 
     def add_event(self, event: ContactEvent) -> None:
         """Add the contact of an onset, remove that of a release."""
         contact = event.contact.id
         self.last_id = max(self.last_id, contact)
         if event.event == "release":
-            self._last_event.pop(contact, None)
+            self._present.pop(contact, None)
         else:
-            self._last_event[contact] = event
+            self._present[contact] = event.contact, event.decoder_id
 
     def add_contacts(self, payload: bytes) -> None:
-        """Store the last message of `contacts`: it has the present state of most contacts."""
-        self._last_contacts = payload
+        """Update the present contacts by a message of `contacts`."""
+        if not self._present:
+            return
+        message = decode(Contacts, payload)
+        for contact in message.contacts:
+            if contact.id in self._present:
+                before, decoder_id = self._present[contact.id]
+                history = {
+                    "peak_newton": max(before.peak_newton, contact.force_newton[2]),
+                    "since_t_ns": before.since_t_ns,
+                    "duration_s": (message.t_ns - before.since_t_ns) / _NS,
+                }
+                self._present[contact.id] = EventContact(**dict(contact), **history), decoder_id
 
     def release(self, header: MeasuredFields, reason: str) -> Iterator[ContactEvent]:
         """Yield the release of each contact with its last state, and remove them all; `seq` is that of the header."""
-        last = decode(Contacts, self._last_contacts).contacts if self._last_contacts else ()
-        latest = {contact.id: contact.model_dump() for contact in last}
-        ended, self._last_event, self._last_contacts = self._last_event, {}, b""
-        for contact, event in ended.items():
-            state = EventContact(**(event.contact.model_dump() | latest.get(contact, {})))
-            yield ContactEvent(**header, event="release", reason=reason, contact=state, decoder_id=event.decoder_id)
+        ended, self._present = self._present, {}
+        for contact, decoder_id in ended.values():
+            yield ContactEvent(**header, event="release", reason=reason, contact=contact, decoder_id=decoder_id)
 
 
 def no_contacts(header: MeasuredFields, reason: str, decoder_id: str | None) -> Contacts:

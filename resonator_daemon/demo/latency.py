@@ -44,7 +44,7 @@ class LatencyOptions:
 
     plate: str
     seconds: float
-    apart: bool = False  # decode in a process of its own
+    external: bool = False  # decode in a process of its own
     broker: str | None = None  # None: one is started
     json: bool = False
     picture: Path | None = None
@@ -113,8 +113,8 @@ class _Bench:
         self._options = options
         self._plate = load_plate(options.plate)
         self._topic = DECODED if self._plate.decodable else FORCES
-        if options.apart and not self._plate.decodable:
-            raise UserError(f"--apart: nothing is decoded on plate {options.plate}; leave it out")
+        if options.external and not self._plate.decodable:
+            raise UserError(f"--external: nothing is decoded on plate {options.plate}; leave it out")
         self._ended = asyncio.Event()
         self.cut_short = False
 
@@ -150,7 +150,7 @@ class _Bench:
         return LatencyReport(
             plate=self._options.plate,
             topic=self._topic.path,
-            apart=self._options.apart,
+            external=self._options.external,
             broker=broker,
             seconds=seconds,
             latency=measure(subscriber.arrivals, gates, gates_apart),
@@ -165,7 +165,7 @@ class _Bench:
         print_note(f"starting an emulated board and its daemon: {plate}")
         emulator, link, truth = await start_emulator(plate, folder, over_tcp=self._plate.counter.frames_in_parts)
         children.append(emulator)
-        verbs = {f"resonatord {verb}": verb for verb in (("run", "decode") if self._options.apart else ("run",))}
+        verbs = {f"resonatord {verb}": verb for verb in (("run", "decode") if self._options.external else ("run",))}
         children += await start_daemons(verbs, _NAME, plate, link, url, folder)
         return truth
 

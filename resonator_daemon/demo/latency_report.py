@@ -34,7 +34,7 @@ class LatencyReport:
 
     plate: str
     topic: str
-    apart: bool
+    external: bool
     broker: str
     seconds: float
     latency: Latency
@@ -47,7 +47,7 @@ class LatencyReport:
         return {
             "plate": self.plate,
             "topic": self.topic,
-            "apart": self.apart,
+            "external": self.external,
             "broker": self.broker,
             "seconds": round(self.seconds, 3),
             "latency_ms": {
@@ -72,7 +72,7 @@ class LatencyReport:
 
     def in_words(self) -> str:
         latency = self.latency
-        decoded = ", decoded in a process of its own" if self.apart else ""
+        decoded = ", decoded in a process of its own" if self.external else ""
         unheard = "skipped by the decoder or lost on the way" if self.topic == DECODED.path else "lost on the way"
         lines = [
             f"{self.plate}, {self.topic}{decoded}: {self.seconds:.1f} s, broker {self.broker}",

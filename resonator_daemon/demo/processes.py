@@ -123,7 +123,7 @@ async def start_daemons(
     """Start `run`, and perhaps `decode`, on that link, publishing below `resonator/<name>/`; `verbs` by part."""
     config = folder / f"{name}.toml"
     keys = f'name = "{name}"\nplate = "{plate}"\nlink = "{link}"\n[mqtt]\nurl = "{broker_url}"\n'
-    config.write_text(keys + ("[decoding]\napart = true\n" if "decode" in verbs.values() else ""))
+    config.write_text(keys + ("[decoding]\nexternal = true\n" if "decode" in verbs.values() else ""))
     commands = {part: (*_RESONATORD, verb, "--config", str(config)) for part, verb in verbs.items()}
     return [await start_child(part, folder, command) for part, command in commands.items()]
 

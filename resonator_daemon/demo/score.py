@@ -14,8 +14,8 @@ from resonator_daemon.publishing.codec import read_arrays
 from resonator_daemon.publishing.payloads import Lost
 from resonator_daemon.publishing.topics import (
     CONTACT_EVENT,
+    CONTACTS,
     DECODED,
-    DECODED_SUMMARY,
     FORCES,
     HEALTH,
     STATE_DAEMON,
@@ -26,9 +26,7 @@ ONSET_NEWTON = 0.020  # a touch counts from here
 FOUND_WITHIN_NS = 50_000_000
 COUNTED_SHARE = 0.05  # errors count where a force exceeds this share of its peak
 
-SCORED: Final = tuple(
-    TOPICS[topic.path] for topic in (FORCES, DECODED, DECODED_SUMMARY, CONTACT_EVENT, HEALTH, STATE_DAEMON)
-)
+SCORED: Final = tuple(TOPICS[topic.path] for topic in (FORCES, DECODED, CONTACTS, CONTACT_EVENT, HEALTH, STATE_DAEMON))
 
 
 @dataclass(slots=True)
@@ -146,6 +144,8 @@ class PlateScore:
 
     def add(self, path: str, payload: bytes, arrived_ns: int) -> None:
         """Add a message of the topic with this path and its time of arrival (UTC)."""
+        if path == CONTACTS.path and not self._touched_anywhere:
+            return  # force sites are compared by `forces`
         if path == DECODED.path:
             self.decoded_frames += 1
             message = read_arrays(payload)
@@ -154,7 +154,7 @@ class PlateScore:
             return
         message = json.loads(payload)
         self._count(message["lost"])
-        if path in (FORCES.path, DECODED_SUMMARY.path):
+        if path in (FORCES.path, CONTACTS.path):
             self.started = True
             if path == FORCES.path:
                 self._count_missed(path, message["seq"])
@@ -207,14 +207,14 @@ class PlateScore:
                     still_waiting.append(waiting)
                 continue
             last = window[-1]
-            if path != DECODED_SUMMARY.path:
+            if path != CONTACTS.path:
                 self.latency_ms.append((arrived_ns - last.t_ns) / 1e6)
             if path == FORCES.path:
                 self._compare_forces(message, [line for line in window if line.contacts], frames)
             elif last.contacts and path == DECODED.path:
                 self._compare_tractions(message, last)
             elif last.contacts:
-                self._compare_patches(message, last)
+                self._compare_contacts(message, last)
         self._waiting = still_waiting
 
     def accuracy(self, until_ns: int) -> Accuracy:
@@ -279,14 +279,16 @@ class PlateScore:
             if force_newton is not None:  # None has a status instead: no error of the force
                 self._force_errors.append((touch, true, force_newton - true))
 
-    def _compare_patches(self, message: Mapping[str, Any], line: TruthLine) -> None:
-        """Compare each true contact with the patch nearest to it."""
-        patches = [patch for patch in message["patches"] if None not in (*patch["centroid_m"], *patch["force_newton"])]
-        for contact in line.contacts if patches else ():
-            away_m = [math.dist(patch["centroid_m"], contact["position_m"]) for patch in patches]
+    def _compare_contacts(self, message: Mapping[str, Any], line: TruthLine) -> None:
+        """Compare each true contact with the measured one nearest to it."""
+        measured = [
+            found for found in message["contacts"] if None not in (*found["position_m"], *found["force_newton"])
+        ]
+        for contact in line.contacts if measured else ():
+            away_m = [math.dist(found["position_m"], contact["position_m"]) for found in measured]
             nearest = int(np.argmin(away_m))
             true_newton = contact["force_newton"][2]
-            error_newton = patches[nearest]["force_newton"][2] - true_newton
+            error_newton = measured[nearest]["force_newton"][2] - true_newton
             self._force_errors.append((contact["id"], true_newton, error_newton))
             self._position_errors.append((contact["id"], true_newton, away_m[nearest]))
 

@@ -39,7 +39,7 @@ def check_disk(state_directory: Path, recording: Recording | None, name: str | N
     yield _judge(STATE, state_directory, _STATE_MB, "what waits for a broker is kept in memory alone")
     if recording is None:
         return
-    yield _judge(RECORDINGS, recording.directory, float(recording.keep_free_mb), "nothing is recorded")
+    yield _judge(RECORDINGS, recording.directory, float(recording.min_free_mb), "nothing is recorded")
     yield _budget(recording, name)
 
 
@@ -62,17 +62,17 @@ def _budget(recording: Recording, name: str | None) -> Finding:
     if room.trouble:
         return BUDGET.not_checked("the directory cannot be written")
     taken_mb = _taken_mb(recording.directory, name) if name is not None else 0.0
-    attainable_mb = room.free_mb + taken_mb - recording.keep_free_mb
+    attainable_mb = room.free_mb + taken_mb - recording.min_free_mb
     evidence = (
-        f"recordings may take {recording.budget_mb:g} MB; with the {taken_mb:.0f} MB they take now, the disk has "
+        f"recordings may take {recording.max_total_mb:g} MB; with the {taken_mb:.0f} MB they take now, the disk has "
         f"{max(attainable_mb, 0.0):.0f} MB for them"
     )
-    if attainable_mb >= recording.budget_mb:
-        return BUDGET.ok(evidence, Amount(float(recording.budget_mb), attainable_mb, "MB"))
+    if attainable_mb >= recording.max_total_mb:
+        return BUDGET.ok(evidence, Amount(float(recording.max_total_mb), attainable_mb, "MB"))
     return BUDGET.warning(
         f"{evidence}: it is full before the oldest recordings give way",
-        "lower recording.budget_mb, or name a larger disk",
-        Amount(float(recording.budget_mb), attainable_mb, "MB"),
+        "lower recording.max_total_mb, or name a larger disk",
+        Amount(float(recording.max_total_mb), attainable_mb, "MB"),
     )
 
 

@@ -12,7 +12,7 @@ from resonator_daemon.publishing.payloads import Decoded, Forces, Message, Signa
 Points = NDArray[np.void]
 """Structured, (n,): x, y and z in metres as float32, and values named with their units; z points into the plate."""
 
-_OF_FORCES: Final = ("force_newton", "noise_newton", "systematic_newton", "hidden_newton")
+_OF_FORCES: Final = ("force_newton", "noise_newton", "systematic_newton", "unobserved_bound_newton")
 _OF_SIGNALS: Final = ("p_n", "eps_xz", "eps_yz")  # the rows of `signals`
 
 

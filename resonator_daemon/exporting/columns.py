@@ -19,6 +19,7 @@ Value = int | float | bool | str | NDArray[np.float32] | None
 Get = Callable[[Any], Value]
 
 AXES: Final = "xyz"
+_COMPONENTS: Final = {"position_covariance_m2": ("xx", "xy", "yy")}  # of vectors that are not along the axes
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ def _of_field(name: str, keys: tuple[str, ...], annotation: Any, description: st
         for inner in sources(bare, prefix=f"{name}_", within=keys):
             yield replace(inner, column=replace(inner.column, nullable=inner.column.nullable or optional))
     elif get_origin(bare) is tuple and Ellipsis not in get_args(bare):
-        for index, axis in enumerate(AXES[: len(get_args(bare))]):
+        for index, axis in enumerate(_COMPONENTS.get(keys[-1], AXES[: len(get_args(bare))])):
             column = Column(with_axis(name, axis), "float64", optional, (), f"{axis}: {description}", unit)
             yield Source(column, _follow(*keys, index))
     else:
@@ -120,6 +121,10 @@ def _annotation(field: FieldInfo) -> Any:
 
 
 def _without_none(annotation: Any) -> tuple[Any, bool]:
+    if get_origin(annotation) is Annotated:
+        inner, *metadata = get_args(annotation)
+        present, optional = _without_none(inner)
+        return (Annotated[present, *metadata], True) if optional else (annotation, False)
     if get_origin(annotation) in (Union, types.UnionType):
         (present,) = (part for part in get_args(annotation) if part is not types.NoneType)
         return present, True

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
-from typing import Any, Final, cast
+from typing import Any, Final
 
 from resonator_daemon.exporting.columns import Column, Source, Value, array_sources, sources
 from resonator_daemon.plate import Plate
@@ -83,14 +83,8 @@ def make_table(topic: Topic[Any], plate: Plate, first: Message) -> Table:
     return _MAKE[topic.path](plate, first)
 
 
-def _forces(plate: Plate, first: Message) -> Table:
-    channels = range(len(cast("Forces", first).compensation.common_mode))
-    values = [
-        *sources(Forces, skip=("sites", "beats", "compensation")),
-        *(_beats(channel) for channel in channels),
-        *(_common_mode(channel) for channel in channels),
-        *sources(Compensation, prefix="compensation_", skip=("common_mode",), within=("compensation",)),
-    ]
+def _forces(plate: Plate, _first: Message) -> Table:
+    values = [*sources(Forces, skip=("sites", "beats")), *map(_beats, range(len(plate.transducers_m)))]
     return Table([*values, *(source for site in plate.site_ids for source in _of_site(int(site)))])
 
 
@@ -108,18 +102,30 @@ def _of_site(site: int) -> Iterator[Source]:
 def _beats(channel: int) -> Source:
     description = "its tone beats with the board's reference clock; `noise_newton` counts for that"
     return Source(
-        Column(f"channel_{channel}_beats", "bool", False, (), description), lambda message: channel in message.beats
+        Column(f"channel_{channel}_beats", "bool", False, (), description),
+        lambda message: channel in (message.beats or ()),
     )
 
 
 def _common_mode(channel: int) -> Source:
-    def get(message: Forces) -> Value:
-        common_mode = message.compensation.common_mode
+    def get(message: State) -> Value:
+        common_mode = message.compensation.common_mode if message.compensation is not None else ()
         return common_mode[channel] if channel < len(common_mode) else None
 
     description = Compensation.model_fields["common_mode"].description or ""
     name = f"compensation_channel_{channel}_common_mode"
     return Source(Column(name, "float64", True, (), description, NO_UNIT), get)
+
+
+def _sensor_state(plate: Plate, _first: Message) -> Table:
+    of_part = sources(Compensation, prefix="compensation_", skip=("common_mode",), within=("compensation",))
+    return Table(
+        [
+            *sources(State, skip=("compensation",)),
+            *map(_common_mode, range(len(plate.transducers_m))),
+            *(replace(source, column=replace(source.column, nullable=True)) for source in of_part),
+        ]
+    )
 
 
 def _plain(model: type[Message], items: str = "", item: type[Message] | None = None) -> _MakeTable:
@@ -143,8 +149,8 @@ _MAKE: Final[Mapping[str, _MakeTable]] = {
     SIGNALS.path: _with_arrays(Signals, "signals", "noise_std"),
     DECODED.path: _with_arrays(Decoded, "traction_pascal", "traction_std_pascal", "displacement_m"),
     DECODED_SUMMARY.path: _plain(DecodedSummary, "patches", Patch),
-    STATE_LINK.path: _plain(State),
-    STATE_SENSOR.path: _plain(State),
+    STATE_LINK.path: _plain(State, "compensation"),
+    STATE_SENSOR.path: _sensor_state,
 }
 WITH_TABLE: Final = tuple(_MAKE)
 """Paths of the topics that have a table."""

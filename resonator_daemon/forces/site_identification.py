@@ -34,8 +34,8 @@ class SiteForce:
     """Force on one site, an index into the plate's sites; under `overload` it is a lower bound.
 
     `noise_newton`, one standard deviation, is that of counter and oscillator; `systematic_newton`, too, that of the
-    sensitivities and of the held common mode. `hidden_newton` is the most that a touch next to the site may have put on
-    other sites. `channels` are those that follow the site.
+    sensitivities and of the held common mode. `unobserved_bound_newton` is the most that a touch next to the site may
+    have put on other sites. `channels` are those that follow the site.
     """
 
     site: int
@@ -44,7 +44,7 @@ class SiteForce:
     systematic_newton: float
     status: Literal["ok", "overload", "possibly_more", "uncalibrated", "no_signal"]
     at_least_newton: float | None = None
-    hidden_newton: float = 0.0
+    unobserved_bound_newton: float = 0.0
     channels: tuple[int, ...] = ()
 
 
@@ -193,7 +193,9 @@ class Matcher:
             return SiteForce(fit.site, math.nan, math.nan, math.nan, "overload", largest, math.nan, channels)
         noise, systematic = uncertainty_newton(self._codes, fit.site, fit.force_newton, fit.weights, reading)
         hidden = self._hidden[fit.site] * abs(fit.force_newton)
-        return SiteForce(fit.site, fit.force_newton, noise, systematic, "ok", hidden_newton=hidden, channels=channels)
+        return SiteForce(
+            fit.site, fit.force_newton, noise, systematic, "ok", unobserved_bound_newton=hidden, channels=channels
+        )
 
 
 class _Band(NamedTuple):

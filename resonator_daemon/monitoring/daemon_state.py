@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from resonator_daemon.publishing.headers import HeaderFields
+from resonator_daemon.publishing.headers import BoardFields
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition, State
 
@@ -27,7 +27,7 @@ class DaemonSnapshot(NamedTuple):
     connections: int
     connected_utc_ns: int | None
 
-    def message(self, header: HeaderFields) -> State:
+    def message(self, header: BoardFields) -> State:
         """Return the message for `state/daemon` under a header."""
         return State(
             **header,

@@ -101,10 +101,10 @@ class HealthMonitor:
                 "log": link.log_lines_dropped,
             },
             bytes_in=link.bytes_received,
-            bytes_by_fate={
+            bytes_by_outcome={
                 "accepted": link.bytes_accepted,
                 "other_version": link.bytes_other_version,
-                "own_direction": link.bytes_echo,
+                "echo": link.bytes_echo,
                 "discarded": link.bytes_discarded,
                 "waiting": link.bytes_waiting,
             },

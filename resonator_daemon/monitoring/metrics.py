@@ -12,7 +12,7 @@ from prometheus_client.registry import Collector
 from resonator_daemon.monitoring.status import Status
 from resonator_daemon.publishing.payloads import Condition, Health, LatencyInfo, State
 
-_WAITING: Final = "waiting"  # of bytes_by_fate: goes up and down
+_WAITING: Final = "waiting"  # of bytes_by_outcome: goes up and down
 
 
 class StatusCollector(Collector):
@@ -88,8 +88,8 @@ class _Families:
                 since.add_metric([self._status.instance, part], state.since_t_ns * 1e-9)
         yield word
         yield since
-        if link is not None and link.boots is not None:
-            yield self._counter("resonatord_board_boots", "Different boots of the board seen", link.boots)
+        if link is not None and link.boot_count is not None:
+            yield self._counter("resonatord_board_boots", "Different boots of the board seen", link.boot_count)
 
     def _states(self) -> dict[str, State]:
         states = {"daemon": self._status.daemon, "link": self._status.link, "sensor": self._status.sensor}
@@ -97,8 +97,8 @@ class _Families:
 
     def _of_the_link(self, health: Health) -> Iterator[Metric]:
         lost = health.lost.model_dump(exclude={"publish_dropped", "skipped_late"})  # those are messages
-        fates = {fate: count for fate, count in health.bytes_by_fate.items() if fate != _WAITING}
-        bytes_waiting = health.bytes_by_fate.get(_WAITING, 0)
+        fates = {fate: count for fate, count in health.bytes_by_outcome.items() if fate != _WAITING}
+        bytes_waiting = health.bytes_by_outcome.get(_WAITING, 0)
         yield self._counter("resonatord_frames", "Frames that arrived", health.frames)
         yield self._counters("resonatord_frames_lost", "Frames lost", "cause", lost)
         yield self._counter("resonatord_messages_late", "Messages not published, being late", health.lost.skipped_late)
@@ -131,12 +131,12 @@ class _Families:
 
     def _of_the_messages(self, health: Health) -> Iterator[Metric]:
         account = health.messages
-        fates = account.model_dump(include={"acknowledged", "handed_to_socket", "unknown_at_disconnect"})
-        repeated = account.model_dump(include={"restored", "resent", "recovered"})
+        fates = account.model_dump(include={"acknowledged", "written", "unknown_at_disconnect"})
+        repeated = account.model_dump(include={"republished", "resent", "recovered"})
         waits = {"memory": account.waiting - account.spooled, "disk": account.spooled}
-        yield self._counter("resonatord_messages_made", "Messages to publish", account.made)
+        yield self._counter("resonatord_messages_enqueued", "Messages to publish", account.enqueued)
         yield self._counters("resonatord_messages_sent", "Messages by what became of them", "fate", fates)
-        yield self._counters("resonatord_messages_repeated", "Of those made: once more", "why", repeated)
+        yield self._counters("resonatord_messages_repeated", "Of those: once more", "why", repeated)
         yield self._counters("resonatord_messages_dropped", "Messages never sent", "cause", account.dropped)
         waiting = GaugeMetricFamily("resonatord_messages_waiting", "Messages not yet sent", labels=["daemon", "where"])
         for where, count in waits.items():

@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from resonator_daemon.config import Config
-from resonator_daemon.forces.readings import ForceReading, SkinReading
+from resonator_daemon.forces.readings import Compensation, ForceReading, SkinReading
 from resonator_daemon.pipeline.control_requests import SetWindow, Tare, parse_request
 from resonator_daemon.pipeline.frame_timeout import CallLater, FrameTimeout
 from resonator_daemon.pipeline.state_messages import StateMessages
@@ -93,7 +93,7 @@ class BoardPipeline:
         self._plate = config.plate
         self._publish = publish
         self._publish_losses = publish_losses
-        self.headers = Headers(daemon_boot_id, self._lost)
+        self.headers = Headers(config.name or "", daemon_boot_id, self._lost)
         self.sensor = sensor_of(config.plate, config.measurement, config.decoding)
         self.states = StateMessages(config, self.sensor, self.headers)
         self._sensor_state = SensorState(self._publish_sensor_state, self.sensor.summary)
@@ -222,6 +222,7 @@ class BoardPipeline:
             self._board_boot_id = board.boot_id
             self.sensor.begin(board)
         self.board = board
+        self.headers.name = self.headers.name or board.identity.serial_number
         self.headers.board_boot_id = f"{board.boot_id:08x}"
         self._publish_info()
 
@@ -234,7 +235,7 @@ class BoardPipeline:
                 damaged=loss.damaged,
                 board_overflow=loss.board_overflow,
                 host_overrun=loss.host_overrun,
-                ring_overflow=loss.ring_overflow,
+                queue_overflow=loss.queue_overflow,
                 publish_dropped=dropped,
                 skipped_late=late + skipped,
             )
@@ -243,8 +244,10 @@ class BoardPipeline:
     def _publish_link_state(self, link: LinkChange) -> None:
         self._publish(STATE_LINK, self.states.link_state(link, self._outage, self._boots))
 
-    def _publish_sensor_state(self, condition: Condition, reason: str, since_utc_ns: int) -> None:
-        state = self.states.sensor_state(condition, reason, since_utc_ns, self._now_utc_ns)
+    def _publish_sensor_state(
+        self, condition: Condition, reason: str, since_utc_ns: int, compensation: Compensation | None
+    ) -> None:
+        state = self.states.sensor_state(condition, reason, since_utc_ns, self._now_utc_ns, compensation)
         self._publish(STATE_SENSOR, state)
 
     def _publish_info(self) -> None:

@@ -1,6 +1,7 @@
 """Messages about the state of daemon, link and sensor, and about what the plate is."""
 
 from collections.abc import Collection, Mapping
+from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any, Final
 
@@ -8,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.config import Config
+from resonator_daemon.forces.readings import Compensation as AppliedCompensation
 from resonator_daemon.monitoring.daemon_state import DaemonSnapshot
 from resonator_daemon.publishing.headers import Headers
 from resonator_daemon.publishing.payloads import (
     CalibrationInfo,
+    Compensation,
     Condition,
     GridInfo,
     Info,
@@ -64,7 +67,7 @@ class StateMessages:
     def daemon_state(self, snapshot: DaemonSnapshot, utc_ns: int) -> State:
         return snapshot.message(self._headers.of(STATE_DAEMON, utc_ns))
 
-    def link_state(self, link: LinkChange, outage: Outage | None, boots: int) -> State:
+    def link_state(self, link: LinkChange, outage: Outage | None, boot_count: int) -> State:
         """Return the link's state, with its last outage and the number of boots of the board."""
         last_outage = None
         if outage is not None:
@@ -79,11 +82,23 @@ class StateMessages:
             state=Condition(link.state),
             reason=link.reason,
             last_outage=last_outage,
-            boots=boots,
+            boot_count=boot_count,
         )
 
-    def sensor_state(self, condition: Condition, reason: str, since_utc_ns: int, utc_ns: int) -> State:
-        return State(**self._in_order(STATE_SENSOR, utc_ns, since_utc_ns), state=condition, reason=reason)
+    def sensor_state(
+        self,
+        condition: Condition,
+        reason: str,
+        since_utc_ns: int,
+        utc_ns: int,
+        compensation: AppliedCompensation | None,
+    ) -> State:
+        return State(
+            **self._in_order(STATE_SENSOR, utc_ns, since_utc_ns),
+            state=condition,
+            reason=reason,
+            compensation=Compensation(**asdict(compensation)) if compensation is not None else None,
+        )
 
     def _in_order(self, topic: Topic[State], utc_ns: int, since_utc_ns: int) -> dict[str, Any]:
         """Return header and `since_t_ns` of a state, neither earlier than in the message before.

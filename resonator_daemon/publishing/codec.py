@@ -2,9 +2,9 @@
 
 import io
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Hashable, Mapping
 from functools import cache
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar, cast
 
 import cbor2
 import numpy as np
@@ -41,8 +41,9 @@ def encode(message: Message | Encoded) -> bytes:
 def encode_fields(kind: type[Measured], fields: Mapping[str, Any]) -> Encoded:
     """Encode a JSON message given as its fields, parts of it as mappings and tuples.
 
-    The result is that of the model. A model of each message would take as long as all other work on it. Values of
-    another type are refused; a field that is missing is not noticed here, but in the tests of each message.
+    The result is that of the model if `fields` has no optional key without a value. A model of each message would take
+    as long as all other work on it. Values of another type are refused; a field that is missing is not noticed here,
+    but in the tests of each message.
     """
     return Encoded(_serializer_of_fields(kind).to_json(fields, warnings="error"), fields["t_ns"])
 
@@ -60,7 +61,11 @@ def _schema_of_mappings(schema: Any) -> Any:
         return schema
     if schema.get("type") == "model":
         return _schema_of_mappings(schema["schema"])
-    parts = {key: _schema_of_mappings(part) for key, part in schema.items() if key != "model_name"}
+    parts = {
+        key: _schema_of_mappings(part)
+        for key, part in schema.items()
+        if key not in ("model_name", "serialization_exclude_if")
+    }
     kinds = {"model-fields": "typed-dict", "model-field": "typed-dict-field"}
     return parts | {"type": kinds.get(parts["type"], parts["type"])} if isinstance(parts.get("type"), str) else parts
 
@@ -111,8 +116,16 @@ def _plain(value: Any) -> Any:
     if isinstance(value, str):  # a word of a closed set
         return str(value)
     if isinstance(value, BaseModel):
-        return {name: _plain(field) for name, field in value.__dict__.items()}
+        left_out = _left_out(cast(Hashable, kind))
+        fields = value.__dict__.items()
+        return {name: _plain(field) for name, field in fields if name not in left_out or not left_out[name](field)}
     return value
+
+
+@cache
+def _left_out(kind: Any) -> dict[str, Callable[[Any], bool]]:
+    """Return the optional keys of a model, each with the function that finds it without a value."""
+    return {name: field.exclude_if for name, field in kind.model_fields.items() if field.exclude_if is not None}
 
 
 def _read_tag(tag: cbor2.CBORTag, _immutable: bool = False) -> Any:

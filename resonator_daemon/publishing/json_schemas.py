@@ -34,7 +34,7 @@ class _Untitled(GenerateJsonSchema):
 
 
 class _Published(_Untitled):
-    """Of what the product publishes: each key is there, so that it has no default."""
+    """Of what the product publishes: each key is there, without a default, or is left out where it has no value."""
 
     def default_schema(self, schema: core_schema.WithDefaultSchema) -> Schema:
         return self.generate_inner(schema["schema"])
@@ -42,7 +42,7 @@ class _Published(_Untitled):
     def field_is_required(
         self, field: core_schema.ModelField | core_schema.DataclassField | core_schema.TypedDictField, total: bool
     ) -> bool:
-        return True
+        return "serialization_exclude_if" not in field
 
 
 def schemas_of_json(models: Iterable[type[BaseModel]]) -> dict[str, Schema]:

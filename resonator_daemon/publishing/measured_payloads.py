@@ -1,6 +1,5 @@
 """Messages about what presses on a plate: forces, contacts, and what a skin senses and a decoder makes of it."""
 
-import math
 from typing import Self
 
 from pydantic import Field, model_validator
@@ -11,38 +10,41 @@ from resonator_daemon.publishing.payload_types import (
     Int64,
     Measured,
     Message,
+    OptionalFloat,
     PerChannel,
     SignalArray,
     Status,
     Vector2,
     Vector3,
+    optional,
+    optional_number,
 )
 from resonator_daemon.publishing.words import Baseline, ContactChange, ResponseCompensation
 
-_NOISE = "one standard deviation of what averages out, from the counts themselves"
-_SYSTEMATIC = (
-    "one standard deviation of what does not: calibration, drift, warm touches, the site's response; null under a skin"
-)
-_AT_LEAST = "with the status `overload`: the force is at least this; else null"
-_DECODER_ID = "the process that decoded; null: the daemon itself"
-_FOLLOWER_ID = "the process that follows the contacts, and numbers them; null: the daemon itself"
-_EMPTY_REASON = "empty where there is none"
+_SLIP_UNKNOWN = "null with a code in `slip_reason_code`"
+_DECODER_ID = "the process that decoded; left out by the daemon itself"
+_FOLLOWER_ID = "the process that follows the contacts, and numbers them; left out by the daemon itself"
+_REASON_CODE = "why, for programs; left out where there is nothing to state"
+_REASON = "the same as a sentence for people, with details"
+_AT_LEAST = "with the status `overload` alone: the force is at least this"
 
 
 class SiteForce(Message):
     """Force on one site."""
 
     site: int = Field(description="number of the site in the plate file")
-    force_newton: Float = Field(description="force on the site; null with a reason in `status`")
-    noise_newton: Float = Field(description=_NOISE)
-    systematic_newton: Float = Field(description=_SYSTEMATIC)
-    hidden_newton: Float = Field(
-        0.0,
-        description="a bound, and no part of the two before: the most that a touch between sites may have put on "
-        "others, in addition to `force_newton`; 0 where sites are touched one by one or all of them are detected",
+    force_newton: Float = Field(description="force on the site; null with a cause in `status`")
+    noise_newton: Float = Field(description="one standard deviation of what averages out, from the counts themselves")
+    systematic_newton: Float = Field(
+        description="one standard deviation of what does not average out: calibration, drift, warm touches, the site's "
+        "response"
+    )
+    unobserved_bound_newton: Float = optional_number(
+        "a bound, and no part of the two before: the most that a touch between sites may have put on others, in "
+        "addition to `force_newton`; left out where it is 0: sites are touched one by one, or all of them are detected"
     )
     status: Status = Field(description="what this force is worth")
-    at_least_newton: float | None = Field(None, description=_AT_LEAST)
+    at_least_newton: float | None = optional(_AT_LEAST)
 
 
 class Compensation(Message):
@@ -72,68 +74,84 @@ class Forces(Measured):
 
     window_s: float = Field(description="length of the window that was counted; shorter just after an onset")
     status: Status = Field(description="of the whole message: why sites may be missing")
-    reason: str = Field(description="why; `ok` may have one, too, as channels without a signal; " + _EMPTY_REASON)
+    reason: str | None = optional(_REASON + "; `ok` may have one, too, as channels without a signal")
     sites: tuple[SiteForce, ...] = Field(description="those on which something presses")
-    beats: tuple[int, ...] = Field(
-        description="channels whose tone beats with the board's reference clock; `noise_newton` counts for that"
+    beats: tuple[int, ...] | None = optional(
+        "channels whose tone beats with the board's reference clock; `noise_newton` counts for that"
     )
-    compensation: Compensation = Field(description="what was taken out before frequencies became forces")
 
 
 class Contact(Message):
-    """One touch, from its onset to its release under one id."""
+    """One touch, from its onset to its release under one id; components x, y, z.
 
-    id: int = Field(description="the same from onset to release; never used again by this run of the daemon")
-    site: int = Field(description="the nearest site")
-    position_m: Vector2 = Field(description="x and y in the plate's plane; of a single-tone counter the site's place")
-    position_std_m: Vector2 = Field(
-        description="standard deviation of each; of a single-tone counter the spread of all places that are nearest "
-        "to the site"
+    Moments and slip are keys of skins alone, `systematic_newton` and `unobserved_bound_newton` of force sites.
+    """
+
+    id: int | None = Field(
+        description="the same from onset to release; never used again by this run of the process that follows the "
+        "contacts; null where many decoders share a skin: none of them sees all frames"
     )
-    position_correlation: Float = Field(description="of the errors of x and y, -1 to 1; null under a skin")
-    force_newton: Float = Field(description="force; under a skin normal to it; null with a reason in `status`")
-    noise_newton: Float = Field(description=_NOISE)
-    systematic_newton: Float = Field(description=_SYSTEMATIC)
-    hidden_newton: Float = Field(0.0, description="as of a site in `forces`")
-    peak_newton: Float = Field(description="the greatest force of the contact so far")
-    since_t_ns: Int64 = Field(description="its onset, UTC")
-    duration_s: Float = Field(description="from the onset to the last reading that gave its force")
+    site: int = Field(description="the nearest site")
+    position_m: Vector2 = Field(
+        description="x and y in the plate's plane: the centre of pressure; of a single-tone counter the site's place"
+    )
+    position_covariance_m2: Vector3 = Field(
+        description="of the errors of x and y: xx, xy, yy; of a single-tone counter from the spread of all places that "
+        "are nearest to the site; xy is null under a skin"
+    )
+    force_newton: Vector3 = Field(
+        description="null in x and y where a plate measures the normal force alone; all null with a cause in `status`"
+    )
+    noise_newton: Vector3 = Field(description="one standard deviation of what averages out, from the counts themselves")
+    systematic_newton: OptionalFloat = optional(
+        "of the normal force: one standard deviation of what does not average out: calibration, drift, warm touches, "
+        "the site's response"
+    )
+    unobserved_bound_newton: Float = optional_number("as of a site in `forces`")
+    at_least_newton: float | None = optional(_AT_LEAST)
+    moment_newton_m: Vector3 | None = optional("about the origin of the plate's coordinates")
+    moment_std_newton_m: Vector3 | None = optional("standard deviation of each")
+    slip_margin: OptionalFloat = optional(f"1 - F_t / (mu F_n): 1 without shear, 0 where it slips; {_SLIP_UNKNOWN}")
+    slip_margin_std: OptionalFloat = optional("its standard deviation")
+    friction_coefficient: OptionalFloat = optional(
+        "mu, where known to a quarter: from stick radius and forces of this frame and an estimate from before; a "
+        f"configured one counts as known to 3 %; {_SLIP_UNKNOWN}"
+    )
+    friction_coefficient_std: OptionalFloat = optional("its standard deviation")
     status: Status = Field(description="what this contact's numbers are worth")
-    reason: str = Field("", description=_EMPTY_REASON)
-    at_least_newton: float | None = Field(None, description=_AT_LEAST)
+    reason: str | None = optional(_REASON)
 
 
 class EventContact(Contact):
-    """A contact in an event; what belongs to slip is null on plates without a skin, or not known."""
+    """A contact in an event, with its history."""
 
-    slip_margin: Float = Field(math.nan, description="1 - F_t / (mu F_n): 1 without shear, 0 where it slips")
-    slip_margin_std: Float = Field(math.nan, description="its standard deviation")
-    friction_coefficient: Float = Field(math.nan, description="mu")
+    id: int = Field(
+        description="the same from onset to release; never used again by this run of the process that follows the "
+        "contacts"
+    )
+    peak_newton: Float = Field(description="the greatest normal force of the contact so far")
+    since_t_ns: Int64 = Field(description="its onset, UTC")
+    duration_s: Float = Field(description="from the onset to the last reading that gave its force")
 
 
 class Contacts(Measured):
     """All present contacts."""
 
     status: Status = Field(description="of the whole message")
-    reason: str = Field("", description=_EMPTY_REASON)
+    reason: str | None = optional(_REASON)
     contacts: tuple[Contact, ...] = Field(description="all present contacts")
-    decoder_id: str | None = Field(None, description=_FOLLOWER_ID)
+    decoder_id: str | None = optional(_FOLLOWER_ID)
 
 
 class ContactEvent(Measured):
     """A contact begins, ends or slips."""
 
     event: ContactChange = Field(description="what happens")
-    reason: str = Field(
-        "",
-        description="why a contact is released, empty for other events: its force has fallen, it is `no longer felt`, "
-        "under a skin it was not found in 3 frames in a row or its decoder was set up again or failed, "
-        "nothing was known of it for too long, no frames or signals came for 0.5 s, or the board restarted",
-    )
+    reason: str | None = optional("why a contact is released, as a sentence for people")
     contact: EventContact = Field(
-        description="its last state: the force of one that is no longer felt may be null already"
+        description="its last state: the force of one that is no longer detected may be null already"
     )
-    decoder_id: str | None = Field(None, description=_FOLLOWER_ID)
+    decoder_id: str | None = optional(_FOLLOWER_ID)
     replayed: bool = Field(
         False,
         description="it waited for a broker, or may have come before: a double has the same `daemon_boot_id`, "
@@ -178,7 +196,7 @@ class Decoded(Measured):
     grid: Grid | None = Field(
         description="where the values lie; null at scattered points: those of the sites, in the order of `info`"
     )
-    decoder_id: str | None = Field(None, description=_DECODER_ID)
+    decoder_id: str | None = optional(_DECODER_ID)
 
     @model_validator(mode="after")
     def _one_shape(self) -> Self:
@@ -187,35 +205,18 @@ class Decoded(Measured):
 
 
 class Patch(Message):
-    """One contact on a skin; components x, y, z, moments about the origin of the plate's coordinates.
+    """What the map shows of one contact beyond its message in `contacts`.
 
     What only a fit of the contact yields is null where the fit does not hold, or the contact slips too little to show.
     """
 
-    id: int | None = Field(
-        description="as in `contacts`, from onset to release; null where many decoders share a skin: none of them sees "
-        "all frames"
-    )
-    centroid_m: Vector2 = Field(description="x and y, of the pressure; of the map, which is blurred")
-    centroid_std_m: Vector2 = Field(description="standard deviation of each")
+    id: int | None = Field(description="as in `contacts`, whose order is the same")
     area_m2: Float = Field(description="of the pressed part of the map")
-    force_newton: Vector3 = Field(description="x, y, z")
-    force_std_newton: Vector3 = Field(description="standard deviation of each")
-    moment_newton_m: Vector3 = Field(description="x, y, z, about the origin of the plate's coordinates")
-    moment_std_newton_m: Vector3 = Field(description="standard deviation of each")
     at_border: bool = Field(description="part of the contact may lie beyond the sites")
     radius_of_curvature_m: Float = Field(description="of the object, taken as a paraboloid")
     stick_ratio: Float = Field(
         description="radius of the part that sticks over the radius of contact, from a fit to the signals"
     )
-    slip_margin: Float = Field(description="1 - F_t / (mu F_n): 1 without shear, 0 where it slips")
-    slip_margin_std: Float = Field(description="its standard deviation")
-    friction_coefficient: Float = Field(
-        description="mu, where known to a quarter: from stick radius and forces of this frame and an estimate from "
-        "before; a configured one counts as known to 3 %"
-    )
-    friction_coefficient_std: Float = Field(description="its standard deviation")
-    slip_reason: str = Field(description="why those of the fit are not known; empty where they are")
 
 
 class DecodedSummary(Measured):
@@ -233,12 +234,11 @@ class DecodedSummary(Measured):
         description="of the frame; `constraint_dropped`: the signals contradict contact physics, and `reason` states "
         "what is shown instead"
     )
-    reason: str = Field(
-        description="`ok` may have one, too: lost signals, matrices that are being prepared, a fit in place of a map; "
-        + _EMPTY_REASON
+    reason: str | None = optional(
+        _REASON + "; `ok` may have one, too: lost signals, matrices that are being prepared, a fit in place of a map"
     )
-    patches: tuple[Patch, ...] = Field(description="the contacts")
-    decoder_id: str | None = Field(None, description=_DECODER_ID)
+    patches: tuple[Patch, ...] = Field(description="the contacts, in the order of `contacts`")
+    decoder_id: str | None = optional(_DECODER_ID)
 
 
 def _check_shapes(message: Message, first: str, *others: str) -> None:

@@ -54,6 +54,12 @@ Float = Annotated[
     BeforeValidator(lambda value: math.nan if value is None else value),
     WithJsonSchema(_UNKNOWN_IS_NULL, mode="serialization"),
 ]
+OptionalFloat = Annotated[
+    float | None,
+    BeforeValidator(lambda value: math.nan if value is None else value),
+    WithJsonSchema(_UNKNOWN_IS_NULL, mode="serialization"),
+]
+"""A number that may be unknown, of a key that may be left out: then None."""
 Vector2 = tuple[Float, Float]
 Vector3 = tuple[Float, Float, Float]
 PerChannel = Annotated[tuple[Float, ...], Field(min_length=CHANNEL_COUNT, max_length=CHANNEL_COUNT)]
@@ -87,6 +93,24 @@ class Status(Word):
     )
 
 
+def optional(description: str) -> Any:
+    """Return the field of a key that a message leaves out where it has no value: None here."""
+    return Field(None, exclude_if=_is_none, description=description)
+
+
+def optional_number(description: str) -> Any:
+    """Return the field of a key that a message leaves out where its number is 0."""
+    return Field(0, exclude_if=_is_zero, description=description)
+
+
+def _is_none(value: object) -> bool:
+    return value is None
+
+
+def _is_zero(value: object) -> bool:
+    return value == 0
+
+
 class Message(BaseModel):
     """Base of every payload and its parts; unknown keys are ignored."""
 
@@ -94,48 +118,53 @@ class Message(BaseModel):
 
 
 class Lost(Message):
-    """Losses since the daemon started, by cause: frames, and for publish_dropped and skipped_late messages."""
+    """Losses since the daemon started, by cause; a cause without any is left out."""
 
-    link_gap: int = Field(0, description="frames that the board sent and that never arrived")
-    damaged: int = Field(0, description="frames that arrived with a wrong checksum")
-    board_overflow: int = Field(0, description="frames given up by the board")
-    host_overrun: int = Field(
-        0, description="frames lost by the driver of the host's serial port, which had no room for their bytes"
+    link_gap: int = optional_number("frames that the board sent and that never arrived")
+    damaged: int = optional_number("frames that arrived with a wrong checksum")
+    board_overflow: int = optional_number("frames that the board discarded")
+    host_overrun: int = optional_number(
+        "frames lost by the driver of the host's serial port, which had no room for their bytes"
     )
-    ring_overflow: int = Field(0, description="frames given up by the daemon before measuring")
-    publish_dropped: int = Field(
-        0,
-        description="messages never handed to the broker; a state that a newer one replaced before it was sent "
-        "is not counted, as nobody misses it; late messages are in `skipped_late`",
+    queue_overflow: int = optional_number("frames that the daemon discarded before measuring")
+    publish_dropped: int = optional_number(
+        "messages that were never written to the broker; a state that a newer one replaced before it was sent "
+        "is not counted, as nobody misses it; late messages are in `skipped_late`"
     )
-    skipped_late: int = Field(
-        0,
-        description="messages of what was measured or decoded that were not published, as they were late: "
+    skipped_late: int = optional_number(
+        "messages of what was measured or decoded that were not published, as they were late: "
         "more than 75 ms after the window while newer frames waited to be measured, or more than 400 ms, "
         "or more than 250 ms in the queue before the socket to the broker; "
-        "of a skin also those of frames that the decoder skipped for newer ones",
+        "of a skin also those of frames that the decoder skipped for newer ones"
     )
 
 
 class Header(Message):
     """Carried by every message of a daemon."""
 
+    name: str = Field(description="name of the plate, as in the topic")
     seq: int = Field(
         description="number of the message on its topic since the daemon started; a step of more than 1 is messages "
         "lost on the way, left out to lower the rate, skipped as late, or skipped by the decoder"
     )
     daemon_boot_id: str = Field(description="new with each start of the daemon")
+    t_ns: Int64 = Field(description="UTC: of measured messages the middle of the window, of others when they were made")
+    t_uncertainty_ns: int = Field(description="bound of the error of `t_ns`")
+    lost: Lost = Field(description="losses since the daemon started, by cause")
+
+
+class BoardHeader(Header):
+    """Header of what describes the daemon with its board."""
+
     board_boot_id: str | None = Field(
         description="new with each start of the board; null until the board has reported it"
     )
-    t_ns: Int64 = Field(description="UTC: of measured messages the middle of the window, of others when they were made")
-    t_unc_ns: int = Field(description="bound of the error of `t_ns`")
-    lost: Lost = Field(description="losses since the daemon started, by cause")
 
 
 class Measured(Header):
     """Header of what was measured."""
 
     board_ticks: Int64 | None = Field(
-        description="the board's clock at the end of the last gate in the window, null where it is not known"
+        description="the board's clock at the end of the last gate in the window, null where it is not known; it starts"
+        " again with each `board_boot_id` of `state/link`"
     )

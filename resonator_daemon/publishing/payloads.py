@@ -18,6 +18,7 @@ from resonator_daemon.publishing.measured_payloads import (
     SiteForce,
 )
 from resonator_daemon.publishing.payload_types import (
+    BoardHeader,
     Float,
     Float32Array,
     Header,
@@ -56,6 +57,7 @@ WITH_ARRAYS: Final = (Signals, Decoded)  # these are CBOR, all others JSON
 __all__ = [
     "WITH_ARRAYS",
     "Baseline",
+    "BoardHeader",
     "BootInfo",
     "CalibrationInfo",
     "Compensation",

@@ -177,12 +177,12 @@ class Publisher:
     def account(self) -> MessageAccount:
         account = self._account
         return MessageAccount(
-            made=account.enqueued,
-            restored=account.republished,
+            enqueued=account.enqueued,
+            republished=account.republished,
             resent=account.resent,
             recovered=account.recovered,
             acknowledged=account.acknowledged,
-            handed_to_socket=account.written,
+            written=account.written,
             dropped=dict(account.dropped),
             unknown_at_disconnect=account.unknown_at_disconnect,
             waiting=self._outbox.waiting,

@@ -3,8 +3,8 @@
 from pydantic import Field
 
 from resonator_daemon.conditions import Condition
-from resonator_daemon.publishing.measured_payloads import Grid
-from resonator_daemon.publishing.payload_types import Float, Header, Int64, Message
+from resonator_daemon.publishing.measured_payloads import Compensation, Grid
+from resonator_daemon.publishing.payload_types import BoardHeader, Float, Int64, Message, optional
 from resonator_daemon.publishing.words import CounterType, ResponseCompensation
 
 _CPU = "of one core, since the last message"
@@ -20,7 +20,7 @@ class OutageInfo(Message):
     reason: str = Field(description="reason of the link's state when it began")
 
 
-class State(Header):
+class State(BoardHeader):
     """State of the daemon, its link or its sensor."""
 
     state: Condition = Field(description="one word")
@@ -28,17 +28,14 @@ class State(Header):
     since_t_ns: Int64 | None = Field(
         description="UTC, since when the state lasts; null in the last will: nobody is left to date it"
     )
-    last_outage: OutageInfo | None = Field(
-        None, description="of `state/link`: the last time without frames that is over, since the daemon started"
+    last_outage: OutageInfo | None = optional(
+        "of `state/link`: the last time without frames that is over, since the daemon started"
     )
-    boots: int | None = Field(
-        None, description="of `state/link`: different boots of the board seen since the daemon started"
-    )
-    connections: int | None = Field(
-        None, description="of `state/daemon`: connections to the broker since the daemon started"
-    )
-    connected_t_ns: Int64 | None = Field(
-        None, description="of `state/daemon`: UTC, since when the present connection lasts"
+    boot_count: int | None = optional("of `state/link`: different boots of the board seen since the daemon started")
+    connections: int | None = optional("of `state/daemon`: connections to the broker since the daemon started")
+    connected_t_ns: Int64 | None = optional("of `state/daemon`: UTC, since when the present connection lasts")
+    compensation: Compensation | None = optional(
+        "of `state/sensor` of force sites: what was taken out before frequencies became forces; sent again each second"
     )
 
 
@@ -80,7 +77,7 @@ class SkinInfo(Message):
     tangential_ratio: float = Field(description="of the shear of expected loads to their pressure")
 
 
-class Info(Header):
+class Info(BoardHeader):
     """What does not change while the board and the configuration stay the same; enough to draw the plate."""
 
     schema_version: str = Field(description="of all payloads, major.minor")
@@ -112,17 +109,17 @@ class Info(Header):
 class MessageAccount(Message):
     """Where the publisher's messages went.
 
-    At any instant made = acknowledged + handed_to_socket + sum of dropped + unknown_at_disconnect + waiting.
+    At any instant enqueued = acknowledged + written + sum of dropped + unknown_at_disconnect + waiting.
     """
 
-    made: int = Field(0, description="all of them, those of the next three lines included")
-    restored: int = Field(0, description="retained messages sent again after a reconnection")
+    enqueued: int = Field(0, description="all of them, those of the next three lines included")
+    republished: int = Field(0, description="retained messages sent again after a reconnection")
     resent: int = Field(
         0, description="events whose acknowledgement was outstanding when a connection ended, sent again"
     )
     recovered: int = Field(0, description="events that an earlier run of the daemon had left in the spool")
     acknowledged: int = Field(0, description="QoS 1: acknowledged by the broker")
-    handed_to_socket: int = Field(0, description="QoS 0: written to the connection in full")
+    written: int = Field(0, description="QoS 0: written to the connection in full")
     dropped: dict[str, int] = Field({}, description="never handed over, by cause")
     unknown_at_disconnect: int = Field(0, description="on their way when the connection ended")
     waiting: int = Field(0, description="queued, on disk, or on their way")
@@ -174,7 +171,7 @@ class RecordingInfo(Message):
     failure: str | None = Field(description="why nothing is written to it; null while all is well")
     file_bytes: int = Field(description="what is written of the present file, 0 while nothing is recorded")
     files: int = Field(description="files that were begun since the daemon started")
-    files_removed: int = Field(description="old recordings that went because of `budget_mb`, since then")
+    files_removed: int = Field(description="old recordings that went because of `max_total_mb`, since then")
     events_missing: int = Field(
         description="pieces of the link's traffic that are in no file although it was recorded since then: the disk "
         "was too slow or failed"
@@ -183,7 +180,7 @@ class RecordingInfo(Message):
     messages_missing: int = Field(description="those that are not, because the disk was too slow or failed")
 
 
-class Health(Header):
+class Health(BoardHeader):
     """How the daemon itself fares."""
 
     uptime_s: float = Field(description="since the daemon started")
@@ -197,7 +194,7 @@ class Health(Header):
         "lines of the board's log beyond 20 a second"
     )
     bytes_in: int = Field(description="bytes from the board")
-    bytes_by_fate: dict[str, int] = Field(description="what became of them; their sum is `bytes_in`")
+    bytes_by_outcome: dict[str, int] = Field(description="what became of them; their sum is `bytes_in`")
     connections: int = Field(description="openings of the link")
     host_overruns: int = Field(description="times that the driver of the host's serial port reported lost bytes")
     boots: tuple[BootInfo, ...] = Field(description="of the board, the latest eight, the present one last")

@@ -21,7 +21,7 @@ from resonator_daemon.publishing.payloads import (
     State,
 )
 
-SCHEMA_VERSION: Final = "1.0"  # of all payloads; minor: keys were added, major: anything else was changed
+SCHEMA_VERSION: Final = "2.0"  # of all payloads; minor: keys were added, major: anything else was changed
 JSON: Final = "application/json"
 CBOR: Final = "application/cbor"
 

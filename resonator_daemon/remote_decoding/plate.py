@@ -19,7 +19,7 @@ from resonator_daemon.publishing.payloads import DecoderPlateHealth, GridInfo, I
 from resonator_daemon.publishing.topics import DECODED, SCHEMA_VERSION, MessageT, Topic
 
 NO_INFO = "no info yet: no daemon has published under this name"
-DECODED_BY_DAEMON = "the daemon decodes this plate itself; set apart = true in [decoding] of its configuration"
+DECODED_BY_DAEMON = "the daemon decodes this plate itself; set external = true in [decoding] of its configuration"
 SITES_MAX: Final = 10_000
 INFO_BYTES_MAX: Final = 2_000_000
 WAITS_AFTER_S: Final = 2.0  # without signals, a decoder is waiting
@@ -119,7 +119,9 @@ class RemotePlate:
         except (ValueError, RecursionError, MemoryError, OverflowError):
             self.unusable += 1
             return None
-        if not all(number in _INT64 for number in (message.seq, message.t_unc_ns, *message.lost.model_dump().values())):
+        if not all(
+            number in _INT64 for number in (message.seq, message.t_uncertainty_ns, *message.lost.model_dump().values())
+        ):
             self.unusable += 1
             return None
         self._follow(message)
@@ -157,11 +159,11 @@ class RemotePlate:
 def header_of(message: Signals) -> MeasuredFields:
     """Return the header for what is decoded of these signals: it belongs to the same instant and has the same `seq`."""
     return MeasuredFields(
+        name=message.name,
         seq=message.seq,
         daemon_boot_id=message.daemon_boot_id,
-        board_boot_id=message.board_boot_id,
         t_ns=message.t_ns,
-        t_unc_ns=message.t_unc_ns,
+        t_uncertainty_ns=message.t_uncertainty_ns,
         lost=message.lost,
         board_ticks=message.board_ticks,
     )

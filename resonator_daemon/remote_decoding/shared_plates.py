@@ -15,7 +15,15 @@ from resonator_daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth, DecoderProcessInfo, Signals
 from resonator_daemon.publishing.publisher import Subscription
-from resonator_daemon.publishing.topics import DECODED, DECODED_SUMMARY, INFO, SIGNALS, full_topic, split_topic
+from resonator_daemon.publishing.topics import (
+    CONTACTS,
+    DECODED,
+    DECODED_SUMMARY,
+    INFO,
+    SIGNALS,
+    full_topic,
+    split_topic,
+)
 from resonator_daemon.remote_decoding.plate import WAITS_AFTER_S, Publish, RemotePlate, header_of
 from resonator_daemon.remote_decoding.shared_stage import SharedStage
 from resonator_daemon.sensors.surface_messages import SurfaceMessages
@@ -202,3 +210,4 @@ class SharedPlates:
         header = header_of(origin.signals)
         self._publish(name, DECODED, origin.reporter.decoded(header, surface.decoded))
         self._publish(name, DECODED_SUMMARY, origin.reporter.summary(header, surface, numbered=False))
+        self._publish(name, CONTACTS, origin.reporter.contacts(header, surface, numbered=False))

@@ -69,8 +69,8 @@ class AtBroker:
         self._named_by = named_by
         self._what = f"replaying {printable(file_name)}"
         self._base = f"{mqtt.prefix}/{name}"
-        self.daemon_boot_id = secrets.token_hex(8)
-        self._headers = Headers(self.daemon_boot_id, Lost)
+        self.daemon_boot_id = secrets.token_hex(4)
+        self._headers = Headers(name, self.daemon_boot_id, Lost)
 
     @property
     def dropped(self) -> dict[str, int]:

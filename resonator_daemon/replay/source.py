@@ -16,7 +16,7 @@ from resonator_daemon.replay.recorded_pipeline import RecordingReplay
 
 _Loaded = TypeVar("_Loaded")
 
-UNKNOWN_BOOT_ID: Final = "0" * 16  # of a recording that no daemon made
+UNKNOWN_BOOT_ID: Final = "0" * 8  # of a recording that no daemon made
 
 
 @contextmanager

@@ -1,51 +1,22 @@
 """Readings of force sites to payloads: forces, contacts and their events."""
 
 import math
-from collections.abc import Callable
-from dataclasses import fields
-from operator import attrgetter
 from typing import Any, Final
 
 from resonator_daemon.forces import contacts as measured
-from resonator_daemon.forces.readings import Compensation as MeasuredCompensation
 from resonator_daemon.forces.readings import ForceReading
 from resonator_daemon.forces.site_identification import SiteForce as MeasuredForce
 from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.codec import Encoded, encode_fields
-from resonator_daemon.publishing.payloads import (
-    Baseline,
-    Compensation,
-    ContactEvent,
-    Contacts,
-    EventContact,
-    Forces,
-    Message,
-    ResponseCompensation,
-    SiteForce,
-    Status,
-)
+from resonator_daemon.publishing.payloads import ContactEvent, Contacts, EventContact, Forces, Lost, Status
+from resonator_daemon.publishing.rounding import rounded, rounded_std
 from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, FORCES
 from resonator_daemon.sensors.calendar import utc_day
 from resonator_daemon.sensors.output import MessageOutput
-from resonator_daemon.sensors.surface_messages import ContactFields
 from resonator_daemon.session.clock import Instant
 
 _NS: Final = 1_000_000_000
 _STATUS = {str(word): word for word in Status}
-_BASELINE = {str(word): word for word in Baseline}
-_RESPONSE = {str(word): word for word in ResponseCompensation}
-
-
-def _common_fields(reading: type[Any], payload: type[Message]) -> Callable[[Any], dict[str, Any]]:
-    """Return a function from a reading to those of its fields that the payload has under the same name."""
-    names = [field.name for field in fields(reading) if field.name in payload.model_fields]
-    values = attrgetter(*names)
-    return lambda measured: dict(zip(names, values(measured), strict=True))
-
-
-_forces_of = _common_fields(ForceReading, Forces)
-_compensation_of = _common_fields(MeasuredCompensation, Compensation)
-_site_force_of = _common_fields(MeasuredForce, SiteForce)
 
 
 class ForceMessages:
@@ -64,57 +35,92 @@ class ForceMessages:
         self._headers = output.headers
         self._site_ids: list[int] = plate.site_ids.tolist()
         self._since_utc_ns: dict[int, int] = {}  # of the present contacts, by id
+        self._lost: Lost | None = None  # of the last message
+        self._lost_fields: dict[str, int] = {}
 
     def header(self, reading: ForceReading, gate_middle: Instant) -> dict[str, Any]:
         """Return what both messages about a reading share; `gate_middle` is that of the last gate in the window."""
         middle_ns = self._output.window_middle_ns(reading, gate_middle)
         header = self._headers.of_window(middle_ns, gate_middle.uncertainty_ns, reading.board_ticks)
-        return {**header, "lost": vars(header["lost"])}
+        lost = header["lost"]
+        if lost is not self._lost:  # hundreds of messages repeat the last one
+            self._lost, self._lost_fields = lost, {cause: count for cause, count in vars(lost).items() if count}
+        fields = {**header, "lost": self._lost_fields, "status": _STATUS[reading.status]}
+        if reading.reason:
+            fields["reason"] = reading.reason
+        return fields
 
     def forces(self, header: dict[str, Any], reading: ForceReading, gate_middle: Instant) -> Encoded:
-        return encode_fields(
-            Forces,
-            {
-                "seq": self._headers.next_seq(FORCES),
-                **header,
-                **_forces_of(reading),
-                "status": _STATUS[reading.status],
-                "sites": tuple([self._site_force(force, gate_middle) for force in reading.sites]),
-                "compensation": {
-                    **_compensation_of(reading.compensation),
-                    "baseline": _BASELINE[reading.compensation.baseline],
-                    "response": _RESPONSE[reading.compensation.response],
-                },
-            },
-        )
+        fields = {
+            "seq": self._headers.next_seq(FORCES),
+            **header,
+            "window_s": reading.window_s,
+            "sites": tuple([self._site_force(force, gate_middle) for force in reading.sites]),
+        }
+        if reading.beats:
+            fields["beats"] = reading.beats
+        return encode_fields(Forces, fields)
 
     def contacts(self, header: dict[str, Any], reading: ForceReading, gate_middle: Instant) -> Encoded:
-        return encode_fields(
-            Contacts,
-            {
-                "seq": self._headers.next_seq(CONTACTS),
-                **header,
-                "status": _STATUS[reading.status],
-                "reason": reading.reason,
-                "contacts": tuple([self._contact(contact, reading, gate_middle) for contact in reading.contacts]),
-                "decoder_id": None,
-            },
-        )
+        fields = {
+            "seq": self._headers.next_seq(CONTACTS),
+            **header,
+            "contacts": tuple([self._contact(contact, gate_middle) for contact in reading.contacts]),
+        }
+        return encode_fields(Contacts, fields)
 
     def event(self, event: measured.ContactEvent, reading: ForceReading, gate_middle: Instant) -> ContactEvent:
-        contact = self._contact(event.contact, reading, gate_middle)
+        contact = event.contact
+        since_utc_ns = self._since_utc_ns.get(contact.id)
+        if since_utc_ns is None:
+            # Fixed once: computed again from the board's nominal rate, it would wander by milliseconds an hour.
+            age_s = (reading.board_ticks - contact.since_ticks) / self._plate.counter.reference_hz
+            since_utc_ns = self._output.window_middle_ns(reading, gate_middle) - round(age_s * _NS)
+            self._since_utc_ns[contact.id] = since_utc_ns
         if event.event == "release":
-            del self._since_utc_ns[event.contact.id]
+            del self._since_utc_ns[contact.id]
         return ContactEvent(
             **self._output.header(CONTACT_EVENT, reading, gate_middle),
             event=event.event,
-            reason=event.reason,
-            contact=EventContact(**contact),
+            reason=event.reason or None,
+            contact=EventContact(
+                **self._contact(contact, gate_middle),
+                peak_newton=rounded(contact.peak_newton, contact.touch.noise_newton),
+                since_t_ns=since_utc_ns,
+                duration_s=contact.duration_ticks / self._plate.counter.reference_hz,
+            ),
         )
 
     def _site_force(self, force: MeasuredForce, gate_middle: Instant) -> dict[str, Any]:
-        common = _site_force_of(force)
-        return {**common, "site": self._site_ids[force.site], "status": self._worth(force.status, gate_middle)}
+        noise_newton = force.noise_newton
+        fields = {
+            "site": self._site_ids[force.site],
+            "force_newton": rounded(force.force_newton, noise_newton),
+            "noise_newton": rounded_std(noise_newton),
+            "systematic_newton": rounded_std(force.systematic_newton),
+            "status": self._worth(force.status, gate_middle),
+        }
+        _add_bounds(fields, force)
+        return fields
+
+    def _contact(self, contact: measured.Contact, gate_middle: Instant) -> dict[str, Any]:
+        touch = contact.touch
+        (xx, xy), (_, yy) = touch.position_covariance_m2.tolist()
+        (x, y), noise_newton = touch.position_m, touch.noise_newton
+        fields = {
+            "id": contact.id,
+            "site": self._site_ids[touch.site],
+            "position_m": (rounded(x, math.sqrt(xx)), rounded(y, math.sqrt(yy))),
+            "position_covariance_m2": (rounded_std(xx), rounded_std(xy), rounded_std(yy)),
+            "force_newton": (math.nan, math.nan, rounded(touch.force_newton, noise_newton)),
+            "noise_newton": (math.nan, math.nan, rounded_std(noise_newton)),
+            "systematic_newton": rounded_std(touch.systematic_newton),
+            "status": self._worth(touch.status, gate_middle),
+        }
+        if touch.reason:
+            fields["reason"] = touch.reason
+        _add_bounds(fields, touch)
+        return fields
 
     def _worth(self, status: str, gate_middle: Instant) -> Status:
         """Return what a force is worth: less once its calibration has expired."""
@@ -123,29 +129,9 @@ class ForceMessages:
             status = "uncalibrated" if status in ("ok", "possibly_more") else status
         return _STATUS[status]
 
-    def _contact(self, contact: measured.Contact, reading: ForceReading, gate_middle: Instant) -> ContactFields:
-        if contact.id not in self._since_utc_ns:
-            # Fixed once: computed again from the board's nominal rate, it would wander by milliseconds an hour.
-            age_s = (reading.board_ticks - contact.since_ticks) / self._plate.counter.reference_hz
-            self._since_utc_ns[contact.id] = self._output.window_middle_ns(reading, gate_middle) - round(age_s * _NS)
-        touch = contact.touch
-        (x_variance, covariance), (_, y_variance) = touch.position_covariance_m2.tolist()
-        x_std, y_std = math.sqrt(x_variance), math.sqrt(y_variance)
-        correlation = covariance / (x_std * y_std) if x_std * y_std > 0 else 0.0
-        return ContactFields(
-            id=contact.id,
-            site=self._site_ids[touch.site],
-            position_m=touch.position_m,
-            position_std_m=(x_std, y_std),
-            position_correlation=correlation,
-            force_newton=touch.force_newton,
-            noise_newton=touch.noise_newton,
-            systematic_newton=touch.systematic_newton,
-            hidden_newton=touch.hidden_newton,
-            peak_newton=contact.peak_newton,
-            since_t_ns=self._since_utc_ns[contact.id],
-            duration_s=contact.duration_ticks / self._plate.counter.reference_hz,
-            status=self._worth(touch.status, gate_middle),
-            reason=touch.reason,
-            at_least_newton=touch.at_least_newton,
-        )
+
+def _add_bounds(fields: dict[str, Any], force: MeasuredForce | measured.Touch) -> None:
+    if force.unobserved_bound_newton:
+        fields["unobserved_bound_newton"] = rounded_std(force.unobserved_bound_newton)
+    if force.at_least_newton is not None:
+        fields["at_least_newton"] = rounded(force.at_least_newton, force.noise_newton)

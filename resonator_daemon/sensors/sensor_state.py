@@ -4,9 +4,12 @@ import math
 from collections.abc import Callable, Sequence
 
 from resonator_daemon.forces.drift_watch import DriftWatch
+from resonator_daemon.forces.readings import Compensation
 from resonator_daemon.publishing.payloads import Condition
 
 _LASTS_NS = 250_000_000  # a touch changes the captured tone and has no reading for one window
+
+_REPEAT_NS = 1_000_000_000  # with the latest compensation
 
 _CONDITIONS = {
     "pressed_at_start": Condition.PRESSED_AT_START,
@@ -16,17 +19,17 @@ _CONDITIONS = {
 
 
 class SensorState:
-    """Follows readings and announces each change of condition once.
+    """Follows readings and announces each change of condition once, and once a second what is compensated.
 
     Parameters
     ----------
     announce
-        Called with condition, reason and the UTC nanoseconds since when.
+        Called with condition, reason, the UTC nanoseconds since when, and the latest compensation, None without one.
     well
         The reason to give while nothing is wrong: what the sensor reads.
     """
 
-    def __init__(self, announce: Callable[[Condition, str, int], None], well: str) -> None:
+    def __init__(self, announce: Callable[[Condition, str, int, Compensation | None], None], well: str) -> None:
         self._announce = announce
         self._good = self._well = well
         self._expiry: str | None = None
@@ -34,6 +37,8 @@ class SensorState:
         self._current: tuple[Condition, str] | None = None
         self._candidate: tuple[Condition, str] | None = None
         self._candidate_since_ns = self._since_utc_ns = 0
+        self._compensation: Compensation | None = None
+        self._repeat_at_ns = 0
 
     def explain(self, note: str) -> None:
         """Add to the reason of a sensor that is well; "" takes the addition back."""
@@ -60,9 +65,16 @@ class SensorState:
         self._become((Condition.WAITING, reason), self._since_utc_ns if waiting else utc_ns)
 
     def update(
-        self, status: str, reason: str, common_mode: Sequence[float], utc_ns: int, plate_kelvin: float = math.nan
+        self,
+        status: str,
+        reason: str,
+        common_mode: Sequence[float],
+        utc_ns: int,
+        compensation: Compensation | None = None,
     ) -> None:
         """Update with one reading's status and baseline; a first condition is announced at once."""
+        self._compensation = compensation
+        plate_kelvin = compensation.plate_kelvin if compensation is not None else math.nan
         known = not all(map(math.isnan, common_mode))
         drift = self._drift.update(common_mode, plate_kelvin, utc_ns * 1e-9)
         if (condition := _CONDITIONS.get(status)) is None:
@@ -73,6 +85,9 @@ class SensorState:
         seen = (condition, reason)
         if self._current is not None and condition == self._current[0]:
             self._candidate = None
+            if compensation is not None and utc_ns >= self._repeat_at_ns:
+                self._repeat_at_ns = utc_ns + _REPEAT_NS
+                self._announce(*self._current, self._since_utc_ns, compensation)
             return
         if self._candidate is None or self._candidate[0] != condition:
             self._candidate, self._candidate_since_ns = seen, utc_ns
@@ -84,4 +99,4 @@ class SensorState:
         if state != self._current:
             self._current, self._candidate = state, None
             self._since_utc_ns = since_utc_ns
-            self._announce(*state, since_utc_ns)
+            self._announce(*state, since_utc_ns, self._compensation)

@@ -338,7 +338,7 @@ class SingleToneProcessing:
             math.hypot(pressed.systematic_newton, pressed.unmodelled_newton),
             worth if pressed.calibrated else "uncalibrated",
             force.at_least_newton,
-            force.hidden_newton,
+            force.unobserved_bound_newton,
             force.channels,
         )
 

@@ -42,7 +42,7 @@ class SkinSensor(Sensor[SkinReading]):
 
     @property
     def streams(self) -> tuple[Topic[Any], ...]:
-        decoded_here = self.decoding.method != "off" and not self.decoding.apart
+        decoded_here = self.decoding.method != "off" and not self.decoding.external
         return (SIGNALS, *_SURFACE) if decoded_here else (SIGNALS,)
 
     @property
@@ -70,7 +70,7 @@ class SkinSensor(Sensor[SkinReading]):
         if decoding.method == "off":
             output.state.explain("decoding is off")
             return
-        if decoding.apart:
+        if decoding.external:
             output.state.explain("decoded by another process: resonatord decode")
             return
         settings = SurfaceSettings(

@@ -1,7 +1,7 @@
 """What was decoded of a skin to payloads: the same words wherever it is decoded."""
 
 import math
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from resonator_daemon.publishing.payloads import (
     Patch,
     Status,
 )
+from resonator_daemon.publishing.rounding import rounded, rounded_std
 
 if TYPE_CHECKING:
     from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
@@ -28,43 +29,7 @@ if TYPE_CHECKING:
 _NS = 1_000_000_000
 _ON_GRID = 3  # dimensions of a map: component, y, x
 _FRICTION_KNOWN = 0.25  # relative standard deviation
-
-
-class ContactFields(TypedDict):
-    """A contact, of a skin or of force sites."""
-
-    id: int
-    site: int
-    position_m: tuple[float, float]
-    position_std_m: tuple[float, float]
-    position_correlation: float
-    force_newton: float
-    noise_newton: float
-    systematic_newton: float
-    hidden_newton: float
-    peak_newton: float
-    since_t_ns: int
-    duration_s: float
-    status: Status
-    reason: str
-    at_least_newton: float | None
-
-
-class _SlipFields(TypedDict):
-    stick_ratio: float
-    slip_margin: float
-    slip_margin_std: float
-    friction_coefficient: float
-    friction_coefficient_std: float
-
-
-_UNKNOWN_SLIP = _SlipFields(
-    stick_ratio=math.nan,
-    slip_margin=math.nan,
-    slip_margin_std=math.nan,
-    friction_coefficient=math.nan,
-    friction_coefficient_std=math.nan,
-)
+_SLIP = ("slip_margin", "slip_margin_std", "friction_coefficient", "friction_coefficient_std")
 
 
 class SurfaceMessages:
@@ -117,100 +82,96 @@ class SurfaceMessages:
         return DecodedSummary(
             **header,
             decoder=surface.decoder,
-            chi2=float(frame.chi2),
+            chi2=rounded_std(float(frame.chi2)),
             border_contact=bool(frame.border_contact),
             status=Status(str(frame.status)),
-            reason=str(frame.reason),
+            reason=str(frame.reason) or None,
             patches=tuple(_patch(contact, contact.id if numbered else None) for contact in surface.contacts),
             decoder_id=self._decoder_id,
         )
 
-    def contacts(self, header: MeasuredFields, surface: "SurfaceReading") -> Contacts:
+    def contacts(self, header: MeasuredFields, surface: "SurfaceReading", *, numbered: bool = True) -> Contacts:
+        """Return the contacts; `numbered` as of `summary`."""
+        frame = surface.decoded
         return Contacts(
             **header,
-            status=Status(str(surface.decoded.status)),
-            contacts=tuple(Contact(**self._contact(contact, header["t_ns"])) for contact in surface.contacts),
-            decoder_id=self._decoder_id,
-        )
-
-    def event(self, header: MeasuredFields, event: "SkinEvent") -> ContactEvent:
-        contact, slip = self._contact(event.contact, header["t_ns"]), _slip(event.contact)
-        if event.event == "release":
-            del self._since_utc_ns[event.contact.id]
-        return ContactEvent(
-            **header,
-            event=event.event,
-            reason=event.reason,
-            contact=EventContact(
-                **contact,
-                slip_margin=slip["slip_margin"],
-                slip_margin_std=slip["slip_margin_std"],
-                friction_coefficient=slip["friction_coefficient"],
+            status=Status(str(frame.status)),
+            reason=str(frame.reason) or None,
+            contacts=tuple(
+                Contact(**self._contact(contact, contact.id if numbered else None)) for contact in surface.contacts
             ),
             decoder_id=self._decoder_id,
         )
 
-    def _contact(self, contact: "SkinContact", middle_ns: int) -> ContactFields:
+    def event(self, header: MeasuredFields, event: "SkinEvent") -> ContactEvent:
+        contact, middle_ns = event.contact, header["t_ns"]
+        since_ns = self._since_utc_ns.setdefault(contact.id, middle_ns)
+        if event.event == "release":
+            del self._since_utc_ns[contact.id]
+        return ContactEvent(
+            **header,
+            event=event.event,
+            reason=event.reason or None,
+            contact=EventContact(
+                **self._contact(contact, contact.id),
+                peak_newton=rounded(contact.peak_newton, float(contact.patch.force_std_newton[2])),
+                since_t_ns=since_ns,
+                duration_s=(middle_ns - since_ns) / _NS,
+            ),
+            decoder_id=self._decoder_id,
+        )
+
+    def _contact(self, contact: "SkinContact", number: int | None) -> dict[str, Any]:
         patch = contact.patch
         nearest = int(np.hypot(*(self._site_positions_m - patch.centroid_m).T).argmin())
-        since_ns = self._since_utc_ns.setdefault(contact.id, middle_ns)
-        return ContactFields(
-            id=contact.id,
-            site=int(self._site_ids[nearest]),
-            position_m=_pair(patch.centroid_m),
-            position_std_m=_pair(patch.centroid_std_m),
-            position_correlation=math.nan,
-            force_newton=float(patch.force_newton[2]),
-            noise_newton=float(patch.force_std_newton[2]),
-            systematic_newton=math.nan,  # the uncertainty of the skin's elastic constants is not known
-            hidden_newton=0.0,
-            peak_newton=contact.peak_newton,
-            since_t_ns=since_ns,
-            duration_s=(middle_ns - since_ns) / _NS,
-            status=Status.OK,
-            reason="",
-            at_least_newton=None,
-        )
+        x_std, y_std = patch.centroid_std_m.tolist()
+        return {
+            "id": number,
+            "site": int(self._site_ids[nearest]),
+            "position_m": _rounded(patch.centroid_m, patch.centroid_std_m),
+            "position_covariance_m2": (rounded_std(x_std**2), math.nan, rounded_std(y_std**2)),
+            "force_newton": _rounded(patch.force_newton, patch.force_std_newton),
+            "noise_newton": _rounded_std(patch.force_std_newton),
+            "moment_newton_m": _rounded(patch.moment_newton_m, patch.moment_std_newton_m),
+            "moment_std_newton_m": _rounded_std(patch.moment_std_newton_m),
+            **_slip(contact),
+            "status": Status.OK,
+        }
 
 
 def _patch(contact: "SkinContact", number: int | None) -> Patch:
-    patch = contact.patch
+    patch, slip = contact.patch, contact.slip
+    stick_ratio = rounded(slip.stick_ratio, slip.stick_ratio_std) if slip is not None else math.nan
     return Patch(
         id=number,
-        centroid_m=_pair(patch.centroid_m),
-        centroid_std_m=_pair(patch.centroid_std_m),
-        area_m2=patch.area_m2,
-        force_newton=_triple(patch.force_newton),
-        force_std_newton=_triple(patch.force_std_newton),
-        moment_newton_m=_triple(patch.moment_newton_m),
-        moment_std_newton_m=_triple(patch.moment_std_newton_m),
+        area_m2=rounded_std(patch.area_m2),
         at_border=patch.at_border,
-        radius_of_curvature_m=contact.radius_of_curvature_m,
-        slip_reason=contact.slip.reason if contact.slip else "nothing was fitted",
-        **_slip(contact),
+        radius_of_curvature_m=rounded_std(contact.radius_of_curvature_m),
+        stick_ratio=stick_ratio,
     )
 
 
-def _slip(contact: "SkinContact") -> _SlipFields:
+def _slip(contact: "SkinContact") -> dict[str, float]:
     """Return the fields about slip; a friction coefficient only where it is known to a quarter."""
     slip = contact.slip
     if slip is None:
-        return _UNKNOWN_SLIP
-    known = slip.friction_coefficient_std < _FRICTION_KNOWN * slip.friction_coefficient
-    return _SlipFields(
-        stick_ratio=slip.stick_ratio,
-        slip_margin=slip.slip_margin,
-        slip_margin_std=slip.slip_margin_std,
-        friction_coefficient=slip.friction_coefficient if known else math.nan,
-        friction_coefficient_std=slip.friction_coefficient_std if known else math.nan,
+        return dict.fromkeys(_SLIP, math.nan)
+    friction, friction_std = slip.friction_coefficient, slip.friction_coefficient_std
+    if not friction_std < _FRICTION_KNOWN * friction:
+        friction = friction_std = math.nan
+    margin_std = slip.slip_margin_std
+    numbers = (
+        rounded(slip.slip_margin, margin_std),
+        rounded_std(margin_std),
+        rounded(friction, friction_std),
+        rounded_std(friction_std),
     )
+    return dict(zip(_SLIP, numbers, strict=True))
 
 
-def _pair(values: Floats) -> tuple[float, float]:
-    x, y = values.tolist()
-    return x, y
+def _rounded(values: Floats, std: Floats) -> tuple[float, ...]:
+    return tuple(map(rounded, values.tolist(), std.tolist()))
 
 
-def _triple(values: Floats) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z
+def _rounded_std(std: Floats) -> tuple[float, ...]:
+    return tuple(map(rounded_std, std.tolist()))

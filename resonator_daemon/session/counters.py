@@ -14,11 +14,11 @@ class FrameLoss:
     damaged: int = 0  # arrived with a wrong check sum, or in pieces
     board_overflow: int = 0  # the board dropped them, and reported it
     host_overrun: int = 0  # the host's driver had no room for their bytes, and reported it
-    ring_overflow: int = 0  # arrived, and the frame queue was full
+    queue_overflow: int = 0  # arrived, and the frame queue was full
 
     @property
     def total(self) -> int:
-        return self.link_gap + self.damaged + self.board_overflow + self.host_overrun + self.ring_overflow
+        return self.link_gap + self.damaged + self.board_overflow + self.host_overrun + self.queue_overflow
 
     def __add__(self, other: "FrameLoss") -> "FrameLoss":
         return FrameLoss(*(getattr(self, cause.name) + getattr(other, cause.name) for cause in fields(self)))
@@ -31,7 +31,7 @@ class BootCounters:
     boot_id: int
     connections: int = 0
     frames: int = 0
-    lost: FrameLoss = field(default_factory=FrameLoss)  # without ring_overflow: the queue does not distinguish boots
+    lost: FrameLoss = field(default_factory=FrameLoss)  # without queue_overflow: the queue does not distinguish boots
 
 
 BOOTS_REMEMBERED = 8
@@ -54,7 +54,7 @@ class LinkCounters:
     messages_malformed: int = 0
     messages_unknown: int = 0
     log_lines_dropped: int = 0  # of the board's log, beyond what anyone would read
-    frames: int = 0  # handed on or lost to ring_overflow
+    frames: int = 0  # handed on or lost to queue_overflow
     parts_lost: int = 0  # of frames that did arrive
     frames_incomplete: int = 0
     connections: int = 0

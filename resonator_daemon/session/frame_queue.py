@@ -73,7 +73,7 @@ class FrameQueue:
     def loss(self) -> FrameLoss:
         """Frames that gave way since the start."""
         with self._lock:
-            return FrameLoss(ring_overflow=self._overflow)
+            return FrameLoss(queue_overflow=self._overflow)
 
     def _make_room(self) -> None:
         ahead = self._ahead
@@ -82,7 +82,7 @@ class FrameQueue:
             if isinstance(arrival, Frame):
                 self._bytes -= size_bytes
                 self._overflow += 1
-                arrival = Gap(arrival.index, FrameLoss(ring_overflow=1))
+                arrival = Gap(arrival.index, FrameLoss(queue_overflow=1))
             if isinstance(arrival, Gap) and ahead and isinstance(ahead[-1], Gap) and _adjoin(ahead[-1], arrival):
                 ahead[-1] = Gap(ahead[-1].first_index, ahead[-1].loss + arrival.loss)
             else:

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.publishing.payloads import Header, Lost, Message
+from resonator_daemon.publishing.payloads import ContactEvent, Contacts, Header, Lost, Message
 from resonator_daemon.publishing.topics import HEALTH, INFO, TOPICS, MessageT, Topic
 
 _RATE_NS: Final = 1_000_000_000
@@ -46,6 +46,7 @@ class _Run:
     first_arrived_utc_ns: dict[str, int] = field(default_factory=dict)
     arrivals: dict[str, deque[tuple[int, int]]] = field(default_factory=dict)  # within the last second: when, and seq
     missed: Counter[str] = field(default_factory=Counter)
+    since_t_ns: dict[int | None, int] = field(default_factory=dict)  # of the present contacts, by id
 
     def add(self, path: str, message: Header, arrived_utc_ns: int) -> None:
         if path in self.last:
@@ -55,6 +56,12 @@ class _Run:
         self.arrived_utc_ns = arrived_utc_ns
         self.last[path] = (message, arrived_utc_ns)
         self.first_arrived_utc_ns.setdefault(path, arrived_utc_ns)
+        if isinstance(message, Contacts):
+            self.since_t_ns = {
+                contact.id: self.since_t_ns.get(contact.id, message.t_ns) for contact in message.contacts
+            }
+        elif isinstance(message, ContactEvent):
+            self.since_t_ns[message.contact.id] = message.contact.since_t_ns
         arrivals = self.arrivals.setdefault(path, deque())
         arrivals.append((arrived_utc_ns, message.seq))
         # A clock that was set back leaves arrivals in the future, which must not pile up.
@@ -110,6 +117,10 @@ class PlateView:
         period_s = _HEALTH_PERIOD_S if topic.path == HEALTH.path else info.step_s if info else 0.0
         _, arrived_utc_ns = self._run.last.get(topic.path, (None, 0))
         return self.last(topic) if now_utc_ns - arrived_utc_ns <= max(1.0, 3 * period_s) * 1e9 else None
+
+    def contact_since_t_ns(self, contact_id: int | None, default: int) -> int:
+        """Return the onset of a present contact, or the first message with it if its onset was not received."""
+        return self._run.since_t_ns.get(contact_id, default)
 
     def rate_hz(self, topic: Topic[Any], now_utc_ns: int) -> float:
         """Messages that the plate makes a second, over the last second; NaN in the first one."""

@@ -105,8 +105,8 @@ def _state(status: Status, part: str, state: State) -> Text:
         text.append(f": {printable(state.reason)}")
     if state.since_t_ns is not None:
         text.append(f" (for {_age(status, part)})")
-    if state.boots is not None and state.boots > 1:
-        text.append(f"; {state.boots} boots of the board")
+    if state.boot_count is not None and state.boot_count > 1:
+        text.append(f"; {state.boot_count} boots of the board")
     if (outage := state.last_outage) is not None:
         length_s = (outage.end_t_ns - outage.start_t_ns) * 1e-9
         text.append(
@@ -140,7 +140,7 @@ def _broker(status: Status) -> Text:
 
 def _messages(health: Health) -> Text:
     account = health.messages
-    sent = account.acknowledged + account.handed_to_socket
+    sent = account.acknowledged + account.written
     text = Text(f"{_count(sent)} sent, {_count(account.waiting)} waiting")
     if account.spooled:
         text.append(f" ({_count(account.spooled)} of them on disk)")

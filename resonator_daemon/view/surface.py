@@ -11,8 +11,8 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from resonator_daemon.publishing.payloads import Patch, Status
-from resonator_daemon.publishing.topics import DECODED, DECODED_SUMMARY, INFO
+from resonator_daemon.publishing.payloads import Contact, Status
+from resonator_daemon.publishing.topics import CONTACTS, DECODED, DECODED_SUMMARY, INFO
 from resonator_daemon.view.maps import Line, pooling, round_scale, scale_bar, traction_map
 from resonator_daemon.view.plate_view import PlateView, TrueContact, Truth
 from resonator_daemon.view.scattered import as_pixels
@@ -34,6 +34,7 @@ class SurfacePanel:
     def __init__(self, view: PlateView, truth: Truth | None, now_utc_ns: int, *, colours: bool) -> None:
         self._decoded = view.current(DECODED, now_utc_ns)
         self._summary = view.current(DECODED_SUMMARY, now_utc_ns)
+        self._found = view.current(CONTACTS, now_utc_ns)
         self._info = view.last(INFO)
         self._truth = truth
         self._colours = colours
@@ -71,25 +72,25 @@ class SurfacePanel:
 
     def _table(self) -> RenderableType:
         """One column a contact: forces, direction of the shear, margin to slip; the true sum next to them."""
-        patches = self._summary.patches if self._summary else ()
-        forces = [patch.force_newton for patch in patches]
+        contacts = self._found.contacts if self._found else ()
+        forces = [contact.force_newton for contact in contacts]
         table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
-        table.add_column("contact" if patches else self._contacts())
-        for patch in patches:
-            table.add_column(_name(patch), no_wrap=True)
+        table.add_column("contact" if contacts else self._contacts())
+        for contact in contacts:
+            table.add_column(_name(contact), no_wrap=True)
         if self._truth is not None:
             forces.append(_sum_newton(self._truth.contacts))
             table.add_column("true", no_wrap=True)
         table.add_row("normal", *(newtons(z) for _, _, z in forces))
         table.add_row("shear", *(newtons(math.hypot(x, y)) for x, y, _ in forces))
         table.add_row("towards", *(_direction(x, y) for x, y, _ in forces))
-        table.add_row("margin", *map(_margin, patches))
+        table.add_row("margin", *map(_margin, contacts))
         return table
 
     def _contacts(self) -> str:
-        if self._summary is None or self._summary.status not in _KNOWN:
+        if self._found is None or self._found.status not in _KNOWN:
             return "contacts unknown"
-        return ", ".join(map(_in_words, self._summary.patches)) or "no contact"
+        return ", ".join(map(_in_words, self._found.contacts)) or "no contact"
 
     def _fit(self) -> str:
         if self._decoded is None or self._summary is None:
@@ -123,17 +124,18 @@ def _direction(x_newton: float, y_newton: float) -> str:
     return f"{round(math.degrees(math.atan2(y_newton, x_newton)))}°"
 
 
-def _name(patch: Patch) -> str:
-    return UNKNOWN if patch.id is None else str(patch.id)
+def _name(contact: Contact) -> str:
+    return UNKNOWN if contact.id is None else str(contact.id)
 
 
-def _in_words(patch: Patch) -> str:
-    x, y, z = patch.force_newton
+def _in_words(contact: Contact) -> str:
+    x, y, z = contact.force_newton
     shear = newtons(math.hypot(x, y))
-    return f"contact {_name(patch)} {newtons(z)} normal, {shear} shear, slip margin {_margin(patch)}"
+    return f"contact {_name(contact)} {newtons(z)} normal, {shear} shear, slip margin {_margin(contact)}"
 
 
-def _margin(patch: Patch) -> str:
-    if not math.isfinite(patch.slip_margin):
+def _margin(contact: Contact) -> str:
+    margin, std = contact.slip_margin, contact.slip_margin_std
+    if margin is None or std is None or not math.isfinite(margin):
         return UNKNOWN
-    return f"{patch.slip_margin:.2f} ± {quantity(patch.slip_margin_std, '.2f', '')}"
+    return f"{margin:.2f} ± {quantity(std, '.2f', '')}"

@@ -18,11 +18,21 @@ from resonator_daemon.view.words import UNKNOWN, duration, millinewtons, newtons
 _ROWS_MAX: Final = 16
 
 
+class _Force(NamedTuple):
+    """A measured force, from `forces` or `contacts`."""
+
+    force_newton: float
+    noise_newton: float
+    systematic_newton: float
+    at_least_newton: float | None
+    status: Status
+
+
 class _Touch(NamedTuple):
     """A touch as measured and as it is; None where there is no such one."""
 
     site: int | None
-    measured: SiteForce | Contact | None
+    measured: _Force | None
     true: TrueContact | None
     lasted_s: float
 
@@ -31,6 +41,7 @@ class TouchesPanel:
     """Draws the last forces and contacts of a plate, and its truth unless that is None."""
 
     def __init__(self, view: PlateView, truth: Truth | None, now_utc_ns: int) -> None:
+        self._view = view
         self._info = view.last(INFO)
         self._forces = view.current(FORCES, now_utc_ns)
         self._contacts = view.current(CONTACTS, now_utc_ns)
@@ -86,14 +97,15 @@ class TouchesPanel:
         return "forces unknown: none arrive" if self._forces is None else f"status {self._forces.status}"
 
     def _all_touches(self) -> Iterator[_Touch]:
-        measured: dict[int, SiteForce | Contact] = {}
+        measured: dict[int, _Force] = {}
         lasted_s = {}
         if self._contacts is not None:
             for contact in self._contacts.contacts:
-                measured[contact.site] = contact
-                lasted_s[contact.site] = (self._contacts.t_ns - contact.since_t_ns) / 1e9
+                measured[contact.site] = _force_of_contact(contact)
+                now_ns = self._contacts.t_ns
+                lasted_s[contact.site] = (now_ns - self._view.contact_since_t_ns(contact.id, now_ns)) / 1e9
         if self._forces is not None:
-            measured |= {force.site: force for force in self._forces.sites}
+            measured |= {force.site: _force_of_site(force) for force in self._forces.sites}
         on_sites: dict[int, TrueContact] = {}
         for truth in self._truth.contacts if self._truth else ():
             if truth.site is None:
@@ -115,7 +127,17 @@ def _site(touch: _Touch) -> str:
     return "between" if touch.site is None else str(touch.site)
 
 
-def _force(force: SiteForce | Contact | None) -> str:
+def _force_of_site(force: SiteForce) -> _Force:
+    return _Force(force.force_newton, force.noise_newton, force.systematic_newton, force.at_least_newton, force.status)
+
+
+def _force_of_contact(contact: Contact) -> _Force:
+    normal_newton, noise_newton = contact.force_newton[2], contact.noise_newton[2]
+    systematic_newton = math.nan if contact.systematic_newton is None else contact.systematic_newton
+    return _Force(normal_newton, noise_newton, systematic_newton, contact.at_least_newton, contact.status)
+
+
+def _force(force: _Force | None) -> str:
     if force is None:
         return UNKNOWN
     if not math.isfinite(force.force_newton):

@@ -29,7 +29,14 @@ Calibrate = Callable[..., Awaitable[Printed]]
 
 COMMAND = (sys.executable, "-m", "resonator_daemon", "calibrate", "skin")
 TIMEOUT_S = 60
-HEADER = {"daemon_boot_id": "9f3c", "board_boot_id": "51aa", "t_unc_ns": 42_000, "lost": Lost(), "board_ticks": None}
+HEADER = {
+    "name": "left-index",
+    "daemon_boot_id": "9f3c",
+    "board_boot_id": "51aa",
+    "t_uncertainty_ns": 42_000,
+    "lost": Lost(),
+    "board_ticks": None,
+}
 FRAME_NS = 250_000_000
 NOISE = 2e-4
 PLATE = plate_head("small", (-2, -2), (2, 2), 5, "channelised") + skin_table() + skin_grid(7, 0.5, 3250, (3, 21, 1))

@@ -83,7 +83,7 @@ def test_files_follow_each_other_and_have_what_was_measured(tmp_path: Path, monk
     path = config(tmp_path, f"serial:{port}?baud=4000000")
     path.write_text(f'name = "hand"\n{path.read_text()}')
     with emulated(EmulatorOptions("quartz16", pty=port)):
-        report = record(path, RecordOptions(output, 1.6, max_minutes=0.01, derived=True))
+        report = record(path, RecordOptions(output, 1.6, max_minutes=0.01, include_messages=True))
     files = Series(tmp_path, "run").files()
     assert (report["files"], report["file"]) == (len(files), str(files[-1]))
     assert len(files) == 3

@@ -141,7 +141,9 @@ async def test_what_is_not_well_is_in_the_block(capsys: pytest.CaptureFixture[st
         loaded_t_ns=status_samples.NOW_NS,
         needs_restart=("link", "mqtt.url"),
     )
-    link = status_samples.state(Condition.LOST, "unplugged\x1b[2J\u202e", boots=2, last_outage=status_samples.outage())
+    link = status_samples.state(
+        Condition.LOST, "unplugged\x1b[2J\u202e", boot_count=2, last_outage=status_samples.outage()
+    )
     status = status_samples.status(
         config=config,
         link=link,

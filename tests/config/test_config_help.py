@@ -52,7 +52,7 @@ def test_it_refuses_what_the_models_refuse(change: dict[str, Any], where: str) -
 
 def test_what_a_reload_takes() -> None:
     live = {key.path for key in config_keys() if key.live}
-    assert {"measurement.step_ms", "commands.allow", "recording.derived"} <= live
+    assert {"measurement.step_ms", "commands.allow", "recording.include_messages"} <= live
     assert live.isdisjoint({"name", "plate", "link", "mqtt.url", "decoding.method", "metrics.listen"})
 
 

@@ -28,9 +28,9 @@ def test_nothing_is_recorded_or_served_unasked(tmp_path: Path, monkeypatch: pyte
     config = loaded(tmp_path, "")
     recording = config.recording
     assert recording.directory == Path("/var/lib/resonatord/recordings")
-    assert (recording.continuous, recording.derived) == (False, False)
+    assert (recording.autostart, recording.include_messages) == (False, False)
     assert (recording.file_max_mb, recording.file_max_minutes) == (1000, 60)
-    assert (recording.budget_mb, recording.keep_free_mb) == (10_000, 500)
+    assert (recording.max_total_mb, recording.min_free_mb) == (10_000, 500)
     assert config.metrics.listen is None
     assert config.notes == ()
 

@@ -35,7 +35,7 @@ def test_nothing_changed(tmp_path: Path) -> None:
     [
         ("[measurement]\nwindow_ms = 20\nstep_ms = 10\n", ("measurement.window_ms", "measurement.step_ms"), ()),
         ('[commands]\nallow = ["mark"]\n', ("commands.allow",), ()),
-        ("[recording]\ncontinuous = true\nbudget_mb = 2000\n", ("recording.continuous", "recording.budget_mb"), ()),
+        ("[recording]\nautostart = true\nmax_total_mb = 2000\n", ("recording.autostart", "recording.max_total_mb"), ()),
         ('[mqtt]\nprefix = "other"\n', (), ("mqtt.prefix",)),
         ('[decoding]\nmethod = "off"\n', (), ("decoding.method",)),
         ('[metrics]\nlisten = "127.0.0.1:1"\n', (), ("metrics.listen",)),

@@ -55,7 +55,7 @@ async def test_a_touch_becomes_messages_on_either_broker(tmp_path: Path, broker:
     for message, window in bench.windows(heard.payloads("resonator/hand/forces")):
         true = mean_newton(window)
         middle_ns = (int(window[0]["t_ns"]) - 1_000_000 + int(window[-1]["t_ns"])) / 2
-        assert abs(int(message["t_ns"]) - middle_ns) <= message["t_unc_ns"] + 100_000
+        assert abs(int(message["t_ns"]) - middle_ns) <= message["t_uncertainty_ns"] + 100_000
         errors += [site["force_newton"] - true for site in message["sites"] if true > 0.1]
     assert len(errors) > 50
     assert np.sqrt(np.mean(np.square(errors))) <= 0.005
@@ -122,8 +122,8 @@ async def test_the_broker_may_come_late_and_die(tmp_path: Path) -> None:
         assert service.link_counters.lost.total == 0
     account = service.message_account
     dropped = sum(account.dropped.values())
-    known = account.acknowledged + account.handed_to_socket + dropped + account.unknown_at_disconnect
-    assert account.made == known + account.waiting
+    known = account.acknowledged + account.written + dropped + account.unknown_at_disconnect
+    assert account.enqueued == known + account.waiting
     assert account.waiting == 0
     assert account.dropped["no_connection"] > 0
 

@@ -68,7 +68,7 @@ async def test_continuous_recording_begins_with_the_first_byte_and_is_switched_b
         bench.service()
         path = bench.folder / "board.toml"
         bare = path.read_text()
-        path.write_text(f'{bare}[recording]\ndirectory = "{tmp_path}/runs"\ncontinuous = true\n')
+        path.write_text(f'{bare}[recording]\ndirectory = "{tmp_path}/runs"\nautostart = true\n')
         service = Service(ConfigStore(path, bench.folder / "last-good"))
         async with bench.running(service):
             await heard.until_count("resonator/hand/forces", 20)
@@ -96,7 +96,7 @@ async def test_what_is_reloaded_before_a_board_has_given_its_name_holds_when_it_
         service = bench.service(name=None)
         path = bench.folder / "board.toml"
         async with bench.running(service):
-            path.write_text(f'{path.read_text()}[recording]\ndirectory = "{tmp_path}/runs"\ncontinuous = true\n')
+            path.write_text(f'{path.read_text()}[recording]\ndirectory = "{tmp_path}/runs"\nautostart = true\n')
             service.reload()
             async with asyncio.timeout(DEADLINE_S):
                 while "configuration read again" not in caplog.text:  # noqa: ASYNC110 - nothing is published yet

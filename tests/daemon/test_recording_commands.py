@@ -37,7 +37,7 @@ class Seen:
 
 async def test_a_recording_without_end_begins_once_and_ends_where_it_is_not_wanted_any_more(tmp_path: Path) -> None:
     switch = RecordingSwitch()
-    endless = config(tmp_path, continuous=True)
+    endless = config(tmp_path, autostart=True)
     commands = RecordingCommands(endless, "left", switch, daemon_boot_id="b", config_sha256="1")
     await commands.keep_recording()
     now = switch.current
@@ -73,7 +73,7 @@ async def test_what_a_command_began_goes_on_where_the_configuration_stops_record
 ) -> None:
     caplog.set_level(logging.INFO)
     switch = RecordingSwitch()
-    endless = config(tmp_path, continuous=True)
+    endless = config(tmp_path, autostart=True)
     commands = RecordingCommands(endless if config_began_before else config(tmp_path), "left", switch)
     await commands.keep_recording()
     await commands.stop(StopRecording())
@@ -94,13 +94,13 @@ async def test_what_the_configuration_began_ends_with_it_and_the_log_says_so(
     commands = RecordingCommands(config(tmp_path), "left", switch)
     await commands.start(StartRecording(label="mine"))
     await commands.stop(StopRecording())
-    await commands.adopt(config(tmp_path, continuous=True), None)
+    await commands.adopt(config(tmp_path, autostart=True), None)
     assert switch.current is not None
     path = switch.current.path
     await commands.adopt(config(tmp_path), None)
     assert switch.current is None
     assert caplog.messages == [f"recording ended with {path}: [recording] was changed"]
-    await commands.adopt(config(tmp_path, continuous=True), None)
+    await commands.adopt(config(tmp_path, autostart=True), None)
     await commands.stop(StopRecording())
     await commands.adopt(config(tmp_path), None)
     assert len(caplog.messages) == 1
@@ -108,14 +108,14 @@ async def test_what_the_configuration_began_ends_with_it_and_the_log_says_so(
 
 async def test_a_replay_is_not_recorded(tmp_path: Path) -> None:
     switch = RecordingSwitch()
-    replaying = config(tmp_path, continuous=True).model_copy(update={"link": RecordingTarget("run.mcap")})
+    replaying = config(tmp_path, autostart=True).model_copy(update={"link": RecordingTarget("run.mcap")})
     await RecordingCommands(replaying, "left", switch).keep_recording()
     assert switch.current is None
 
 
 async def test_limits_are_those_of_the_configuration(tmp_path: Path) -> None:
     seen = Seen()
-    limits = {"file_max_mb": 2.5, "file_max_minutes": 0.5, "budget_mb": 7.0, "keep_free_mb": 3.0, "continuous": True}
+    limits = {"file_max_mb": 2.5, "file_max_minutes": 0.5, "max_total_mb": 7.0, "min_free_mb": 3.0, "autostart": True}
     await RecordingCommands(config(tmp_path, **limits), "left", seen).keep_recording()  # type: ignore[arg-type]
     assert seen.started == [
         Series(

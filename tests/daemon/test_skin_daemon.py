@@ -98,19 +98,22 @@ async def test_a_sheared_press_on_a_skin_becomes_a_contact_with_its_events(bench
 
     truth = {line["board_ticks"]: line["contacts"] for line in bench.truth()}
     forces = []
-    for summary in summaries(heard):
-        assert summary["decoder"] == "open-plane+contact"
-        contacts = truth.get(int(summary["board_ticks"]), [])
-        if summary["status"] == "ok" and contacts and contacts[0]["force_newton"][2] > 0.6 and summary["patches"]:
-            (patch,) = summary["patches"]
-            np.testing.assert_allclose(patch["centroid_m"], [0.6e-3, -0.3e-3], atol=2e-4)
-            forces.append((patch["force_newton"], contacts[0]["force_newton"]))
+    for message in heard.payloads("resonator/hand/contacts"):
+        contacts = truth.get(int(message["board_ticks"]), [])
+        if message["status"] == "ok" and contacts and contacts[0]["force_newton"][2] > 0.6 and message["contacts"]:
+            (contact,) = message["contacts"]
+            np.testing.assert_allclose(contact["position_m"], [0.6e-3, -0.3e-3], atol=2e-4)
+            forces.append((contact["force_newton"], contacts[0]["force_newton"]))
     found, true = np.swapaxes(forces, 0, 1)
     np.testing.assert_allclose(found.mean(axis=0), true.mean(axis=0), atol=0.02)
-    # Every contact is on `contacts` as it is on `decoded/summary`, by the site that is nearest.
+    # Every contact has the site that is nearest; the summary has its area.
+    assert {summary["decoder"] for summary in summaries(heard)} == {"open-plane+contact"}
+    pressed = {patch["id"]: patch["area_m2"] for summary in summaries(heard) for patch in summary["patches"]}
+    assert pressed.keys() == set(by_contact)
+    assert min(pressed.values()) > 1e-7
     present = [contact for message in heard.payloads("resonator/hand/contacts") for contact in message["contacts"]]
     assert {contact["id"] for contact in present} == set(by_contact)
-    near = [contact["site"] for contact in present if contact["force_newton"] > 0.6]
+    near = [contact["site"] for contact in present if contact["force_newton"][2] > 0.6]
     x_mm, y_mm = (np.mean([(site - 1) % 16 for site in near]) - 7.5) * 0.6, (np.mean(near) - 1) // 16 * 0.6 - 4.5
     assert abs(x_mm - 0.6) <= 0.5
     assert abs(y_mm + 0.3) <= 0.6

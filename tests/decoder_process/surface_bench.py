@@ -29,11 +29,11 @@ def settings(skin: Skin = SKIN, **options: Any) -> SurfaceSettings:
 
 def header(seq: int) -> MeasuredFields:
     return MeasuredFields(
+        name="hand",
         seq=seq,
         daemon_boot_id=BOOT,
-        board_boot_id="51aa03c4",
         t_ns=T_NS + seq * 10_000_000,
-        t_unc_ns=42_000,
+        t_uncertainty_ns=42_000,
         lost=Lost(link_gap=3),
         board_ticks=1000 + seq,
     )

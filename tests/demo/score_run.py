@@ -13,14 +13,14 @@ from resonator_daemon.demo.truth import TruthTable
 from resonator_daemon.publishing import topics
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import (
+    Contact,
     ContactEvent,
+    Contacts,
     Decoded,
-    DecodedSummary,
     Forces,
     Grid,
     Lost,
     Message,
-    Patch,
     SiteForce,
 )
 from resonator_daemon.publishing.topics import Topic
@@ -32,10 +32,11 @@ TICKS = 1000  # in a gate
 PITCH_M = 4e-4
 HEADER: dict[str, Any] = {
     "seq": 0,
+    "name": "left-index",
     "daemon_boot_id": "9f3c",
     "board_boot_id": "51aa",
     "t_ns": T0_NS,
-    "t_unc_ns": 0,
+    "t_uncertainty_ns": 0,
     "lost": Lost(),
 }
 FAR_NS = T0_NS + 10**12
@@ -146,14 +147,14 @@ class Run:
         )
         self.take(topics.DECODED, message, arrived_ns)
 
-    def patches(self, number: int, *patches: tuple[tuple[float, float], float]) -> None:
-        """Pass the summary of frame `number`: centroids and normal forces."""
+    def contacts(self, number: int, *contacts: tuple[tuple[float, float], float]) -> None:
+        """Pass the contacts of frame `number`: positions and normal forces."""
         reported = tuple(
-            Patch.model_construct(id=id, centroid_m=centroid_m, force_newton=(0.3, 0.0, newton))
-            for id, (centroid_m, newton) in enumerate(patches, 1)
+            example(Contact, id=id, position_m=position_m, force_newton=(0.3, 0.0, newton))
+            for id, (position_m, newton) in enumerate(contacts, 1)
         )
-        message = example(DecodedSummary, **HEADER, board_ticks=TICKS * (number + 1), patches=reported)
-        self.take(topics.DECODED_SUMMARY, message)
+        message = example(Contacts, **HEADER, board_ticks=TICKS * (number + 1), contacts=reported)
+        self.take(topics.CONTACTS, message)
 
     def result(self, until_ns: int = FAR_NS) -> Accuracy:
         self.score.join()

@@ -12,8 +12,8 @@ import pytest
 pytestmark = pytest.mark.undisturbed
 
 COMMAND = (sys.executable, "-m", "resonator_daemon", "demo")
-FRAME_LOSSES = {"link_gap", "damaged", "board_overflow", "host_overrun", "ring_overflow"}
-OVERRUNS = {"board_overflow", "host_overrun", "ring_overflow"}
+FRAME_LOSSES = {"link_gap", "damaged", "board_overflow", "host_overrun", "queue_overflow"}
+OVERRUNS = {"board_overflow", "host_overrun", "queue_overflow"}
 PLATE_KEYS = {
     "frames",
     "lost",

@@ -52,10 +52,10 @@ def test_arrays_are_read_from_their_beginning() -> None:
     array = np.zeros((3, 32, 32), np.float32)
     decoded = Decoded(
         seq=70_000,
-        daemon_boot_id="9f3c52d07b1e4a60",
-        board_boot_id="51aa03c4",
+        name="hand",
+        daemon_boot_id="9f3c52d0",
         t_ns=2**63,
-        t_unc_ns=42_000,
+        t_uncertainty_ns=42_000,
         lost=Lost(link_gap=2**31),
         board_ticks=7 + 2 * TICKS_PER_GATE,
         traction_pascal=array,

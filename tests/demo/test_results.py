@@ -7,7 +7,7 @@ import pytest
 from resonator_daemon.demo.results import delays, failures
 
 LOST = dict.fromkeys(
-    ("link_gap", "damaged", "board_overflow", "host_overrun", "ring_overflow", "publish_dropped", "skipped_late"), 0
+    ("link_gap", "damaged", "board_overflow", "host_overrun", "queue_overflow", "publish_dropped", "skipped_late"), 0
 )
 
 

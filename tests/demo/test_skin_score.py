@@ -14,7 +14,7 @@ from score_run import PITCH_M, SITES_M, Run, touch
 @pytest.fixture
 def run(tmp_path: Path) -> Iterator[Run]:
     """Windows of two frames."""
-    run = Run(tmp_path / "truth.jsonl")
+    run = Run(tmp_path / "truth.jsonl", touched_anywhere=True)
     yield run
     run.close()
 
@@ -80,12 +80,12 @@ def test_a_map_of_scattered_sites_is_compared_point_by_point(run: Run) -> None:
     assert run.result().traction_error == pytest.approx(math.sqrt(4 * 3e3**2 / (2 * np.sum(true**2))), rel=1e-5)
 
 
-# Contacts of a skin: normal force and centroid of the patch nearest to each true contact, above 5 % of its peak.
+# Contacts of a skin: normal force and position of the contact nearest to each true contact, above 5 % of its peak.
 
 
-def test_patches_are_compared_with_the_contacts_they_are_nearest_to(run: Run) -> None:
+def test_each_true_contact_is_compared_with_the_nearest_measured_one(run: Run) -> None:
     run.truth(skin_touch(1.0, id=1, position_m=(-2e-3, 0.0)), skin_touch(0.5, id=2, position_m=(3e-3, 1e-3)))
-    run.patches(0, ((3e-3, 1.03e-3), 0.52), ((-2.04e-3, 0.0), 0.97))
+    run.contacts(0, ((3e-3, 1.03e-3), 0.52), ((-2.04e-3, 0.0), 0.97))
     result = run.result()
     assert result.force_error_newton_rms == pytest.approx(math.sqrt((0.02**2 + 0.03**2) / 2))
     assert result.position_error_m_rms == pytest.approx(math.sqrt((0.03**2 + 0.04**2) / 2) * 1e-3)

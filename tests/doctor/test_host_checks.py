@@ -48,7 +48,7 @@ def test_a_clock_that_nobody_keeps_is_a_warning(computer: MadeUpHost, kept: bool
 
 
 def recording(directory: Path, **keys: float) -> Recording:
-    return Recording.model_construct(**{"directory": directory, "keep_free_mb": 1.0, "budget_mb": 1.0} | keys)
+    return Recording.model_construct(**{"directory": directory, "min_free_mb": 1.0, "max_total_mb": 1.0} | keys)
 
 
 def test_a_disk_with_room_is_well(tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ def test_too_little_room_is_a_fault_and_a_budget_beyond_the_disk_a_warning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     disk_of(monkeypatch, 60)
-    of = recording(tmp_path, keep_free_mb=20.0, budget_mb=50.0)
+    of = recording(tmp_path, min_free_mb=20.0, max_total_mb=50.0)
     little = {f.id: f.outcome for f in check_disk(tmp_path, of, "hand")}
     assert little == {
         "disk.state": Outcome.OK,
@@ -73,7 +73,7 @@ def test_too_little_room_is_a_fault_and_a_budget_beyond_the_disk_a_warning(
         "disk.budget": Outcome.WARNING,
     }
     disk_of(monkeypatch, 40)
-    less = {f.id: f.outcome for f in check_disk(tmp_path, recording(tmp_path, keep_free_mb=41.0), "hand")}
+    less = {f.id: f.outcome for f in check_disk(tmp_path, recording(tmp_path, min_free_mb=41.0), "hand")}
     assert less["disk.state"] is less["disk.recordings"] is Outcome.FAULT
 
 
@@ -87,7 +87,7 @@ def test_a_directory_that_cannot_be_written_is_a_fault(tmp_path: Path) -> None:
 
 def test_recordings_that_are_there_count_for_the_budget(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     disk_of(monkeypatch, 60)
-    room = recording(tmp_path, keep_free_mb=20.0, budget_mb=42.0)
+    room = recording(tmp_path, min_free_mb=20.0, max_total_mb=42.0)
 
     def budget(name: str | None = "hand") -> Outcome:
         return {f.id: f.outcome for f in check_disk(tmp_path, room, name)}["disk.budget"]

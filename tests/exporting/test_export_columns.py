@@ -3,7 +3,7 @@
 import pytest
 
 from resonator_daemon.exporting.columns import sources
-from resonator_daemon.publishing.payloads import Contacts, Health, Patch
+from resonator_daemon.publishing.payloads import Contact, Contacts, Health
 
 
 def test_what_has_no_fixed_length_is_no_column() -> None:
@@ -14,5 +14,5 @@ def test_what_has_no_fixed_length_is_no_column() -> None:
 
 
 def test_the_components_of_a_vector_that_is_missing_are_missing() -> None:
-    get = {source.column.name: source.get for source in sources(Patch)}
-    assert get["moment_y_newton_m"](Patch.model_construct(moment_newton_m=None)) is None
+    get = {source.column.name: source.get for source in sources(Contact)}
+    assert get["moment_y_newton_m"](Contact.model_construct(moment_newton_m=None)) is None

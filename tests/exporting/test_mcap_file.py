@@ -78,7 +78,7 @@ def test_forces_are_points_at_the_sites(tmp_path: Path) -> None:
         found = points(cloud)
         assert found["site"].tolist() == [force.site for force in message.sites]
         assert [[x, y] for x, y in zip(found["x"], found["y"], strict=True)] == [place[f.site] for f in message.sites]
-        for key in ("force_newton", "noise_newton", "systematic_newton", "hidden_newton"):
+        for key in ("force_newton", "noise_newton", "systematic_newton", "unobserved_bound_newton"):
             np.testing.assert_array_equal(found[key], [getattr(force, key) for force in message.sites])
         listed += len(message.sites)
     assert listed > 20

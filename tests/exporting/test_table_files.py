@@ -14,7 +14,7 @@ from export_bench import Played, played, write
 from resonator_daemon.exporting.table_output import TableOutput
 from resonator_daemon.publishing.units import NO_UNIT, unit_of
 
-OF_SITE = ("force_newton", "noise_newton", "systematic_newton", "hidden_newton")
+OF_SITE = ("force_newton", "noise_newton", "systematic_newton", "unobserved_bound_newton")
 CASES = ("touches", "comb", "slide", "skin")
 
 
@@ -41,14 +41,14 @@ def test_forces_in_parquet_are_those_that_are_published(case: str, tmp_path: Pat
     assert len(rows) == len(messages)
     touched = 0
     for message, row in zip(messages, rows, strict=True):
-        assert (row["t_ns"], row["t_unc_ns"], row["seq"]) == (message.t_ns, message.t_unc_ns, message.seq)
+        assert (row["t_ns"], row["t_uncertainty_ns"], row["seq"]) == (
+            message.t_ns,
+            message.t_uncertainty_ns,
+            message.seq,
+        )
         assert (row["board_ticks"], row["window_s"]) == (message.board_ticks, message.window_s)
         assert (row["status"], row["reason"]) == (message.status, message.reason)
-        assert [n for n in range(4) if row[f"channel_{n}_beats"]] == sorted(message.beats)
-        for channel, common_mode in enumerate(message.compensation.common_mode):
-            assert same(row[f"compensation_channel_{channel}_common_mode"], common_mode)
-        assert row["compensation_baseline"] == message.compensation.baseline
-        assert same(row["compensation_plate_kelvin"], message.compensation.plate_kelvin)
+        assert [n for n in range(4) if row[f"channel_{n}_beats"]] == sorted(message.beats or ())
         listed = {force.site: force for force in message.sites}
         touched += len(listed)
         for site in map(int, played_case.config.plate.site_ids):
@@ -56,6 +56,15 @@ def test_forces_in_parquet_are_those_that_are_published(case: str, tmp_path: Pat
                 value = row[f"site_{site}_{key}"]
                 assert same(value, getattr(listed[site], key)) if site in listed else value is None
     assert touched > 20
+    compensated = 0
+    for state, row in zip(played_case.messages("state/sensor"), tables["state/sensor"].to_pylist(), strict=True):
+        applied = state.compensation
+        assert row["compensation_baseline"] == (applied.baseline if applied else None)
+        for channel, common_mode in enumerate(applied.common_mode if applied else ()):
+            assert same(row[f"compensation_channel_{channel}_common_mode"], common_mode)
+            assert same(row["compensation_plate_kelvin"], applied.plate_kelvin)
+            compensated += 1
+    assert compensated > 4
     assert not tables["forces"].schema.field("channel_0_beats").nullable
     assert pq.ParquetFile(tmp_path / "out-forces.parquet").num_row_groups > 1
 
@@ -69,13 +78,14 @@ def test_contacts_have_a_row_each_and_messages_without_any_have_one(case: str, t
             row = next(rows)
             assert (row["seq"], row["status"], row["contact_status"]) == (message.seq, message.status, contact.status)
             assert (row["contact_id"], row["contact_site"]) == (contact.id, contact.site)
-            assert row["contact_since_t_ns"] == contact.since_t_ns
             assert (row["contact_position_x_m"], row["contact_position_y_m"]) == contact.position_m
-            for key in ("force_newton", "systematic_newton", "position_correlation", "at_least_newton"):
+            assert row["contact_position_covariance_yy_m2"] == contact.position_covariance_m2[2]
+            assert same(row["contact_force_z_newton"], contact.force_newton[2])
+            for key in ("systematic_newton", "slip_margin", "at_least_newton"):
                 assert same(row[f"contact_{key}"], getattr(contact, key))
         if not message.contacts:
             row = next(rows)
-            assert (row["seq"], row["contact_id"], row["contact_force_newton"]) == (message.seq, None, None)
+            assert (row["seq"], row["contact_id"], row["contact_force_z_newton"]) == (message.seq, None, None)
     assert next(rows, None) is None
     events = tables["contacts/event"].to_pylist()
     published = played_case.messages("contacts/event")
@@ -99,8 +109,7 @@ def test_maps_of_a_skin_in_parquet(tmp_path: Path) -> None:
         for patch in message.patches:
             row = next(rows)
             assert (row["chi2"], row["patch_id"]) == (message.chi2, patch.id)
-            assert tuple(row[f"patch_force_{axis}_newton"] for axis in "xyz") == patch.force_newton
-            assert same(row["patch_slip_margin"], patch.slip_margin)
+            assert same(row["patch_stick_ratio"], patch.stick_ratio)
         if not message.patches:
             assert next(rows)["patch_area_m2"] is None
 

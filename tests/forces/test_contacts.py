@@ -62,7 +62,9 @@ def test_a_gap_makes_the_force_unknown_and_does_not_end_the_contact():
     assert tell(contacts, TIMEOUT, status="settling", reason="why") == []
     (contact,) = contacts.contacts
     touch = contact.touch
-    assert np.isnan([touch.force_newton, touch.noise_newton, touch.systematic_newton, touch.hidden_newton]).all()
+    assert np.isnan(
+        [touch.force_newton, touch.noise_newton, touch.systematic_newton, touch.unobserved_bound_newton]
+    ).all()
     assert (touch.status, touch.reason) == ("settling", "why")
     assert tell(contacts, TIMEOUT, force(1.0)) == []
     assert (contacts.contacts[0].touch.force_newton, contacts.contacts[0].touch.reason) == (1.0, "")

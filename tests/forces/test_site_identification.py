@@ -147,8 +147,8 @@ def test_a_touch_between_sites_is_told_in_parts_or_covered_by_what_may_be_hidden
             assert {found.site for found in match.forces} == set(captured)
             for found in match.forces:
                 assert found.force_newton == pytest.approx(share[found.site] * force, rel=1e-6)
-                assert found.hidden_newton == pytest.approx(hidden[found.site] * found.force_newton)
-                assert 0 <= force - found.force_newton <= found.hidden_newton * (1 + 1e-6)
+                assert found.unobserved_bound_newton == pytest.approx(hidden[found.site] * found.force_newton)
+                assert 0 <= force - found.force_newton <= found.unobserved_bound_newton * (1 + 1e-6)
     assert min(told.values()) > 10
 
 

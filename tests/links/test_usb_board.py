@@ -79,7 +79,7 @@ def test_frames_arrive_and_the_link_loses_none(emulator: Emulator, host: UsbHost
     host.run("read_until(lambda: frames >= 100); stop()")
     assert host.value("out_of_place") == []
     # A computer that halts lets the buffers of board and reader run over: they say so, and nothing else may lose any.
-    given_up = host.value("account.lost.board_overflow + account.lost.ring_overflow")
+    given_up = host.value("account.lost.board_overflow + account.lost.queue_overflow")
     assert host.value("missing") == host.value("account.lost.total") == given_up
     assert host.value("account.bytes_received == in_bins(account) > 0")
 

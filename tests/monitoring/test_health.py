@@ -19,7 +19,15 @@ MESSAGES = status_samples.health().messages
 LATENCY = {"forces": LatencyInfo(bounds_ms=(1.0, 2.0), counts=(7, 3, 1))}
 RECORDING = status_samples.RECORDING
 COMMANDS = {"done": 2, "denied": 1}
-HEADER = {"seq": 0, "daemon_boot_id": "9f3c", "board_boot_id": None, "t_ns": 1, "t_unc_ns": 0, "lost": Lost(damaged=9)}
+HEADER = {
+    "name": "hand",
+    "seq": 0,
+    "daemon_boot_id": "9f3c",
+    "board_boot_id": None,
+    "t_ns": 1,
+    "t_uncertainty_ns": 0,
+    "lost": Lost(damaged=9),
+}
 
 
 class Process:

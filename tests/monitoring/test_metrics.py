@@ -101,11 +101,11 @@ def test_what_is_down_is_zero_and_not_left_out() -> None:
 
 
 def test_what_only_grows_is_a_counter_and_nothing_else_is() -> None:
-    less = {"waiting": 0, "accepted": 10_001, "other_version": 1000, "own_direction": 100, "discarded": 10}
+    less = {"waiting": 0, "accepted": 10_001, "other_version": 1000, "echo": 100, "discarded": 10}
     account = status_samples.health().messages
     sent = MessageAccount(**account.model_dump() | {"acknowledged": 110, "waiting": 0, "spooled": 0})
     later = status_samples.health(
-        bytes_by_fate=less, rss_mb=90.0, file_descriptors=9, tasks=4, threads=3, messages=sent, clock_drift_ppm=-1.0
+        bytes_by_outcome=less, rss_mb=90.0, file_descriptors=9, tasks=4, threads=3, messages=sent, clock_drift_ppm=-1.0
     )
     before, after = text_of(status_samples.status()), text_of(status_samples.status(health=later))
     fell = set()

@@ -62,9 +62,9 @@ def test_losses_count_from_the_gap_on_that_told_of_them(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.handle(change("online", 1))
     assert bench.last("state/link").lost.damaged == 0
-    bench.handle(Gap(5, FrameLoss(damaged=2, ring_overflow=1)), Gap(9, FrameLoss(damaged=1)), change("lost", 2))
+    bench.handle(Gap(5, FrameLoss(damaged=2, queue_overflow=1)), Gap(9, FrameLoss(damaged=1)), change("lost", 2))
     lost = bench.last("state/link").lost
-    assert (lost.damaged, lost.ring_overflow, lost.link_gap, lost.publish_dropped) == (3, 1, 0, 0)
+    assert (lost.damaged, lost.queue_overflow, lost.link_gap, lost.publish_dropped) == (3, 1, 0, 0)
 
 
 def test_what_subscribers_missed_is_asked_for_each_message(tmp_path: Path) -> None:

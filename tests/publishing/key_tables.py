@@ -1,23 +1,31 @@
-"""Tables of keys in docs/mqtt.md, from the models: `python tests/publishing/key_tables.py` writes them anew.
+"""Tables of keys and examples in docs/mqtt.md, from the models: `python tests/publishing/key_tables.py` writes them.
 
-A table follows a comment that names its models, as `<!-- keys: Header, Measured -->`; inherited keys are left out.
+A table follows a comment that names its models, as `<!-- keys: Header, Measured -->`; inherited keys are left out. An
+example is the JSON block of the section that is named after its model.
 """
 
+import json
 import re
 from pathlib import Path
 
+from pydantic.fields import FieldInfo
+
 from resonator_daemon.publishing import payloads
+from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.units import unit_of
 from resonator_daemon.publishing.verbs import ERRORS
 
 PAGE = Path(__file__).parents[2] / "docs" / "mqtt.md"
+WIDTH = 130
+EXAMPLE = re.compile(r"(^## (\w+)\n(?:(?!^## |^```).*\n)*```json\n)(?:.*\n)*?(```)", re.MULTILINE)
 KEYS = re.compile(r"(<!-- (keys|words): ([\w, ]+) -->\n\n)(?:\|.*\n)*\n*")
 
 
 def with_tables(page: str) -> str:
     """Return the page with each table as the models have it."""
     make = {"keys": table_of_keys, "words": table_of_words}
-    return KEYS.sub(lambda found: f"{found[1]}{make[found[2]](found[3].split(', '))}\n", page)
+    page = KEYS.sub(lambda found: f"{found[1]}{make[found[2]](found[3].split(', '))}\n", page)
+    return EXAMPLE.sub(lambda found: f"{found[1]}{_wrapped(EXAMPLES[found[2]])}\n{found[3]}", page)
 
 
 def tabled(page: str) -> set[str]:
@@ -30,12 +38,26 @@ def table_of_keys(names: list[str]) -> str:
     for name in names:
         model = getattr(payloads, name)
         own = (key for key in model.model_fields if key in model.__annotations__)
-        rows += [_row(f"`{key}`", unit_of(key) or "", model.model_fields[key].description or "") for key in own]
+        rows += [_row(f"`{key}`", unit_of(key) or "", _meaning(model.model_fields[key])) for key in own]
     return "\n".join(rows) + "\n"
+
+
+def _meaning(field: FieldInfo) -> str:
+    return ("optional; " if field.exclude_if else "") + (field.description or "")
 
 
 def _row(*cells: str) -> str:
     return "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
+
+
+def _wrapped(example: object) -> str:
+    """Return an example in lines that end between two values."""
+    lines = [""]
+    for part in re.split(r'(?<=, )(?=["{\[\d-])', json.dumps(example, ensure_ascii=False)):
+        if len(lines[-1] + part) > WIDTH:
+            lines.append(" ")
+        lines[-1] += part
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def table_of_words(names: list[str]) -> str:

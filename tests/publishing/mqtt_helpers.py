@@ -160,9 +160,9 @@ async def until(predicate: Callable[[], bool]) -> None:
 
 def assert_exact(publisher: Publisher) -> None:
     account = publisher.account
-    assert account.made == (
+    assert account.enqueued == (
         account.acknowledged
-        + account.handed_to_socket
+        + account.written
         + sum(account.dropped.values())
         + account.unknown_at_disconnect
         + account.waiting

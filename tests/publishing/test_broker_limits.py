@@ -63,7 +63,7 @@ async def test_no_more_messages_are_on_their_way_than_the_broker_asks_for() -> N
             for number in range(8):
                 left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
             left.publish(LEFT, topics.HEALTH, Messages.health(9))
-            await until(lambda: left.account.handed_to_socket == 1)
+            await until(lambda: left.account.written == 1)
             assert len(script.received) == 4
             script.hang_up()
             script.answer = lambda number: 0
@@ -77,7 +77,7 @@ async def test_a_broker_without_acknowledgements_and_without_memory(caplog: pyte
             await until(lambda: left.connected)
             left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(1))
             left.publish(LEFT, topics.STATE_LINK, Messages.state("online"))
-            await until(lambda: left.account.handed_to_socket == 2)
+            await until(lambda: left.account.written == 2)
             assert left.account.acknowledged == 0
     assert {(message.qos, message.retain) for message in script.received} == {(0, False)}
     assert "keeps no retained messages" in caplog.text

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic_core import PydanticSerializationError
 
 from resonator_daemon.publishing.codec import decode, encode, encode_fields
-from resonator_daemon.publishing.payloads import Contacts, Decoded, Forces, Grid, Measured, Signals
+from resonator_daemon.publishing.payloads import Contacts, Decoded, Forces, Grid, Lost, Measured, Signals
 
 # 40([[3, 2], 85(h'...')]): tag 40 is d8 28, array of 2 is 82, 85 is d8 55, 24 bytes are 58 18
 VALUES = (0.0, 1.0, -2.0, 0.5, float("inf"), 3.0)
@@ -20,23 +20,12 @@ ARRAY = bytes.fromhex("d828 82 82 03 02 d855 58 18") + struct.pack("<6f", *VALUE
 EXPECTED = np.array([[0.0, 1.0], [-2.0, 0.5], [np.inf, 3.0]])
 
 # the header and board_ticks of a map of 10; 1b is an 8-byte integer, 19 a 2-byte one
-LOST = b"\xa7" + b"".join(
-    bytes([0x60 + len(key)]) + key + b"\x00"
-    for key in (
-        b"link_gap",
-        b"damaged",
-        b"board_overflow",
-        b"host_overrun",
-        b"ring_overflow",
-        b"publish_dropped",
-        b"skipped_late",
-    )
-)
+LOST = b"\xa1\x67damaged\x02"  # the causes that have occurred
 HEAD = (
-    b"\xaa\x63seq\x19\x04\xd2\x6edaemon_boot_id\x649f3c\x6dboard_boot_id\x6451aa"
+    b"\xaa\x64name\x6aleft-index\x63seq\x19\x04\xd2\x6edaemon_boot_id\x649f3c"
     + b"\x64t_ns\x1b"
     + (1789000000000000000).to_bytes(8, "big")
-    + b"\x68t_unc_ns\x19\xa4\x10\x64lost"
+    + b"\x70t_uncertainty_ns\x19\xa4\x10\x64lost"
     + LOST
     + b"\x6bboard_ticks\x1b"
     + (2**63).to_bytes(8, "big")
@@ -47,7 +36,8 @@ SIGNALS = HEAD + NOISE + STATUS + b"\x67signals"  # keys may come in any order
 
 
 def signals(array: NDArray[Any]) -> Signals:
-    return Signals(**HEADER, board_ticks=2**63, signals=array, noise_std=array, status="ok")
+    head = HEADER | {"lost": Lost(damaged=2)}
+    return Signals(**head, board_ticks=2**63, signals=array, noise_std=array, status="ok")
 
 
 def decoded(shape: tuple[int, ...]) -> Decoded:

@@ -34,7 +34,7 @@ async def test_what_a_run_leaves_is_sent_first_by_the_next(mosquitto, tmp_path: 
         events = await heard_events(observer, 104)
         await until(lambda: left.account.waiting == 0)
         assert left.account.recovered == 100
-        assert left.account.made == 105
+        assert left.account.enqueued == 105
     assert [event["seq"] for event in events] == list(range(105))
     assert all(event["replayed"] for event in events[:100])
     async with publishing(mosquitto.url, spool_directory=tmp_path) as left:
@@ -57,7 +57,7 @@ async def test_a_full_disk_costs_the_oldest_events_beyond_memory_and_no_exceptio
             await until(lambda: "events cannot be kept on disk" in caplog.text)
             await happen(left, range(3000, 4000))
             account = left.account
-            assert account.dropped == {"spool_failed": account.made - account.waiting}
+            assert account.dropped == {"spool_failed": account.enqueued - account.waiting}
             assert account.waiting - account.spooled == IN_MEMORY_MAX
             free()
             await until(lambda: "can be kept on disk again" in caplog.text)

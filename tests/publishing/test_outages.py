@@ -61,7 +61,7 @@ async def test_a_broker_that_is_killed_and_comes_back_empty(broker) -> None:
             await until(lambda: left.account.waiting == 0)
         assert event["replayed"]
         account = left.account
-        assert (account.made, account.restored, account.acknowledged) == (7, 1, 5)
+        assert (account.enqueued, account.republished, account.acknowledged) == (7, 1, 5)
         assert account.unknown_at_disconnect == 0
 
 
@@ -128,7 +128,7 @@ async def test_events_on_their_way_when_the_connection_ends_are_sent_again(tmp_p
         script.answer = lambda number: 0
         script.hang_up()
         await until(lambda: not left.connected)
-        assert (left.account.unknown_at_disconnect, left.account.resent, left.account.made) == (5, 5, 13)
+        assert (left.account.unknown_at_disconnect, left.account.resent, left.account.enqueued) == (5, 5, 13)
         left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(8))
         await until(lambda: left.account.waiting == 0)
         assert left.account.acknowledged == 9
@@ -252,11 +252,11 @@ async def test_accounts_are_exact_at_random_instants_while_connections_break(
             if number % 2000 == 1000:
                 way.cut()
             account = left.account
-            assert account.made - account.restored - account.resent == made
+            assert account.enqueued - account.republished - account.resent == made
             assert_exact(left)
         await until(lambda: left.account.waiting == 0)
     account = left.account
     assert account.acknowledged > 0
-    assert account.handed_to_socket > 0
+    assert account.written > 0
     assert account.dropped["no_connection"] > 0
     assert account.unknown_at_disconnect > 0

@@ -97,7 +97,7 @@ async def test_a_broker_that_is_absent_at_start(broker, caplog: pytest.LogCaptur
                 await observer.until_last("resonator/left/state/daemon", state="online")
                 await observer.until_last("resonator/left/contacts/event", event="onset")
     assert left.account.dropped == {"not_connected_yet": 10}
-    assert left.account.restored == 0
+    assert left.account.republished == 0
     assert left.account.acknowledged == 3
     assert [record.levelname for record in caplog.records] == ["WARNING", "INFO"]
 
@@ -119,7 +119,7 @@ async def test_of_too_many_messages_the_oldest_are_dropped() -> None:
         for number in range(outbox.STREAMS_WAITING_MAX + 7):
             left.publish(LEFT, topics.HEALTH, Messages.health(number))
         assert left.account.dropped == {"queue_full": 7}
-        await until(lambda: left.account.handed_to_socket == outbox.STREAMS_WAITING_MAX)
+        await until(lambda: left.account.written == outbox.STREAMS_WAITING_MAX)
         for number in range(IN_MEMORY_MAX + 5):
             left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
         assert left.account.dropped == {"queue_full": 12}
@@ -159,7 +159,7 @@ async def test_a_further_rate_is_a_topic_of_its_own_and_leaves_the_others_alone(
         await observer.until_count("resonator/left/forces", 300)
         counts = {rate_hz: len(observer.raw(f"resonator/left/forces/{rate_hz}hz")) for rate_hz in (5, 20, 50)}
         assert counts == {5: 5, 20: 30, 50: 25}
-        assert left.account.made == 300 + 60
+        assert left.account.enqueued == 300 + 60
 
 
 async def test_states_that_are_published_on_connecting_go_before_those_restored() -> None:
@@ -175,7 +175,7 @@ async def test_states_that_are_published_on_connecting_go_before_those_restored(
             await until(lambda: left.account.acknowledged == 4)
     reasons = [json.loads(message.payload)["reason"] for message in script.received]
     assert reasons == ["all is well", "connection 1", "connection 2", "all is well", "stopped"]
-    assert left.account.restored == 1
+    assert left.account.republished == 1
 
 
 async def test_answers_of_a_connection_that_is_over_are_withdrawn() -> None:

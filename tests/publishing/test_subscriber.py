@@ -66,7 +66,7 @@ async def test_what_cannot_be_read_is_passed_over_and_logged(mosquitto, caplog: 
         assert (await anext(received)).message.state == "online"
     assert [record.levelno for record in caplog.records] == [logging.WARNING] * 2
     assert "Invalid JSON" in caplog.messages[0]
-    assert "seq: Field required (and " in caplog.messages[1]
+    assert "name: Field required (and " in caplog.messages[1]
 
 
 async def test_a_restart_of_the_broker_is_survived(broker) -> None:

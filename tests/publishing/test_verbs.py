@@ -12,7 +12,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "ping": [{}, {"id": None}, *({"id": id_} for id_ in ("a", "é" * 64))],
     "health": [{}],
     "snapshot": [{}, {"topics": ["info", "state/link"]}, {"topics": []}, {"topics": None}],
-    "events": [{}, {"after_seq": -1}, {"after_seq": 2**53 - 1, "daemon_boot_id": "9f3c52d07b1e4a60"}],
+    "events": [{}, {"after_seq": -1}, {"after_seq": 2**53 - 1, "daemon_boot_id": "9f3c52d0"}],
     "tare": [{}],
     "start_recording": [{}, {"label": "drop-test_3"}],
     "stop_recording": [{}],

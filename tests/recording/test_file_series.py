@@ -91,5 +91,5 @@ def test_room_must_be_left_on_the_disk(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(recording_budget.shutil, "disk_usage", lambda _: SimpleNamespace(free=480_000_000))
     room = DiskSpace(Series(tmp_path / "deep" / "er", "left", keep_free_bytes=450_000_000), lambda *_: None)
     room.check(again=False)
-    with pytest.raises(NoRoomError, match=r"has 480 MB left, and 450 MB are kept free \(keep_free_mb in \[recording\]"):
+    with pytest.raises(NoRoomError, match=r"has 480 MB left, and 450 MB are kept free \(min_free_mb in \[recording\]"):
         room.check(again=True)

@@ -213,7 +213,7 @@ async def test_contacts_end_when_signals_stop_and_only_then(monkeypatch: pytest.
         await until(lambda: len(followed.on("contacts/event")) == 2)
         await until(lambda: followed.on("contacts")[-1].contacts == ())
         onset, release = followed.on("contacts/event")
-        assert (onset.event, onset.reason) == ("onset", "")
+        assert (onset.event, onset.reason) == ("onset", None)
         assert (release.event, release.reason) == ("release", "no signals for 0.05 s")
         assert len(followed.on("decoded")) == len(followed.on("decoded/summary")) == 3
         await asyncio.sleep(0.05)  # looked some times more

@@ -44,11 +44,11 @@ class Shared:
         self._signals.handle(incoming(f"resonator/{plate}/signals", encode(message)))
 
     async def read(self, plate: str, message: Signals) -> tuple[Any, Any]:
-        """Send a frame; return what was decoded, and the summary."""
+        """Send a frame; return what was decoded, and the summary; the contacts come last."""
         count = len(self.published)
         self.send(plate, message)
-        await until(lambda: len(self.published) == count + 2)
-        return self.published[-2][2], self.published[-1][2]
+        await until(lambda: len(self.published) == count + 3)
+        return self.published[-3][2], self.published[-2][2]
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator["Shared"]:
@@ -100,7 +100,7 @@ async def test_a_plate_that_its_daemon_decodes_is_left_alone_until_it_does_not()
         shared.send("left", signals(0))
         await shared.read("right", signals(0))
         assert {plate for plate, _, _ in shared.published} == {"right"}
-        problem = "left: the daemon decodes this plate itself; set apart = true in [decoding] of its configuration"
+        problem = "left: the daemon decodes this plate itself; set external = true in [decoding] of its configuration"
         assert problem in shared.plates.condition()[1]
         shared.tell("left", info())
         await shared.read("left", signals(1))

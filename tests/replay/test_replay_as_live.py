@@ -36,7 +36,7 @@ def recording_service(bench: Bench, plate: str, link: str) -> Service:
     path.write_text(
         f'name = "hand"\nplate = "{plate}"\nlink = "{link}"\n'
         f'[mqtt]\nurl = "{bench.broker_url}"\n'
-        f'[recording]\ncontinuous = true\ndirectory = "{bench.folder}"\nkeep_free_mb = 0\n'
+        f'[recording]\nautostart = true\ndirectory = "{bench.folder}"\nmin_free_mb = 0\n'
         '[decoding]\nmethod = "off"\n'
         '[commands]\nallow = ["tare", "set_window"]\n'
     )
@@ -81,7 +81,7 @@ async def test_force_sites_replay_as_they_were_published(tmp_path: Path, mosquit
         service = recording_service(bench, "quartz16", f"serial:{bench.port}?baud=4000000")
         async with bench.emulated(scenario=scenario, faults=faults), bench.running(service):
             await heard.until(lambda: len(events(heard)) >= 4)
-            await heard.until_last("resonator/hand/state/link", state="online", boots=2)
+            await heard.until_last("resonator/hand/state/link", state="online", boot_count=2)
             count = len(heard.raw("resonator/hand/forces"))
             await heard.until_count("resonator/hand/forces", count + 100)
             wanted = request(Mqtt(url=mosquitto.url), "hand", "set_window", {"window_ms": 20, "step_ms": 10})
@@ -98,9 +98,9 @@ async def test_force_sites_replay_as_they_were_published(tmp_path: Path, mosquit
     assert counts["forces"] >= 400
     assert counts["contacts/event"] >= 4
     assert counts["state/link"] >= 6  # one that is overtaken by the next is not sent
-    assert any(message["lost"]["damaged"] for message in again["forces"])
-    assert any(message["last_outage"] for message in again["state/link"])
-    assert again["state/link"][-1]["boots"] == 2
+    assert any("damaged" in message["lost"] for message in again["forces"])
+    assert any("last_outage" in message for message in again["state/link"])
+    assert again["state/link"][-1]["boot_count"] == 2
 
 
 async def test_the_signals_of_a_skin_replay_as_they_were_published(tmp_path: Path, mosquitto: Mosquitto) -> None:

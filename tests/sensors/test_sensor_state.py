@@ -19,7 +19,7 @@ class Sensor:
 
     def __init__(self) -> None:
         self.said: list[tuple[Condition, str, int]] = []
-        self.state = SensorState(lambda *said: self.said.append(said), "sites are read")
+        self.state = SensorState(lambda *said: self.said.append(said[:3]), "sites are read")
 
     def read(
         self, at_ms: float, status: str, reason: str = "", common_mode: tuple[float, ...] = LEARNT

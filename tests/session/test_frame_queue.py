@@ -44,12 +44,12 @@ def test_when_full_the_oldest_frames_give_way_to_a_gap_and_news_stays() -> None:
     queue.put(news[1])
     for index in range(1, 6):
         queue.put_frames([frame(index)])
-    assert queue.loss == FrameLoss(ring_overflow=3)
-    given_up = [Gap(0, FrameLoss(ring_overflow=1)), Gap(1, FrameLoss(ring_overflow=2))]
+    assert queue.loss == FrameLoss(queue_overflow=3)
+    given_up = [Gap(0, FrameLoss(queue_overflow=1)), Gap(1, FrameLoss(queue_overflow=2))]
     assert queue.pop_all() == [news[0], given_up[0], news[1], given_up[1], frame(3), frame(4), frame(5)]
     queue.put_frames([frame(6)])
     assert queue.pop_all() == [frame(6)]
-    assert queue.loss == FrameLoss(ring_overflow=3)
+    assert queue.loss == FrameLoss(queue_overflow=3)
 
 
 def test_gaps_that_adjoin_become_one() -> None:
@@ -58,7 +58,7 @@ def test_gaps_that_adjoin_become_one() -> None:
     queue.put(Gap(1, FrameLoss(damaged=4)))
     for index in range(5, 9):
         queue.put_frames([frame(index)])
-    assert queue.pop_all() == [Gap(0, FrameLoss(damaged=4, ring_overflow=3)), frame(7), frame(8)]
+    assert queue.pop_all() == [Gap(0, FrameLoss(damaged=4, queue_overflow=3)), frame(7), frame(8)]
 
 
 def fresh_single_tone(index: int) -> SingleToneFrame:

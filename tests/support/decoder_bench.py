@@ -16,6 +16,7 @@ from resonator_daemon.config.decoder import load_decoder_config
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import CalibrationInfo, GridInfo, Info, Lost, Signals, SiteInfo, SkinInfo
+from resonator_daemon.publishing.topics import SCHEMA_VERSION
 from resonator_daemon.remote_decoding.service import DecoderProcess
 from simulators.contact import hertz_parts
 from simulators.half_space_fields import hertz_fields
@@ -25,7 +26,7 @@ SITES = SIDE**2
 NOISE = np.tile([[2.0**-7], [2.0**-8], [2.0**-8]], SITES)  # powers of two, which rounding keeps
 _AXIS_M = (np.arange(SIDE) - (SIDE - 1) / 2) * PITCH_M
 SITES_M = np.stack(np.meshgrid(_AXIS_M, _AXIS_M), axis=-1).reshape(-1, 2)
-BOOT = "9f3c52d07b1e4a60"
+BOOT = "9f3c52d0"
 T_NS = 1_789_000_000_000_000_000
 
 
@@ -37,7 +38,7 @@ def header(seq: int, boot: str = BOOT) -> dict[str, Any]:
 
 def info(**change: Any) -> Info:
     fields: dict[str, Any] = {
-        "schema_version": "1.0",
+        "schema_version": SCHEMA_VERSION,
         "daemon_version": "0.1.0",
         "plate": "small",
         "link": "tcp://127.0.0.1:5000",

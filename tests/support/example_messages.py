@@ -18,8 +18,8 @@ PARTS = {
 
 def header(**changes: Any) -> dict[str, Any]:
     """Return the fields that every message begins with."""
-    fields = {"seq": 1, "daemon_boot_id": "9f3c", "board_boot_id": "51aa", "t_ns": NOW_NS, "t_unc_ns": 42_000}
-    return {**fields, "lost": Lost(), **changes}
+    fields = {"name": "left-index", "seq": 1, "daemon_boot_id": "9f3c", "t_ns": NOW_NS, "t_uncertainty_ns": 42_000}
+    return {**fields, "lost": Lost(), "board_boot_id": "51aa", **changes}
 
 
 def example(kind: type[M], **changes: Any) -> M:

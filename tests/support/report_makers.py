@@ -34,7 +34,7 @@ LOST = {
     "damaged": 2,
     "board_overflow": 3,
     "host_overrun": 4,
-    "ring_overflow": 6,
+    "queue_overflow": 6,
     "publish_dropped": 5,
     "skipped_late": 7,
 }
@@ -88,7 +88,7 @@ class Messages:
     """What makes the messages of one plate."""
 
     def __init__(self, config: Config, losses: Losses | None = None, make_decoding: Any = lambda *_: None) -> None:
-        self.headers = Headers("9f3c", losses or Losses())
+        self.headers = Headers("left-index", "9f3c", losses or Losses())
         self.headers.board_boot_id = "51aa"
         self.sensor: Any = sensor_of(config.plate, config.measurement, config.decoding)
         self.states = StateMessages(config, self.sensor, self.headers)

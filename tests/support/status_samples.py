@@ -17,8 +17,10 @@ from resonator_daemon.publishing.payloads import (
     State,
 )
 
-HEADER = header(seq=3, board_boot_id="51aa03c4", t_unc_ns=0)
-LOST = Lost(link_gap=1, damaged=2, board_overflow=3, host_overrun=4, ring_overflow=5, publish_dropped=6, skipped_late=7)
+HEADER = header(seq=3, board_boot_id="51aa03c4", t_uncertainty_ns=0)
+LOST = Lost(
+    link_gap=1, damaged=2, board_overflow=3, host_overrun=4, queue_overflow=5, publish_dropped=6, skipped_late=7
+)
 RECORDING = RecordingInfo(
     file="/rec/hand.mcap",
     since_t_ns=NOW_NS - 30_000_000_000,
@@ -70,7 +72,7 @@ def health(**changed: Any) -> Health:
         },
         "packets_ignored": {"stale": 10, "malformed": 11, "unknown": 12, "log": 13},
         "bytes_in": 11_111,
-        "bytes_by_fate": {
+        "bytes_by_outcome": {
             "accepted": 10_000,
             "other_version": 1000,
             "echo": 100,
@@ -92,12 +94,12 @@ def health(**changed: Any) -> Health:
         "recording": RECORDING,
         "commands": {"done": 25, "not_permitted": 26},
         "messages": MessageAccount(
-            made=240,
-            restored=27,
+            enqueued=240,
+            republished=27,
             resent=28,
             recovered=29,
             acknowledged=30,
-            handed_to_socket=31,
+            written=31,
             dropped={"no_connection": 32, "spool_full": 33},
             unknown_at_disconnect=34,
             waiting=80,
@@ -116,7 +118,7 @@ def status(**changed: Any) -> Status:
         "started_t_ns": ago_ns(3600),
         "config": ConfigStatus(file="/etc/resonatord/hand.toml", in_use="file", loaded_t_ns=ago_ns(3600)),
         "daemon": state(Condition.ONLINE, "measuring", for_s=3600, connections=2, connected_t_ns=ago_ns(300)),
-        "link": state(Condition.ONLINE, "board 0042 sends 1000 frames/s", boots=35),
+        "link": state(Condition.ONLINE, "board 0042 sends 1000 frames/s", boot_count=35),
         "sensor": state(Condition.DRIFTING, "slowly"),
         "health": health(),
         "broker": BrokerStatus(url="mqtt://127.0.0.1:1883", connected=True),

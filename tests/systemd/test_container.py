@@ -25,7 +25,7 @@ url = "mqtt://127.0.0.1:1883"
 username = "left"
 password_file = "credential:mqtt-password"
 [decoding]
-apart = true
+external = true
 """
 CREDENTIAL = "[Service]\nLoadCredential=mqtt-password:/etc/resonatord/broker.password\n"
 QUICK = f"{CREDENTIAL}WatchdogSec=3\nRestartSec=100ms\n"

@@ -10,12 +10,14 @@ from view_messages import (
     NOW_NS,
     S,
     contacts,
+    contacts_of_skin,
     decoded,
     forces,
     health,
     info,
-    patch,
+    onset,
     site_force,
+    skin_contact,
     state,
     summary,
 )
@@ -26,7 +28,7 @@ from resonator_daemon.view.terminal import render, summary_line
 
 SITES = {7: (-0.0005, 0.002), 13: (0.007, 0.0066)}
 PIXEL_M2 = 4e-4**2
-PRESSED = patch(3, (0.433, 0.25, 1.0), slip_margin=0.416, slip_margin_std=0.023)
+PRESSED = skin_contact(3, (0.433, 0.25, 1.0), slip_margin=0.416, slip_margin_std=0.023)
 
 
 def quartz16(*messages: tuple[str, Message]) -> PlateView:
@@ -65,12 +67,20 @@ def skin_tractions() -> np.ndarray:
 
 
 def skin32(*messages: tuple[str, Message]) -> PlateView:
-    default = (("decoded", decoded(skin_tractions())), ("decoded/summary", summary(PRESSED)))
+    default = (
+        ("decoded", decoded(skin_tractions())),
+        ("decoded/summary", summary()),
+        ("contacts", contacts_of_skin(PRESSED)),
+    )
     return quartz16(*(messages or default))
 
 
 def test_a_touch_is_a_row_of_the_table_and_a_mark_on_the_map() -> None:
-    view = quartz16(("forces", forces(site_force(7, 1.23412))), ("contacts", contacts(7, 1.2, since_s_ago=0.42)))
+    view = quartz16(
+        ("forces", forces(site_force(7, 1.23412))),
+        ("contacts/event", onset(7, since_s_ago=0.42)),
+        ("contacts", contacts(7, 1.2)),
+    )
     text = page(view)
     row = next(line for line in text.splitlines() if "1.234 N" in line)
     assert words(row).endswith("7 1.234 N ± 0.6 ± 12 mN ok 0.4 s")
@@ -118,7 +128,7 @@ def test_nothing_touched_is_told_from_nothing_known() -> None:
 
 
 def test_what_is_old_is_not_shown_as_present() -> None:
-    view = quartz16(("forces", forces(site_force(7, 1.234))), ("contacts", contacts(7, 1.234, since_s_ago=1.0)))
+    view = quartz16(("forces", forces(site_force(7, 1.234))), ("contacts", contacts(7, 1.234)))
     text = words(page(view, at_ns=NOW_NS + 10 * S))
     assert "1.234" not in text
     assert "forces unknown: none arrive" in text
@@ -149,8 +159,8 @@ def test_each_contact_is_a_column_and_the_truth_another() -> None:
     table = "contact 3 true normal 1.000 N 1.500 N shear 500.0 mN 400.0 mN towards 30° 0°"
     assert f"{table} margin 0.42 ± 0.02" in beside
     assert "status ok, open-plane+contact chi2 1.02, clear of the border" in beside
-    two = ("decoded/summary", summary(PRESSED, patch(5, (0.0, -0.05, 0.2))))
-    beside = beside_the_map(page(skin32(("decoded", decoded(skin_tractions())), two)))
+    two = ("contacts", contacts_of_skin(PRESSED, skin_contact(5, (0.0, -0.05, 0.2))))
+    beside = beside_the_map(page(skin32(("decoded", decoded(skin_tractions())), ("decoded/summary", summary()), two)))
     assert "contact 3 5 normal 1.000 N 200.0 mN shear 500.0 mN 50.0 mN towards 30° -90°" in beside
     assert "margin 0.42 ± 0.02 - status" in beside
 

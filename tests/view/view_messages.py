@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from resonator_daemon.publishing.payloads import (
     Contact,
+    ContactEvent,
     Contacts,
     Decoded,
     DecodedSummary,
@@ -17,7 +18,6 @@ from resonator_daemon.publishing.payloads import (
     Grid,
     Health,
     Info,
-    Patch,
     SiteForce,
     SiteInfo,
     State,
@@ -44,11 +44,25 @@ def forces(*sites: SiteForce, status: str = "ok", **changes: Any) -> Forces:
     return example(Forces, **header(**changes), status=status, sites=sites)
 
 
-def contacts(site: int, force_newton: float, since_s_ago: float) -> Contacts:
+def onset(site: int, since_s_ago: float) -> ContactEvent:
+    event = example(ContactEvent, **header(), event="onset")
     since_t_ns = NOW_NS - round(since_s_ago * S)
-    uncertain = {"noise_newton": 0.0006, "systematic_newton": 0.012}
-    contact = example(Contact, site=site, force_newton=force_newton, since_t_ns=since_t_ns, **uncertain)
-    return example(Contacts, **header(), contacts=(contact,))
+    contact = event.contact.model_copy(update={"site": site, "since_t_ns": since_t_ns})
+    return event.model_copy(update={"contact": contact})
+
+
+def contacts(site: int, force_newton: float) -> Contacts:
+    normal = {"force_newton": (None, None, force_newton), "noise_newton": (None, None, 0.0006)}
+    return example(Contacts, **header(), contacts=(example(Contact, site=site, systematic_newton=0.012, **normal),))
+
+
+def skin_contact(id: int, force_newton: tuple[float, float, float], **changes: Any) -> Contact:
+    unknown = {"slip_margin": math.nan, "slip_margin_std": math.nan}
+    return example(Contact, **{"id": id, "force_newton": force_newton, **unknown, **changes})
+
+
+def contacts_of_skin(*found: Contact) -> Contacts:
+    return example(Contacts, **header(), contacts=found)
 
 
 def health(**changes: Any) -> Health:
@@ -67,10 +81,5 @@ def decoded(traction_pascal: NDArray[np.float64], std_pascal: float = 100.0) -> 
     )
 
 
-def patch(id: int, force_newton: tuple[float, float, float], **changes: Any) -> Patch:
-    unknown = {"slip_margin": math.nan, "slip_margin_std": math.nan}
-    return example(Patch, **{"id": id, "force_newton": force_newton, **unknown, **changes})
-
-
-def summary(*patches: Patch, **changes: Any) -> DecodedSummary:
-    return example(DecodedSummary, **header(), **{"patches": patches, **changes})
+def summary(**changes: Any) -> DecodedSummary:
+    return example(DecodedSummary, **header(), **changes)

@@ -28,7 +28,7 @@ def situation(states):
             pass
         case _:
             return ", ".join(f"{part} {word}" for part, word in words.items() if word != "online")
-    if states["link"]["boots"] > 1:
+    if states["link"]["boot_count"] > 1:
         return "board rebooted"
     if states["daemon"]["connections"] > 1:
         return "broker restarted"

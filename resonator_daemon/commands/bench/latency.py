@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--plate", choices=("quartz16", "skin32"), default="quartz16", help="forces, or decoded (default: quartz16)"
     )
     parser.add_argument("--seconds", type=positive, default=600.0, help="how long (default: 600)")
-    parser.add_argument("--apart", action="store_true", help="of skin32: with the decoding in a process of its own")
+    parser.add_argument("--external", action="store_true", help="of skin32: with the decoding in a process of its own")
     parser.add_argument("--broker", metavar="URL", help="instead of a Mosquitto of its own, or the embedded broker")
     parser.add_argument("--picture", type=picture, metavar="FILE", help="also draw to a .svg, .png or .pdf file")
     parser.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")

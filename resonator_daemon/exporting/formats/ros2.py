@@ -11,7 +11,7 @@ from resonator_daemon.errors import UserError
 from resonator_daemon.exporting.clouds import Clouds, Points
 from resonator_daemon.exporting.mcap_output import McapOutput, cloud_fields, severity, state_text
 from resonator_daemon.host.printable import how_to_install
-from resonator_daemon.publishing.payloads import Contact, ContactEvent, Contacts, DecodedSummary, State
+from resonator_daemon.publishing.payloads import Contact, ContactEvent, Contacts, State
 from resonator_daemon.publishing.topics import Topic
 
 try:
@@ -24,17 +24,25 @@ _WRENCH: Final = "geometry_msgs/msg/WrenchStamped"
 _CLOUD: Final = "sensor_msgs/msg/PointCloud2"
 _DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
 
-# Keys of a contact that are numbers, in the order of the message, and their description there.
-_NUMBERS: Final = ("force_newton", "noise_newton", "systematic_newton", "hidden_newton", "peak_newton", "duration_s")
+# Keys of a contact that are numbers and vectors, in the order of the message; NaN where the plate has none.
+_VECTORS: Final = ("force_newton", "noise_newton", "moment_newton_m", "moment_std_newton_m")
+_NUMBERS: Final = (
+    "systematic_newton",
+    "unobserved_bound_newton",
+    "at_least_newton",
+    "slip_margin",
+    "slip_margin_std",
+    "friction_coefficient",
+    "friction_coefficient_std",
+)
 _DEFINITIONS: Final = {
     _CONTACT: (
         "uint64 id",
         "uint32 site",
         "float64[2] position_m",
-        "float64[2] position_std_m",
+        "float64[3] position_covariance_m2",
+        *(f"float64[3] {key}" for key in _VECTORS),
         *(f"float64 {key}" for key in _NUMBERS),
-        "float64 at_least_newton",
-        "builtin_interfaces/Time since",
         "string status",
         "string reason",
     ),
@@ -43,10 +51,10 @@ _DEFINITIONS: Final = {
         "std_msgs/Header header",
         "string event",
         "string reason",
-        "float64 slip_margin",
-        "float64 slip_margin_std",
-        "float64 friction_coefficient",
         f"{_CONTACT} contact",
+        "float64 peak_newton",
+        "builtin_interfaces/Time since",
+        "float64 duration_s",
     ),
 }
 _DATATYPES: Final = {"<u2": 4, "<f4": 7, "<f8": 8}  # UINT16, FLOAT32, FLOAT64 of sensor_msgs/PointField
@@ -85,19 +93,23 @@ class Format(McapOutput):
             case Contacts():
                 contacts = message.contacts
                 of_each = [self._contact(contact) for contact in contacts]
-                yield path, _CONTACTS, {"status": str(message.status), "reason": message.reason, "contacts": of_each}
-                if not self._recorded.plate.decodable:
-                    forces = [(0.0, 0.0, contact.force_newton) for contact in contacts]
-                    yield "wrench", _WRENCH, self._wrench(forces, [_moment(contact) for contact in contacts])
-            case DecodedSummary():
-                patches = message.patches
-                forces = [patch.force_newton for patch in patches]
-                yield "wrench", _WRENCH, self._wrench(forces, [patch.moment_newton_m for patch in patches])
+                fields = {"status": str(message.status), "reason": message.reason or "", "contacts": of_each}
+                yield path, _CONTACTS, fields
+                yield "wrench", _WRENCH, self._wrench([_wrench_of(contact) for contact in contacts])
             case ContactEvent():
-                keys = ("slip_margin", "slip_margin_std", "friction_coefficient")
-                fields = {key: getattr(message.contact, key) for key in keys}
-                fields |= {"event": str(message.event), "reason": message.reason}
-                yield path, _EVENT, {**fields, "contact": self._contact(message.contact)}
+                contact = message.contact
+                yield (
+                    path,
+                    _EVENT,
+                    {
+                        "event": str(message.event),
+                        "reason": message.reason or "",
+                        "contact": self._contact(contact),
+                        "peak_newton": contact.peak_newton,
+                        "since": self._time(contact.since_t_ns),
+                        "duration_s": contact.duration_s,
+                    },
+                )
             case State():
                 yield "diagnostics", _DIAGNOSTICS, {"status": [self._diagnostic_status(path, message)]}
             case _:
@@ -112,25 +124,25 @@ class Format(McapOutput):
         return self._make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
 
     def _contact(self, contact: Contact) -> Any:
-        at_least = contact.at_least_newton
+        vectors = {key: getattr(contact, key) for key in _VECTORS}
+        numbers = {key: getattr(contact, key) for key in _NUMBERS}
         return self._make(
             _CONTACT,
-            id=contact.id,
+            id=contact.id or 0,
             site=contact.site,
             position_m=np.array(contact.position_m),
-            position_std_m=np.array(contact.position_std_m),
-            **{key: getattr(contact, key) for key in _NUMBERS},
-            at_least_newton=np.nan if at_least is None else at_least,
-            since=self._time(contact.since_t_ns),
+            position_covariance_m2=np.array(contact.position_covariance_m2),
+            **{key: np.full(3, np.nan) if vector is None else np.array(vector) for key, vector in vectors.items()},
+            **{key: np.nan if number is None else number for key, number in numbers.items()},
             status=str(contact.status),
-            reason=contact.reason,
+            reason=contact.reason or "",
         )
 
-    def _wrench(self, forces: list[Any], moments: list[Any]) -> dict[str, Any]:
+    def _wrench(self, wrenches: list[tuple[Any, Any]]) -> dict[str, Any]:
         """Return the sum of all contacts about the origin; NaN where that of one is not known."""
         force, torque = (
             self._make("geometry_msgs/msg/Vector3", **dict(zip("xyz", map(float, np.sum(parts, axis=0)), strict=True)))
-            for parts in ([(0.0, 0.0, 0.0), *forces], [(0.0, 0.0, 0.0), *moments])
+            for parts in zip(((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), *wrenches, strict=True)
         )
         return {"wrench": self._make("geometry_msgs/msg/Wrench", force=force, torque=torque)}
 
@@ -164,6 +176,9 @@ def ros_name(text: str) -> str:
     return name if re.match(r"[A-Za-z]", name) else f"plate_{name}"
 
 
-def _moment(contact: Contact) -> tuple[float, float, float]:
-    x, y = contact.position_m
-    return y * contact.force_newton, -x * contact.force_newton, 0.0
+def _wrench_of(contact: Contact) -> tuple[Any, Any]:
+    """Return force and moment; of a force site those of its normal force."""
+    if contact.moment_newton_m is not None:
+        return contact.force_newton, contact.moment_newton_m
+    (x, y), normal_newton = contact.position_m, contact.force_newton[2]
+    return (0.0, 0.0, normal_newton), (y * normal_newton, -x * normal_newton, 0.0)
