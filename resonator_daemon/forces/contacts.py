@@ -23,7 +23,6 @@ class Touch:
     force_newton: float
     noise_newton: float
     systematic_newton: float
-    unobserved_bound_newton: float
     status: str
     reason: str = ""
     at_least_newton: float | None = None
@@ -38,7 +37,6 @@ def touch_of(force: SiteForce, position_m: tuple[float, float], covariance_m2: F
         force.force_newton,
         force.noise_newton,
         force.systematic_newton,
-        force.unobserved_bound_newton,
         force.status,
         at_least_newton=force.at_least_newton,
     )
@@ -172,7 +170,6 @@ def _unknown(touch: Touch, status: str, reason: str) -> Touch:
         force_newton=math.nan,
         noise_newton=math.nan,
         systematic_newton=math.nan,
-        unobserved_bound_newton=math.nan,
         at_least_newton=None,
         status=status,
         reason=reason,

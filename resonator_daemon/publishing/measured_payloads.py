@@ -20,6 +20,7 @@ from resonator_daemon.publishing.payload_types import (
     optional_number,
 )
 from resonator_daemon.publishing.words import Baseline, ContactChange, ResponseCompensation
+from resonator_daemon.reasons import ReasonCode
 
 _SLIP_UNKNOWN = "null with a code in `slip_reason_code`"
 _DECODER_ID = "the process that decoded; left out by the daemon itself"
@@ -74,7 +75,8 @@ class Forces(Measured):
 
     window_s: float = Field(description="length of the window that was counted; shorter just after an onset")
     status: Status = Field(description="of the whole message: why sites may be missing")
-    reason: str | None = optional(_REASON + "; `ok` may have one, too, as channels without a signal")
+    reason_code: ReasonCode | None = optional(_REASON_CODE + "; `ok` may have one, too, as channels without a signal")
+    reason: str | None = optional(_REASON)
     sites: tuple[SiteForce, ...] = Field(description="those on which something presses")
     beats: tuple[int, ...] | None = optional(
         "channels whose tone beats with the board's reference clock; `noise_newton` counts for that"
@@ -84,7 +86,7 @@ class Forces(Measured):
 class Contact(Message):
     """One touch, from its onset to its release under one id; components x, y, z.
 
-    Moments and slip are keys of skins alone, `systematic_newton` and `unobserved_bound_newton` of force sites.
+    Moments and slip are keys of skins alone, `systematic_newton` of force sites.
     """
 
     id: int | None = Field(
@@ -107,7 +109,6 @@ class Contact(Message):
         "of the normal force: one standard deviation of what does not average out: calibration, drift, warm touches, "
         "the site's response"
     )
-    unobserved_bound_newton: Float = optional_number("as of a site in `forces`")
     at_least_newton: float | None = optional(_AT_LEAST)
     moment_newton_m: Vector3 | None = optional("about the origin of the plate's coordinates")
     moment_std_newton_m: Vector3 | None = optional("standard deviation of each")
@@ -118,8 +119,9 @@ class Contact(Message):
         f"configured one counts as known to 3 %; {_SLIP_UNKNOWN}"
     )
     friction_coefficient_std: OptionalFloat = optional("its standard deviation")
+    slip_reason_code: ReasonCode | None = optional("why the slip margin or the friction coefficient is null")
     status: Status = Field(description="what this contact's numbers are worth")
-    reason: str | None = optional(_REASON)
+    reason_code: ReasonCode | None = optional(_REASON_CODE)
 
 
 class EventContact(Contact):
@@ -138,6 +140,7 @@ class Contacts(Measured):
     """All present contacts."""
 
     status: Status = Field(description="of the whole message")
+    reason_code: ReasonCode | None = optional(_REASON_CODE)
     reason: str | None = optional(_REASON)
     contacts: tuple[Contact, ...] = Field(description="all present contacts")
     decoder_id: str | None = optional(_FOLLOWER_ID)
@@ -147,7 +150,8 @@ class ContactEvent(Measured):
     """A contact begins, ends or slips."""
 
     event: ContactChange = Field(description="what happens")
-    reason: str | None = optional("why a contact is released, as a sentence for people")
+    reason_code: ReasonCode | None = optional("why a contact is released, for programs; each release has one")
+    reason: str | None = optional(_REASON)
     contact: EventContact = Field(
         description="its last state: the force of one that is no longer detected may be null already"
     )
@@ -234,9 +238,11 @@ class DecodedSummary(Measured):
         description="of the frame; `constraint_dropped`: the signals contradict contact physics, and `reason` states "
         "what is shown instead"
     )
-    reason: str | None = optional(
-        _REASON + "; `ok` may have one, too: lost signals, matrices that are being prepared, a fit in place of a map"
+    reason_code: ReasonCode | None = optional(
+        _REASON_CODE
+        + "; `ok` may have one, too: lost signals, matrices that are being prepared, a fit in place of a map"
     )
+    reason: str | None = optional(_REASON)
     patches: tuple[Patch, ...] = Field(description="the contacts, in the order of `contacts`")
     decoder_id: str | None = optional(_DECODER_ID)
 

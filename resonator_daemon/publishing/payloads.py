@@ -51,6 +51,7 @@ from resonator_daemon.publishing.state_payloads import (
     State,
 )
 from resonator_daemon.publishing.words import Baseline, ContactChange, CounterType, ResponseCompensation
+from resonator_daemon.reasons import ReasonCode
 
 WITH_ARRAYS: Final = (Signals, Decoded)  # these are CBOR, all others JSON
 
@@ -91,6 +92,7 @@ __all__ = [
     "OutageInfo",
     "Patch",
     "PerChannel",
+    "ReasonCode",
     "RecordingInfo",
     "ResponseCompensation",
     "SignalArray",

@@ -52,6 +52,7 @@ class ForceMessages:
 
     def forces(self, header: dict[str, Any], reading: ForceReading, gate_middle: Instant) -> Encoded:
         fields = {
+            "name": self._headers.name,
             "seq": self._headers.next_seq(FORCES),
             **header,
             "window_s": reading.window_s,
@@ -63,6 +64,7 @@ class ForceMessages:
 
     def contacts(self, header: dict[str, Any], reading: ForceReading, gate_middle: Instant) -> Encoded:
         fields = {
+            "name": self._headers.name,
             "seq": self._headers.next_seq(CONTACTS),
             **header,
             "contacts": tuple([self._contact(contact, gate_middle) for contact in reading.contacts]),
@@ -100,7 +102,10 @@ class ForceMessages:
             "systematic_newton": rounded_std(force.systematic_newton),
             "status": self._worth(force.status, gate_middle),
         }
-        _add_bounds(fields, force)
+        if force.unobserved_bound_newton:
+            fields["unobserved_bound_newton"] = rounded_std(force.unobserved_bound_newton)
+        if force.at_least_newton is not None:
+            fields["at_least_newton"] = rounded(force.at_least_newton, noise_newton)
         return fields
 
     def _contact(self, contact: measured.Contact, gate_middle: Instant) -> dict[str, Any]:
@@ -117,9 +122,8 @@ class ForceMessages:
             "systematic_newton": rounded_std(touch.systematic_newton),
             "status": self._worth(touch.status, gate_middle),
         }
-        if touch.reason:
-            fields["reason"] = touch.reason
-        _add_bounds(fields, touch)
+        if touch.at_least_newton is not None:
+            fields["at_least_newton"] = rounded(touch.at_least_newton, noise_newton)
         return fields
 
     def _worth(self, status: str, gate_middle: Instant) -> Status:
@@ -128,10 +132,3 @@ class ForceMessages:
         if calibration.expiry is not None and calibration.expired(utc_day(gate_middle.utc_ns)):
             status = "uncalibrated" if status in ("ok", "possibly_more") else status
         return _STATUS[status]
-
-
-def _add_bounds(fields: dict[str, Any], force: MeasuredForce | measured.Touch) -> None:
-    if force.unobserved_bound_newton:
-        fields["unobserved_bound_newton"] = rounded_std(force.unobserved_bound_newton)
-    if force.at_least_newton is not None:
-        fields["at_least_newton"] = rounded(force.at_least_newton, force.noise_newton)

@@ -313,7 +313,6 @@ class MultitoneProcessing:
                     math.nan if over else newton,
                     math.nan if over else noise,
                     math.nan if over else math.hypot(other, self._sites.sensitivity_std * newton, unmodelled),
-                    0.0,
                     _word(over=over, calibrated=bool(forces.calibrated[nearest]), alone=status == "ok"),
                     at_least_newton=self._sites.force_max_newton if over else None,
                 )

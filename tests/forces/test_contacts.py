@@ -14,16 +14,16 @@ def tracker():
 
 
 def force(newton, site=0):
-    return Touch(site, POSITIONS_M[site], COVARIANCE_M2, newton, 0.001, 0.02, 0.0, "ok")
+    return Touch(site, POSITIONS_M[site], COVARIANCE_M2, newton, 0.001, 0.02, "ok")
 
 
 def at(x_mm, y_mm, newton=1.0):
-    return Touch(0, (x_mm * 1e-3, y_mm * 1e-3), COVARIANCE_M2, newton, 0.001, 0.02, 0.0, "ok")
+    return Touch(0, (x_mm * 1e-3, y_mm * 1e-3), COVARIANCE_M2, newton, 0.001, 0.02, "ok")
 
 
 def over(site=0):
     nan = math.nan
-    return Touch(site, POSITIONS_M[site], COVARIANCE_M2, nan, nan, nan, nan, "overload", "too much", 10.0)
+    return Touch(site, POSITIONS_M[site], COVARIANCE_M2, nan, nan, nan, "overload", "too much", 10.0)
 
 
 def tell(contacts, ticks, *touches, complete=False, status="ok", reason=""):
@@ -62,9 +62,7 @@ def test_a_gap_makes_the_force_unknown_and_does_not_end_the_contact():
     assert tell(contacts, TIMEOUT, status="settling", reason="why") == []
     (contact,) = contacts.contacts
     touch = contact.touch
-    assert np.isnan(
-        [touch.force_newton, touch.noise_newton, touch.systematic_newton, touch.unobserved_bound_newton]
-    ).all()
+    assert np.isnan([touch.force_newton, touch.noise_newton, touch.systematic_newton]).all()
     assert (touch.status, touch.reason) == ("settling", "why")
     assert tell(contacts, TIMEOUT, force(1.0)) == []
     assert (contacts.contacts[0].touch.force_newton, contacts.contacts[0].touch.reason) == (1.0, "")

@@ -63,7 +63,6 @@ def contact(
         force_newton,
         0.0006 if known else NAN,
         0.012 if known else NAN,
-        2.5 if known else NAN,
         status,
         "another is heard",
     )
@@ -144,9 +143,7 @@ CONTACT = {
     "force_newton": [None, None, 1.234],
     "noise_newton": [None, None, 0.0006],
     "systematic_newton": 0.012,
-    "unobserved_bound_newton": 2.5,
     "status": "ok",
-    "reason": "another is heard",
 }
 HISTORY = {
     "peak_newton": 1.5,
@@ -172,7 +169,7 @@ def test_an_event_tells_of_its_own_contact_with_its_peak(messages: Messages, wor
     said = literal(messages.force.event(ContactEvent(word, 1_999_000_000, gone, "why"), present, GATE_MIDDLE))
     assert (said["event"], said["reason"]) == (word, "why")
     assert said["board_ticks"] == "2000000000"  # of the reading that told it, as its time
-    unknown = {"systematic_newton": None, "unobserved_bound_newton": None}
+    unknown = {"systematic_newton": None}
     unknown |= {key: [None, None, None] for key in ("force_newton", "noise_newton")}
     assert said["contact"] == CONTACT | HISTORY | unknown | {"id": 3, "site": 70, "status": "no_signal"}
 

@@ -28,7 +28,6 @@ _DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
 _VECTORS: Final = ("force_newton", "noise_newton", "moment_newton_m", "moment_std_newton_m")
 _NUMBERS: Final = (
     "systematic_newton",
-    "unobserved_bound_newton",
     "at_least_newton",
     "slip_margin",
     "slip_margin_std",
@@ -44,7 +43,7 @@ _DEFINITIONS: Final = {
         *(f"float64[3] {key}" for key in _VECTORS),
         *(f"float64 {key}" for key in _NUMBERS),
         "string status",
-        "string reason",
+        "string reason_code",
     ),
     _CONTACTS: ("std_msgs/Header header", "string status", "string reason", f"{_CONTACT}[] contacts"),
     _EVENT: (
@@ -135,7 +134,7 @@ class Format(McapOutput):
             **{key: np.full(3, np.nan) if vector is None else np.array(vector) for key, vector in vectors.items()},
             **{key: np.nan if number is None else number for key, number in numbers.items()},
             status=str(contact.status),
-            reason=contact.reason or "",
+            reason_code=str(contact.reason_code or ""),
         )
 
     def _wrench(self, wrenches: list[tuple[Any, Any]]) -> dict[str, Any]:
