@@ -7,6 +7,7 @@ from typing import Final
 from resonator_daemon.config import Config
 from resonator_daemon.config.text import plate_text, settings_text
 from resonator_daemon.errors import UserError
+from resonator_daemon.host.system_limits import reason_of
 from resonator_daemon.publishing.commands import CommandRefusedError
 from resonator_daemon.publishing.payloads import RecordingInfo
 from resonator_daemon.publishing.verbs import (
@@ -76,7 +77,8 @@ class RecordingCommands:
             try:
                 await asyncio.to_thread(self._begin, request.label)
             except (UserError, OSError) as error:
-                raise CommandRefusedError("recording_failed", str(error), _DIRECTORY_HINT) from None
+                reason = reason_of(error) if isinstance(error, OSError) else str(error)
+                raise CommandRefusedError("recording_failed", reason, _DIRECTORY_HINT) from None
             self._label, self._by_config = request.label, False
             if (now := self._switch.current) is None:
                 raise CommandRefusedError("recording_failed", "the daemon is stopping", "send it again when it is back")

@@ -21,6 +21,7 @@ from mcap.writer import CompressionType, Writer
 
 from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.new_file import NewFile, check_new
+from resonator_daemon.host.system_limits import reason_of
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.recording.mcap_attachments import DamagedAttachment
 from resonator_daemon.recording.mcap_messages import CHUNK_BYTES
@@ -91,8 +92,10 @@ def repair(path: Path, copy: Path) -> Repaired:
         with open_recording(str(path)):
             pass
         file = path.open("rb")
-    except (LinkUnavailableError, OSError) as error:
+    except LinkUnavailableError as error:
         raise NotRepairableError(str(error)) from error
+    except OSError as error:
+        raise NotRepairableError(reason_of(error)) from error
     with file:
         with suppress(PermissionError):  # a file system without locks
             try:

@@ -69,6 +69,7 @@ BROKEN = [
     ("replay without a file", link('"replay:"'), ":2: link:", "must be replay:FILE"),
     # The broker.
     ("no scheme", TOP + '[mqtt]\nurl = "127.0.0.1:1883"\n', ":4: mqtt.url: got '127.0.0.1:1883'", "mqtt://host:port"),
+    ("name of no host", TOP + '[mqtt]\nurl = "mqtt://a..b"\n', ":4: mqtt.url: got 'mqtt://a..b'", "1 to 63"),
     ("hash in a password", TOP + '[mqtt]\nurl = "mqtt://me:pass#1@a"\n', ":4: mqtt.url:", "as %23"),
     ("host for url", TOP + '[mqtt]\nhost = "a"\n', ":4: mqtt.host: unknown key", "allowed: url, prefix"),
     ("password in the file", TOP + '[mqtt]\npassword = "x"\n', ":4: mqtt.password: unknown",
