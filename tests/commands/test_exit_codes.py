@@ -63,6 +63,23 @@ def test_an_output_that_is_there_is_not_overwritten(
     assert (tmp_path / "there").read_bytes() == b"mine"
 
 
+@pytest.mark.parametrize("line", ["replay run.mcap --to copy", "export run.mcap --output out.npz", "repair run.mcap"])
+@pytest.mark.parametrize("content", [None, b"", b"MZ" * 100, RECORDING.read_bytes()[:40]])
+def test_what_is_no_recording_is_unavailable(
+    line: str,
+    content: bytes | None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if content is not None:
+        (tmp_path / "run.mcap").write_bytes(content)
+    assert exit_code(*shlex.split(line), "--json") == 69
+    printed = capsys.readouterr()
+    assert (printed.err.count("\n"), printed.out.count("\n"), '"code": ' in printed.out) == (1, 1, True)
+
+
 @pytest.mark.parametrize("line", [f"replay {RECORDING} --to -", "schema"])
 def test_a_reader_that_leaves_ends_it_well(line: str) -> None:
     """As `| head -c 1` does; the rest is more than a pipe holds."""

@@ -143,19 +143,3 @@ def test_an_interrupt_leaves_nothing(
     assert export(recording("touches"), *output(tmp_path, form)) == 1
     assert capsys.readouterr().err == "resonatord: interrupted: what was written is removed\n"
     assert list(tmp_path.iterdir()) == []
-
-
-def test_no_recording_is_said_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    foreign = tmp_path / "foreign.mcap"
-    foreign.write_bytes(b"MZ" * 100)
-    for path, sentence in (
-        (foreign, "is no recording"),
-        (tmp_path / "none.mcap", "No such file"),
-        (tmp_path, "no reg"),
-    ):
-        assert export(path, "--output", tmp_path / "out.npz", "--json") == 69
-        printed = capsys.readouterr()
-        assert printed.err.count("\n") == 1
-        assert sentence in printed.err
-        assert json.loads(printed.out)["error"]["code"] == "no_recording"
-    assert not (tmp_path / "out.npz").exists()

@@ -141,24 +141,6 @@ def test_a_damaged_file_is_played_up_to_there(case: str, capsys: pytest.CaptureF
 
 
 @pytest.mark.parametrize(
-    "make",
-    [
-        lambda path: None,
-        lambda path: path.write_bytes(b""),
-        lambda path: path.write_bytes(TOUCHES.read_bytes()[:40]),
-        lambda path: os.mkfifo(path),
-    ],
-    ids=["no file", "empty", "cut", "pipe"],
-)
-def test_what_cannot_be_replayed_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Any) -> None:
-    path = tmp_path / "run.mcap"
-    make(path)
-    assert replay(path, "--to", "-") == 69
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("resonatord: ")
-
-
-@pytest.mark.parametrize(
     "arguments",
     [
         (),
