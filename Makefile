@@ -146,6 +146,7 @@ figures: .venv/figures-stamp  ## draw the pictures of README.md, docs/reproducti
 	@export OMP_NUM_THREADS=1
 	.venv/bin/python docs/figures/draw.py
 	.venv/bin/python docs/figures/fingertip.py
+	.venv/bin/python docs/figures/live_view.py
 	.venv/bin/python benchmarks/elastic_convergence.py --picture docs/figures/convergence.svg
 
 fuzz: .venv/run-stamp  ## ten million inputs through each parser of the wire, in Python and in C; a million commands
