@@ -54,7 +54,10 @@ def make_parser(words: Sequence[str] = ()) -> argparse.ArgumentParser:
         "78 configuration, an output that is there already or cannot be made, or a limit of fewer than 64 open files. "
         "Start with: resonatord demo",
     )
-    parser.add_argument("--version", action=_PrintVersion, nargs=0, help="print the version and exit")
+    hidden = argparse.SUPPRESS  # no argument of a command
+    parser.add_argument(
+        "--version", action=_PrintVersion, nargs=0, dest=hidden, default=hidden, help="print the version and exit"
+    )
     _add_commands(parser, commands, words)
     return parser
 

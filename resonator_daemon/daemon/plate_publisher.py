@@ -162,7 +162,8 @@ class PlatePublisher:
             await self._publisher.close(farewell, wait_for_broker=wait_for_broker)
 
     def _never_retained(self) -> Collection[str]:
-        written = [topic for topic in TOPICS.values() if not topic.retained]
+        # Not events: a subscription of the daemon's own would hide from it that no other client subscribes to them.
+        written = [topic for topic in TOPICS.values() if not topic.retained and topic.qos == 0]
         if self._config.decoding.external:  # its messages would come back here, from the decoder
             written = [topic for topic in written if topic not in _OF_DECODERS]
         paths = [topic.path for topic in written] + [topic.slow_path for topic in written if topic.slow_hz is not None]

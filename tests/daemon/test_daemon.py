@@ -94,7 +94,7 @@ async def test_a_pulled_cable_is_survived_and_said(bench: Bench, mosquitto: Mosq
         await heard.until_count("resonator/hand/forces", count + 60)
     lost = service.link_counters.lost
     forces = heard.payloads("resonator/hand/forces")
-    assert (forces[-1]["lost"]["link_gap"], lost.damaged) == (lost.link_gap, 0)  # a busy computer overruns besides
+    assert (forces[-1]["lost"].get("link_gap", 0), lost.damaged) == (lost.link_gap, 0)  # a busy computer overruns besides
     assert lost.link_gap >= 500
     # The plate was pressed all the while: its zero was not learnt anew, and the force is what it was.
     assert forces[-1]["sites"][0]["force_newton"] == pytest.approx(2.0, abs=0.01)
