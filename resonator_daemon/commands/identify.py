@@ -50,7 +50,8 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     if link is None:
         raise UsageError("name a LINK (see: resonatord ports) or --config FILE")
     result = _probe(link, blink=arguments.blink)
-    problems = incompatibilities(result.described.description, config.plate) if config is not None else ()
+    found = incompatibilities(result.described.description, config.plate) if config is not None else ()
+    problems = tuple(problem.text for problem in found)
     if arguments.json:
         print_json({"verb": "identify", "ok": not problems, **as_json(link, result, problems, blink=arguments.blink)})
     else:

@@ -174,7 +174,9 @@ def _all_frames(capture: Capture) -> int:
 def _fits(probed: ProbeResult, plate: Plate) -> Finding:
     problems = incompatibilities(probed.described.description, plate)
     if problems:
-        return FITS.fault("; ".join(problems), "connect the right board, or name the right plate file")
+        return FITS.fault(
+            "; ".join(problem.text for problem in problems), "connect the right board, or name the right plate file"
+        )
     return FITS.ok(f"the board counts what plate {plate.name} needs")
 
 

@@ -200,7 +200,8 @@ class Replay:
             case (wire.Lost(), LinkLostError()):
                 as_recorded = str(raised) == event.reason
             case (wire.Refused(), BoardRefusedError()):
-                as_recorded = raised.refused.problems == event.problems
+                same_protocol = raised.refused.other_protocol == event.other_protocol
+                as_recorded = same_protocol and event.codes in ((), raised.codes)
             case _:
                 as_recorded = False
         if not as_recorded:

@@ -285,7 +285,7 @@ class BoardReader:
         except LinkLostError as error:
             machine.apply(Lost(read_host_time(), str(error)))
         except BoardRefusedError as error:
-            machine.apply(Refused(read_host_time(), error.refused.problems, error.refused.other_protocol))
+            machine.apply(Refused(read_host_time(), error.refused.problems, error.refused.other_protocol, error.codes))
             with suppress(LinkLostError):  # a board that counts would fill a buffer that nobody empties
                 self._request_stop(link)
             raise

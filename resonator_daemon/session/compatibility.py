@@ -1,6 +1,7 @@
 """Compatibility of a board with a plate: its description against the plate file."""
 
 from dataclasses import fields
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +17,21 @@ _GATE_TICKS_LIMIT = 1 << 32  # times within a record have 32 bits
 _OFFSET_LIMIT_HZ = 32_767.0  # offset_hz16 reaches no further
 
 
+class Problem(NamedTuple):
+    """Why a board cannot serve: a stable code, and a sentence."""
+
+    code: str
+    text: str
+
+
 class BoardRefusedError(Exception):
     """The board can never serve this plate, or uses another protocol."""
 
-    def __init__(self, *problems: str, other_protocol: bool = False) -> None:
-        super().__init__("; ".join(problems))
-        self.refused = BoardRefused(problems, other_protocol)
+    def __init__(self, *problems: Problem, other_protocol: bool = False) -> None:
+        texts = tuple(problem.text for problem in problems)
+        super().__init__("; ".join(texts))
+        self.refused = BoardRefused(texts, other_protocol)
+        self.codes = tuple(problem.code for problem in problems)
 
 
 def gate_ticks(plate: Plate) -> int:
@@ -35,8 +45,8 @@ def oscillator_hz(description: Description) -> NDArray[np.float64]:
     return (description.oscillator_millihertz + number * description.oscillator_spacing_millihertz) / 1e3
 
 
-def incompatibilities(description: Description, plate: Plate) -> tuple[str, ...]:
-    """Return a sentence for each property of the board that is incompatible with the plate file."""
+def incompatibilities(description: Description, plate: Plate) -> tuple[Problem, ...]:
+    """Return a problem for each property of the board that is incompatible with the plate file."""
     reference_hz = description.reference_millihertz / 1e3
     kinds = {kind.value: kind.name.lower().replace("_", "-") for kind in CounterKind}
     number = description.counter_kind
@@ -50,56 +60,64 @@ def incompatibilities(description: Description, plate: Plate) -> tuple[str, ...]
     if plate.oscillators:
         pairs.append(("tones", description.tones, plate.oscillators))
     found = [
-        f"{what}: the board describes {board}, the plate file has {expected}"
+        Problem(what.replace(" ", "_"), f"{what}: the board describes {board}, the plate file has {expected}")
         for what, board, expected in pairs
         if board != expected
     ]
     if description.gate_ticks_min > description.gate_ticks_max:
         low, high = description.gate_ticks_min, description.gate_ticks_max
-        found.append(f"gate: the board describes at least {low} and at most {high} ticks, which no gate can be")
+        words = f"gate: the board describes at least {low} and at most {high} ticks, which no gate can be"
+        found.append(Problem("gate", words))
     if description.gate_ticks_max >= _GATE_TICKS_LIMIT:
-        found.append(
-            f"gate: the board describes up to {description.gate_ticks_max} ticks, a record has room for 2^32 - 1"
-        )
+        words = f"gate: the board describes up to {description.gate_ticks_max} ticks, a record has room for 2^32 - 1"
+        found.append(Problem("gate", words))
     if description.gate_ticks_step < 1:
-        found.append("gate: the board describes multiples of 0 ticks, which no gate can be")
+        found.append(Problem("gate", "gate: the board describes multiples of 0 ticks, which no gate can be"))
     if found:
         return tuple(found)
     if not description.gate_ticks_min <= gate_ticks(plate) <= description.gate_ticks_max:
         low_hz = reference_hz / max(1, description.gate_ticks_max)
         high_hz = reference_hz / max(1, description.gate_ticks_min)
         expected_hz = plate.counter.frame_rate_hz
-        return (f"frame rate: the board makes {low_hz:g} to {high_hz:g} Hz, the plate file has {expected_hz:g} Hz",)
+        words = f"frame rate: the board makes {low_hz:g} to {high_hz:g} Hz, the plate file has {expected_hz:g} Hz"
+        return (Problem("frame_rate", words),)
     if gate_ticks(plate) % description.gate_ticks_step:
-        return (
+        words = (
             f"frame rate: the board makes gates of multiples of {description.gate_ticks_step} ticks, the plate file's "
-            f"{plate.counter.frame_rate_hz:g} Hz need {gate_ticks(plate)}",
+            f"{plate.counter.frame_rate_hz:g} Hz need {gate_ticks(plate)}"
         )
+        return (Problem("frame_rate", words),)
     if plate.oscillators:
         offset_hz = np.abs(plate.tones.f0_hz - oscillator_hz(description)[:, None])
         worst = int(offset_hz.max(axis=1).argmax())
         if offset_hz[worst].max() > _OFFSET_LIMIT_HZ:
-            return (
+            words = (
                 f"tone {worst}: the board's oscillator is {offset_hz[worst].max():.0f} Hz from the plate file's f0, "
-                f"at most {_OFFSET_LIMIT_HZ:.0f} Hz can be counted",
+                f"at most {_OFFSET_LIMIT_HZ:.0f} Hz can be counted"
             )
+            return (Problem("oscillator", words),)
     return ()
 
 
-def identity_changes(board: Described, known: Described) -> tuple[str, ...]:
-    """Return a sentence for each difference from the board that was here before; empty when it is the same."""
+def identity_changes(board: Described, known: Described) -> tuple[Problem, ...]:
+    """Return a problem for each difference from the board that was here before; empty when it is the same."""
     if board.identity.serial_number != known.identity.serial_number:
-        return (
+        words = (
             f"another board is on this link: {board.identity.serial_number}; {known.identity.serial_number} was here "
-            "before: connect that one again, or restart the daemon to use this one",
+            "before: connect that one again, or restart the daemon to use this one"
         )
+        return (Problem("serial_number", words),)
     pairs = [("product", board.identity.product, known.identity.product)]
     pairs += [
         (field.name, getattr(board.description, field.name), getattr(known.description, field.name))
         for field in fields(board.description)
     ]
     return tuple(
-        f"{name}: the board reports {present}, before it reported {past}; repair its firmware, or restart the daemon"
+        Problem(
+            f"changed_{name}",
+            f"{name}: the board reports {present}, before it reported {past}; repair its firmware, or restart the "
+            "daemon",
+        )
         for name, present, past in pairs
         if present != past
     )

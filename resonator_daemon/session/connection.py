@@ -26,6 +26,7 @@ from resonator_daemon.session.board_log import RESET_CAUSES, BoardLogFilter
 from resonator_daemon.session.clock import BoardClock, Exchange, Instant
 from resonator_daemon.session.compatibility import (
     BoardRefusedError,
+    Problem,
     gate_ticks,
     identity_changes,
     incompatibilities,
@@ -314,7 +315,7 @@ class Connection:
                 self._refused(event)
             case ForeignVersion():
                 problem = f"the board uses protocol {event.major}, this daemon uses {PROTOCOL_MAJOR}"
-                raise BoardRefusedError(problem, other_protocol=True)
+                raise BoardRefusedError(Problem("other_protocol", problem), other_protocol=True)
 
     def _receive_frames(self, frames: list[Frame]) -> None:
         if not frames or self.clock is None or self.described is None:
@@ -358,19 +359,22 @@ class Connection:
                 self._announce(Condition.STALLED, f"the board cannot count: {refusal.text}")
                 raise LinkLostError(refusal.text)
             case RefusalCode.OTHER_VERSION:
-                raise BoardRefusedError(f"the board does not support protocol {PROTOCOL_MAJOR}", other_protocol=True)
+                problem = Problem("other_protocol", f"the board does not support protocol {PROTOCOL_MAJOR}")
+                raise BoardRefusedError(problem, other_protocol=True)
             case _:
-                raise BoardRefusedError(f"the board refuses the configuration: {refusal.text}")
+                words = f"the board refuses the configuration: {refusal.text}"
+                raise BoardRefusedError(Problem("configuration_refused", words))
 
     def _describe(self, event: Described) -> None:
         problems = incompatibilities(event.description, self._plate)
         if self._known is not None:
             problems += identity_changes(event, self._known)
         elif (unit := self._plate.calibration.unit) and unit != event.identity.serial_number:
-            problems += (
+            words = (
                 f"serial number: the board is {event.identity.serial_number}, the plate file was calibrated with "
-                f"{unit}; connect that one, or name the plate file of this one",
+                f"{unit}; connect that one, or name the plate file of this one"
             )
+            problems += (Problem("calibrated_with_another", words),)
         if problems:
             raise BoardRefusedError(*problems)
         identity = event.identity
@@ -391,7 +395,8 @@ class Connection:
             return  # the answer of a board that was asked to go on
         given = event.configuration.gate_ticks
         if given != self._gate_ticks:
-            raise BoardRefusedError(f"the board counts gates of {given} ticks, {self._gate_ticks} were asked for")
+            words = f"the board counts gates of {given} ticks, {self._gate_ticks} were asked for"
+            raise BoardRefusedError(Problem("other_gate", words))
         continues = self._numbering.continues(self.described.boot_id, self._receiver.newest_ticks)
         self._numbering.started(self._now.monotonic_ns)
         self._counting = True

@@ -7,7 +7,7 @@ from firmware_protocol.host import Frame, FramePart, PacketRefusal
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.plate import Plate
 from resonator_daemon.session.clock import BoardClock, Instant, TickScale
-from resonator_daemon.session.compatibility import BoardRefusedError, gate_ticks
+from resonator_daemon.session.compatibility import BoardRefusedError, Problem, gate_ticks
 from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frame_assembly import AssembledFrame, FrameAssembler
 from resonator_daemon.session.frame_numbers import Accepted, BrokenSpacingError, FrameNumbering
@@ -180,5 +180,7 @@ class FrameReceiver:
         except BrokenSpacingError as error:
             spacing = f"{error.spacing_ticks} ticks from frame to frame, {error.gate_ticks} were configured"
             if error.from_the_start:
-                raise BoardRefusedError(f"the board does not keep its gate: {spacing}") from error
+                raise BoardRefusedError(
+                    Problem("gate_not_kept", f"the board does not keep its gate: {spacing}")
+                ) from error
             raise LinkLostError(f"the board's clock jumped: {spacing}") from error

@@ -69,11 +69,12 @@ class Lost(NamedTuple):
 
 
 class Refused(NamedTuple):
-    """The board cannot serve the plate."""
+    """The board cannot serve the plate: sentences, and their codes, which recordings of earlier versions lack."""
 
     now: HostTime
     problems: tuple[str, ...]
     other_protocol: bool
+    codes: tuple[str, ...] = ()
 
 
 class Closed(NamedTuple):
@@ -137,7 +138,10 @@ _SNAPSHOT = TypeAdapter(LinkSnapshot)
 _JSON: Mapping[type[WireEvent], TypeAdapter[Any]] = {  # of what an event has besides its time
     StateAnnounced: TypeAdapter(tuple[Condition, _Text]),
     Lost: TypeAdapter(tuple[_Text]),
-    Refused: TypeAdapter(tuple[tuple[_Text, ...], Annotated[bool, Strict()]]),
+    Refused: TypeAdapter(
+        tuple[tuple[_Text, ...], Annotated[bool, Strict()], tuple[_Text, ...]]
+        | tuple[tuple[_Text, ...], Annotated[bool, Strict()]]
+    ),
     Skipped: TypeAdapter(tuple[_Count, _Count]),
     ControlRequested: TypeAdapter(tuple[_Text, _Text]),
 }

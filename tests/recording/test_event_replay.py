@@ -13,7 +13,7 @@ from resonator_daemon.conditions import Condition
 from resonator_daemon.links.carriers.recording import RecordingTarget
 from resonator_daemon.links.carriers.serial import SerialTarget
 from resonator_daemon.recording.event_replay import replay_of
-from resonator_daemon.recording.reader import Origin
+from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.frames import (
@@ -119,6 +119,20 @@ def test_a_difference_is_counted_and_said(tmp_path: Path, events: list[WireEvent
     assert differences == 1
     assert f"the recording {path.name} is over; replay differs from it in 1 places, first " in last_reason(arrivals)
     assert said in last_reason(arrivals)
+
+
+@pytest.mark.parametrize(("codes", "differences"), [(("plate",), 0), ((), 0), (("gate",), 1)])
+def test_a_refusal_is_compared_by_its_codes_not_by_its_words(
+    tmp_path: Path, codes: tuple[str, ...], differences: int
+) -> None:
+    with open_recording(str(CORPUS / "refused" / "recording.mcap")) as recording:
+        events = list(recording.events())
+    reworded = [
+        event._replace(problems=("other words",), codes=codes) if isinstance(event, Refused) else event
+        for event in events
+    ]
+    record(tmp_path / "run.mcap", reworded)
+    assert replayed(tmp_path / "run.mcap")[2] == differences
 
 
 def test_a_recording_cut_off_is_replayed_up_to_there(tmp_path: Path) -> None:

@@ -52,13 +52,14 @@ def test_oscillators_lie_on_a_comb() -> None:
     ],
 )
 def test_what_does_not_fit_is_said_with_both_sides(change: dict[str, object], words: tuple[str, ...]) -> None:
-    (sentence,) = incompatibilities(replace(QUARTZ_BOARD, **change), QUARTZ)  # type: ignore[arg-type]
+    ((code, sentence),) = incompatibilities(replace(QUARTZ_BOARD, **change), QUARTZ)  # type: ignore[arg-type]
+    assert code == words[0].replace(" ", "_")
     for word in words:
         assert word in sentence
 
 
 def test_tones_must_agree_only_where_they_are_numbered() -> None:
-    (sentence,) = incompatibilities(replace(SKIN_BOARD, tones=3071), SKIN)
+    ((_, sentence),) = incompatibilities(replace(SKIN_BOARD, tones=3071), SKIN)
     assert "tones" in sentence
     assert "3071" in sentence
     assert "3072" in sentence
@@ -86,7 +87,7 @@ def test_the_frame_rate_must_be_one_that_the_board_makes(lowest: int, highest: i
     if rates is None:
         assert said == ()
     else:
-        assert said == (f"frame rate: the board makes {rates}, the plate file has 1000 Hz",)
+        assert said == (("frame_rate", f"frame rate: the board makes {rates}, the plate file has 1000 Hz"),)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -94,6 +95,6 @@ def test_oscillators_must_be_within_reach_of_the_tones(sign: int) -> None:
     just_within = replace(SKIN_BOARD, oscillator_millihertz=10**11 + sign * 32_767_000)
     assert incompatibilities(just_within, SKIN) == ()
     beyond = replace(SKIN_BOARD, oscillator_millihertz=10**11 + sign * 32_768_000)
-    (sentence,) = incompatibilities(beyond, SKIN)
+    ((_, sentence),) = incompatibilities(beyond, SKIN)
     assert "32768 Hz" in sentence
     assert "32767 Hz" in sentence
