@@ -107,7 +107,7 @@ async def test_the_ten_lines_subscribe(mosquitto) -> None:
     program = program.replace("1883", str(Mqtt(url=mosquitto.url).port))
     async with publishing(mosquitto.url) as left:
         left.publish(LEFT, topics.STATE_LINK, Messages.state("online", "plugged in"))
-        left.retain(f"{LEFT}/decoded", encode(Messages.decoded(1)), topics.CBOR)  # for whoever comes later, too
+        left.retain(f"{LEFT}/decoded", encode(Messages.decoded(1)), topics.CBOR)  # for later subscribers, too
         reader = await asyncio.create_subprocess_exec(
             sys.executable, "-c", program, stdout=asyncio.subprocess.PIPE, limit=2**20
         )
