@@ -4,8 +4,10 @@ import asyncio
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
+import uuid
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import aiomqtt
@@ -21,6 +23,7 @@ END_TIMEOUT_S: Final = 2.0  # an attempt to connect cannot be cancelled
 
 _CANCEL_AGAIN_S: Final = 0.1
 
+log = logging.getLogger(__name__)
 _library_log = logging.getLogger(f"{__name__}.aiomqtt")
 _library_log.setLevel(logging.CRITICAL)  # it logs each failure; `keep_connected` logs changes
 
@@ -40,8 +43,9 @@ class Receiver:
     ----------
     broker
         Where to connect.
-    filters
-        Topic filters and their QoS, in the order in which they are requested.
+    connections
+        For each connection its topic filters and their QoS. Connections are opened, and filters requested, in this
+        order: when a message of the last filter has arrived, all others are subscribed.
     on_arrival
         Called in the receiving thread with each message. It must return at once.
     on_end
@@ -51,17 +55,18 @@ class Receiver:
     def __init__(
         self,
         broker: Mqtt,
-        filters: Mapping[str, int],
+        connections: Sequence[Mapping[str, int]],
         on_arrival: Callable[[Arrival], None],
         on_end: Callable[[], None] = lambda: None,
     ) -> None:
         self._broker = broker
-        self._filters = filters
+        self._connections = connections
         self._on_arrival = on_arrival
         self._on_end = on_end
         self._loop: asyncio.AbstractEventLoop | None = None
         self._closing: asyncio.Future[None] | None = None
         self._defect: BaseException | None = None
+        self._reported = ""
         self._ready = threading.Event()
         self._thread = threading.Thread(target=self._run, name="receiver", daemon=True)
 
@@ -89,13 +94,37 @@ class Receiver:
 
     async def _receive(self) -> None:
         self._loop = asyncio.get_running_loop()
-        self._closing = self._loop.create_future()
+        closing = self._closing = self._loop.create_future()
         self._ready.set()
-        await keep_connected(self._broker, self._session, self._closing)
+        before: asyncio.Future[None] | None = None
+        keeping = []
+        for filters in self._connections:
+            subscribed: asyncio.Future[None] = self._loop.create_future()
+            keeping.append(self._keep(filters, before, subscribed, closing))
+            before = subscribed
+        await asyncio.gather(*keeping)
 
-    async def _session(self, attempt: Attempt) -> None:
+    async def _keep(
+        self,
+        filters: Mapping[str, int],
+        before: asyncio.Future[None] | None,
+        subscribed: asyncio.Future[None],
+        closing: asyncio.Future[None],
+    ) -> None:
+        """Keep one connection, from when the one before it has subscribed for the first time."""
+        if before is not None:
+            await asyncio.wait([before, closing], return_when=asyncio.FIRST_COMPLETED)
+        await keep_connected(self._broker, partial(self._session, filters, subscribed), closing, report=self._report)
+
+    def _report(self, level: int, text: str) -> None:
+        """Log a change of the connections, once where it is the same of all."""
+        if text != self._reported:
+            log.log(level, "%s", text)
+        self._reported = text
+
+    async def _session(self, filters: Mapping[str, int], subscribed: asyncio.Future[None], attempt: Attempt) -> None:
         """Receive until the connection is lost, or the receiver is closed."""
-        receiving = asyncio.create_task(self._receive_from_broker(attempt))
+        receiving = asyncio.create_task(self._receive_from_broker(filters, subscribed, attempt))
         ends: list[asyncio.Future[Any]] = [receiving, *filter(None, [self._closing])]
         await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
         while not receiving.done():
@@ -104,14 +133,17 @@ class Receiver:
         if not receiving.cancelled():
             receiving.result()
 
-    async def _receive_from_broker(self, attempt: Attempt) -> None:
+    async def _receive_from_broker(
+        self, filters: Mapping[str, int], subscribed: asyncio.Future[None], attempt: Attempt
+    ) -> None:
         accepted = False
         try:
             async with self._make_client(attempt) as client:
                 accepted = True
                 attempt.accepted()
-                for topic_filter, qos in self._filters.items():
+                for topic_filter, qos in filters.items():
                     await client.subscribe(topic_filter, qos=qos)
+                _finish(subscribed)
                 async for message in client.messages:
                     if isinstance(message.payload, bytes):
                         self._on_arrival(Arrival(message.topic.value, message.payload, time.time_ns()))
@@ -123,6 +155,7 @@ class Receiver:
         return aiomqtt.Client(
             self._broker.host,
             self._broker.port,
+            identifier=uuid.uuid4().hex,  # amqtt takes connections without one for a single client
             username=self._broker.username,
             password=self._broker.password,
             protocol=aiomqtt.ProtocolVersion(attempt.version),
@@ -144,6 +177,6 @@ def _broker_error(error: aiomqtt.MqttError, broker: Mqtt, *, accepted: bool) -> 
     return BrokerError(connection_errors.SILENT)
 
 
-def _finish(closing: asyncio.Future[None]) -> None:
-    if not closing.done():
-        closing.set_result(None)
+def _finish(future: asyncio.Future[None]) -> None:
+    if not future.done():
+        future.set_result(None)

@@ -21,6 +21,8 @@ STREAM_AGE_MAX_S: Final = 0.25  # of a message of a stream, where the same topic
 STREAM_WAITING_MAX: Final = 1024  # the oldest are dropped
 OTHERS_WAITING_MAX: Final = 65_536  # bounds the memory where a consumer never reads
 
+EVERY_PLATE: Final = "+"  # MQTT's wildcard
+
 _REASON_MAX: Final = 200  # characters
 
 log = logging.getLogger(__name__)
@@ -37,13 +39,20 @@ class Received(NamedTuple):
 
 
 async def subscribe(
-    broker: Mqtt, topics: Collection[Topic[Message]] = tuple(TOPICS.values()), *, full_rate: bool = True
+    broker: Mqtt,
+    topics: Collection[Topic[Message]] = tuple(TOPICS.values()),
+    *,
+    plate: str = EVERY_PLATE,
+    full_rate: bool = True,
 ) -> AsyncGenerator[Received]:
-    """Yield messages of all plates below the broker's prefix as they come, the retained ones first, for ever.
+    """Yield messages of plates below the broker's prefix as they come, the retained ones first, for ever.
 
-    Without `full_rate`, of topics with a decimated topic, that one. Messages that cannot be read are
-    passed over and logged. If the consumer is slow, messages of streams (QoS 0) older than 250 ms are dropped where
-    their topic has a newer one; states and events are all kept. To stop, close the iterator (contextlib.aclosing).
+    States and events (QoS 1) have a connection of their own: Mosquitto drops messages of QoS 1, too, for a connection
+    with 1000 packets waiting, as when its reader is behind with streams.
+
+    Without `full_rate`, of topics with a decimated topic, that one. Messages that cannot be read are passed over and
+    logged. If the consumer is slow, messages of streams (QoS 0) older than 250 ms are dropped where their topic has a
+    newer one; states and events are all kept. To stop, close the iterator (contextlib.aclosing).
     """
     loop = asyncio.get_running_loop()
     arrived = asyncio.Event()
@@ -61,7 +70,10 @@ async def subscribe(
         with suppress(RuntimeError):  # the consumer's loop has ended without closing the iterator
             loop.call_soon_threadsafe(arrived.set)
 
-    receiver = Receiver(broker, topic_filters(broker.prefix, topics, full_rate=full_rate), on_arrival, on_end)
+    filters = topic_filters(broker.prefix, topics, plate=plate, full_rate=full_rate)
+    streams = {topic_filter: qos for topic_filter, qos in filters.items() if qos == 0}
+    others = {topic_filter: qos for topic_filter, qos in filters.items() if qos}
+    receiver = Receiver(broker, [each for each in (streams, others) if each], on_arrival, on_end)
     receiver.start()
     try:
         while not waiting.over:
@@ -75,11 +87,13 @@ async def subscribe(
         await receiver.close()
 
 
-def topic_filters(prefix: str, topics: Collection[Topic[Message]], *, full_rate: bool) -> dict[str, int]:
-    """Return topic filters for all plates below the prefix with their QoS, in the order in which to subscribe."""
+def topic_filters(
+    prefix: str, topics: Collection[Topic[Message]], *, plate: str = EVERY_PLATE, full_rate: bool
+) -> dict[str, int]:
+    """Return topic filters for plates below the prefix with their QoS, in the order in which to subscribe."""
     # Retained topics last: when a state has arrived, all other topics are subscribed.
     return {
-        full_topic(prefix, "+", topic.path if full_rate or topic.slow_hz is None else topic.slow_path): topic.qos
+        full_topic(prefix, plate, topic.path if full_rate or topic.slow_hz is None else topic.slow_path): topic.qos
         for topic in sorted(topics, key=lambda topic: topic.retained)
     }
 
