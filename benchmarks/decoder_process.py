@@ -34,6 +34,7 @@ from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import ContactEvent, Lost
 from resonator_daemon.publishing.topics import DECODED, Topic
+from resonator_daemon.reasons import Reason
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 
 KEPT = 200  # frames that are played again and again, forwards and backwards
@@ -51,7 +52,7 @@ class Client:
 
     def deliver_event(self, origin: float, event: ContactEvent) -> None: ...
 
-    def announce(self, note: str) -> None: ...
+    def announce(self, note: Reason | None) -> None: ...
 
     def lost(self, _origin: float) -> Lost:
         return Lost()

@@ -8,9 +8,79 @@ from resonator_daemon.conditions import Word
 class ReasonCode(Word):
     """Why something is as it is; the sentence next to it has the details."""
 
+    # States of the sensor.
+    MEASURING = "measuring", "measures and publishes; nothing is wrong"
+    NO_FRAMES = "no_frames", "the link is open and no frame comes; of a contact: none came for half a second"
+    BOARD_RESTARTED = "board_restarted", "the board restarted"
+    DECODER_STARTING = "decoder_starting", "the decoder is being set up"
+    NO_SIGNALS = "no_signals", "no signals that could be decoded"
+
+    # States of decoders.
+    STARTED = "started", "the process has started"
+    DECODING = "decoding", "signals are decoded"
+    STOPPED = "stopped", "ended by a user, a signal, or because nothing was left to do"
+    CONNECTION_LOST = "connection_lost", "the connection to the broker broke: a last will"
+    NO_INFO = "no_info", "no daemon has published under this name"
+    INFO_UNUSABLE = "info_unusable", "the published description of the plate cannot be used, or it has no skin"
+    DECODED_BY_DAEMON = "decoded_by_daemon", "the daemon decodes this plate itself"
+    SECOND_DECODER = "second_decoder", "another decoder follows the same plate, and both publish"
+    CANNOT_SHARE = "cannot_share", "the broker does not share messages among several decoders"
+    DECODER_CRASHED = "decoder_crashed", "the decoder process ended by itself; it is restarted"
+    DECODER_HUNG = "decoder_hung", "the decoder process did not answer and was ended; it is restarted"
+    UNDECODABLE = "undecodable", "no decoder can be set up for these sites and options"
+
     # Releases of contacts.
     FORCE_FELL = "force_fell", "the force is below the threshold of release"
-    NOT_DETECTED = "not_detected", "the contact is no longer detected"
+    NOT_DETECTED = "not_detected", "a reading that covers all touches has none there"
+    UNKNOWN_TOO_LONG = "unknown_too_long", "the force was unknown for half a second"
+    NOT_FOUND_ON_MAP = "not_found_on_map", "the decoded maps of some frames in a row do not show the contact"
+    DECODER_RESET = "decoder_reset", "the decoder was set up again, for another noise"
+    PLATE_CHANGED = "plate_changed", "the plate is another one, or was configured again"
+
+    # Measurement.
+    COMMON_MODE_PENDING = "common_mode_pending", "the common mode is being estimated; leave the plate untouched"
+    WINDOW_NOT_FULL = "window_not_full", "channels have counted the present tone for less than a window"
+    PRESSED_AT_START = "pressed_at_start", "touched before the untouched plate was known; release it"
+    DRIFTING = "drifting", "the baseline moves faster than touches and temperature explain"
+    UNCALIBRATED = "uncalibrated", "the calibration has expired; calibrate again"
+    NO_TONE = "no_tone", "no tone is known"
+    TOO_NOISY = "too_noisy", "noise hides touches"
+    CHANNELS_SILENT = "channels_silent", "channels have no tone that can be counted"
+    SITES_SILENT = "sites_silent", "some sites are not detected; the others are used"
+    TOO_FEW_CHANNELS = "too_few_channels", "a tone of a site on one channel alone, at least two are needed"
+    TOO_FEW_TONES = "too_few_tones", "too few tones are known to estimate the common mode"
+    TONES_ALIKE = "tones_alike", "two tones are about equally strong: several sites are touched, or one in between"
+    SECOND_TONE = "second_tone", "a tone besides the counted one is detected: a further site may be touched"
+    CHANNEL_LEFT_OUT = "channel_left_out", "one channel detects another tone; the others agree on the site"
+    SEVERAL_SITES = "several_sites", "channels detect different sites, all of which are named"
+    SITES_ALIKE = "sites_alike", "other sites explain the channels about as well"
+    OVERLOAD_OR_SEVERAL = "overload_or_several", "one force beyond the range, or several sites"
+    OVERLOAD = "overload", "a force beyond the range of the plate"
+    CHANNELS_DISAGREE = "channels_disagree", "channels detect the same site and disagree on its force"
+    NO_SITE_FITS = "no_site_fits", "no site explains the channels"
+    NO_TOUCHES_FIT = "no_touches_fit", "no touches explain the forces of the sites"
+    OTHER_SITE = "other_site", "another site is detected instead"
+
+    # Decoding.
+    DECODING_OFF = "decoding_off", "the configuration has decoding.method = off"
+    DECODED_ELSEWHERE = "decoded_elsewhere", "another process is to decode: resonatord decode"
+    DECODING_FAILED = "decoding_failed", "a fault of the decoder in this frame; the next one is decoded"
+    SIGNALS_MISSING = "signals_missing", "too few signals are known"
+    SIGNALS_LOST = "signals_lost", "some signals are missing and were filled in"
+    SIGNALS_UNEXPLAINED = "signals_unexplained", "no surface explains the signals"
+    MATRICES_PENDING = "matrices_pending", "matrices for this contact are being computed; a linear map is shown"
+    SUPPORT_ENLARGED = "support_enlarged", "load was found outside the contact that the linear map shows"
+    FRICTION_CONTRADICTED = "friction_contradicted", "the signals contradict the friction coefficient; it is not used"
+    PHYSICS_CONTRADICTED = "physics_contradicted", "the signals contradict contact physics; the linear map is shown"
+    CONTACT_FITTED = "contact_fitted", "one contact is fitted: the sites are too few, or too far apart, for a map"
+    PLACE_AMBIGUOUS = "place_ambiguous", "several places of the contact explain the signals about as well"
+    SLIPS_TOO_LITTLE = "slips_too_little", "the contact slips too little to show; shear it more"
+    FRICTION_UNKNOWN = "friction_unknown", "the friction coefficient is known to worse than a quarter"
+    NOT_FITTED = "not_fitted", "the contact was not fitted"
+    FIT_UNDETERMINED = "fit_undetermined", "the signals do not determine the contact"
+    FIT_REJECTED = "fit_rejected", "no single contact explains the signals"
+    FORCE_INSIGNIFICANT = "force_insignificant", "the normal force is too small against its error"
+    CONTACT_TOO_LARGE = "contact_too_large", "the contact is too large for its rim to show"
 
 
 class Reason(NamedTuple):
@@ -21,3 +91,11 @@ class Reason(NamedTuple):
 
     code: ReasonCode
     text: str
+
+
+def joined(*reasons: Reason | None) -> Reason | None:
+    """Return several reasons as one: the sentences in their order, the most severe first, under the code of that."""
+    stated = [reason for reason in reasons if reason is not None]
+    if len(stated) < 2:
+        return stated[0] if stated else None
+    return Reason(stated[0].code, "; ".join(reason.text for reason in stated))

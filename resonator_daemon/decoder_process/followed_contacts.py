@@ -6,6 +6,7 @@ from typing import Final
 from resonator_daemon.publishing.codec import decode
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import ContactEvent, Contacts, EventContact, Status
+from resonator_daemon.reasons import Reason
 
 _NS: Final = 1_000_000_000
 
@@ -50,13 +51,20 @@ class FollowedContacts:
                 }
                 self._present[contact.id] = EventContact(**dict(contact), **history), decoder_id
 
-    def release(self, header: MeasuredFields, reason: str) -> Iterator[ContactEvent]:
+    def release(self, header: MeasuredFields, reason: Reason) -> Iterator[ContactEvent]:
         """Yield the release of each contact with its last state, and remove them all; `seq` is that of the header."""
         ended, self._present = self._present, {}
         for contact, decoder_id in ended.values():
-            yield ContactEvent(**header, event="release", reason=reason, contact=contact, decoder_id=decoder_id)
+            yield ContactEvent(
+                **header,
+                event="release",
+                reason_code=reason.code,
+                reason=reason.text,
+                contact=contact,
+                decoder_id=decoder_id,
+            )
 
 
-def no_contacts(header: MeasuredFields, reason: str, decoder_id: str | None) -> Contacts:
+def no_contacts(header: MeasuredFields, reason: Reason, decoder_id: str | None) -> Contacts:
     """Return the message on `contacts` after all of them have ended."""
-    return Contacts(**header, status=Status.NO_SIGNAL, reason=reason, contacts=(), decoder_id=decoder_id)
+    return Contacts(**header, status=Status.NO_SIGNAL, reason_code=reason.code, contacts=(), decoder_id=decoder_id)

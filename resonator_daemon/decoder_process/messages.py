@@ -7,6 +7,7 @@ from typing import Final, Literal
 
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import ContactEvent
+from resonator_daemon.reasons import Reason
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 
 Outcome = Literal["ready", "decoded", "too_old", "no_noise"]
@@ -27,7 +28,7 @@ class EndContacts:
     """Request to release all contacts; `header` is that of the message on `contacts`, None if there are no contacts."""
 
     header: MeasuredFields | None
-    reason: str
+    reason: Reason
 
 
 @dataclass(frozen=True)

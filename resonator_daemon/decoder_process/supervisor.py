@@ -24,6 +24,7 @@ from resonator_daemon.publishing.backoff import Backoff
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import ContactEvent, DecoderProcessInfo
 from resonator_daemon.publishing.topics import CONTACTS, DECODED, TOPICS
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.sensors.surface_decoding import SurfaceClient
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 
@@ -37,6 +38,10 @@ _EXIT_S: Final = 1.0  # of a process that has closed its socket
 
 Skipped = Literal["newer_frame", "too_old", "measured_late", "no_noise", "decoder_ended", "undecodable"]
 Ending = Literal["crashed", "hung"]
+_ENDINGS: Final[dict[Ending, ReasonCode]] = {
+    "crashed": ReasonCode.DECODER_CRASHED,
+    "hung": ReasonCode.DECODER_HUNG,
+}
 Origin = TypeVar("Origin")
 
 # More threads of linear algebra cost more in waiting than they save on arrays of this size.
@@ -82,7 +87,7 @@ class DecoderSupervisor(Generic[Origin]):
         self._present: Origin | None = None  # of the frame that the process has, until its map is there
         self._last: Origin | None = None  # of the frame that the process got last
         self._waiting: deque[tuple[Origin, Work]] = deque()
-        self._interruption: str | None = None
+        self._interruption: Reason | None = None
         self._undecodable = False
         self._ending: asyncio.Future[Ending | None] | None = None
         self._deadline: asyncio.TimerHandle | None = None
@@ -136,12 +141,12 @@ class DecoderSupervisor(Generic[Origin]):
         """Count a frame that is not offered because it was measured too late."""
         self.skipped["measured_late"] += 1
 
-    def interrupt(self, reason: str) -> None:
+    def interrupt(self, reason: Reason) -> None:
         """Release all contacts, because frames have stopped arriving."""
         self._interruption = reason
         self._send_next()
 
-    def release_contacts(self, reason: str) -> None:
+    def release_contacts(self, reason: Reason) -> None:
         """Release the contacts of a process that has ended, and publish that there are none."""
         if not self._contacts or self._last is None:
             return
@@ -159,12 +164,12 @@ class DecoderSupervisor(Generic[Origin]):
                 ending, how = await self._run_process()
                 if ending is None:
                     return
-                self.release_contacts(f"the decoder {ending}")
+                self.release_contacts(Reason(_ENDINGS[ending], f"the decoder {ending}"))
                 if time.monotonic() - started_s > SOUND_S:
                     backoff.reset()
                 pause_s = backoff.next_s(RESTART_LONGEST_S)
                 log.error("decoder %s (%s): it is restarted in %.1f s", ending, how, pause_s)
-                self._client.announce(f"decoder {ending} ({how}) and is restarted")
+                self._client.announce(Reason(_ENDINGS[ending], f"decoder {ending} ({how}) and is restarted"))
                 await asyncio.sleep(pause_s)
                 self.restarts[ending] += 1
         finally:
@@ -256,16 +261,17 @@ class DecoderSupervisor(Generic[Origin]):
                 self._deliver(reply)
             case SetUpStep(step=""):
                 log.info("decoder of %s is ready", self._name)
-                self._client.announce("")
+                self._client.announce(None)
                 self._expect_reply(HUNG_S)
             case SetUpStep(step=step):
                 log.info("decoder is being set up: %s", step)
-                self._client.announce(f"decoder is being set up: {step}")
+                starting = Reason(ReasonCode.DECODER_STARTING, f"decoder is being set up: {step}")
+                self._client.announce(starting)
                 self._expect_reply(SET_UP_MAX_S)
             case Undecodable(reason=reason):
                 log.error("nothing is decoded: %s", reason)
                 self._undecodable = True
-                self._client.announce(f"nothing is decoded: {reason}")
+                self._client.announce(Reason(ReasonCode.UNDECODABLE, f"nothing is decoded: {reason}"))
                 self._end(None)
 
     def _deliver(self, results: Results) -> None:

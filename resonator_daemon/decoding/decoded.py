@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from resonator_daemon.arrays import Bools, Floats
+from resonator_daemon.reasons import Reason
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,8 @@ class Decoded:
     log_evidence: float | Floats  # (...): log density of the signals under the decoder's model
     chi2: float | Floats  # (...): about 1 where signals scatter by the model and the declared noise
     status: str | NDArray[np.str_]  # (...)
-    reason: str | NDArray[np.str_]  # (...): empty where there is none
+    reason: str | NDArray[np.str_]  # (...): a sentence, empty where there is none
+    reason_code: str | NDArray[np.str_] = ""  # (...): a `ReasonCode` for programs, empty where there is none
 
     @classmethod
     def stack(cls, frames: Sequence[Self], leading: tuple[int, ...], shape: tuple[int, ...]) -> Self:
@@ -45,12 +47,25 @@ class Decoded:
             joined("chi2", (), np.float64),
             joined("status", (), np.str_),
             joined("reason", (), np.str_),
+            joined("reason_code", (), np.str_),
         )
 
     @classmethod
     def unknown(
-        cls, shape: tuple[int, ...], displacement: bool, log_evidence: float, chi2: float, status: str, reason: str
+        cls,
+        shape: tuple[int, ...],
+        displacement: bool,
+        log_evidence: float,
+        chi2: float,
+        status: str,
+        why: Reason | None,
     ) -> Self:
         """Return one frame of which no surface is known, with arrays of `shape`."""
-        traction, std, displaced = np.full((3, *shape), np.nan)
-        return cls(traction, std, displaced if displacement else None, False, log_evidence, chi2, status, reason)
+        traction, std, moved = np.full((3, *shape), np.nan)
+        text, code = stated(why)
+        return cls(traction, std, moved if displacement else None, False, log_evidence, chi2, status, text, code)
+
+
+def stated(reason: Reason | None) -> tuple[str, str]:
+    """Return `Decoded.reason` and `Decoded.reason_code`."""
+    return (reason.text, reason.code) if reason is not None else ("", "")

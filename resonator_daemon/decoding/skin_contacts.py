@@ -15,6 +15,7 @@ from resonator_daemon.decoding.parameters import SIGNAL_LIMIT
 from resonator_daemon.decoding.patch_tracks import PatchTracker
 from resonator_daemon.decoding.patches import Patch
 from resonator_daemon.decoding.skin import Skin
+from resonator_daemon.reasons import Reason, ReasonCode
 
 _ONSET_FRAMES = 2  # in a row: a patch of one frame may be noise
 _SIGNIFICANCE = 6.0  # standard deviations of the normal force at onset
@@ -40,7 +41,7 @@ class SkinEvent:
 
     event: Literal["onset", "release", "incipient_slip", "gross_slip"]
     contact: SkinContact
-    reason: str = ""  # of a release
+    reason: Reason | None = None  # of a release
 
 
 @dataclass
@@ -84,7 +85,7 @@ class SkinContacts:
         self._tracks: dict[int, _Track] = {}
         self._watch = SlipWatch(self._model, self._friction)
 
-    def reset(self, reason: str) -> tuple[SkinEvent, ...]:
+    def reset(self, reason: Reason) -> tuple[SkinEvent, ...]:
         """End all contacts for this reason: what follows has nothing in common with what was."""
         ended = tuple(SkinEvent("release", track.last, reason) for track in self._tracks.values() if track.announced)
         self.tracker.clear()
@@ -157,8 +158,8 @@ class SkinContacts:
         for i in [i for i in self._tracks if i not in self.tracker.ids]:
             track = self._tracks.pop(i)
             if track.announced:
-                reason = f"not found in {self.tracker.patience + 1} frames in a row"
-                events.append(SkinEvent("release", track.last, reason))
+                text = f"not found in {self.tracker.patience + 1} frames in a row"
+                events.append(SkinEvent("release", track.last, Reason(ReasonCode.NOT_FOUND_ON_MAP, text)))
         return events
 
 

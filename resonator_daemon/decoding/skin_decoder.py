@@ -11,6 +11,7 @@ from resonator_daemon.decoding.layout import as_grid
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_contacts import SkinContact, SkinContacts, SkinEvent
 from resonator_daemon.decoding.surface_estimators import surface_estimator
+from resonator_daemon.reasons import Reason, ReasonCode
 
 _NOISE_CHANGE = 1.5  # of a channel: a smaller one hardly changes what is decoded
 _NOISY = 3.0  # times a signal's usual noise: it counts as lost
@@ -70,7 +71,7 @@ class SkinDecoder:
         above = np.count_nonzero(known & (ratios > 1.0 / _NOISE_CHANGE), axis=1)
         return bool(((below >= half) & (above >= half)).all())
 
-    def reset(self, reason: str) -> tuple[SkinEvent, ...]:
+    def reset(self, reason: Reason) -> tuple[SkinEvent, ...]:
         """Discard the frames before; return the releases of their contacts, for this reason."""
         if self._estimator.physics is not None:
             self._estimator.physics.reset()
@@ -83,7 +84,7 @@ class SkinDecoder:
     def succeed(self, other: "SkinDecoder") -> tuple[SkinEvent, ...]:
         """Replace another decoder: return the releases of its contacts, and continue its numbers."""
         self.number_from(other.contacts.tracker.last_id)
-        return other.reset("the decoder was set up again, for another noise")
+        return other.reset(Reason(ReasonCode.DECODER_RESET, "the decoder was set up again, for another noise"))
 
     def decode(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
         """Read a frame, both arrays (3, n): its map and its contacts."""

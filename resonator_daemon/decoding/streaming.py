@@ -12,6 +12,7 @@ from resonator_daemon.decoding.setup_cache import cached
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_contacts import SkinEvent
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
+from resonator_daemon.reasons import Reason, ReasonCode
 
 log = logging.getLogger(__name__)
 
@@ -101,7 +102,7 @@ class StreamingDecoder:
         ended, self._ended = self._ended, ()
         return replace(surface, events=ended + surface.events)
 
-    def end_contacts(self, reason: str) -> SurfaceReading | None:
+    def end_contacts(self, reason: Reason) -> SurfaceReading | None:
         """End all contacts because frames have stopped arriving; return their releases, None if there are none."""
         if self._decoder is None:
             return None
@@ -140,11 +141,11 @@ def failed(decoder: SkinDecoder, error: Exception) -> SurfaceReading:
     if repr(error) not in _logged and len(_logged) < _LOGGED_MAX:  # the frames that follow may fail in the same way
         _logged.add(repr(error))
         log.error("frames cannot be decoded", exc_info=error)
-    reason = f"decoder failed: {error!r}"
+    reason = Reason(ReasonCode.DECODING_FAILED, f"decoder failed: {error!r}")
     return nothing_decoded(decoder, "rejected", reason, decoder.reset(reason))
 
 
-def nothing_decoded(decoder: SkinDecoder, status: str, reason: str, events: tuple[SkinEvent, ...]) -> SurfaceReading:
+def nothing_decoded(decoder: SkinDecoder, status: str, reason: Reason, events: tuple[SkinEvent, ...]) -> SurfaceReading:
     """Return a reading without a surface, with the events that end its contacts."""
     decoded = Decoded.unknown((3, *decoder.shape), True, np.nan, np.nan, status, reason)
     return SurfaceReading(decoder.name, decoded, events=events)

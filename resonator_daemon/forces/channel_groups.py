@@ -7,8 +7,12 @@ from itertools import chain, combinations
 from typing import Final, Literal, NamedTuple
 
 from resonator_daemon.forces.code_fit import RUNNER_UP_GAP, CodeFit, Codes, Reading, fit_code, gates
+from resonator_daemon.reasons import Reason, ReasonCode
 
 LEAVE_ONE_OUT_CHANNELS: Final = 4  # with fewer, what is left is too little to convict a channel
+SITES_ALIKE: Final = Reason(ReasonCode.SITES_ALIKE, "two sites explain the channels alike")
+_NO_SITE: Final = Reason(ReasonCode.NO_SITE_FITS, "no site explains the channels")
+_SEVERAL: Final = Reason(ReasonCode.SEVERAL_SITES, "channels detect different sites")
 
 Group = tuple[int, ...]  # of channels
 
@@ -32,7 +36,7 @@ class Explanation(NamedTuple):
     """Explanation of a reading: `named` has one entry per site, `candidates` are the ambiguous ones."""
 
     status: Literal["ok", "ambiguous", "rejected"]
-    reason: str
+    reason: Reason
     named: tuple[GroupSite, ...] = ()
     candidates: tuple[int, ...] = ()
 
@@ -95,7 +99,7 @@ def join(groups: Groups) -> Explanation:
         if len(named) == len(partition) == len({group.site for group in named}) > 1:
             explanations.append((len(named), sum(group.fit.score for group in named), named))
     if not explanations:
-        return Explanation("rejected", "no site explains the channels")
+        return Explanation("rejected", _NO_SITE)
     explanations.sort(key=lambda explanation: explanation[:2])
     count, score, named = explanations[0]
     alike = [other for number, total, other in explanations if number == count and total - score < RUNNER_UP_GAP]
@@ -104,11 +108,11 @@ def join(groups: Groups) -> Explanation:
         candidates = rivals.union(group.site for other in alike for group in other)
         return Explanation(
             "ambiguous",
-            "channels detect different sites, and other sites explain them as well",
+            Reason(ReasonCode.SITES_ALIKE, "channels detect different sites, and other sites explain them as well"),
             (),
             tuple(sorted(candidates)),
         )
-    return Explanation("ok", "channels detect different sites", tuple(named))
+    return Explanation("ok", _SEVERAL, tuple(named))
 
 
 def leave_one_out(groups: Groups) -> Explanation:
@@ -120,8 +124,7 @@ def leave_one_out(groups: Groups) -> Explanation:
     if len(groups.channels) == LEAVE_ONE_OUT_CHANNELS and len(groups.unexplained) == 1 and rest in groups.explained:
         named = groups.explained[rest]
         if named.gap >= RUNNER_UP_GAP:
-            return Explanation("ok", f"channel {groups.unexplained[0]} detects another tone", (named,))
-        return Explanation(
-            "ambiguous", "two sites explain the channels alike", (), tuple(sorted((named.site, named.rival)))
-        )
-    return Explanation("rejected", "no site explains the channels")
+            why = Reason(ReasonCode.CHANNEL_LEFT_OUT, f"channel {groups.unexplained[0]} detects another tone")
+            return Explanation("ok", why, (named,))
+        return Explanation("ambiguous", SITES_ALIKE, (), tuple(sorted((named.site, named.rival))))
+    return Explanation("rejected", _NO_SITE)

@@ -8,9 +8,13 @@ from typing import Final, Literal
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.forces.site_identification import SiteForce
+from resonator_daemon.reasons import Reason, ReasonCode
 
 ONSET_NEWTON: Final = 0.020
 RELEASE_NEWTON: Final = 0.010
+_UNKNOWN: Final = Reason(ReasonCode.UNKNOWN_TOO_LONG, "its state was unknown for too long")
+_GONE: Final = Reason(ReasonCode.NOT_DETECTED, "no longer felt")
+_FELL: Final = Reason(ReasonCode.FORCE_FELL, f"below {RELEASE_NEWTON:g} N")
 
 
 @dataclass(slots=True)  # not frozen, which takes three times as long to make: several for each reading
@@ -24,7 +28,7 @@ class Touch:
     noise_newton: float
     systematic_newton: float
     status: str
-    reason: str = ""
+    reason: Reason | None = None
     at_least_newton: float | None = None
 
 
@@ -64,7 +68,7 @@ class ContactEvent:
     event: Literal["onset", "release"]
     board_ticks: int
     contact: Contact
-    reason: str
+    reason: Reason | None  # of a release
 
 
 class ContactTracker:
@@ -91,7 +95,7 @@ class ContactTracker:
         return tuple(self._open.values())
 
     def update(
-        self, board_ticks: int, touches: Sequence[Touch], *, complete: bool, status: str, reason: str
+        self, board_ticks: int, touches: Sequence[Touch], *, complete: bool, status: str, reason: Reason | None
     ) -> tuple[ContactEvent, ...]:
         """Update with one reading.
 
@@ -101,7 +105,7 @@ class ContactTracker:
         if not touches and not self._open:
             return ()
         events = [
-            self._release(contact.id, board_ticks, "its state was unknown for too long")
+            self._release(contact.id, board_ticks, _UNKNOWN)
             for contact in self.contacts
             if board_ticks - contact.since_ticks - contact.duration_ticks > self._unknown_ticks
         ]
@@ -110,14 +114,14 @@ class ContactTracker:
             if contact.id in contact_of.values():
                 continue
             if complete:
-                events.append(self._release(contact.id, board_ticks, "no longer felt"))
+                events.append(self._release(contact.id, board_ticks, _GONE))
                 continue
             self._open[contact.id] = replace(contact, touch=_unknown(contact.touch, status, reason))
         for index, touch in enumerate(touches):
             events += self._track(board_ticks, touch, contact_of.get(index))
         return tuple(events)
 
-    def close(self, board_ticks: int, reason: str) -> tuple[ContactEvent, ...]:
+    def close(self, board_ticks: int, reason: Reason) -> tuple[ContactEvent, ...]:
         """Release every contact, as after a restart of the board."""
         return tuple(self._release(number, board_ticks, reason) for number in list(self._open))
 
@@ -147,7 +151,7 @@ class ContactTracker:
             self._last_id += 1
             contact = Contact(self._last_id, touch, at_least, board_ticks, 0)
             self._open[contact.id] = contact
-            return [ContactEvent("onset", board_ticks, contact, "")]
+            return [ContactEvent("onset", board_ticks, contact, None)]
         before = self._open[number]
         if math.isnan(at_least):
             self._open[number] = replace(before, touch=touch)
@@ -156,14 +160,14 @@ class ContactTracker:
         duration_ticks = board_ticks - before.since_ticks
         self._open[number] = Contact(number, touch, peak_newton, before.since_ticks, duration_ticks)
         if newton < RELEASE_NEWTON:
-            return [self._release(number, board_ticks, f"below {RELEASE_NEWTON:g} N")]
+            return [self._release(number, board_ticks, _FELL)]
         return []
 
-    def _release(self, number: int, board_ticks: int, reason: str) -> ContactEvent:
+    def _release(self, number: int, board_ticks: int, reason: Reason) -> ContactEvent:
         return ContactEvent("release", board_ticks, self._open.pop(number), reason)
 
 
-def _unknown(touch: Touch, status: str, reason: str) -> Touch:
+def _unknown(touch: Touch, status: str, reason: Reason | None) -> Touch:
     """Return the touch without the numbers that the last reading did not give."""
     return replace(
         touch,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from resonator_daemon.forces.baseline import COMMON_MODE_WALK
+from resonator_daemon.reasons import Reason, ReasonCode
 
 SPAN_S: Final = 10.0
 WALKS: Final = 5.0  # standard deviations of the random walk over the span: never in months of a quiet room
@@ -32,7 +33,7 @@ class DriftWatch:
         self._seen.clear()
         self._drifting = False
 
-    def update(self, common_mode: Sequence[float], plate_kelvin: float, time_s: float) -> str | None:
+    def update(self, common_mode: Sequence[float], plate_kelvin: float, time_s: float) -> Reason | None:
         """Update with the common mode per channel and the plate's temperature, each NaN where unknown.
 
         Returns how the baseline drifts, None while it does not.
@@ -65,12 +66,13 @@ class DriftWatch:
         self._drifting = self._moved > self._limit * (_OVER if self._drifting else 1.0)
 
     @property
-    def _verdict(self) -> str | None:
+    def _verdict(self) -> Reason | None:
         if not self._drifting:
             return None
         rate = self._moved / self._span_s
-        return (
+        return Reason(
+            ReasonCode.DRIFTING,
             f"the baseline moves by {rate * 1e6:.2g} ppm/s, {self._moved * 1e6:.2g} ppm in {self._span_s:.0f} s, where "
             f"at most {self._limit * 1e6:.2g} ppm are explained: the plate is warmed or cooled, or its reference "
-            "wanders"
+            "wanders",
         )

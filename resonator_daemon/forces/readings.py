@@ -6,6 +6,7 @@ from typing import Literal
 from resonator_daemon.arrays import Floats
 from resonator_daemon.forces.contacts import Contact, ContactEvent
 from resonator_daemon.forces.site_identification import SiteForce
+from resonator_daemon.reasons import Reason
 
 SensorStatus = Literal[
     "ok",
@@ -52,7 +53,7 @@ class ForceReading:
     window_s: float
     at_step: bool
     status: SensorStatus
-    reason: str
+    reason: Reason | None
     sites: tuple[SiteForce, ...]
     contacts: tuple[Contact, ...]
     events: tuple[ContactEvent, ...]
@@ -71,7 +72,7 @@ class SkinReading:
     board_ticks: int
     window_s: float
     status: SensorStatus
-    reason: str
+    reason: Reason | None
     signals: Floats
     noise_std: Floats
     common_mode: float

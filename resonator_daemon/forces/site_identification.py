@@ -9,7 +9,14 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.forces.channel_groups import Explanation, detected_alone, explain_groups, join, leave_one_out
+from resonator_daemon.forces.channel_groups import (
+    SITES_ALIKE,
+    Explanation,
+    detected_alone,
+    explain_groups,
+    join,
+    leave_one_out,
+)
 from resonator_daemon.forces.code_fit import (
     RUNNER_UP_GAP,
     Code,
@@ -20,11 +27,15 @@ from resonator_daemon.forces.code_fit import (
     gates,
     uncertainty_newton,
 )
+from resonator_daemon.reasons import Reason, ReasonCode, joined
 
 MODEL_ERROR: Final = 0.015  # relative error of K, independent from channel to channel
 FORCE_MIN_FRACTION: Final = -0.02  # of the largest force: room for noise and for a held common mode
 OVERLOAD_FACTOR: Final = 10.0  # times the largest force; further away, a foreign tone is likelier than a press
 REACH_STD: Final = 10.0  # a code further away, on any channel, is neither a match nor a runner-up
+
+_DISAGREE: Final = Reason(ReasonCode.CHANNELS_DISAGREE, "channels disagree on the force")
+_OVERLOAD_OR_SEVERAL: Final = Reason(ReasonCode.OVERLOAD_OR_SEVERAL, "one force beyond the range, or several sites")
 
 Status = Literal["ok", "ambiguous", "rejected", "overload"]
 
@@ -56,7 +67,7 @@ class Match:
     """
 
     status: Status
-    reason: str
+    reason: Reason | None
     chi2: float
     forces: tuple[SiteForce, ...] = ()
     candidates: tuple[int, ...] = ()
@@ -118,18 +129,19 @@ class Matcher:
         reading = _reading(frequency_hz, counter_std, oscillator_std, common_mode_std)
         channels = reading.channels
         if (used := len(channels)) < 2:
-            return Match("rejected", f"detected on {used} channel(s), at least 2 needed", math.nan)
+            why = Reason(ReasonCode.TOO_FEW_CHANNELS, f"detected on {used} channel(s), at least 2 needed")
+            return Match("rejected", why, math.nan)
         fits = _fits(self._codes, _near_all(self._bands, reading, channels), reading)
         if not fits or not fits[0].chi2 <= self._gates[used]:
             return self._apart(reading, fits[0].chi2 if fits else math.nan)
         best, *others = fits
         if others and others[0].score - best.score < RUNNER_UP_GAP:
             candidates = tuple(sorted((best.site, others[0].site)))
-            return Match("ambiguous", "two sites explain the channels alike", best.chi2, (), candidates)
+            return Match("ambiguous", SITES_ALIKE, best.chi2, (), candidates)
         force = self._site_force(best, reading)
         if force.status == "overload":
             return Match("overload", self._overload_reason, best.chi2, (force,))
-        return Match("ok", "", best.chi2, (force,))
+        return Match("ok", None, best.chi2, (force,))
 
     def _apart(self, reading: Reading, chi2: float) -> Match:
         """Explain a reading that no site within the range explains on all channels."""
@@ -137,13 +149,13 @@ class Matcher:
         near = {site for channel in reading.channels for site in _near(self._bands, reading, channel, everywhere)}
         detected = detected_alone(self._codes, sorted(near), reading)
         if set.intersection(*map(set, detected.values())):  # a chance excess of the gate is not read as anything else
-            return Match("rejected", "channels disagree on the force", chi2)
+            return Match("rejected", _DISAGREE, chi2)
         groups = explain_groups(self._codes, detected, reading)
         explanation, over = join(groups), self._overload(reading)
         if over and explanation.status != "rejected":
             candidates = {site.site for site in explanation.named} | {force.site for force in over.forces}
-            reason = "one force beyond the range, or several sites"
-            return Match("ambiguous", reason, chi2, (), tuple(sorted(candidates.union(explanation.candidates))))
+            either = tuple(sorted(candidates.union(explanation.candidates)))
+            return Match("ambiguous", _OVERLOAD_OR_SEVERAL, chi2, (), either)
         if over:
             return over
         if explanation.status == "rejected":
@@ -156,7 +168,7 @@ class Matcher:
         forces = tuple([self._site_force(group.fit, reading) for group in explanation.named])
         chi2 = sum(group.fit.chi2 for group in explanation.named)
         if any(force.status == "overload" for force in forces):
-            return Match("overload", f"{explanation.reason}; {self._overload_reason}", chi2, forces)
+            return Match("overload", joined(self._overload_reason, explanation.reason), chi2, forces)
         return Match("ok", explanation.reason, chi2, forces)
 
     def _overload(self, reading: Reading) -> Match | None:
@@ -183,8 +195,8 @@ class Matcher:
         return Match("overload", self._overload_reason, fit.chi2, (self._site_force(fit, reading),))
 
     @property
-    def _overload_reason(self) -> str:
-        return f"force above {self._codes.range_newton[1]:g} N, the largest of this plate"
+    def _overload_reason(self) -> Reason:
+        return overload_reason(self._codes.range_newton[1])
 
     def _site_force(self, fit: CodeFit, reading: Reading) -> SiteForce:
         channels = tuple([channel for channel, weight in enumerate(fit.weights) if weight])
@@ -196,6 +208,11 @@ class Matcher:
         return SiteForce(
             fit.site, fit.force_newton, noise, systematic, "ok", unobserved_bound_newton=hidden, channels=channels
         )
+
+
+def overload_reason(force_max_newton: float) -> Reason:
+    """Return the reason of a force beyond the range of a plate."""
+    return Reason(ReasonCode.OVERLOAD, f"force above {force_max_newton:g} N, the largest of this plate")
 
 
 class _Band(NamedTuple):

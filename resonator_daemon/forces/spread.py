@@ -13,6 +13,7 @@ from scipy.spatial import Delaunay, QhullError
 from scipy.special import chdtri
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.reasons import Reason, ReasonCode
 
 TOUCHES_MAX: Final = 4
 EXCEEDED_BY_CHANCE: Final = 1e-3
@@ -31,6 +32,8 @@ DAMPING_MAX: Final = 1e6
 
 NOTHING: Final = (np.zeros((0, 3)), np.zeros((0, 0)))  # touches and their covariance
 
+_NO_SITE: Final = Reason(ReasonCode.NO_TONE, "no site is known")
+
 SpreadStatus = Literal["ok", "rejected", "no_signal"]
 
 
@@ -45,7 +48,7 @@ class Touches:
     """
 
     status: SpreadStatus
-    reason: str
+    reason: Reason | None
     position_m: Floats
     force_newton: Floats
     covariance: Floats
@@ -119,17 +122,17 @@ class SpreadFit:
         total = noise_variance + other_variance
         data = _Data(self._position[seen], force_newton[seen], total[seen], (noise_variance / total)[seen])
         if not seen.any():
-            return self._touches("no_signal", "no site is known", data, _Fit(*NOTHING, np.nan))
+            return self._touches("no_signal", _NO_SITE, data, _Fit(*NOTHING, np.nan))
         nothing = _Fit(*NOTHING, float(np.sum(data.force**2 / data.noise)))
         followed = self._followed(data, nothing, before) if before is not None else nothing
         if followed.chi2 <= self._gate(data, followed):
-            return self._touches("ok", "", data, followed)
+            return self._touches("ok", None, data, followed)
         best = self._searched(data, nothing) if search else followed
         gate = self._gate(data, best)
         if best.chi2 <= gate:
-            return self._touches("ok", "", data, best)
-        reason = f"{len(best.touches)} touches leave chi2 = {best.chi2:.0f}, at most {gate:.0f}"
-        return self._touches("rejected", reason, data, best)
+            return self._touches("ok", None, data, best)
+        text = f"{len(best.touches)} touches leave chi2 = {best.chi2:.0f}, at most {gate:.0f}"
+        return self._touches("rejected", Reason(ReasonCode.NO_TOUCHES_FIT, text), data, best)
 
     def _followed(self, data: _Data, nothing: _Fit, before: Touches) -> _Fit:
         """Refit the touches of the previous reading that are left."""
@@ -158,7 +161,7 @@ class SpreadFit:
         force = np.where(touches.force_newton >= least_newton, touches.force_newton, 0.0)
         return _share(self._position, touches.position_m / self._depth_m) @ force
 
-    def _touches(self, status: SpreadStatus, reason: str, data: _Data, fit: _Fit) -> Touches:
+    def _touches(self, status: SpreadStatus, reason: Reason | None, data: _Data, fit: _Fit) -> Touches:
         count = len(fit.touches)
         scale = np.array([self._depth_m, self._depth_m, 1.0])
         blocks = fit.covariance.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count), :]

@@ -12,6 +12,7 @@ from resonator_daemon.pipeline.state_messages import StateMessages
 from resonator_daemon.publishing.headers import Headers
 from resonator_daemon.publishing.payloads import Condition, Lost
 from resonator_daemon.publishing.topics import INFO, STATE_LINK, STATE_SENSOR
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.sensors.calendar import DAY_NS, utc_day
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.sensors.output import MessageOutput, Publish
@@ -136,7 +137,8 @@ class BoardPipeline:
                 self.link = arrival
                 self._publish_link_state(arrival)
                 if arrival.state != Condition.ONLINE:
-                    self._sensor_state.no_frames(f"link {arrival.state}: {arrival.reason}", arrival.utc_ns)
+                    no_frames = Reason(ReasonCode.NO_FRAMES, f"link {arrival.state}: {arrival.reason}")
+                    self._sensor_state.no_frames(no_frames, arrival.utc_ns)
                 self._frame_timeout.watch(arrival.state, arrival.utc_ns)
             case Outage():
                 self._outage = arrival
@@ -245,7 +247,7 @@ class BoardPipeline:
         self._publish(STATE_LINK, self.states.link_state(link, self._outage, self._boots))
 
     def _publish_sensor_state(
-        self, condition: Condition, reason: str, since_utc_ns: int, compensation: Compensation | None
+        self, condition: Condition, reason: Reason, since_utc_ns: int, compensation: Compensation | None
     ) -> None:
         state = self.states.sensor_state(condition, reason, since_utc_ns, self._now_utc_ns, compensation)
         self._publish(STATE_SENSOR, state)

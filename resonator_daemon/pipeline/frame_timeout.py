@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Final, Protocol
 
 from resonator_daemon.conditions import Condition
+from resonator_daemon.reasons import Reason, ReasonCode
 
 CONTACTS_END_S: Final = 0.5  # as long as a contact of which nothing is known is kept while frames do come
 
@@ -28,7 +29,7 @@ class FrameTimeout:
         Of the event loop, for which the present counts; None if all time passes by `passed`.
     """
 
-    def __init__(self, expire: Callable[[str], None], call_later: CallLater | None) -> None:
+    def __init__(self, expire: Callable[[Reason], None], call_later: CallLater | None) -> None:
         self._expire = expire
         self._call_later = call_later
         self._timer: Timer | None = None
@@ -58,7 +59,7 @@ class FrameTimeout:
 
     def _run_out(self) -> None:
         self._end()
-        self._expire(f"no frames for {CONTACTS_END_S:g} s")
+        self._expire(Reason(ReasonCode.NO_FRAMES, f"no frames for {CONTACTS_END_S:g} s"))
 
     def _end(self) -> None:
         self._due_utc_ns = None

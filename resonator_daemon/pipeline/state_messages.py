@@ -33,6 +33,7 @@ from resonator_daemon.publishing.topics import (
 )
 from resonator_daemon.publishing.units import UNITS
 from resonator_daemon.publishing.verbs import permitted
+from resonator_daemon.reasons import Reason
 from resonator_daemon.sensors.base import Sensor
 from resonator_daemon.session.frames import BoardOnline, LinkChange, Outage
 
@@ -88,7 +89,7 @@ class StateMessages:
     def sensor_state(
         self,
         condition: Condition,
-        reason: str,
+        reason: Reason,
         since_utc_ns: int,
         utc_ns: int,
         compensation: AppliedCompensation | None,
@@ -96,7 +97,8 @@ class StateMessages:
         return State(
             **self._in_order(STATE_SENSOR, utc_ns, since_utc_ns),
             state=condition,
-            reason=reason,
+            reason_code=reason.code,
+            reason=reason.text,
             compensation=Compensation(**asdict(compensation)) if compensation is not None else None,
         )
 

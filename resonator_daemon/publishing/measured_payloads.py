@@ -22,11 +22,11 @@ from resonator_daemon.publishing.payload_types import (
 from resonator_daemon.publishing.words import Baseline, ContactChange, ResponseCompensation
 from resonator_daemon.reasons import ReasonCode
 
-_SLIP_UNKNOWN = "null where the signals do not show it"
+_SLIP_UNKNOWN = "null with a code in `slip_reason_code`"
 _DECODER_ID = "the process that decoded; left out by the daemon itself"
 _FOLLOWER_ID = "the process that follows the contacts, and numbers them; left out by the daemon itself"
-_REASON_CODE = "reserved: why, for programs; no message has it yet"
-_REASON = "why, as a sentence for people, with details"
+_REASON_CODE = "why, for programs; left out where there is nothing to state"
+_REASON = "the same as a sentence for people, with details"
 _AT_LEAST = "with the status `overload` alone: the force is at least this"
 
 
@@ -75,8 +75,8 @@ class Forces(Measured):
 
     window_s: float = Field(description="length of the window that was counted; shorter just after an onset")
     status: Status = Field(description="of the whole message: why sites may be missing")
-    reason_code: ReasonCode | None = optional(_REASON_CODE)
-    reason: str | None = optional(_REASON + "; `ok` may have one, too, as channels without a signal")
+    reason_code: ReasonCode | None = optional(_REASON_CODE + "; `ok` may have one, too, as channels without a signal")
+    reason: str | None = optional(_REASON)
     sites: tuple[SiteForce, ...] = Field(description="those on which something presses")
     beats: tuple[int, ...] | None = optional(
         "channels whose tone beats with the board's reference clock; `noise_newton` counts for that"
@@ -119,7 +119,7 @@ class Contact(Message):
         f"configured one counts as known to 3 %; {_SLIP_UNKNOWN}"
     )
     friction_coefficient_std: OptionalFloat = optional("its standard deviation")
-    slip_reason_code: ReasonCode | None = optional("reserved: why the slip margin is null; no message has it yet")
+    slip_reason_code: ReasonCode | None = optional("why the slip margin or the friction coefficient is null")
     status: Status = Field(description="what this contact's numbers are worth")
     reason_code: ReasonCode | None = optional(_REASON_CODE)
 
@@ -140,8 +140,7 @@ class Contacts(Measured):
     """All present contacts."""
 
     status: Status = Field(description="of the whole message")
-    reason_code: ReasonCode | None = optional(_REASON_CODE)
-    reason: str | None = optional(_REASON)
+    reason_code: ReasonCode | None = optional(_REASON_CODE + "; the sentence is in `forces` or `decoded/summary`")
     contacts: tuple[Contact, ...] = Field(description="all present contacts")
     decoder_id: str | None = optional(_FOLLOWER_ID)
 
@@ -150,7 +149,7 @@ class ContactEvent(Measured):
     """A contact begins, ends or slips."""
 
     event: ContactChange = Field(description="what happens")
-    reason_code: ReasonCode | None = optional("reserved: why it is released, for programs; no message has it yet")
+    reason_code: ReasonCode | None = optional("why a contact is released, for programs; each release has one")
     reason: str | None = optional(_REASON)
     contact: EventContact = Field(
         description="its last state: the force of one that is no longer detected may be null already"
@@ -238,10 +237,11 @@ class DecodedSummary(Measured):
         description="of the frame; `constraint_dropped`: the signals contradict contact physics, and `reason` states "
         "what is shown instead"
     )
-    reason_code: ReasonCode | None = optional(_REASON_CODE)
-    reason: str | None = optional(
-        _REASON + "; `ok` may have one, too: lost signals, matrices that are being prepared, a fit in place of a map"
+    reason_code: ReasonCode | None = optional(
+        _REASON_CODE
+        + "; `ok` may have one, too: lost signals, matrices that are being prepared, a fit in place of a map"
     )
+    reason: str | None = optional(_REASON)
     patches: tuple[Patch, ...] = Field(description="the contacts, in the order of `contacts`")
     decoder_id: str | None = optional(_DECODER_ID)
 

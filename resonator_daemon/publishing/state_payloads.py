@@ -18,16 +18,16 @@ class OutageInfo(Message):
     start_t_ns: Int64 = Field(description="UTC, middle of the last gate before, by the clock as it is at the end")
     end_t_ns: Int64 = Field(description="UTC, middle of the first gate after")
     frames_lost: int = Field(description="frames that the board sent meanwhile, or would have")
-    reason_code: ReasonCode | None = optional("reserved: the same for programs; no message has it yet")
-    reason: str = Field(description="reason of the link's state when it began")
+    reason_code: ReasonCode | None = optional("reason of the link's state when it began, for programs")
+    reason: str = Field(description="the same as a sentence for people")
 
 
 class State(BoardHeader):
     """State of the daemon, its link or its sensor."""
 
     state: Condition = Field(description="one word")
-    reason_code: ReasonCode | None = optional("reserved: why, for programs; no message has it yet")
-    reason: str = Field(description="why, as a sentence for people, with details")
+    reason_code: ReasonCode | None = optional("why, for programs")
+    reason: str = Field(description="the same as a sentence for people, with details")
     since_t_ns: Int64 | None = Field(
         description="UTC, since when the state lasts; null in the last will: nobody is left to date it"
     )
@@ -171,8 +171,8 @@ class RecordingInfo(Message):
 
     file: str | None = Field(description="the present one, on the daemon's machine; null while nothing is recorded")
     since_t_ns: Int64 | None = Field(description="UTC, when the recording began; null while nothing is recorded")
-    failure_code: ReasonCode | None = optional("reserved: why nothing is written to it; no message has it yet")
-    failure: str | None = Field(description="why nothing is written to it; null while all is well")
+    failure_code: ReasonCode | None = optional("why nothing is written to it, for programs; left out while all is well")
+    failure: str | None = Field(description="the same as a sentence; null while all is well")
     file_bytes: int = Field(description="what is written of the present file, 0 while nothing is recorded")
     files: int = Field(description="files that were begun since the daemon started")
     files_removed: int = Field(description="old recordings that went because of `max_total_mb`, since then")
@@ -229,8 +229,8 @@ class DecoderState(Message):
 
     decoder_id: str = Field(description="that of the topic, and of the messages it publishes")
     state: Condition = Field(description="one word")
-    reason_code: ReasonCode | None = optional("reserved: why, for programs; no message has it yet")
-    reason: str = Field(description="why, as a sentence for people, with details")
+    reason_code: ReasonCode | None = optional("why, for programs")
+    reason: str = Field(description="the same as a sentence for people, with details")
     t_ns: Int64 = Field(description="UTC, when it was published")
     since_t_ns: Int64 | None = Field(description="UTC, since when the state lasts; null in the last will")
     topic_filter: str = Field(description="the signals it takes")

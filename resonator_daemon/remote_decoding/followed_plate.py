@@ -26,7 +26,8 @@ from resonator_daemon.publishing.payloads import (
 )
 from resonator_daemon.publishing.publisher import Subscription
 from resonator_daemon.publishing.topics import CONTACT_EVENT, DECODED, INFO, SIGNALS, Topic, full_topic
-from resonator_daemon.remote_decoding.plate import WAITS_AFTER_S, Publish, RemotePlate, SkinPlate, header_of
+from resonator_daemon.reasons import Reason, ReasonCode
+from resonator_daemon.remote_decoding.plate import NO_SIGNALS, WAITS_AFTER_S, Publish, RemotePlate, SkinPlate, header_of
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 
 LOOK_S = 0.1
@@ -61,7 +62,7 @@ class FollowedPlate:
         self._publish = publish
         self._decoder: DecoderSupervisor[Signals] | None = None
         self._changed = asyncio.Event()
-        self._note = ""
+        self._note: Reason | None = None
         self._decoder_has_ended = False  # what it announced last is why
         self._is_set_up = False  # the decoder
         self._events = 0
@@ -76,17 +77,17 @@ class FollowedPlate:
             Subscription(self.topic_filter, 0, self._receive_signals),
         )
 
-    def condition(self) -> tuple[Condition, str]:
+    def condition(self) -> tuple[Condition, Reason]:
         """Return the present state and its reason."""
         name = self._plate.name
         if self._plate.problem:
-            return Condition.WAITING, f"{name}: {self._plate.problem}"
+            return Condition.WAITING, _of(name, self._plate.problem)
         if self._note:
-            return (Condition.REFUSED if self._decoder_has_ended else Condition.STARTING), f"{name}: {self._note}"
+            return (Condition.REFUSED if self._decoder_has_ended else Condition.STARTING), _of(name, self._note)
         is_set_up = self._is_set_up and not self._changed.is_set()
         if not is_set_up or time.monotonic() - self._plate.last_s > WAITS_AFTER_S:
-            return Condition.WAITING, f"{name}: no signals that could be decoded"
-        return Condition.ONLINE, f"signals of {name} are decoded"
+            return Condition.WAITING, _of(name, NO_SIGNALS)
+        return Condition.ONLINE, Reason(ReasonCode.DECODING, f"signals of {name} are decoded")
 
     def health(self) -> dict[str, DecoderPlateHealth]:
         """Return the counters of the plate's signals."""
@@ -127,7 +128,7 @@ class FollowedPlate:
             last_contact_id=last_contact_id,
         )
         decoder = self._decoder = DecoderSupervisor[Signals](self._plate.name, settings, self)
-        self._note, self._decoder_has_ended, self._is_set_up = "", False, False
+        self._note, self._decoder_has_ended, self._is_set_up = None, False, False
         running = asyncio.create_task(decoder.run(), name="decoding")
         changed = asyncio.create_task(self._changed.wait())
         try:
@@ -144,7 +145,7 @@ class FollowedPlate:
             self._plate.skipped += decoder.frames_skipped - without_noise + decoder.waiting
             self._plate.unusable += without_noise
             self._decoder = None
-        decoder.release_contacts("the plate has changed")
+        decoder.release_contacts(Reason(ReasonCode.PLATE_CHANGED, "the plate has changed"))
         return decoder.last_contact_id
 
     def _receive_info(self, message: Incoming) -> None:
@@ -166,10 +167,10 @@ class FollowedPlate:
             ),
         )
 
-    def announce(self, note: str) -> None:
+    def announce(self, note: Reason | None) -> None:
         """Report what is being set up, or why nothing is decoded."""
         self._note = note
-        self._is_set_up = not note
+        self._is_set_up = note is None
 
     def lost(self, origin: Signals) -> Lost:
         """Return the daemon's losses, as of the signals."""
@@ -198,4 +199,8 @@ class FollowedPlate:
             last_s = self._plate.last_s
             if self._decoder is not None and last_s > ended_s and time.monotonic() - last_s > CONTACTS_END_S:
                 ended_s = last_s
-                self._decoder.interrupt(f"no signals for {CONTACTS_END_S:g} s")
+                self._decoder.interrupt(Reason(ReasonCode.NO_SIGNALS, f"no signals for {CONTACTS_END_S:g} s"))
+
+
+def _of(plate: str, reason: Reason) -> Reason:
+    return Reason(reason.code, f"{plate}: {reason.text}")

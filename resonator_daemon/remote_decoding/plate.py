@@ -17,9 +17,14 @@ from resonator_daemon.publishing.codec import Encoded, decode
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import DecoderPlateHealth, GridInfo, Info, Signals, Status
 from resonator_daemon.publishing.topics import DECODED, SCHEMA_VERSION, MessageT, Topic
+from resonator_daemon.reasons import Reason, ReasonCode
 
-NO_INFO = "no info yet: no daemon has published under this name"
-DECODED_BY_DAEMON = "the daemon decodes this plate itself; set external = true in [decoding] of its configuration"
+NO_INFO = Reason(ReasonCode.NO_INFO, "no info yet: no daemon has published under this name")
+DECODED_BY_DAEMON = Reason(
+    ReasonCode.DECODED_BY_DAEMON,
+    "the daemon decodes this plate itself; set external = true in [decoding] of its configuration",
+)
+NO_SIGNALS = Reason(ReasonCode.NO_SIGNALS, "no signals that could be decoded")
 SITES_MAX: Final = 10_000
 INFO_BYTES_MAX: Final = 2_000_000
 WAITS_AFTER_S: Final = 2.0  # without signals, a decoder is waiting
@@ -87,7 +92,7 @@ class RemotePlate:
     def __init__(self, name: str) -> None:
         self.name = name
         self.skin: SkinPlate | None = None
-        self.problem: str | None = NO_INFO
+        self.problem: Reason | None = NO_INFO
         self.received = self.unusable = self.missed = self.decoded = self.skipped = 0
         self.last_s = -math.inf
         self.gate_s = 0.0
@@ -99,7 +104,7 @@ class RemotePlate:
         try:
             self.skin, self.gate_s = _read_info(payload)
         except _UnusableInfoError as error:
-            self.skin, self.problem = None, str(error)
+            self.skin, self.problem = None, error.reason
             return before is not None
         self.problem = None
         if self.skin.is_same(before):
@@ -107,9 +112,9 @@ class RemotePlate:
             return False
         return True
 
-    def refuse(self, problem: str) -> None:
+    def refuse(self, problem: Reason) -> None:
         """Decode nothing until the next `info`."""
-        self.skin, self.problem = None, problem[:_REASON_MAX]
+        self.skin, self.problem = None, Reason(problem.code, problem.text[:_REASON_MAX])
 
     def read_signals(self, payload: bytes, now_s: float) -> Signals | None:
         """Read a `signals`; None where it cannot be decoded, which is counted."""
@@ -177,11 +182,15 @@ def error_text(error: BaseException) -> str:
 class _UnusableInfoError(ValueError):
     """Why there is nothing to decode."""
 
+    def __init__(self, text: str, code: ReasonCode = ReasonCode.INFO_UNUSABLE) -> None:
+        super().__init__(text)
+        self.reason = Reason(code, text)
+
 
 def _read_info(payload: bytes) -> tuple[SkinPlate, float]:
     """Read skin and length of a gate from an `info`."""
     if not payload:
-        raise _UnusableInfoError(NO_INFO)
+        raise _UnusableInfoError(NO_INFO.text, NO_INFO.code)
     try:
         _check_size(payload)
         info = decode(Info, payload)
@@ -194,7 +203,7 @@ def _read_info(payload: bytes) -> tuple[SkinPlate, float]:
         reads = f"this decoder reads {SCHEMA_VERSION}"
         raise _UnusableInfoError(f"its messages have schema version {version[:20]!a}, {reads}")
     if DECODED.path in info.rates_hz:
-        raise _UnusableInfoError(DECODED_BY_DAEMON)
+        raise _UnusableInfoError(DECODED_BY_DAEMON.text, DECODED_BY_DAEMON.code)
     if not info.skin:
         raise _UnusableInfoError("has no skin: there is nothing to decode")
     positions_m = np.array([site.position_m for site in info.sites], np.float64).reshape(-1, 2)

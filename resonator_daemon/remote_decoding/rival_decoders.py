@@ -6,6 +6,7 @@ from typing import Final
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition
 from resonator_daemon.publishing.topics import DECODER_EXPIRY_S
+from resonator_daemon.reasons import Reason, ReasonCode
 
 _ID_LENGTH_MAX: Final = 120
 _NAMED_MAX: Final = 4  # nobody runs more, but anyone may claim to
@@ -46,9 +47,11 @@ class RivalDecoders:
         ):
             self._seen_s[other] = now_s
 
-    def remark(self, now_s: float) -> str:
-        """Return a sentence about the decoders that are there; "" where there is none."""
+    def remark(self, now_s: float) -> Reason | None:
+        """Return which other decoders are there; None without one."""
         self._seen_s = {other: at_s for other, at_s in self._seen_s.items() if now_s - at_s < DECODER_EXPIRY_S}
         if not self._seen_s:
-            return ""
-        return f"decoder {', '.join(sorted(self._seen_s))} follows this plate, too, and both publish: stop one of them"
+            return None
+        others = ", ".join(sorted(self._seen_s))
+        text = f"decoder {others} follows this plate, too, and both publish: stop one of them"
+        return Reason(ReasonCode.SECOND_DECODER, text)

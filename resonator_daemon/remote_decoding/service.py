@@ -34,6 +34,7 @@ from resonator_daemon.publishing.topics import (
     Topic,
     full_topic,
 )
+from resonator_daemon.reasons import Reason, ReasonCode, joined
 from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
 from resonator_daemon.remote_decoding.rival_decoders import RivalDecoders
 from resonator_daemon.remote_decoding.shared_plates import SharedPlates
@@ -109,7 +110,7 @@ class DecoderProcess:
         self._liveness = LivenessMonitor()
         self._fatal: UserError | None = None
         self._ending = asyncio.Event()
-        self._state = (Condition.STARTING, "started")
+        self._state = (Condition.STARTING, Reason(ReasonCode.STARTED, "started"))
         self._since_utc_ns = time.time_ns()
         self._started_s = self._published_s = time.monotonic()
         self._process = ProcessUsage()
@@ -132,7 +133,7 @@ class DecoderProcess:
                 helper.cancel()
             await asyncio.wait(helpers, timeout=_LAST_FRAME_S)
             self._publish_health()  # the last counters
-            self._publish_state(Condition.OFFLINE, str(self._fatal or "stopped"))
+            self._publish_state(Condition.OFFLINE, self._farewell())
             await self._publisher.close()
         if self._fatal is not None:
             raise self._fatal
@@ -210,7 +211,7 @@ class DecoderProcess:
             turns += 1
             condition, reason = self._mode.condition()
             rivals = self._rivals.remark(time.monotonic())
-            state = condition, "; ".join(filter(None, (reason, rivals)))
+            state = condition, joined(reason, rivals) or reason
             decoded = sum(plate.decoded for plate in self._mode.health().values())
             online = condition is Condition.ONLINE
             if self._liveness.healthy(decoded, Condition.ONLINE if online else Condition.WAITING, turns):
@@ -221,7 +222,7 @@ class DecoderProcess:
                     self._since_utc_ns = time.time_ns()
                 self._state = state
                 well = condition in (Condition.ONLINE, Condition.STARTING) and not rivals
-                log.log(logging.INFO if well else logging.WARNING, "%s: %s", *state)
+                log.log(logging.INFO if well else logging.WARNING, "%s: %s", condition, state[1].text)
                 self._publish_state(*state)
             elif time.monotonic() - self._published_s > STATE_AGAIN_S:
                 self._publish_state(*state)
@@ -229,24 +230,30 @@ class DecoderProcess:
     def _sentence(self) -> str:
         """Return the status line."""
         condition, reason = self._state
-        return f"{condition}: {reason}" + ("" if self._publisher.connected else "; no broker")
+        return f"{condition}: {reason.text}" + ("" if self._publisher.connected else "; no broker")
 
-    def _publish_state(self, condition: Condition, reason: str) -> None:
+    def _farewell(self) -> Reason:
+        if self._fatal is not None:
+            return Reason(ReasonCode.CANNOT_SHARE, str(self._fatal))
+        return Reason(ReasonCode.STOPPED, "stopped")
+
+    def _publish_state(self, condition: Condition, reason: Reason) -> None:
         self._published_s = time.monotonic()
         self._publisher.publish(self._base, DECODER_STATE, self._make_state(condition, reason, self._since_utc_ns))
 
-    def _make_state(self, condition: Condition, reason: str, since_utc_ns: int | None) -> DecoderState:
+    def _make_state(self, condition: Condition, reason: Reason, since_utc_ns: int | None) -> DecoderState:
         return DecoderState(
             decoder_id=self.decoder_id,
             state=condition,
-            reason=reason,
+            reason_code=reason.code,
+            reason=reason.text,
             t_ns=time.time_ns(),
             since_t_ns=since_utc_ns,
             topic_filter=self._mode.topic_filter,
         )
 
     def _make_will(self) -> Outgoing:
-        will = self._make_state(Condition.OFFLINE, "connection lost", None)
+        will = self._make_state(Condition.OFFLINE, Reason(ReasonCode.CONNECTION_LOST, "connection lost"), None)
         return Outgoing(
             f"{self._base}/{DECODER_STATE.path}", encode(will), retained=True, expiry_s=DECODER_STATE.expiry_s
         )

@@ -24,7 +24,8 @@ from resonator_daemon.publishing.topics import (
     full_topic,
     split_topic,
 )
-from resonator_daemon.remote_decoding.plate import WAITS_AFTER_S, Publish, RemotePlate, header_of
+from resonator_daemon.reasons import Reason, ReasonCode
+from resonator_daemon.remote_decoding.plate import NO_SIGNALS, WAITS_AFTER_S, Publish, RemotePlate, header_of
 from resonator_daemon.remote_decoding.shared_stage import SharedStage
 from resonator_daemon.sensors.surface_messages import SurfaceMessages
 
@@ -63,7 +64,7 @@ class SharedPlates:
         self._plates: dict[str, RemotePlate] = {}
         self._reporters: dict[str, SurfaceMessages] = {}
         self._stage = SharedStage[_Origin](options, self._deliver, self._announce, self._refuse)
-        self._note = ""
+        self._note: Reason | None = None
         self._entered_s: dict[str, float] = {}
         self._problems: dict[str, str] = {}  # of plates that are not entered, the oldest first
         self._is_full = False
@@ -79,7 +80,7 @@ class SharedPlates:
         signals = [Subscription(self._filter(name, SIGNALS.path), 0, self._receive_signals) for name in self._names]
         return (*infos, *signals)
 
-    def condition(self) -> tuple[Condition, str]:
+    def condition(self) -> tuple[Condition, Reason]:
         if self._note:
             return Condition.STARTING, self._note
         now_s = time.monotonic()
@@ -89,13 +90,16 @@ class SharedPlates:
             for plate in self._plates.values()
             if now_s - plate.last_s <= WAITS_AFTER_S and plate.skin and served.get(plate.name) is plate.skin
         ]
-        problems = [f"{plate.name}: {plate.problem}" for plate in self._plates.values() if plate.problem]
+        problems = [f"{plate.name}: {plate.problem.text}" for plate in self._plates.values() if plate.problem]
         problems += [f"{name}: {problem}" for name, problem in self._problems.items()]
         if len(problems) > _PROBLEMS_NAMED:
             problems[_PROBLEMS_NAMED:] = [f"and {len(problems) - _PROBLEMS_NAMED} more"]
-        what = f"signals of {len(live)} plates are decoded" if live else "no signals that could be decoded"
+        what = f"signals of {len(live)} plates are decoded" if live else NO_SIGNALS.text
         full = [f"{PLATES_MAX} plates are known, no more are taken"] if len(self._plates) >= PLATES_MAX else []
-        return (Condition.ONLINE if live else Condition.WAITING), "; ".join((what, *full, *problems))
+        text = "; ".join((what, *full, *problems))
+        if live:
+            return Condition.ONLINE, Reason(ReasonCode.DECODING, text)
+        return Condition.WAITING, Reason(NO_SIGNALS.code, text)
 
     def health(self) -> dict[str, DecoderPlateHealth]:
         return {
@@ -142,7 +146,7 @@ class SharedPlates:
         plate = RemotePlate(name)
         plate.read_info(message.payload)
         if not plate.skin:
-            self._remember(name, plate.problem or "")
+            self._remember(name, plate.problem.text if plate.problem else "")
         elif self._has_room(name):
             self._plates[name], self._entered_s[name] = plate, time.monotonic()
         else:
@@ -198,10 +202,10 @@ class SharedPlates:
             plate.name, origin, skin, signals.signals.astype(np.float64), signals.noise_std.astype(np.float64)
         )
 
-    def _announce(self, note: str) -> None:
+    def _announce(self, note: Reason | None) -> None:
         self._note = note
 
-    def _refuse(self, name: str, reason: str) -> None:
+    def _refuse(self, name: str, reason: Reason) -> None:
         self._plates[name].refuse(reason)
 
     def _deliver(self, name: str, origin: _Origin, surface: SurfaceReading) -> None:

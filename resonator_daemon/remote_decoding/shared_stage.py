@@ -15,6 +15,7 @@ from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 from resonator_daemon.decoding.streaming import CANNOT_DECODE, failed, set_up
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.remote_decoding.plate import SkinPlate, error_text
 
 DECODERS_MAX: Final = 4  # of some 80 MB; equal skins share one
@@ -42,7 +43,7 @@ class SharedStage(Generic[Origin]):
     deliver
         Called on the event loop with the plate, what `offer` was given as origin, and the reading.
     announce
-        Called on the event loop with what is being set up, and with "" when that is done.
+        Called on the event loop with what is being set up, and with None when that is done.
     refuse
         Called on the event loop with a plate that cannot be decoded, and why.
 
@@ -58,8 +59,8 @@ class SharedStage(Generic[Origin]):
         self,
         options: DecodingOptions,
         deliver: Callable[[str, Origin, SurfaceReading], None],
-        announce: Callable[[str], None],
-        refuse: Callable[[str, str], None],
+        announce: Callable[[Reason | None], None],
+        refuse: Callable[[str, Reason], None],
     ) -> None:
         self._options = options
         self._deliver = deliver
@@ -140,17 +141,18 @@ class SharedStage(Generic[Origin]):
 
         def progress(step: str) -> None:
             log.info("decoder is being set up: %s", step)
-            loop.call_soon_threadsafe(self._announce, f"decoder is being set up: {step}")
+            starting = Reason(ReasonCode.DECODER_STARTING, f"decoder is being set up: {step}")
+            loop.call_soon_threadsafe(self._announce, starting)
 
         try:
             decoder = await loop.run_in_executor(pool, set_up, frame.skin.skin, self._options, noise_std, progress)
         except CANNOT_DECODE as error:
             log.error("%s: nothing is decoded: %s", plate, error_text(error))
-            self._announce("")
+            self._announce(None)
             if self._busy_with is not None:
-                self._refuse(plate, f"nothing is decoded: {error_text(error)}")
+                self._refuse(plate, Reason(ReasonCode.UNDECODABLE, f"nothing is decoded: {error_text(error)}"))
             return None
-        self._announce("")
+        self._announce(None)
         log.info("decoder %s for skins as of %s ready after %.1f s", decoder.name, plate, time.monotonic() - started)
         if len(self._decoders) == DECODERS_MAX:
             del self._decoders[0]

@@ -9,6 +9,7 @@ from resonator_daemon.config import Decoding, Measurement
 from resonator_daemon.forces.readings import ForceReading, SkinReading
 from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.reasons import Reason
 from resonator_daemon.sensors.expected_tones import ExpectedTones
 from resonator_daemon.sensors.output import MessageOutput
 from resonator_daemon.session.clock import Instant
@@ -112,7 +113,7 @@ class Sensor(ABC, Generic[Reading]):
         """Publish what follows from a reading whose last gate has this middle."""
 
     @abstractmethod
-    def end_contacts(self, reason: str) -> None:
+    def end_contacts(self, reason: Reason) -> None:
         """Release all contacts, because frames have stopped arriving."""
 
     def set_window(self, measurement: Measurement) -> None:

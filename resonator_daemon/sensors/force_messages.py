@@ -13,6 +13,7 @@ from resonator_daemon.publishing.rounding import rounded, rounded_std
 from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, FORCES
 from resonator_daemon.sensors.calendar import utc_day
 from resonator_daemon.sensors.output import MessageOutput
+from resonator_daemon.sensors.usual_reasons import reason_fields
 from resonator_daemon.session.clock import Instant
 
 _NS: Final = 1_000_000_000
@@ -46,8 +47,8 @@ class ForceMessages:
         if lost is not self._lost:  # hundreds of messages repeat the last one
             self._lost, self._lost_fields = lost, {cause: count for cause, count in vars(lost).items() if count}
         fields = {**header, "lost": self._lost_fields, "status": _STATUS[reading.status]}
-        if reading.reason:
-            fields["reason"] = reading.reason
+        if reading.reason is not None:
+            fields["reason_code"] = reading.reason.code
         return fields
 
     def forces(self, header: dict[str, Any], reading: ForceReading, gate_middle: Instant) -> Encoded:
@@ -58,6 +59,8 @@ class ForceMessages:
             "window_s": reading.window_s,
             "sites": tuple([self._site_force(force, gate_middle) for force in reading.sites]),
         }
+        if reading.reason is not None:
+            fields["reason"] = reading.reason.text
         if reading.beats:
             fields["beats"] = reading.beats
         return encode_fields(Forces, fields)
@@ -84,7 +87,7 @@ class ForceMessages:
         return ContactEvent(
             **self._output.header(CONTACT_EVENT, reading, gate_middle),
             event=event.event,
-            reason=event.reason or None,
+            **reason_fields(event.reason),
             contact=EventContact(
                 **self._contact(contact, gate_middle),
                 peak_newton=rounded(contact.peak_newton, contact.touch.noise_newton),
@@ -122,6 +125,8 @@ class ForceMessages:
             "systematic_newton": rounded_std(touch.systematic_newton),
             "status": self._worth(touch.status, gate_middle),
         }
+        if touch.reason is not None:
+            fields["reason_code"] = touch.reason.code
         if touch.at_least_newton is not None:
             fields["at_least_newton"] = rounded(touch.at_least_newton, noise_newton)
         return fields

@@ -9,6 +9,7 @@ from resonator_daemon.config import Measurement
 from resonator_daemon.forces.contacts import ContactEvent
 from resonator_daemon.forces.readings import Compensation, ForceReading
 from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, FORCES, Topic
+from resonator_daemon.reasons import Reason
 from resonator_daemon.sensors.base import Sensor
 from resonator_daemon.sensors.force_messages import ForceMessages
 from resonator_daemon.sensors.output import MessageOutput
@@ -25,7 +26,7 @@ class ForceProcessing(Protocol):
 
     def restart(self) -> tuple[ContactEvent, ...]: ...
 
-    def end_contacts(self, reason: str) -> tuple[ContactEvent, ...]: ...
+    def end_contacts(self, reason: Reason) -> tuple[ContactEvent, ...]: ...
 
     def tare(self) -> str | None: ...
 
@@ -111,7 +112,7 @@ class ForceSensor(Sensor[ForceReading]):
         output.publish_result(FORCES, messages.forces(header, reading, gate_middle), gate_middle)
         output.publish(CONTACTS, messages.contacts(header, reading, gate_middle))
 
-    def end_contacts(self, reason: str) -> None:
+    def end_contacts(self, reason: Reason) -> None:
         if self._processing is not None:
             self._publish_events_now(self._processing.end_contacts(reason))
 

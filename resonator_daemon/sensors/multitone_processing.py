@@ -17,8 +17,10 @@ from resonator_daemon.forces.force_tones import ForceTones, SiteShifts
 from resonator_daemon.forces.plate_drift import OFF_SIGMAS, DriftReading, PlateDrift
 from resonator_daemon.forces.readings import Compensation, ForceReading, SensorStatus
 from resonator_daemon.forces.site_errors import PressedSites, SiteErrors
-from resonator_daemon.forces.site_identification import SiteForce
+from resonator_daemon.forces.site_identification import SiteForce, overload_reason
 from resonator_daemon.forces.spread import TOUCHES_MAX, SpreadFit, Touches
+from resonator_daemon.reasons import Reason, ReasonCode
+from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED, NO_TONE
 from resonator_daemon.session.frames import ChannelisedFrame, Frame
 from resonator_daemon.tones.frequency_estimators import oscillator_std
 from resonator_daemon.tones.tone_merging import SIGMA_HZ, merge_tones
@@ -99,13 +101,13 @@ class MultitoneProcessing:
         self._rejections = 0
         self._touched = False
 
-    def end_contacts(self, reason: str) -> tuple[ContactEvent, ...]:
+    def end_contacts(self, reason: Reason) -> tuple[ContactEvent, ...]:
         """Release every contact, as when frames have stopped coming; what is still touched then begins again."""
         return self._tracker.close(self._last[1], reason) if self._last else ()
 
     def restart(self) -> tuple[ContactEvent, ...]:
         """Discard the drift and every contact: the board has booted or is configured again."""
-        events = self.end_contacts("the board restarted")
+        events = self.end_contacts(BOARD_RESTARTED)
         self._frames.clear()
         self._drift.reset()
         self._errors.reset()
@@ -219,7 +221,7 @@ class MultitoneProcessing:
                 for site in np.flatnonzero(drift.in_contact)
             ]
         if any(touch.status == "overload" for touch in touches):
-            status, reason = "overload", f"force above {self._sites.force_max_newton:g} N, the largest of this plate"
+            status, reason = "overload", overload_reason(self._sites.force_max_newton)
         self._drifted = drift
         complete = status in ("ok", "possibly_more", "overload")
         touches = self._confirmed(touches)
@@ -349,13 +351,15 @@ class MultitoneProcessing:
         return "off" if self._sites.response is None else "on"
 
 
-def _status(detected: NDArray[np.bool_], noise_newton: Floats) -> tuple[SensorStatus, str]:
+def _status(detected: NDArray[np.bool_], noise_newton: Floats) -> tuple[SensorStatus, Reason | None]:
     silent = int(np.count_nonzero(~detected))
     if silent == len(detected):
-        return "no_signal", "no tone is known"
+        return "no_signal", NO_TONE
     if (usual := float(np.median(noise_newton[detected]))) > ONSET_NEWTON:
-        return "no_signal", f"noise of {usual:.2g} N hides touches"
-    return "ok", f"{silent} of {len(detected)} sites are not detected" if silent else ""
+        return "no_signal", Reason(ReasonCode.TOO_NOISY, f"noise of {usual:.2g} N hides touches")
+    if silent:
+        return "ok", Reason(ReasonCode.SITES_SILENT, f"{silent} of {len(detected)} sites are not detected")
+    return "ok", None
 
 
 def _word(

@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from resonator_daemon.forces.drift_watch import DriftWatch
 from resonator_daemon.forces.readings import Compensation
 from resonator_daemon.publishing.payloads import Condition
+from resonator_daemon.reasons import Reason, ReasonCode, joined
+from resonator_daemon.sensors.usual_reasons import COMMON_MODE_PENDING, NO_TONE
 
 _LASTS_NS = 250_000_000  # a touch changes the captured tone and has no reading for one window
 
@@ -29,37 +31,38 @@ class SensorState:
         The reason to give while nothing is wrong: what the sensor reads.
     """
 
-    def __init__(self, announce: Callable[[Condition, str, int, Compensation | None], None], well: str) -> None:
+    def __init__(self, announce: Callable[[Condition, Reason, int, Compensation | None], None], well: str) -> None:
         self._announce = announce
-        self._good = self._well = well
-        self._expiry: str | None = None
+        self._good = self._well = Reason(ReasonCode.MEASURING, well)
+        self._expiry: Reason | None = None
         self._drift = DriftWatch()
-        self._current: tuple[Condition, str] | None = None
-        self._candidate: tuple[Condition, str] | None = None
+        self._current: tuple[Condition, Reason] | None = None
+        self._candidate: tuple[Condition, Reason] | None = None
         self._candidate_since_ns = self._since_utc_ns = 0
         self._compensation: Compensation | None = None
         self._repeat_at_ns = 0
 
-    def explain(self, note: str) -> None:
-        """Add to the reason of a sensor that is well; "" takes the addition back."""
+    def explain(self, note: Reason | None) -> None:
+        """Add to the reason of a sensor that is well, under the code of the addition; None takes it back."""
         before = self._best
-        self._good = f"{self._well}; {note}" if note else self._well
+        self._good = joined(note, self._well) or self._well
         if self._current == before:
             self._become(self._best, self._since_utc_ns)
 
     def calibration(self, expiry: str | None, utc_ns: int) -> None:
         """Set why the calibration no longer holds, None while it does. To be repeated: it comes with time."""
-        if expiry != self._expiry:
-            before, self._expiry = self._best, expiry
+        reason = Reason(ReasonCode.UNCALIBRATED, expiry) if expiry is not None else None
+        if reason != self._expiry:
+            before, self._expiry = self._best, reason
             if self._current == before:
                 self._become(self._best, utc_ns)
 
     @property
-    def _best(self) -> tuple[Condition, str]:
+    def _best(self) -> tuple[Condition, Reason]:
         """The state of a sensor whose frames show nothing wrong."""
         return (Condition.UNCALIBRATED, self._expiry) if self._expiry else (Condition.ONLINE, self._good)
 
-    def no_frames(self, reason: str, utc_ns: int) -> None:
+    def no_frames(self, reason: Reason, utc_ns: int) -> None:
         """Set the state to waiting: no frames come."""
         waiting = self._current is not None and self._current[0] is Condition.WAITING
         self._become((Condition.WAITING, reason), self._since_utc_ns if waiting else utc_ns)
@@ -67,7 +70,7 @@ class SensorState:
     def update(
         self,
         status: str,
-        reason: str,
+        reason: Reason | None,
         common_mode: Sequence[float],
         utc_ns: int,
         compensation: Compensation | None = None,
@@ -77,12 +80,13 @@ class SensorState:
         plate_kelvin = compensation.plate_kelvin if compensation is not None else math.nan
         known = not all(map(math.isnan, common_mode))
         drift = self._drift.update(common_mode, plate_kelvin, utc_ns * 1e-9)
-        if (condition := _CONDITIONS.get(status)) is None:
-            if drift:
-                condition, reason = Condition.DRIFTING, drift
-            else:
-                condition, reason = self._best if known else (Condition.STARTING, reason)
-        seen = (condition, reason)
+        if (condition := _CONDITIONS.get(status)) is not None:
+            seen = condition, reason or NO_TONE
+        elif drift is not None:
+            seen = Condition.DRIFTING, drift
+        else:
+            seen = self._best if known else (Condition.STARTING, reason or COMMON_MODE_PENDING)
+        condition, _ = seen
         if self._current is not None and condition == self._current[0]:
             self._candidate = None
             if compensation is not None and utc_ns >= self._repeat_at_ns:
@@ -95,7 +99,7 @@ class SensorState:
         if waited or utc_ns - self._candidate_since_ns >= _LASTS_NS:
             self._become(seen, self._candidate_since_ns)
 
-    def _become(self, state: tuple[Condition, str], since_utc_ns: int) -> None:
+    def _become(self, state: tuple[Condition, Reason], since_utc_ns: int) -> None:
         if state != self._current:
             self._current, self._candidate = state, None
             self._since_utc_ns = since_utc_ns

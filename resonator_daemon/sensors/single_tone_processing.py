@@ -15,6 +15,8 @@ from resonator_daemon.forces.overload_latch import OverloadLatch
 from resonator_daemon.forces.readings import Compensation, ForceReading, SensorStatus
 from resonator_daemon.forces.site_errors import SiteErrors
 from resonator_daemon.forces.site_identification import Match, Matcher, SiteForce
+from resonator_daemon.reasons import Reason, ReasonCode
+from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED, COMMON_MODE_PENDING
 from resonator_daemon.session.frames import Frame, SingleToneFrame
 from resonator_daemon.tones.frequency_estimators import Sums, oscillator_std
 from resonator_daemon.tones.gate_block import GateBlock, WindowSums
@@ -27,6 +29,11 @@ BASELINE_READINGS: Final = 20  # untouched readings before the common mode count
 UNKNOWN_CONTACT_S: Final = 0.5
 ONSET_FRAMES: Final = 2  # window of the fast path
 CROWDED_FRAMES: Final = 3
+
+_PRESSED: Final = Reason(ReasonCode.PRESSED_AT_START, "touched before the pilot was detected on all channels")
+_SECOND_TONE: Final = Reason(ReasonCode.SECOND_TONE, "a tone besides the counted one is detected")
+_OTHER_SITE: Final = Reason(ReasonCode.OTHER_SITE, "another site is detected instead")
+_ONE_CHANNEL: Final = Reason(ReasonCode.TOO_FEW_CHANNELS, "detected on 1 channel, at least 2 needed")
 
 
 class SingleToneProcessing:
@@ -85,13 +92,13 @@ class SingleToneProcessing:
         self.unusable: Counter[str] = Counter()  # records that gave no frequency, by cause
         self._measure_over(window_frames, step_frames)
 
-    def end_contacts(self, reason: str) -> tuple[ContactEvent, ...]:
+    def end_contacts(self, reason: Reason) -> tuple[ContactEvent, ...]:
         """Release every contact, as when frames have stopped coming; what is still touched then begins again."""
         return self._tracker.close(self._last[1], reason) if self._last else ()
 
     def restart(self) -> tuple[ContactEvent, ...]:
         """Discard the baseline and every contact: the board has booted or is configured again."""
-        events = self.end_contacts("the board restarted")
+        events = self.end_contacts(BOARD_RESTARTED)
         self._windows.restart()
         self._common_mode.reset()
         self._errors.reset()
@@ -238,6 +245,7 @@ class SingleToneProcessing:
         self._follow(board_ticks, pilot, window, untouched=untouched and frames == self._window_frames)
 
         status: SensorStatus
+        reason: Reason | None
         forces: tuple[SiteForce, ...] = ()
         beats: tuple[int, ...] = ()
         if untouched:
@@ -245,16 +253,16 @@ class SingleToneProcessing:
                 ("ok", self._missing(window)) if self._common_mode.known else self._estimating(pilots, window)
             )
         elif tones and not self._common_mode.known:
-            status, reason = "pressed_at_start", "touched before the pilot was detected on all channels"
+            status, reason = "pressed_at_start", _PRESSED
         elif tones >= 2:
             counts = self._counted(window, measured_hz, pilot)
             beats = tuple([channel for channel, count in enumerate(counts) if count.beats])
             match = self._latch.apply(self._match(counts, frames))
             status, reason, forces = match.status, match.reason, match.forces
             if status == "ok" and any(count.others for count in counts):
-                status, reason = "possibly_more", "a tone besides the counted one is detected"
+                status, reason = "possibly_more", _SECOND_TONE
             elif status == "ok" and max(window.crowded) >= CROWDED_FRAMES:
-                status, reason = "possibly_more", f"two tones are alike: {self._missing(window)}"
+                status, reason = "possibly_more", self._tones_alike("two tones are alike", window)
         else:
             status, reason = self._silent(tones, pilots, window)
 
@@ -265,7 +273,7 @@ class SingleToneProcessing:
             positions_m, covariance_m2 = self._positions_m, self._covariance_m2
             touches = [touch_of(force, positions_m[force.site], covariance_m2[force.site]) for force in forces]
         touches = self._confirmed(touches, frames)
-        absent = ("no_signal", "another site is detected instead") if forces else (status, reason)
+        absent = ("no_signal", _OTHER_SITE) if forces else (status, reason)
         events = self._tracker.update(board_ticks, touches, complete=untouched, status=absent[0], reason=absent[1])
         return ForceReading(
             sequence,
@@ -364,19 +372,19 @@ class SingleToneProcessing:
             "off" if self._sites.response is None else "on",
         )
 
-    def _estimating(self, pilots: int, window: "_Window") -> tuple[SensorStatus, str]:
+    def _estimating(self, pilots: int, window: "_Window") -> tuple[SensorStatus, Reason | None]:
         if pilots == self._windows.channels or self._settling(window):
-            return "settling", "the common mode is being estimated"
+            return "settling", COMMON_MODE_PENDING
         return "pilot_lost", self._missing(window)
 
-    def _silent(self, tones: int, pilots: int, window: "_Window") -> tuple[SensorStatus, str]:
+    def _silent(self, tones: int, pilots: int, window: "_Window") -> tuple[SensorStatus, Reason | None]:
         """Return the status where too few channels have a signal to distinguish a touch from none."""
         if self._settling(window):
             return "settling", self._missing(window)
         if tones:
-            return "rejected", "detected on 1 channel, at least 2 needed"
+            return "rejected", _ONE_CHANNEL
         if "capture_switch" in window.faults:
-            return "rejected", f"no tone is the strongest for long: {self._missing(window)}"
+            return "rejected", self._tones_alike("no tone is the strongest for long", window)
         return ("pilot_lost" if pilots else "no_signal"), self._missing(window)
 
     def _settling(self, window: "_Window") -> bool:
@@ -384,16 +392,21 @@ class SingleToneProcessing:
             fault is None and held < self._window_frames for fault, held in zip(window.faults, window.held, strict=True)
         )
 
-    def _missing(self, window: "_Window") -> str:
-        """Name the channels that give no frequency, each with its cause."""
+    def _missing(self, window: "_Window") -> Reason | None:
+        """Name the channels that give no frequency, each with its cause; None if there are none."""
         if min(window.held) == self._window_frames:
-            return ""
+            return None
         causes = [
             f"channel {channel}: {fault or 'window not full yet'}"
             for channel, (fault, held) in enumerate(zip(window.faults, window.held, strict=True))
             if held < self._window_frames
         ]
-        return ", ".join(causes)
+        silent = any(fault is not None for fault in window.faults)
+        return Reason(ReasonCode.CHANNELS_SILENT if silent else ReasonCode.WINDOW_NOT_FULL, ", ".join(causes))
+
+    def _tones_alike(self, text: str, window: "_Window") -> Reason:
+        missing = self._missing(window)
+        return Reason(ReasonCode.TONES_ALIKE, f"{text}: {missing.text if missing else ''}")
 
 
 class _Window:

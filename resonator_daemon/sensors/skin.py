@@ -12,12 +12,14 @@ from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import ContactEvent, Lost, Message, Signals, Status
 from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, SIGNALS, Topic
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.sensors.base import Sensor
 from resonator_daemon.sensors.expected_tones import ExpectedTones, all_tones
 from resonator_daemon.sensors.output import MessageOutput
 from resonator_daemon.sensors.skin_processing import SkinProcessing
 from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding, SequentialDecoding, SurfaceDecoding
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
+from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.compatibility import oscillator_hz
 from resonator_daemon.session.frames import BoardOnline, ChannelisedFrame, Frame
@@ -68,10 +70,11 @@ class SkinSensor(Sensor[SkinReading]):
         self._output = output
         plate, decoding, skin = self.plate, self.decoding, self.plate.required_skin
         if decoding.method == "off":
-            output.state.explain("decoding is off")
+            output.state.explain(Reason(ReasonCode.DECODING_OFF, "decoding is off"))
             return
         if decoding.external:
-            output.state.explain("decoded by another process: resonatord decode")
+            elsewhere = Reason(ReasonCode.DECODED_ELSEWHERE, "decoded by another process: resonatord decode")
+            output.state.explain(elsewhere)
             return
         settings = SurfaceSettings(
             Skin(
@@ -97,7 +100,7 @@ class SkinSensor(Sensor[SkinReading]):
     def begin(self, board: BoardOnline) -> None:
         if self._processing is not None:
             self._processing.restart()
-            self.end_contacts("the board restarted")
+            self.end_contacts(BOARD_RESTARTED)
             return
         plate, tones = self.plate, self.plate.tones
         self._processing = SkinProcessing(
@@ -147,7 +150,7 @@ class SkinSensor(Sensor[SkinReading]):
             status=Status(reading.status),
         )
 
-    def end_contacts(self, reason: str) -> None:
+    def end_contacts(self, reason: Reason) -> None:
         if self._decoding is not None:
             self._decoding.interrupt(reason)
 
@@ -177,7 +180,7 @@ class SkinSensor(Sensor[SkinReading]):
         seq = self._output.headers.next_seq(CONTACT_EVENT)
         self._output.publish(CONTACT_EVENT, event.model_copy(update={"seq": seq}))
 
-    def announce(self, note: str) -> None:
+    def announce(self, note: Reason | None) -> None:
         """Report steps and failures of decoding in the state of the sensor."""
         self._output.state.explain(note)
 

@@ -9,10 +9,13 @@ from numpy.typing import NDArray
 from resonator_daemon.arrays import Floats
 from resonator_daemon.forces.baseline import CommonMode
 from resonator_daemon.forces.readings import SensorStatus, SkinReading
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.sensors.skin_signals import TONES_MIN, ToneArray
+from resonator_daemon.sensors.usual_reasons import COMMON_MODE_PENDING, NO_TONE
 
 BASELINE_READINGS: Final = 20  # untouched readings before the common mode counts as known
 COMMON_MODE_NOISE: Final = 1e-9  # of one frame, relative: the median of a thousand tones
+_PRESSED: Final = Reason(ReasonCode.PRESSED_AT_START, "touched before the common mode was estimated")
 
 
 class SkinProcessing:
@@ -60,13 +63,14 @@ class SkinProcessing:
         status, reason = self._status(untouched is not None, int(np.count_nonzero(shifts.information)))
         return SkinReading(sequence, board_ticks, self._gate_s, status, reason, signals, noise_std, common_mode)
 
-    def _status(self, untouched: bool, detected: int) -> tuple[SensorStatus, str]:
+    def _status(self, untouched: bool, detected: int) -> tuple[SensorStatus, Reason | None]:
         if detected == 0:
-            return "no_signal", "no tone is known"
+            return "no_signal", NO_TONE
         if self._common_mode.known:
-            return "ok", ""
+            return "ok", None
         if untouched:
-            return "settling", "the common mode is being estimated"
+            return "settling", COMMON_MODE_PENDING
         if detected < TONES_MIN:
-            return "no_signal", f"{detected} tones known, at least {TONES_MIN} needed to estimate the common mode"
-        return "pressed_at_start", "touched before the common mode was estimated"
+            text = f"{detected} tones known, at least {TONES_MIN} needed to estimate the common mode"
+            return "no_signal", Reason(ReasonCode.TOO_FEW_TONES, text)
+        return "pressed_at_start", _PRESSED

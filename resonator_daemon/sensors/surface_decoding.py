@@ -10,6 +10,7 @@ from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import ContactEvent, Lost, Message
 from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
 
 log = logging.getLogger(__name__)
@@ -27,7 +28,7 @@ class SurfaceClient(Protocol[TakenOrigin]):
     def deliver_event(self, origin: TakenOrigin, event: ContactEvent) -> None:
         """Publish an event under the next number of its topic."""
 
-    def announce(self, note: str) -> None:
+    def announce(self, note: Reason | None) -> None:
         """Report what is being set up, or why nothing is decoded; "" while frames are decoded."""
 
     def contacts_header(self, origin: TakenOrigin) -> MeasuredFields:
@@ -54,7 +55,7 @@ class SurfaceDecoding(Protocol[TakenOrigin]):
     def skip_late(self) -> None:
         """Count a frame that is not offered because it was measured too late."""
 
-    def interrupt(self, reason: str) -> None:
+    def interrupt(self, reason: Reason) -> None:
         """Release all contacts, because frames have stopped arriving; never waits."""
 
     async def run(self) -> None:
@@ -93,7 +94,7 @@ class SequentialDecoding(Generic[Origin]):
             ready = not self._undecodable and self._stream.prepare(frame)
         except UndecodableError as error:
             self._undecodable, ready = True, False
-            self._client.announce(f"nothing is decoded: {error}")
+            self._client.announce(Reason(ReasonCode.UNDECODABLE, f"nothing is decoded: {error}"))
         if not ready:
             self.frames_skipped += 1
             return
@@ -104,7 +105,7 @@ class SequentialDecoding(Generic[Origin]):
         """Count a frame that is not offered because it was measured too late."""
         self.frames_skipped += 1
 
-    def interrupt(self, reason: str) -> None:
+    def interrupt(self, reason: Reason) -> None:
         """Release all contacts, because frames have stopped arriving."""
         origin = self._origin
         if origin is not None and not self._undecodable:

@@ -20,6 +20,8 @@ from resonator_daemon.publishing.payloads import (
     Status,
 )
 from resonator_daemon.publishing.rounding import rounded, rounded_std
+from resonator_daemon.reasons import ReasonCode
+from resonator_daemon.sensors.usual_reasons import reason_fields
 
 if TYPE_CHECKING:
     from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
@@ -85,6 +87,7 @@ class SurfaceMessages:
             chi2=rounded_std(float(frame.chi2)),
             border_contact=bool(frame.border_contact),
             status=Status(str(frame.status)),
+            reason_code=_code(frame),
             reason=str(frame.reason) or None,
             patches=tuple(_patch(contact, contact.id if numbered else None) for contact in surface.contacts),
             decoder_id=self._decoder_id,
@@ -96,7 +99,7 @@ class SurfaceMessages:
         return Contacts(
             **header,
             status=Status(str(frame.status)),
-            reason=str(frame.reason) or None,
+            reason_code=_code(frame),
             contacts=tuple(
                 Contact(**self._contact(contact, contact.id if numbered else None)) for contact in surface.contacts
             ),
@@ -111,7 +114,7 @@ class SurfaceMessages:
         return ContactEvent(
             **header,
             event=event.event,
-            reason=event.reason or None,
+            **reason_fields(event.reason),
             contact=EventContact(
                 **self._contact(contact, contact.id),
                 peak_newton=rounded(contact.peak_newton, float(contact.patch.force_std_newton[2])),
@@ -139,6 +142,10 @@ class SurfaceMessages:
         }
 
 
+def _code(frame: "DecodedFrame") -> ReasonCode | None:
+    return ReasonCode(str(frame.reason_code)) if frame.reason_code else None
+
+
 def _patch(contact: "SkinContact", number: int | None) -> Patch:
     patch, slip = contact.patch, contact.slip
     stick_ratio = rounded(slip.stick_ratio, slip.stick_ratio_std) if slip is not None else math.nan
@@ -151,14 +158,16 @@ def _patch(contact: "SkinContact", number: int | None) -> Patch:
     )
 
 
-def _slip(contact: "SkinContact") -> dict[str, float]:
+def _slip(contact: "SkinContact") -> dict[str, Any]:
     """Return the fields about slip; a friction coefficient only where it is known to a quarter."""
     slip = contact.slip
     if slip is None:
-        return dict.fromkeys(_SLIP, math.nan)
+        return {**dict.fromkeys(_SLIP, math.nan), "slip_reason_code": ReasonCode.NOT_FITTED}
+    reason_code = slip.reason.code if slip.reason is not None else None
     friction, friction_std = slip.friction_coefficient, slip.friction_coefficient_std
     if not friction_std < _FRICTION_KNOWN * friction:
         friction = friction_std = math.nan
+        reason_code = reason_code or ReasonCode.FRICTION_UNKNOWN
     margin_std = slip.slip_margin_std
     numbers = (
         rounded(slip.slip_margin, margin_std),
@@ -166,7 +175,7 @@ def _slip(contact: "SkinContact") -> dict[str, float]:
         rounded(friction, friction_std),
         rounded_std(friction_std),
     )
-    return dict(zip(_SLIP, numbers, strict=True))
+    return {**dict(zip(_SLIP, numbers, strict=True)), "slip_reason_code": reason_code}
 
 
 def _rounded(values: Floats, std: Floats) -> tuple[float, ...]:

@@ -13,6 +13,7 @@ from resonator_daemon.decoding.streaming import StreamingDecoder
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, Topic
+from resonator_daemon.reasons import Reason
 from resonator_daemon.sensors.surface_messages import SurfaceMessages
 
 Publish = Callable[[Topic[Any], Message], None]
@@ -112,7 +113,7 @@ class SurfaceStream:
         self._publish(DECODED_SUMMARY, self._reporter.summary(header, surface))
         self._publish(CONTACTS, self._reporter.contacts(_numbered(header, frame.contacts_seq), surface))
 
-    def end_contacts(self, header: Callable[[], MeasuredFields], reason: str) -> None:
+    def end_contacts(self, header: Callable[[], MeasuredFields], reason: Reason) -> None:
         """Release all contacts for a reason; `header` returns that of the message on `contacts`, if there is one."""
         surface = self._decoder.end_contacts(reason)
         if surface is not None:

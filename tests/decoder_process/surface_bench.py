@@ -15,6 +15,7 @@ from resonator_daemon.publishing.codec import decode, encode
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import ContactEvent, Lost, Message
 from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.reasons import Reason
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 
 NOTHING = np.zeros((3, SITES))
@@ -51,7 +52,7 @@ class Client:
         self.supervisor = DecoderSupervisor[int]("hand", settings(**options), self)
         self.messages: list[tuple[int, str, Message]] = []
         self.events: list[ContactEvent] = []
-        self.announced: list[str] = []
+        self.announced: list[Reason | None] = []
         self.offered = 0
 
     def deliver(self, origin: int, topic: Topic[Any], message: Any) -> None:
@@ -60,7 +61,7 @@ class Client:
     def deliver_event(self, origin: int, event: ContactEvent) -> None:
         self.events.append(event)
 
-    def announce(self, note: str) -> None:
+    def announce(self, note: Reason | None) -> None:
         self.announced.append(note)
 
     def lost(self, _origin: int) -> Lost:

@@ -14,6 +14,7 @@ from surface_bench import NOTHING, SKIN, Client, frame
 
 from resonator_daemon.decoder_process import supervisor
 from resonator_daemon.decoding.skin import Skin
+from resonator_daemon.reasons import Reason, ReasonCode
 
 
 async def test_frames_become_messages_of_their_topics_under_their_own_numbers() -> None:
@@ -21,8 +22,9 @@ async def test_frames_become_messages_of_their_topics_under_their_own_numbers() 
     async with client.running():
         await client.touch()
         await client.read(NOTHING)
-    assert client.announced[0] == "decoder is being set up: looking in the cache"
-    assert client.announced[-1] == ""
+    assert client.announced[0] is not None
+    assert client.announced[0].code == "decoder_starting"
+    assert client.announced[-1] is None
     for path, shift in (("decoded", 0), ("decoded/summary", 0), ("contacts", 1000)):
         found = [(origin, message.seq) for origin, topic, message in client.messages if topic == path]
         assert len(found) >= 3
@@ -62,10 +64,10 @@ async def test_an_interruption_releases_contacts_for_its_reason_and_only_then() 
     client = Client()
     async with client.running():
         await client.read(NOTHING)
-        client.supervisor.interrupt("nothing is there yet")
+        client.supervisor.interrupt(Reason(ReasonCode.NO_SIGNALS, "nothing is there yet"))
         await client.touch()
-        client.supervisor.interrupt("unplugged")
-        client.supervisor.interrupt("unplugged")
+        client.supervisor.interrupt(Reason(ReasonCode.NO_FRAMES, "unplugged"))
+        client.supervisor.interrupt(Reason(ReasonCode.NO_FRAMES, "unplugged"))
         await until(lambda: len(client.events) == 2)
         await client.touch()
     assert [(event.event, event.reason) for event in client.events] == [
@@ -92,12 +94,12 @@ async def test_a_process_that_is_killed_is_restarted_and_its_contacts_end() -> N
         before = client.on("contacts")[-1].contacts[0]
         os.kill(pid, signal.SIGKILL)
         await until(lambda: len(client.events) == 2)
-        assert client.announced[-1] == "decoder crashed (by SIGKILL) and is restarted"
+        assert client.announced[-1] == ("decoder_crashed", "decoder crashed (by SIGKILL) and is restarted")
         await client.touch()
         assert client.supervisor.restarts == {"crashed": 1}
         assert client.supervisor.info().pid not in (None, pid)
         assert client.is_exact
-    assert client.announced[-1] == ""
+    assert client.announced[-1] is None
     onset, release, again = client.events
     assert [event.event for event in client.events] == ["onset", "release", "onset"]
     assert release.reason == "the decoder crashed"
@@ -105,7 +107,7 @@ async def test_a_process_that_is_killed_is_restarted_and_its_contacts_end() -> N
     assert release.contact.since_t_ns == onset.contact.since_t_ns
     assert release.contact.force_newton == before.force_newton
     (ended,) = [message for message in client.on("contacts") if message.seq == 5000]
-    assert (ended.status, ended.reason, ended.contacts) == ("no_signal", "the decoder crashed", ())
+    assert (ended.status, ended.reason_code, ended.contacts) == ("no_signal", ReasonCode.DECODER_CRASHED, ())
 
 
 async def test_a_process_that_stops_is_killed_and_restarted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -140,7 +142,8 @@ async def test_sites_that_cannot_be_decoded_are_announced_and_not_tried_again() 
         assert client.is_exact
         assert client.supervisor.restarts == {}
         assert client.supervisor.skipped == {"newer_frame": 1, "undecodable": 2}
-    assert client.announced[-1].startswith("nothing is decoded: sites 0 and 1 are both at")
+    assert client.announced[-1] is not None
+    assert client.announced[-1].code == "undecodable"
 
 
 async def test_frames_whose_noise_is_not_known_are_counted_apart() -> None:

@@ -35,7 +35,7 @@ def one(discs: DiscModel, signals: Floats, noise: float, scene: Contact, frictio
 def test_recovers_a_frame_without_noise(discs: DiscModel, friction: Friction | None, ratio: float) -> None:
     scene = replace(SCENE, stick_ratio=ratio)
     found = one(discs, scene.signals, noise_std(scene.signals, 60.0), scene, friction)
-    assert (found.status, found.reason) == ("ok", "")
+    assert (found.status, found.reason) == ("ok", None)
     np.testing.assert_allclose(found.centre_m, scene.centre_m, atol=1e-6)
     np.testing.assert_allclose(found.radius_m, scene.radius_m, rtol=1e-3)
     np.testing.assert_allclose(found.force_newton, scene.force_newton, atol=1e-3)

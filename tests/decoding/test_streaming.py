@@ -18,6 +18,7 @@ from resonator_daemon.decoding.skin_contacts import SkinEvent
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
 from resonator_daemon.decoding.streaming import StreamingDecoder, UndecodableError
 from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.reasons import Reason, ReasonCode
 
 SHAPE, SITES = (12, 12), 144
 SKIN = Skin(HalfSpace(E, NU), grid_positions(SHAPE), DEPTH_M)
@@ -108,12 +109,13 @@ def test_another_noise_builds_another_decoder_and_ends_the_contacts_of_the_one_b
 
 
 def test_an_interruption_ends_contacts_for_its_reason_and_only_once() -> None:
+    unplugged = Reason(ReasonCode.NO_FRAMES, "unplugged")
     decoder = streaming()
     for seed in range(3):
         read(decoder, pressed(seed))
-    ended = decoder.end_contacts("unplugged")
+    ended = decoder.end_contacts(unplugged)
     assert ended is not None
-    assert [(event.event, event.contact.id, event.reason) for event in ended.events] == [("release", 1, "unplugged")]
+    assert [(event.event, event.contact.id, event.reason) for event in ended.events] == [("release", 1, unplugged)]
     assert (ended.decoded.status, ended.decoded.reason, ended.contacts) == ("no_signal", "unplugged", ())
     assert np.isnan(ended.decoded.traction_pascal).all()
     assert decoder.end_contacts("unplugged again") is None

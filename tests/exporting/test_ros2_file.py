@@ -40,7 +40,7 @@ def test_contacts_and_their_sum(case: str, tmp_path: Path) -> None:
     for one, wrench, message in zip(found["/left_index/contacts"], found["/left_index/wrench"], published, strict=True):
         assert stamp_ns(one) == stamp_ns(wrench) == message.t_ns
         assert one.header.frame_id == wrench.header.frame_id == "left_index"
-        assert (one.status, one.reason) == (message.status, message.reason or "")
+        assert (one.status, one.reason_code) == (message.status, message.reason_code or "")
         assert [contact.id for contact in one.contacts] == [contact.id for contact in message.contacts]
         force, moment = 0.0, np.zeros(2)
         for report, contact in zip(one.contacts, message.contacts, strict=True):

@@ -87,7 +87,7 @@ def test_one_channel_with_a_foreign_tone_is_left_out():
     for row in np.flatnonzero(found):
         (only,) = matches.matches[row].forces
         assert only.channels == tuple(c for c in range(4) if c != odd[row])
-        assert f"channel {odd[row]} " in matches.matches[row].reason
+        assert f"channel {odd[row]} " in matches.matches[row].reason.text
 
 
 def test_three_channels_that_two_sites_explain_alike_are_ambiguous():

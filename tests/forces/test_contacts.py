@@ -3,10 +3,12 @@ import math
 import numpy as np
 
 from resonator_daemon.forces.contacts import ContactTracker, Touch
+from resonator_daemon.reasons import Reason, ReasonCode
 
 POSITIONS_M = ((0.001, 0.002), (-0.003, 0.004))
 COVARIANCE_M2 = np.diag([1e-6, 4e-6])
 TIMEOUT = 1000
+WHY = Reason(ReasonCode.WINDOW_NOT_FULL, "why")
 
 
 def tracker():
@@ -23,10 +25,10 @@ def at(x_mm, y_mm, newton=1.0):
 
 def over(site=0):
     nan = math.nan
-    return Touch(site, POSITIONS_M[site], COVARIANCE_M2, nan, nan, nan, "overload", "too much", 10.0)
+    return Touch(site, POSITIONS_M[site], COVARIANCE_M2, nan, nan, nan, "overload", None, 10.0)
 
 
-def tell(contacts, ticks, *touches, complete=False, status="ok", reason=""):
+def tell(contacts, ticks, *touches, complete=False, status="ok", reason=None):
     events = contacts.update(ticks, touches, complete=complete, status=status, reason=reason)
     return [(event.event, event.contact.id, event.contact.touch.site) for event in events]
 
@@ -59,13 +61,13 @@ def test_one_of_two_touches_ends_where_a_reading_tells_of_all():
 def test_a_gap_makes_the_force_unknown_and_does_not_end_the_contact():
     contacts = tracker()
     tell(contacts, 0, force(1.0))
-    assert tell(contacts, TIMEOUT, status="settling", reason="why") == []
+    assert tell(contacts, TIMEOUT, status="settling", reason=WHY) == []
     (contact,) = contacts.contacts
     touch = contact.touch
     assert np.isnan([touch.force_newton, touch.noise_newton, touch.systematic_newton]).all()
-    assert (touch.status, touch.reason) == ("settling", "why")
+    assert (touch.status, touch.reason) == ("settling", WHY)
     assert tell(contacts, TIMEOUT, force(1.0)) == []
-    assert (contacts.contacts[0].touch.force_newton, contacts.contacts[0].touch.reason) == (1.0, "")
+    assert (contacts.contacts[0].touch.force_newton, contacts.contacts[0].touch.reason) == (1.0, None)
 
 
 def test_a_contact_unknown_for_longer_than_stated_is_released_for_that_reason():
@@ -73,9 +75,9 @@ def test_a_contact_unknown_for_longer_than_stated_is_released_for_that_reason():
     tell(contacts, 0, force(1.0))
     tell(contacts, 500, force(1.0))
     assert tell(contacts, 500 + TIMEOUT, status="no_signal") == []
-    (event,) = contacts.update(501 + TIMEOUT, (), complete=False, status="no_signal", reason="")
+    (event,) = contacts.update(501 + TIMEOUT, (), complete=False, status="no_signal", reason=None)
     assert event.event == "release"
-    assert "unknown" in event.reason
+    assert event.reason.code is ReasonCode.UNKNOWN_TOO_LONG
     assert contacts.contacts == ()
 
 

@@ -71,7 +71,7 @@ def test_one_channel_is_too_few(heard):
     match = matcher_of(plate).match(frequency, *NOISE)
     assert match.status == "rejected"
     assert match.forces == ()
-    assert f"{heard} channel" in match.reason
+    assert f"{heard} channel" in match.reason.text
 
 
 def test_codes_that_a_force_makes_alike_are_ambiguous():

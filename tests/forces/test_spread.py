@@ -5,6 +5,7 @@ import pytest
 
 from resonator_daemon.forces.spread import SpreadFit
 from resonator_daemon.plate import load_plate
+from resonator_daemon.reasons import ReasonCode
 
 DEPTH_M = 2.5e-3
 NOISE_STD = 1e-3
@@ -134,7 +135,7 @@ def test_forces_that_no_touches_explain_are_rejected():
     pulled = -site_force([(1e-3, 1e-3)], [2.0])
     touches = SpreadFit(SITES_M, DEPTH_M, model_error=0.0).fit(pulled, VARIANCE)
     assert touches.status == "rejected"
-    assert "chi2" in touches.reason
+    assert touches.reason.code is ReasonCode.NO_TOUCHES_FIT
     pressed_everywhere = np.full(16, 2.0)
     pressed_everywhere[::2] = 0.1
     touches = SpreadFit(SITES_M, DEPTH_M, model_error=0.0).fit(pressed_everywhere, VARIANCE)

@@ -3,6 +3,9 @@
 from collections.abc import Callable
 
 from resonator_daemon.pipeline.frame_timeout import CONTACTS_END_S, FrameTimeout
+from resonator_daemon.reasons import Reason, ReasonCode
+
+NO_FRAMES = Reason(ReasonCode.NO_FRAMES, "no frames for 0.5 s")
 
 
 class Loop:
@@ -31,7 +34,7 @@ class Loop:
                 callback(*arguments)
 
 
-def watched() -> tuple[Loop, FrameTimeout, list[str]]:
+def watched() -> tuple[Loop, FrameTimeout, list[Reason]]:
     loop, said = Loop(), []
     return loop, FrameTimeout(said.append, loop.call_later), said
 
@@ -48,7 +51,7 @@ def test_a_link_that_stays_away_is_told_of_once() -> None:
     loop.pass_by(10 * CONTACTS_END_S)
     timeout.watch("waiting", loop.utc_ns)
     loop.pass_by(10 * CONTACTS_END_S)
-    assert said == ["no frames for 0.5 s"]
+    assert said == [NO_FRAMES]
 
 
 def test_a_link_that_comes_back_in_time_is_not_told_of() -> None:
@@ -69,14 +72,14 @@ def test_without_an_event_loop_what_passes_is_told() -> None:
     assert said == []
     timeout.passed(1_500_000_000)
     timeout.passed(9_000_000_000)
-    assert said == ["no frames for 0.5 s"]
+    assert said == [NO_FRAMES]
 
 
 def test_a_link_that_comes_back_late_is_told_of_first_even_if_the_loop_slept_meanwhile() -> None:
     loop, timeout, said = watched()
     timeout.watch("lost", 1_000_000_000)
     timeout.watch("online", 1_600_000_000)
-    assert said == ["no frames for 0.5 s"]
+    assert said == [NO_FRAMES]
     loop.pass_by(CONTACTS_END_S)
     assert len(said) == 1
     timeout.watch("stalled", 2_000_000_000)

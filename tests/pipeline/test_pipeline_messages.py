@@ -15,6 +15,7 @@ from resonator_daemon.forces.readings import Compensation, ForceReading, SensorS
 from resonator_daemon.forces.site_identification import SiteForce
 from resonator_daemon.publishing.payloads import Condition, Lost
 from resonator_daemon.publishing.topics import HEALTH
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.session.frames import BoardOnline, LinkChange, Outage
 
 # Ids that are no indices, and ticks that are no nanoseconds.
@@ -23,6 +24,7 @@ FORCE_PLATE = plate_head("three", (0, 0), (20, 10), reference_hz=250e6, frame_ra
     for number, position_mm, f0_hz in ((70, (6, 4), 9.996e6), (30, (12.5, 4), 9.992e6), (12, (3, 8), 9.988e6))
 )
 
+WHY = Reason(ReasonCode.CHANNELS_SILENT, "why")
 GATE_MIDDLE = gate_middle(1_000_000)
 ONLINE = LinkChange(Condition.ONLINE, "", 1, 1)
 UNPLUGGED = LinkChange(Condition.LOST, "unplugged", 1_788_999_990_000_000_001, 1_788_999_990_000_000_002)
@@ -43,7 +45,7 @@ def reading(
     board_ticks: int = 2_000_000_000,
 ) -> ForceReading:
     compensation = Compensation((1e-6, NAN, 0.0, -1e-6), 2e-7, "held", 1.5, NAN, "off")
-    return ForceReading(99, board_ticks, window_s, True, status, "why", sites, contacts, (), compensation, (2,))
+    return ForceReading(99, board_ticks, window_s, True, status, WHY, sites, contacts, (), compensation, (2,))
 
 
 def contact(
@@ -64,7 +66,7 @@ def contact(
         0.0006 if known else NAN,
         0.012 if known else NAN,
         status,
-        "another is heard",
+        Reason(ReasonCode.OTHER_SITE, "another is heard"),
     )
     return Contact(number, touch, 1.5, since_ticks, 125_000_000)
 
@@ -83,6 +85,7 @@ def test_forces_are_the_contracts_literal(messages: Messages) -> None:
         "board_ticks": "2000000000",
         "window_s": 0.01,
         "status": "ok",
+        "reason_code": "channels_silent",
         "reason": "why",
         "sites": [
             {
@@ -100,7 +103,7 @@ def test_forces_are_the_contracts_literal(messages: Messages) -> None:
 
 def test_the_sensors_state_has_what_was_compensated(messages: Messages) -> None:
     applied = reading().compensation
-    said = literal(messages.states.sensor_state(Condition.ONLINE, "well", 1, 1, applied))
+    said = literal(messages.states.sensor_state(Condition.ONLINE, WHY, 1, 1, applied))
     assert said["compensation"] == {
         "baseline": "held",
         "common_mode": [1e-6, None, 0.0, -1e-6],
@@ -122,7 +125,7 @@ def test_measured_messages_are_dated_at_the_middle_of_the_window(
     for message in (
         messages.force.forces(measured, GATE_MIDDLE),
         messages.force.contacts(measured, GATE_MIDDLE),
-        messages.force.event(ContactEvent("onset", 1, contact(), ""), measured, GATE_MIDDLE),
+        messages.force.event(ContactEvent("onset", 1, contact(), None), measured, GATE_MIDDLE),
     ):
         assert message.t_ns == middle
         assert message.t_uncertainty_ns == 42_000
@@ -144,6 +147,7 @@ CONTACT = {
     "noise_newton": [None, None, 0.0006],
     "systematic_newton": 0.012,
     "status": "ok",
+    "reason_code": "other_site",
 }
 HISTORY = {
     "peak_newton": 1.5,
@@ -158,7 +162,7 @@ def test_a_contact_keeps_its_date(messages: Messages) -> None:
     for event, later_s in (("onset", 0), ("release", 3600)):
         later = reading(board_ticks=2_000_000_000 + later_s * 250_001_000)
         at = gate_middle(1_000_000, later_ns=later_s * 1_000_000_000)
-        since.add(messages.force.event(ContactEvent(event, 1, contact(), ""), later, at).contact.since_t_ns)
+        since.add(messages.force.event(ContactEvent(event, 1, contact(), None), later, at).contact.since_t_ns)
     assert len(since) == 1
 
 
@@ -166,8 +170,8 @@ def test_a_contact_keeps_its_date(messages: Messages) -> None:
 def test_an_event_tells_of_its_own_contact_with_its_peak(messages: Messages, word: Any) -> None:
     gone = contact(0, NAN, "no_signal", number=3)
     present = reading(contacts=(contact(),))
-    said = literal(messages.force.event(ContactEvent(word, 1_999_000_000, gone, "why"), present, GATE_MIDDLE))
-    assert (said["event"], said["reason"]) == (word, "why")
+    said = literal(messages.force.event(ContactEvent(word, 1_999_000_000, gone, WHY), present, GATE_MIDDLE))
+    assert (said["event"], said["reason_code"], said["reason"]) == (word, "channels_silent", "why")
     assert said["board_ticks"] == "2000000000"  # of the reading that told it, as its time
     unknown = {"systematic_newton": None}
     unknown |= {key: [None, None, None] for key in ("force_newton", "noise_newton")}
@@ -180,9 +184,9 @@ def test_each_topic_counts_its_own_messages(messages: Messages) -> None:
         messages.force.contacts(reading(), GATE_MIDDLE),
         messages.force.forces(reading(), GATE_MIDDLE),
         messages.states.link_state(ONLINE, None, 1),
-        messages.states.sensor_state(Condition.ONLINE, "", 1, 1, None),
+        messages.states.sensor_state(Condition.ONLINE, WHY, 1, 1, None),
         messages.states.link_state(UNPLUGGED, None, 1),
-        messages.force.event(ContactEvent("onset", 1, contact(), ""), reading(), GATE_MIDDLE),
+        messages.force.event(ContactEvent("onset", 1, contact(), None), reading(), GATE_MIDDLE),
         messages.force.forces(reading(), GATE_MIDDLE),
     ]
     assert [message.seq for message in made] == [0, 0, 1, 0, 0, 1, 0, 2]
@@ -193,11 +197,11 @@ def test_losses_and_the_boards_boot_are_those_of_the_moment(tmp_path: Path) -> N
     losses = Losses()
     messages = Messages(configured(tmp_path, FORCE_PLATE), losses)
     messages.headers.board_boot_id = None
-    first = literal(messages.states.sensor_state(Condition.WAITING, "", 1, 1, None))
+    first = literal(messages.states.sensor_state(Condition.WAITING, WHY, 1, 1, None))
     assert first["board_boot_id"] is None
     losses.now = Lost(damaged=8)
     messages.headers.board_boot_id = "51ab"
-    second = literal(messages.states.sensor_state(Condition.ONLINE, "", 1, 1, None))
+    second = literal(messages.states.sensor_state(Condition.ONLINE, WHY, 1, 1, None))
     assert (first["lost"], second["lost"], literal(messages.force.forces(reading(), GATE_MIDDLE))["lost"]) == (
         LOST,
         {"damaged": 8},
@@ -288,9 +292,9 @@ def test_a_skin_that_is_decoded_elsewhere_has_its_signals_alone(tmp_path: Path) 
 
 def test_states_never_go_back_in_time(messages: Messages) -> None:
     """Frames show that the link is back: the middle of their gate lies before the moment that showed their absence."""
-    waiting = messages.states.sensor_state(Condition.WAITING, "", 2_000, 2_000, None)
-    online = messages.states.sensor_state(Condition.ONLINE, "", 1_500, 1_600, None)
-    later = messages.states.sensor_state(Condition.DRIFTING, "", 1_900, 2_100, None)
+    waiting = messages.states.sensor_state(Condition.WAITING, WHY, 2_000, 2_000, None)
+    online = messages.states.sensor_state(Condition.ONLINE, WHY, 1_500, 1_600, None)
+    later = messages.states.sensor_state(Condition.DRIFTING, WHY, 1_900, 2_100, None)
     link = messages.states.link_state(LinkChange(Condition.ONLINE, "", 1_000, 1_000), None, 1)
     assert [(state.t_ns, state.since_t_ns) for state in (waiting, online, later, link)] == [
         (2_000, 2_000),

@@ -2,15 +2,18 @@
 
 import json
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, Literal
 
 import pytest
 from pydantic import create_model
 
+import resonator_daemon
 from resonator_daemon.publishing import asyncapi
 from resonator_daemon.publishing.json_schemas import schemas_of_requests
 from resonator_daemon.publishing.payloads import Header, Lost, Status
 from resonator_daemon.publishing.topics import CBOR, DECODER_HEALTH, DECODER_STATE, TOPICS
+from resonator_daemon.reasons import ReasonCode
 
 DOCUMENT = json.loads(asyncapi.encoded())
 SCHEMAS = DOCUMENT["components"]["schemas"]
@@ -124,3 +127,9 @@ def test_lost_is_in_the_header_by_reference() -> None:
     for name in ("Header", "HeaderInCbor"):
         assert SCHEMAS[name]["properties"]["lost"] == {"$ref": "#/components/schemas/Lost"}
         assert SCHEMAS[name]["properties"].keys() == Header.model_fields.keys()
+
+
+def test_each_reason_code_occurs_in_the_product() -> None:
+    package = Path(resonator_daemon.__file__).parent
+    source = "".join(path.read_text() for path in package.rglob("*.py"))
+    assert not [code for code in ReasonCode if f"ReasonCode.{code.name}" not in source]

@@ -150,11 +150,11 @@ async def test_a_plate_without_a_skin_and_one_that_cannot_be_decoded_are_told_ap
     on_a_line = tuple(site.model_copy(update={"position_m": (1e-4 * i, 0.0)}) for i, site in enumerate(info().sites))
     async with Followed(DecodingOptions("fourier")).running() as followed:
         await followed.tell(info(skin=None))
-        assert followed.plate.condition() == ("waiting", "hand: has no skin: there is nothing to decode")
+        assert followed.plate.condition()[1].code == "info_unusable"
         await followed.tell(info(sites=on_a_line, grid=None))
         followed.send(signals(0))
         await until(lambda: followed.plate.condition()[0] == "refused")
-        assert "square grid" in followed.plate.condition()[1]
+        assert followed.plate.condition()[1].code == "undecodable"
         for seq in range(1, 4):  # in vain
             followed.send(signals(seq))
         assert followed.is_exact

@@ -66,7 +66,8 @@ def test_another_skin_is_noticed_and_the_same_one_is_not(plate: RemotePlate, cha
 def test_an_info_that_is_no_use_says_why(plate: RemotePlate, payload: bytes, problem: str) -> None:
     assert plate.read_info(payload)
     assert plate.skin is None
-    assert problem in plate.problem
+    assert plate.problem is not None
+    assert problem in plate.problem.text
     assert not take(plate, encode(signals(0)))
     assert (plate.received, plate.unusable) == (1, 1)
     assert plate.read_info(encode(info()))
@@ -87,7 +88,8 @@ def test_an_info_that_is_too_long_is_refused_before_it_is_checked_entry_by_entry
 ) -> None:
     monkeypatch.setattr(plate_module, "decode", pytest.fail)
     assert plate.read_info(payload)
-    assert problem in plate.problem
+    assert plate.problem is not None
+    assert problem in plate.problem.text
     assert plate.skin is None
 
 

@@ -16,6 +16,7 @@ from resonator_daemon.config.tables import Decoding
 from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import GridInfo, Info, Message, Signals
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.remote_decoding import shared_plates, shared_stage
 from resonator_daemon.remote_decoding.shared_plates import SharedPlates
 
@@ -60,6 +61,9 @@ class Shared:
             await asyncio.wait([task])
 
 
+NOTHING = ("waiting", Reason(ReasonCode.NO_SIGNALS, "no signals that could be decoded"))
+
+
 async def test_another_info_takes_effect_with_the_next_frame() -> None:
     moved = GridInfo(origin_m=(0.5, 0.5), pitch_m=4e-4, shape=(12, 12))
     sites = tuple(
@@ -81,15 +85,16 @@ async def test_another_info_takes_effect_with_the_next_frame() -> None:
 
 async def test_it_is_online_while_signals_come_and_waits_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shared_plates, "WAITS_AFTER_S", 0.2)
-    nothing = ("waiting", "no signals that could be decoded")
     async with Shared().running() as shared:
-        assert shared.plates.condition() == nothing
+        assert shared.plates.condition() == NOTHING
         shared.tell("left", info())
         shared.tell("right", info(skin=None))
         shared.send("left", signals(0))
         problem = "right: has no skin: there is nothing to decode"
-        await until(lambda: shared.plates.condition() == ("online", f"signals of 1 plates are decoded; {problem}"))
-        await until(lambda: shared.plates.condition() == ("waiting", f"{nothing[1]}; {problem}"))
+        decoding = Reason(ReasonCode.DECODING, f"signals of 1 plates are decoded; {problem}")
+        await until(lambda: shared.plates.condition() == ("online", decoding))
+        silent = Reason(ReasonCode.NO_SIGNALS, f"{NOTHING[1].text}; {problem}")
+        await until(lambda: shared.plates.condition() == ("waiting", silent))
 
 
 async def test_a_plate_that_its_daemon_decodes_is_left_alone_until_it_does_not() -> None:
@@ -101,14 +106,14 @@ async def test_a_plate_that_its_daemon_decodes_is_left_alone_until_it_does_not()
         await shared.read("right", signals(0))
         assert {plate for plate, _, _ in shared.published} == {"right"}
         problem = "left: the daemon decodes this plate itself; set external = true in [decoding] of its configuration"
-        assert problem in shared.plates.condition()[1]
+        assert problem in shared.plates.condition()[1].text
         shared.tell("left", info())
         await shared.read("left", signals(1))
         shared.tell("left", info(rates_hz=rates_hz))
         shared.send("left", signals(2))
         await shared.read("right", signals(1))
         assert [(plate, path) for plate, path, _ in shared.published].count(("left", "decoded")) == 1
-        assert problem in shared.plates.condition()[1]
+        assert problem in shared.plates.condition()[1].text
 
 
 @pytest.mark.parametrize("name", ["decoder", "", "..", ".", "a b", " ", "$left", "a\x00b", "x" * 101])
@@ -118,7 +123,7 @@ def test_what_no_plate_is_called_is_passed_over(name: str) -> None:
     shared.tell(name, info(skin=None))
     shared.send(name, signals(0))
     assert shared.plates.health() == {}
-    assert shared.plates.condition() == ("waiting", "no signals that could be decoded")
+    assert shared.plates.condition() == NOTHING
 
 
 async def test_a_plate_is_there_from_its_first_skin_until_its_info_is_gone() -> None:
@@ -133,16 +138,16 @@ async def test_a_plate_is_there_from_its_first_skin_until_its_info_is_gone() -> 
         assert shared.plates.health()[longest].received == 1
         shared.withdraw(longest)
         assert shared.plates.health() == {}
-        assert shared.plates.condition() == ("waiting", "no signals that could be decoded")
+        assert shared.plates.condition() == NOTHING
         shared.send(longest, signals(1))
         shared.tell(longest, info())
         await shared.read(longest, signals(2))
         account = shared.plates.health()[longest]
         assert (account.received, account.decoded, account.missed) == (1, 1, 0)
         shared.tell("bad", info(skin=None))
-        assert "bad" in shared.plates.condition()[1]
+        assert "bad" in shared.plates.condition()[1].text
         shared.withdraw("bad")
-        assert "bad" not in shared.plates.condition()[1]
+        assert "bad" not in shared.plates.condition()[1].text
 
 
 async def test_a_plate_forgotten_while_its_frame_is_decoded_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -181,7 +186,7 @@ async def test_beyond_its_places_only_silent_plates_give_way(
     monkeypatch.setattr(shared_plates, "PLATES_MAX", 3)
     shared = Shared()
     for name in ("a", "b", "c"):
-        assert "no more are taken" not in shared.plates.condition()[1]
+        assert "no more are taken" not in shared.plates.condition()[1].text
         shared.tell(name, info())
         clock.now_s += 1.0
     clock.now_s = 60.0
@@ -189,15 +194,15 @@ async def test_beyond_its_places_only_silent_plates_give_way(
     for name in ("d", "e"):
         shared.tell(name, info())
     assert set(shared.plates.health()) == {"a", "b", "c"}
-    assert "3 plates are known, no more are taken; d: is beyond 3 plates" in shared.plates.condition()[1]
+    assert "3 plates are known, no more are taken; d: is beyond 3 plates" in shared.plates.condition()[1].text
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
     clock.now_s = 61.5
     shared.tell("e", info())
     assert set(shared.plates.health()) == {"a", "c", "e"}
-    assert "e: is beyond" not in shared.plates.condition()[1]
+    assert "e: is beyond" not in shared.plates.condition()[1].text
     shared.tell("f", info())
     assert set(shared.plates.health()) == {"a", "c", "e"}
     shared.withdraw("c")
-    assert "no more are taken" not in shared.plates.condition()[1]
+    assert "no more are taken" not in shared.plates.condition()[1].text
     shared.tell("f", info())
     assert set(shared.plates.health()) == {"a", "e", "f"}

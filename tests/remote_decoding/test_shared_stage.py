@@ -13,6 +13,7 @@ from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.reasons import Reason
 from resonator_daemon.remote_decoding import shared_stage
 from resonator_daemon.remote_decoding.plate import SkinPlate
 from resonator_daemon.remote_decoding.shared_stage import DECODERS_MAX, SharedStage
@@ -29,8 +30,8 @@ class Stage:
 
     def __init__(self, wanted: DecodingOptions = LINEAR) -> None:
         self.delivered: list[tuple[str, int, SurfaceReading]] = []
-        self.refused: list[tuple[str, str]] = []
-        self.notes: list[str] = []
+        self.refused: list[tuple[str, Reason]] = []
+        self.notes: list[Reason | None] = []
         self.stage = SharedStage[int](
             wanted,
             lambda *result: self.delivered.append(result),
@@ -158,8 +159,8 @@ async def test_a_skin_that_cannot_be_decoded_is_refused_and_the_others_go_on() -
         assert stage.stage.waiting("line") == 0
     ((plate, why),) = stage.refused
     assert plate == "line"
-    assert "square grid" in why
-    assert stage.notes[-1] == ""
+    assert why.code == "undecodable"
+    assert stage.notes[-1] is None
     assert [plate for plate, _, _ in stage.delivered] == ["grid"]
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from resonator_daemon.forces.readings import SensorStatus
 from resonator_daemon.publishing.payloads import Condition
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.sensors.sensor_state import SensorState
 
 T0_NS = 1_789_000_000_000_000_123
@@ -14,19 +15,28 @@ MS = 1_000_000
 LEARNT, UNLEARNT = (0.0, 1e-6, -2e-6, 0.0), (math.nan,) * 4
 
 
+def stated(text: str) -> Reason | None:
+    return Reason(ReasonCode.CHANNELS_SILENT, text) if text else None
+
+
 class Sensor:
     """A sensor's state that is fed readings by milliseconds, and what it has announced."""
 
     def __init__(self) -> None:
         self.said: list[tuple[Condition, str, int]] = []
-        self.state = SensorState(lambda *said: self.said.append(said[:3]), "sites are read")
+        self.codes: list[ReasonCode] = []
+        self.state = SensorState(self._announce, "sites are read")
+
+    def _announce(self, condition: Condition, reason: Reason, since_ns: int, _: object) -> None:
+        self.codes.append(reason.code)
+        self.said.append((condition, reason.text, since_ns))
 
     def read(
         self, at_ms: float, status: str, reason: str = "", common_mode: tuple[float, ...] = LEARNT
     ) -> list[Condition]:
         """Feed one reading; return the conditions that were announced for it."""
         before = len(self.said)
-        self.state.update(status, reason, common_mode, T0_NS + round(at_ms * MS))
+        self.state.update(status, stated(reason), common_mode, T0_NS + round(at_ms * MS))
         return [condition for condition, _, _ in self.said[before:]]
 
 
@@ -114,7 +124,7 @@ def test_recovery_must_last_too() -> None:
 )
 def test_the_first_reading_after_an_outage_counts_at_once(status: str, condition: Condition) -> None:
     sensor = online()
-    sensor.state.no_frames("link lost", T0_NS)
+    sensor.state.no_frames(Reason(ReasonCode.NO_FRAMES, "link lost"), T0_NS)
     assert sensor.read(10_000, status, "why") == [condition]
     assert sensor.said[-1][2] == T0_NS + 10_000 * MS
 
@@ -122,7 +132,7 @@ def test_the_first_reading_after_an_outage_counts_at_once(status: str, condition
 def test_trouble_before_an_outage_does_not_count_after_it() -> None:
     sensor = online()
     sensor.read(100, "no_signal")
-    sensor.state.no_frames("link lost", T0_NS)
+    sensor.state.no_frames(Reason(ReasonCode.NO_FRAMES, "link lost"), T0_NS)
     assert sensor.read(5000, "ok") == [Condition.ONLINE]
     assert sensor.read(5005, "no_signal") == []
     assert sensor.read(5255, "no_signal") == [Condition.STALLED]
@@ -133,22 +143,23 @@ def test_an_explanation_is_added_to_the_reason_of_a_well_sensor_and_taken_back()
     sensor = Sensor()
     sensor.read(0, "ok")
     for note in ("", "step 1", "step 2", "step 2", ""):
-        sensor.state.explain(note)
+        sensor.state.explain(stated(note))
     plain = sensor.said[0][1]
-    assert [reason for _, reason, _ in sensor.said[1:]] == [f"{plain}; step 1", f"{plain}; step 2", plain]
+    assert [reason for _, reason, _ in sensor.said[1:]] == [f"step 1; {plain}", f"step 2; {plain}", plain]
+    assert sensor.codes[-3:] == [ReasonCode.CHANNELS_SILENT, ReasonCode.CHANNELS_SILENT, ReasonCode.MEASURING]
     assert {(condition, since) for condition, _, since in sensor.said} == {(Condition.ONLINE, T0_NS)}
 
 
 def test_an_explanation_waits_until_the_sensor_is_well() -> None:
     sensor = Sensor()
-    sensor.state.explain("before anything was judged")
+    sensor.state.explain(stated("before anything was judged"))
     sensor.read(0, "no_signal", "nothing is heard")
-    sensor.state.explain("decoding is off")
+    sensor.state.explain(stated("decoding is off"))
     assert [condition for condition, _, _ in sensor.said] == [Condition.STALLED]
     sensor.read(100, "ok")
-    sensor.state.explain("decoding is on")  # between the first good reading and the announcement
+    sensor.state.explain(stated("decoding is on"))  # between the first good reading and the announcement
     assert sensor.read(350, "ok") == [Condition.ONLINE]
-    assert sensor.said[-1][1].endswith("; decoding is on")
+    assert sensor.said[-1][1].startswith("decoding is on; ")
     assert "off" not in sensor.said[-1][1]
     assert "judged" not in sensor.said[-1][1]
 

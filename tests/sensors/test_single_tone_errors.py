@@ -9,6 +9,7 @@ from single_tone_bench import CLOCK_ERROR, NO_SIGNAL, PLATE, UNTOUCHED, Bench
 from two_tone_board import PILOT_DB, TONE_DB, TwoToneBoard
 
 from firmware_protocol.layouts import RecordFlag
+from resonator_daemon.reasons import Reason, ReasonCode
 
 
 def heard(*, level_db=TONE_DB, **state):
@@ -23,8 +24,8 @@ def heard(*, level_db=TONE_DB, **state):
 @pytest.mark.parametrize("ratio", [[0.6, 0.0, 0.0, 0.0], [0.3, 0.4, 0.3, 0.5]])
 def test_a_second_touch_that_is_weaker_at_every_corner_is_possibly_more(ratio):
     readings = heard(ratio=ratio).hold(PLATE.loaded_hz(3, 2.0), 60)[4:]
-    assert {(reading.status, reading.reason) for reading in readings} == {
-        ("possibly_more", "a tone besides the counted one is detected")
+    assert {(reading.status, reading.reason.code) for reading in readings} == {
+        ("possibly_more", ReasonCode.SECOND_TONE)
     }
     for reading in readings:
         (force,) = reading.sites
@@ -63,7 +64,7 @@ def test_a_channel_that_hears_two_tones_alike_is_named_and_the_touch_possibly_mo
     crowded = bench.hold(site_hz, 20, (0, CAPTURE_SWITCH, 0, 0))
     assert (crowded[-1].status, crowded[-1].reason) == (
         "possibly_more",
-        "two tones are alike: channel 1: capture_switch",
+        Reason(ReasonCode.TONES_ALIKE, "two tones are alike: channel 1: capture_switch"),
     )
     (force,) = crowded[-1].sites
     assert (force.site, force.status, force.channels) == (3, "possibly_more", (0, 2, 3))
@@ -75,7 +76,7 @@ def test_where_no_channel_has_a_strongest_tone_no_site_is_named():
     bench = Bench().untouched()
     crowded = bench.hold(PLATE.loaded_hz(3, 2.0), 40, (CAPTURE_SWITCH,) * 4)
     assert (crowded[-1].status, crowded[-1].sites, crowded[-1].contacts) == ("rejected", (), ())
-    assert "no tone is the strongest for long: channel 0: capture_switch" in crowded[-1].reason
+    assert "no tone is the strongest for long: channel 0: capture_switch" in crowded[-1].reason.text
 
 
 def test_a_board_whose_stamps_do_not_run_on_from_gate_to_gate_gives_no_force():
@@ -101,7 +102,10 @@ def test_one_channel_that_another_tone_has_captured_is_left_out(odd):
     assert force.site == 3
     assert force.channels == tuple(channel for channel in range(4) if channel != odd)
     assert force.force_newton == pytest.approx(2.0, abs=0.02)
-    assert (last.status, last.reason) == ("ok", f"channel {odd} detects another tone")
+    assert (last.status, last.reason) == (
+        "ok",
+        Reason(ReasonCode.CHANNEL_LEFT_OUT, f"channel {odd} detects another tone"),
+    )
 
 
 def beating(jitter_ticks, interval_ticks):

@@ -78,4 +78,4 @@ def test_a_frame_without_a_known_tone_has_no_signal():
     assert skin.push(NOTHING, known=few).status == "ok"
     fresh = Skin().push(NOTHING, known=few)
     assert fresh.status == "no_signal"
-    assert "5 tones" in fresh.reason
+    assert "5 tones" in fresh.reason.text

@@ -20,10 +20,12 @@ from resonator_daemon.publishing import payloads
 from resonator_daemon.publishing.codec import decode, encode
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.topics import DECODED
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.sensors.surface_messages import SurfaceMessages
 from resonator_daemon.sensors.surface_stream import SurfaceFrame
 from resonator_daemon.session.clock import Instant
 
+LITTLE = Reason(ReasonCode.SLIPS_TOO_LITTLE, "hardly slips")
 GATE_MIDDLE = gate_middle(10_000_000)
 
 
@@ -132,7 +134,7 @@ def partial_slip(**change: Any) -> PartialSlip:
         "chi2": 1.0,
         "log_evidence": 0.0,
         "status": "ok",
-        "reason": "",
+        "reason": None,
     }
     return PartialSlip(**(fields | change))
 
@@ -210,8 +212,8 @@ def test_a_summary_is_the_contracts_literal(skin_reporter: SkinReporter) -> None
 @pytest.mark.parametrize(
     ("slip", "why"),
     [
-        (None, "nothing was fitted"),
-        (partial_slip(**dict.fromkeys(OF_SLIP, NAN), status="unknown", reason="hardly slips"), "hardly slips"),
+        (None, "not_fitted"),
+        (partial_slip(**dict.fromkeys(OF_SLIP, NAN), status="unknown", reason=LITTLE), "slips_too_little"),
     ],
     ids=["no fit", "unknown"],
 )
@@ -222,7 +224,7 @@ def test_what_is_not_known_of_a_patch_is_null(skin_reporter: SkinReporter, slip:
     assert said["patches"] == [PATCH_LITERAL | {"stick_ratio": None, "radius_of_curvature_m": None}]
     said = literal(skin_reporter.skin_contacts(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame, contacts=(contact,))))
     of_slip = ("slip_margin", "slip_margin_std", "friction_coefficient", "friction_coefficient_std")
-    assert said["contacts"] == [CONTACT_LITERAL | dict.fromkeys(of_slip)]
+    assert said["contacts"] == [CONTACT_LITERAL | dict.fromkeys(of_slip) | {"slip_reason_code": why}]
 
 
 @pytest.mark.parametrize("status", ["rejected", "no_signal"])

@@ -24,10 +24,11 @@ from resonator_daemon.decoding.contact_physics.hypothesis import (
 from resonator_daemon.decoding.contact_physics.support import load_support
 from resonator_daemon.decoding.contact_physics.support_search import Frame, Located, SupportSearch
 from resonator_daemon.decoding.contact_physics.surface_view import SurfaceView
-from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoding.decoded import Decoded, stated
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.open_plane.linear_map import Estimate
 from resonator_daemon.decoding.patches import NetLoad
+from resonator_daemon.reasons import Reason, ReasonCode, joined
 
 _ESTIMATE_MARGIN = 1.4  # too small a coefficient does far more harm than too large a one
 _SIGNIFICANT = 5.0  # standard deviations of the peak of pressure
@@ -38,7 +39,10 @@ _MOVED = 1.5  # pixels, after which the other thread follows
 _STD_FACTOR = 0.8  # of the iteration's own standard deviation ...
 _SHAPE_ERROR = 0.034  # ... and of the traction, by pixels and smoothness: both to fit closed-form contacts
 _KNOWN_FRICTION = 0.87  # of both, where the friction coefficient is known
-_PREPARING = "matrices of the contact are being prepared; the linear map cut to support and cone is shown"
+_PREPARING = Reason(
+    ReasonCode.MATRICES_PENDING,
+    "matrices of the contact are being prepared; the linear map cut to support and cone is shown",
+)
 _RETRY_FRAMES = 100  # after which bounds that were given up are tried again
 
 
@@ -214,7 +218,7 @@ class ContactDecoder:
                 return self._masked(estimate, frame, displacement)
         self._last = None
         linear = estimate.decoded(displacement)
-        return replace(linear, status="constraint_dropped", reason=self._hypothesis.reason)
+        return _explained(replace(linear, status="constraint_dropped"), self._hypothesis.reason)
 
     def _is_dropped(self) -> bool:
         return self._hypothesis.bounds == "none"
@@ -279,12 +283,12 @@ class ContactDecoder:
             pixels = np.flatnonzero(support)
             on_pixels = project_on_cone(frame.traction[:, pixels], friction)
             displaced = SurfaceView(self._search.places, pixels).displacement(on_pixels).reshape(estimate.shape)
-        return replace(
+        masked = replace(
             linear,
             traction_pascal=(places * support[self._nearest]).astype(np.float64).reshape(estimate.shape),
             displacement_m=displaced,
-            reason="; ".join(filter(None, [estimate.reason, _PREPARING])),
         )
+        return _explained(masked, joined(_PREPARING, estimate.reason))
 
     def _shown(self, solved: Solved, estimate: Estimate, displacement: bool) -> Decoded:
         """Return the traction found in the form of the linear decoder."""
@@ -297,6 +301,7 @@ class ContactDecoder:
         std = solved.frame.surface.std()
         loaded = solved.inside[view.nearest]
         std[:, view.covered[loaded]] = pixel_std[:, view.nearest[loaded]]
+        text, code = stated(joined(self._hypothesis.reason, estimate.reason))
         return Decoded(
             traction_pascal=view.traction(solved.traction).reshape(shape),
             traction_std_pascal=std.reshape(shape),
@@ -305,5 +310,11 @@ class ContactDecoder:
             log_evidence=estimate.log_evidence,
             chi2=solved.chi2,
             status="ok" if self._hypothesis.bounds == "all" else "constraint_dropped",
-            reason="; ".join(filter(None, [estimate.reason, self._hypothesis.reason])),
+            reason=text,
+            reason_code=code,
         )
+
+
+def _explained(frame: Decoded, reason: Reason | None) -> Decoded:
+    text, code = stated(reason)
+    return replace(frame, reason=text, reason_code=code)

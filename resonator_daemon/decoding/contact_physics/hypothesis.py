@@ -9,6 +9,7 @@ import numpy as np
 from resonator_daemon.arrays import Bools, Singles
 from resonator_daemon.decoding.contact_physics.friction_cone import project_on_cone
 from resonator_daemon.decoding.contact_physics.support_search import Frame, Located, SupportSearch
+from resonator_daemon.reasons import Reason, ReasonCode
 
 Bounds = Literal["all", "cone", "none"]  # kept: all; a cone of unknown friction; none
 
@@ -25,7 +26,7 @@ class Hypothesis:
     located: Located | None
     missed: Bools  # pixels (ny, nx) around load that the linear map does not show
     bounds: Bounds = "all"
-    reason: str = ""  # why it differs from the linear map and the friction coefficient
+    reason: Reason | None = None  # why it differs from the linear map and the friction coefficient
 
 
 @dataclass(frozen=True)
@@ -113,17 +114,24 @@ def examine(
             missed = hypothesis.missed | search.missed_load(frame, problem, free)
             if not (missed & ~located.found).any():
                 break
-            reason = "load outside the support, found in what that left of the signals"
+            text = "load outside the support, found in what that left of the signals"
+            reason = Reason(ReasonCode.SUPPORT_ENLARGED, text)
             located = search.locate(frame, missed, located)
             hypothesis = replace(hypothesis, located=located, missed=missed, reason=reason)
         elif solved.chi2 <= chi2 + _BOUNDS_COST * frame.excess + by_pixels:
             return hypothesis, solved
         elif friction < UNKNOWN_FRICTION:
             what = f"friction coefficient {friction:.3g} contradicted"
-            reason = f"{what}, chi2 {solved.chi2:.3g} for {chi2:.3g}; bound by {UNKNOWN_FRICTION:.0f}"
+            text = f"{what}, chi2 {solved.chi2:.3g} for {chi2:.3g}; bound by {UNKNOWN_FRICTION:.0f}"
+            reason = Reason(ReasonCode.FRICTION_CONTRADICTED, text)
             hypothesis = replace(hypothesis, bounds="cone", reason=reason)
         else:
             what = f"a load that only presses contradicted, chi2 {solved.chi2:.3g} for {chi2:.3g}"
-            return replace(hypothesis, bounds="none", reason=f"{what}; the linear map is shown"), None
+            return _given_up(hypothesis, what), None
     what = f"no load on the support explains the signals, chi2 {chi2:.3g}"
-    return replace(hypothesis, bounds="none", reason=f"{what}; the linear map is shown"), None
+    return _given_up(hypothesis, what), None
+
+
+def _given_up(hypothesis: Hypothesis, what: str) -> Hypothesis:
+    reason = Reason(ReasonCode.PHYSICS_CONTRADICTED, f"{what}; the linear map is shown")
+    return replace(hypothesis, bounds="none", reason=reason)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from resonator_daemon.arrays import Bools, Floats
-from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoding.decoded import Decoded, stated
 from resonator_daemon.decoding.fitting.centre_search import Candidate, CentreSearch
 from resonator_daemon.decoding.fitting.contact_fit import Fit, fit
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
@@ -23,6 +23,7 @@ from resonator_daemon.decoding.parameters import (
 )
 from resonator_daemon.decoding.patches import Patch
 from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.reasons import Reason, ReasonCode
 
 FEWEST_SITES = 40  # with fewer, a linear map peaks at the nearest site
 WIDEST_SPACING_DEPTHS = 3.0  # beyond it a contact between sites is felt by the nearest alone
@@ -168,7 +169,7 @@ class ParametricDecoder:
         needed = max(KNOWN_LIMIT * known.size, _UNKNOWNS + 1)
         if known.sum() < needed:
             reason = f"{known.sum()} signals known (finite, within {SIGNAL_LIMIT}), needs {needed:.0f}"
-            return self._unknown(displacement, np.nan, np.nan, "no_signal", reason), None
+            return self._unknown(displacement, np.nan, np.nan, "no_signal", ReasonCode.SIGNALS_MISSING, reason), None
         rms = float(np.sqrt(np.mean(frame[known] ** 2)))
         noise = np.hypot(self._noise, GAIN_FLOOR * self.gain_std * rms)
         signals = np.where(known, frame, np.nan)
@@ -178,7 +179,7 @@ class ParametricDecoder:
         if best and best.chi2 > _CHI2_LIMIT and best.unexplained > _UNEXPLAINED_LIMIT:
             reason = f"{best.unexplained:.0%} of the signals' energy fits no single contact, chi2 {best.chi2:.3g}"
             evidence = _log_density(best, noise[known])
-            return self._unknown(displacement, evidence, best.chi2, "rejected", reason), None
+            return self._unknown(displacement, evidence, best.chi2, "rejected", ReasonCode.FIT_REJECTED, reason), None
         if best is None or quiet - best.chi_square < _SIGNIFICANT_FALL * max(best.chi2, 1.0):
             nothing = Fit(np.empty(0), np.empty((0, 0)), quiet, int(known.sum()), quiet)
             return self._untouched(nothing, known, noise, displacement), None
@@ -187,7 +188,8 @@ class ParametricDecoder:
             best = self._refine(best.parameters, signals, noise)
         doubt = self._doubt(best, fits[1:])
         if doubt:
-            return self._unknown(displacement, _log_density(best, noise[known]), best.chi2, "ambiguous", doubt), None
+            evidence, code = _log_density(best, noise[known]), ReasonCode.PLACE_AMBIGUOUS
+            return self._unknown(displacement, evidence, best.chi2, "ambiguous", code, doubt), None
         return self._describe(best, displacement, known, noise)
 
     def _fits(self, signals: Floats, known: Bools, noise: Floats) -> list[Fit]:
@@ -252,6 +254,7 @@ class ParametricDecoder:
             chi2=found.chi2,
             status="ok",
             reason=self._why,
+            reason_code=ReasonCode.CONTACT_FITTED,
         )
         by_contact = np.zeros((3, _UNKNOWNS))  # of the moments
         by_contact[0, [1, 5]] = force_z, y
@@ -293,11 +296,15 @@ class ParametricDecoder:
         std = force_std * np.sqrt(max(nothing.chi2, 1.0)) * hertz_traction(np.zeros(1), smallest_m)
         moved = np.zeros_like(zero) if displacement else None
         evidence = _log_density(nothing, noise[known])
-        return Decoded(zero, std, moved, False, evidence, nothing.chi2, "ok", f"{self._why}; no contact")
+        why = stated(Reason(ReasonCode.CONTACT_FITTED, f"{self._why}; no contact"))
+        return Decoded(zero, std, moved, False, evidence, nothing.chi2, "ok", *why)
 
-    def _unknown(self, displacement: bool, log_evidence: float, chi2: float, status: str, reason: str) -> Decoded:
+    def _unknown(
+        self, displacement: bool, log_evidence: float, chi2: float, status: str, code: ReasonCode, text: str
+    ) -> Decoded:
         shape = 3, len(self.query_positions_m)
-        return Decoded.unknown(shape, displacement, log_evidence, chi2, status, f"{self._why}; {reason}")
+        why = Reason(code, f"{self._why}; {text}")
+        return Decoded.unknown(shape, displacement, log_evidence, chi2, status, why)
 
 
 def _begin(place: Candidate) -> Floats:

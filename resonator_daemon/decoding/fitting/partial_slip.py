@@ -17,15 +17,16 @@ import numpy as np
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_fit import Fit
 from resonator_daemon.decoding.fitting.slip_signals import FORCE_X, FORCE_Z, MARGIN, RADIUS
+from resonator_daemon.reasons import Reason, ReasonCode
 
 MARGIN_STD_LIMIT = 0.2  # a margin of a larger one is reported as unknown
 _FORCE_SIGNIFICANCE = 5.0  # standard deviations of a normal force
-_TOO_LITTLE = "the contact slips too little to show in the signals"
+_TOO_LITTLE = Reason(ReasonCode.SLIPS_TOO_LITTLE, "the contact slips too little to show in the signals")
 
 
 @dataclass(frozen=True)
 class PartialSlip:
-    """One contact in one frame. What is not known is NaN, with the cause in `reason`."""
+    """One contact in one frame. What is not known is NaN, with the cause in `reason`, None where all is known."""
 
     centre_m: Floats  # (2,)
     centre_std_m: Floats
@@ -43,7 +44,7 @@ class PartialSlip:
     chi2: float
     log_evidence: float  # of all contacts of the frame together, less a constant
     status: str  # "ok"; "unknown" where the margin is
-    reason: str
+    reason: Reason | None
 
 
 def describe(found: Fit, one: Floats, covariance: Floats, radius_max_m: float, *, margin_known: bool) -> PartialSlip:
@@ -71,7 +72,7 @@ def describe(found: Fit, one: Floats, covariance: Floats, radius_max_m: float, *
         slip, status, reason = (math.nan,) * 6, "unknown", _TOO_LITTLE
     else:
         slip = (margin, margin_std, *stick_ratio(margin, margin_std), *_friction(one, covariance))
-        status, reason = "ok", ""
+        status, reason = "ok", None
     return PartialSlip(
         one[:RADIUS],
         std[:RADIUS],
@@ -88,7 +89,7 @@ def describe(found: Fit, one: Floats, covariance: Floats, radius_max_m: float, *
     )
 
 
-def nothing_known(chi2: float, log_evidence: float, reason: str) -> PartialSlip:
+def nothing_known(chi2: float, log_evidence: float, reason: Reason) -> PartialSlip:
     """Describe a contact of which the frame shows nothing."""
     two, three = np.full(2, np.nan), np.full(3, np.nan)
     nothing = (np.nan,) * 6
@@ -98,16 +99,18 @@ def nothing_known(chi2: float, log_evidence: float, reason: str) -> PartialSlip:
     )
 
 
-def _doubt(found: Fit, one: Floats, covariance: Floats, radius_max_m: float) -> str | None:
+def _doubt(found: Fit, one: Floats, covariance: Floats, radius_max_m: float) -> Reason | None:
     """Return why nothing is known of a contact; None where something is."""
     if not np.isfinite(covariance).all():
-        return "the signals do not determine the contact"
+        return Reason(ReasonCode.FIT_UNDETERMINED, "the signals do not determine the contact")
     if found.doubt:
-        return found.doubt
+        return Reason(ReasonCode.FIT_REJECTED, found.doubt)
     if one[FORCE_Z] < _FORCE_SIGNIFICANCE * math.sqrt(covariance[FORCE_Z, FORCE_Z]):
-        return f"the normal force is below {_FORCE_SIGNIFICANCE:g} standard deviations"
+        return Reason(
+            ReasonCode.FORCE_INSIGNIFICANT, f"the normal force is below {_FORCE_SIGNIFICANCE:g} standard deviations"
+        )
     if one[RADIUS] >= radius_max_m:
-        return f"the contact is larger than {radius_max_m} m in radius"
+        return Reason(ReasonCode.CONTACT_TOO_LARGE, f"the contact is larger than {radius_max_m} m in radius")
     return None
 
 

@@ -14,6 +14,7 @@ from resonator_daemon.decoding.fitting.slip_frame import Frame, Linearisation, W
 from resonator_daemon.decoding.fitting.slip_problem import FULL_STICK, Settled, SlipProblem
 from resonator_daemon.decoding.fitting.slip_signals import MARGIN, PARAMETERS
 from resonator_daemon.decoding.parameters import KNOWN_LIMIT, SIGNAL_LIMIT
+from resonator_daemon.reasons import Reason, ReasonCode
 
 _ANY_MARGIN_PRECISION = 12.0  # of one that may be anything between 0 and 1
 _RELEASE_STD = 0.15  # of a margin that was held because it left no trace: from then on it is fitted
@@ -84,8 +85,10 @@ class SlipFitter:
         needed = max(KNOWN_LIMIT * frame.target.size, PARAMETERS * len(starts))
         if frame.count < needed:
             self._reset()
-            reason = f"{frame.count} signals known (finite, within {SIGNAL_LIMIT}), needs {needed:.0f}"
-            return {contact: nothing_known(np.nan, np.nan, reason) for contact in starts}
+            text = f"{frame.count} signals known (finite, within {SIGNAL_LIMIT}), needs {needed:.0f}"
+            return {
+                contact: nothing_known(np.nan, np.nan, Reason(ReasonCode.SIGNALS_MISSING, text)) for contact in starts
+            }
         problem = SlipProblem(self._model, frame, [start.friction for start in starts.values()])
         found = self._followed(problem) if self._contacts == list(starts) else None
         if found is None:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from resonator_daemon.arrays import Bools, Floats
-from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoding.decoded import Decoded, stated
 from resonator_daemon.decoding.fourier.extension import ExtendedTransform, ExtensionName
 from resonator_daemon.decoding.fourier.imputation import Imputation
 from resonator_daemon.decoding.fourier.spectra import Spectra, prior_root, sliding, spectra_of, white
@@ -34,6 +34,7 @@ from resonator_daemon.decoding.parameters import (
 )
 from resonator_daemon.decoding.prior import DEFAULT_PRIOR, Prior
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
+from resonator_daemon.reasons import Reason, ReasonCode
 
 _SCALES = np.logspace(
     -1.0, 5.0, 30
@@ -192,16 +193,18 @@ class FourierDecoder:
     def _decode_incomplete(self, frame: Floats, known: Bools, displacement: bool) -> Decoded:
         worst = float(known.mean(axis=(1, 2)).min())
         if worst < KNOWN_LIMIT:
-            reason = f"{worst:.0%} of a channel known (finite, within {SIGNAL_LIMIT}), needs {KNOWN_LIMIT:.0%}"
-            return Decoded.unknown((3, *self._shape), displacement, np.nan, np.nan, "no_signal", reason)
+            text = f"{worst:.0%} of a channel known (finite, within {SIGNAL_LIMIT}), needs {KNOWN_LIMIT:.0%}"
+            missing = Reason(ReasonCode.SIGNALS_MISSING, text)
+            return Decoded.unknown((3, *self._shape), displacement, np.nan, np.nan, "no_signal", missing)
         filled, settled = self._imputation.fill(frame, known)
         reason = f"{known.size - known.sum()} of {known.size} signals lost and filled in"
         reason += "" if settled else "; too many side by side for that to settle"
         density = self._imputation.density(known)
-        return self._decode_stack(filled[None], float(known.mean()), density, displacement, reason)[0]
+        lost = Reason(ReasonCode.SIGNALS_LOST, reason)
+        return self._decode_stack(filled[None], float(known.mean()), density, displacement, lost)[0]
 
     def _decode_stack(
-        self, frames: Floats, known_share: float, density: Floats, displacement: bool, reason: str = ""
+        self, frames: Floats, known_share: float, density: Floats, displacement: bool, reason: Reason | None = None
     ) -> list[Decoded]:
         """Decode frames (n, 3, ny, nx) without gaps; `density` (1, 1) or (ny, nx) as the inverse takes it."""
         estimate = self._inverse.estimate(self._transform.to_spectrum(frames), known_share, density)
@@ -222,11 +225,13 @@ class FourierDecoder:
         significant = self._border.sum() * (_BORDER_SIGMAS * std[:, 2].mean(axis=(1, 2))) ** 2
         at_border = border_energy > np.maximum(_BORDER_SHARE * normal.sum(axis=(1, 2)), significant)
 
+        sentence, code = stated(reason)
         decoded = []
         for n, chi2 in enumerate(estimate.chi2.tolist()):
             evidence = float(log_evidence[n])
             if rejected[n]:
-                why = f"chi2 {chi2:.3g} exceeds {CHI2_LIMIT:.0f} and {left[n]:.0%} of the energy remain unexplained"
+                text = f"chi2 {chi2:.3g} exceeds {CHI2_LIMIT:.0f} and {left[n]:.0%} of the energy remain unexplained"
+                why = Reason(ReasonCode.SIGNALS_UNEXPLAINED, text)
                 decoded.append(Decoded.unknown((3, *self._shape), displacement, evidence, chi2, "rejected", why))
                 continue
             decoded.append(
@@ -238,7 +243,8 @@ class FourierDecoder:
                     log_evidence=evidence,
                     chi2=chi2,
                     status="ok",
-                    reason=reason,
+                    reason=sentence,
+                    reason_code=code,
                 )
             )
         return decoded

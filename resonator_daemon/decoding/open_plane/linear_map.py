@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from resonator_daemon.arrays import Bools, Floats, Indices, Singles
-from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoding.decoded import Decoded, stated
 from resonator_daemon.decoding.open_plane.lost_signals import LostSignals
 from resonator_daemon.decoding.open_plane.modes import Modes
 from resonator_daemon.decoding.open_plane.scale_grid import Choice, ScaleGrid
@@ -21,6 +21,7 @@ from resonator_daemon.decoding.parameters import (
     SIGNAL_LIMIT,
     UNEXPLAINED_LIMIT,
 )
+from resonator_daemon.reasons import Reason, ReasonCode
 
 _SUPPORT_SHARE = 0.1  # of the peak of f_z: under a contact, or next to it
 _BORDER_RATIO = 1.5  # over that, at the border: the load goes on beyond
@@ -50,17 +51,18 @@ class Estimate:
     log_evidence: float
     chi2: float
     status: str
-    reason: str
+    reason: Reason | None
     surface: "Surface | None" = None
 
     def decoded(self, displacement: bool) -> Decoded:
         """Return all that the linear decoder gives, the displacement only where asked for."""
-        outcome = self.log_evidence, self.chi2, self.status, self.reason
+        outcome = self.log_evidence, self.chi2, self.status
         if self.surface is None:
-            return Decoded.unknown(self.shape, displacement, *outcome)
+            return Decoded.unknown(self.shape, displacement, *outcome, self.reason)
         traction = self.surface.traction.astype(np.float64).reshape(self.shape)
         moved = self.surface.displacement().reshape(self.shape) if displacement else None
-        return Decoded(traction, self.surface.std().reshape(self.shape), moved, self.surface.reaches_border, *outcome)
+        std, at_border = self.surface.std().reshape(self.shape), self.surface.reaches_border
+        return Decoded(traction, std, moved, at_border, *outcome, *stated(self.reason))
 
 
 @dataclass(frozen=True)
@@ -162,19 +164,22 @@ class LinearMap:
         share = 1.0 if known is None else float(known.mean())
         if share < KNOWN_LIMIT:
             reason = f"{share:.0%} of the signals known (finite, within {SIGNAL_LIMIT}), needs {KNOWN_LIMIT:.0%}"
-            return Estimate(*frame, np.nan, np.nan, "no_signal", reason)
+            return Estimate(*frame, np.nan, np.nan, "no_signal", Reason(ReasonCode.SIGNALS_MISSING, reason))
         mode_set, choice, modes, _ = self._choose(whitened, known, energy)
-        std, reason = self._std[choice.scale], ""
+        std, lost = self._std[choice.scale], None
         if known is not None:
             added_variance = self._lost_signals(mode_set, known).added_variance(choice.scale)
             std = np.sqrt(std**2 + added_variance)
-            reason = f"{known.size - known.sum()} of {known.size} signals lost and filled in"
+            lost = Reason(
+                ReasonCode.SIGNALS_LOST, f"{known.size - known.sum()} of {known.size} signals lost and filled in"
+            )
 
         if choice.chi2 > CHI2_LIMIT:
             left = choice.chi2 * self._floor(energy) * whitened.size / energy
             if left > UNEXPLAINED_LIMIT:
-                reason = f"chi2 {choice.chi2:.3g} exceeds {CHI2_LIMIT:.0f} and {left:.0%} of the energy are unexplained"
-                return Estimate(*frame, choice.log_evidence, choice.chi2, "rejected", reason)
+                text = f"chi2 {choice.chi2:.3g} exceeds {CHI2_LIMIT:.0f} and {left:.0%} of the energy are unexplained"
+                unexplained = Reason(ReasonCode.SIGNALS_UNEXPLAINED, text)
+                return Estimate(*frame, choice.log_evidence, choice.chi2, "rejected", unexplained)
 
         excess = math.sqrt(choice.excess)
         surface = Surface(
@@ -186,7 +191,7 @@ class LinearMap:
             _SIGNIFICANT * excess * self._least_std[choice.scale],
             self._border,
         )
-        return Estimate(*frame, choice.log_evidence, choice.chi2, "ok", reason, surface)
+        return Estimate(*frame, choice.log_evidence, choice.chi2, "ok", lost, surface)
 
     def anomaly_scores(self, signals: Floats) -> Floats:
         """Residual of each signal against the prediction from all others, in its standard deviations, (3 n,)."""

@@ -45,10 +45,11 @@ _DEFINITIONS: Final = {
         "string status",
         "string reason_code",
     ),
-    _CONTACTS: ("std_msgs/Header header", "string status", "string reason", f"{_CONTACT}[] contacts"),
+    _CONTACTS: ("std_msgs/Header header", "string status", "string reason_code", f"{_CONTACT}[] contacts"),
     _EVENT: (
         "std_msgs/Header header",
         "string event",
+        "string reason_code",
         "string reason",
         f"{_CONTACT} contact",
         "float64 peak_newton",
@@ -92,7 +93,11 @@ class Format(McapOutput):
             case Contacts():
                 contacts = message.contacts
                 of_each = [self._contact(contact) for contact in contacts]
-                fields = {"status": str(message.status), "reason": message.reason or "", "contacts": of_each}
+                fields = {
+                    "status": str(message.status),
+                    "reason_code": str(message.reason_code or ""),
+                    "contacts": of_each,
+                }
                 yield path, _CONTACTS, fields
                 yield "wrench", _WRENCH, self._wrench([_wrench_of(contact) for contact in contacts])
             case ContactEvent():
@@ -102,6 +107,7 @@ class Format(McapOutput):
                     _EVENT,
                     {
                         "event": str(message.event),
+                        "reason_code": str(message.reason_code or ""),
                         "reason": message.reason or "",
                         "contact": self._contact(contact),
                         "peak_newton": contact.peak_newton,
