@@ -63,7 +63,7 @@ async def _follow(port: int, base: str, path: str, qos: int, out: TextIO) -> Non
 
 
 async def _record(port: int, base: str, path: Path) -> None:
-    with path.open("w") as out:
+    with path.open("a") as out:
         streams = [_follow(port, base, stream, 0, out) for stream in ("forces", "contacts")]
         await asyncio.gather(_follow(port, base, "contacts/event", 1, out), *streams)
 

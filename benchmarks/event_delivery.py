@@ -1,9 +1,12 @@
 """Contact events through outages: those made, received live, received by the command `events`, and missing.
 
-Run it with `make soak`, or `python benchmarks/event_delivery.py [--case NAME]`, 4 minutes for all cases. Board, broker,
+Run it with `make soak`, or `python benchmarks/event_delivery.py [--case NAME]`, 5 minutes for all cases. Board, broker,
 daemon and client are processes; the client shares no code with the daemon. The emulator's truth has the touches that
-really happened, five a second. Exit code 1 when an event is missing, comes twice without the mark `replayed`, out of
-order or with other contents, or a touch has no onset or release.
+really happened, five a second. Exit code 1 when an event is missing, does not come live, comes twice without the mark
+`replayed`, out of order or with other contents, or a touch has no onset or release.
+
+All events come live, also those of outages: the daemon holds them until a client subscribes, for up to 60 s after its
+connection. A client that returns later, or a broker of MQTT 3.1.1, needs the command.
 """
 
 import argparse
@@ -35,6 +38,8 @@ _IN_FLIGHT_S = 1.5
 _MARGIN_NS = 500_000_000  # around a run of the daemon, in which touches may be detected or not
 _FROZEN_S = 20.0
 _DEAD_S = 4.0
+_READ_S = 0.5  # what a client has received
+_RETURNED_S = 7.0  # the subscriber after the broker
 _SHARED_S = 10.0
 _HUNG_S = 50.0
 _JUNK = 9000  # retained topics
@@ -238,6 +243,19 @@ async def _killed_thrice(scene: Scene) -> None:
     await _wiped(scene, 3)
 
 
+async def _late_subscriber(scene: Scene) -> None:
+    """Wipe the broker, whose only subscriber returns later than the daemon: all events wait for it."""
+    run = await _plain(scene)
+    scene.kill_broker()
+    await asyncio.sleep(_READ_S)  # the client has what the broker had sent
+    scene.client.end(signal.SIGKILL)
+    await asyncio.sleep(_DEAD_S)
+    await scene.start_broker()
+    await asyncio.sleep(_RETURNED_S)
+    scene.client.start()
+    await _finish(scene, run)
+
+
 async def _second_daemon(scene: Scene) -> None:
     first = await _plain(scene)
     second = await scene.start_plate()
@@ -324,6 +342,7 @@ CASES: dict[str, Callable[[Scene], Awaitable[None]]] = {
     "frozen-broker": _frozen,
     "wiped-broker": _wiped,
     "broker-killed-thrice": _killed_thrice,
+    "late-subscriber": _late_subscriber,
     "second-daemon": _second_daemon,
     "hung-client": _hung_client,
     "retained-junk": _retained_junk,
@@ -363,6 +382,10 @@ async def measure(case: str, folder: Path) -> list[str]:
         print(f"  {note}", flush=True)
     named = zip(_COLUMNS[4:], figures[4:], strict=True)
     wrong = [*scene.wrong, *(f"{name} {figure}" for name, figure in named if figure)]
+    for identifier in scene.runs:
+        if spans := ledger.not_live(identifier):
+            named_spans = ", ".join(f"{first} to {last}" for first, last in spans)
+            wrong.append(f"not received live: seq {named_spans} of {ledger.made[identifier]}, run {identifier}")
     if not touches or not figures[2]:
         wrong.append("no touches, or no events received")
     return [f"{case}: {words}" for words in wrong]

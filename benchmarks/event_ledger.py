@@ -55,6 +55,17 @@ class Ledger:
         present = self.numbers(with_command=True)
         return [seq for seq in range(self.made[run]) if (run, seq) not in present]
 
+    def not_live(self, run: str) -> list[tuple[int, int]]:
+        """Return the first and the last number of each row of events of a run that were not received live."""
+        live = self.numbers(with_command=False)
+        spans: list[tuple[int, int]] = []
+        for seq in (seq for seq in range(self.made.get(run, 0)) if (run, seq) not in live):
+            if spans and spans[-1][1] == seq - 1:
+                spans[-1] = (spans[-1][0], seq)
+            else:
+                spans.append((seq, seq))
+        return spans
+
     @property
     def missing(self) -> int:
         return sum(len(self.gaps(run)) for run in self.made)

@@ -20,7 +20,7 @@ UNWRITTEN_MAX: Final = 4096  # while a disk that works is being written to
 RETRY_S: Final = 5.0
 LOOK_S: Final = 5.0  # how long a removed file may go unnoticed where nothing is written
 CLOSE_TIMEOUT_S: Final = 2.0
-SUBSCRIBERS_S: Final = 60.0  # after a connection: how long late events wait for the first subscriber
+SUBSCRIBERS_S: Final = 60.0  # after a connection: how long events wait for the first subscriber
 TRY_AGAIN_S: Final = 1.0
 
 _TOGETHER: Final = 256  # events of one transaction
@@ -97,7 +97,8 @@ class EventQueue:
         self._passed = -1
         self.spool_opened = self._spool is None  # by an earlier run: that goes first
         self._connected = False
-        self._awaits_subscribers = False  # late events are sent one by one
+        self._reconnected = False  # subscribers may return later than the daemon
+        self._awaits_subscribers = False  # those that wait are sent one by one
         self._subscribers_due_s = 0.0
         self._try_again: asyncio.TimerHandle | None = None
         self._closing = False
@@ -157,15 +158,17 @@ class EventQueue:
             self._wake.set()
 
     def answered(self, event: Event, *, has_subscribers: bool) -> None:
-        """Remove an event that the broker has acknowledged; a late one without a subscriber is queued again.
+        """Remove an event that the broker has acknowledged; one that waits for a subscriber is queued again.
 
-        Subscribers connect again later than the daemon, and a broker without its store has nothing for them.
+        Subscribers connect again later than the daemon, and a broker without its store has nothing for them. On the
+        first connection late events wait for them, on further ones all.
         """
         if has_subscribers:
             self._awaits_subscribers = False
-        elif event.late and self._awaits_subscribers:
+        elif self._awaits_subscribers and (event.late or self._reconnected):
             loop = asyncio.get_running_loop()
             if loop.time() < self._subscribers_due_s:
+                event.late = True
                 self._on_the_way.discard(event)
                 self._head.appendleft(event)
                 self._account.enqueued += 1
@@ -176,11 +179,11 @@ class EventQueue:
         self.done(event)
 
     def _must_wait(self) -> bool:
-        """Return whether what is next is late and has to wait until the one before has reached a subscriber."""
+        """Return whether what is next has to wait until the one before has reached a subscriber."""
         if not self._awaits_subscribers:
             return False
         is_late = bool(self._head or self._on_disk or (self._tail and self._tail[0].late))
-        return is_late and bool(self._on_the_way or self._try_again)
+        return (is_late or self._reconnected) and bool(self._on_the_way or self._try_again)
 
     def _end_wait(self) -> None:
         self._try_again = None
@@ -193,6 +196,7 @@ class EventQueue:
     def disconnected(self, unknown: Sequence[Event]) -> None:
         """Queue the events that were in flight again: they may not have arrived."""
         self._connected = False
+        self._reconnected = True
         if self._try_again is not None:
             self._try_again.cancel()
             self._try_again = None

@@ -90,21 +90,26 @@ async def test_events_of_an_outage_come_in_order_with_their_times_and_a_mark(gen
         assert (account.acknowledged, account.spooled, account.dropped) == (1010, 0, {})
 
 
-async def test_late_events_wait_for_the_first_subscriber(mosquitto, tmp_path: Path) -> None:
+@pytest.mark.parametrize("late", [200, 0])
+async def test_events_wait_for_the_first_subscriber(mosquitto, tmp_path: Path, late: int) -> None:
     """The broker comes back without its store, and the daemon connects before any subscriber does."""
     async with publishing(mosquitto.url, spool_directory=tmp_path) as left:
         await until(lambda: left.connected)
         await mosquitto.kill()
         await until(lambda: not left.connected)
-        await happen(left, range(200))
-        await until(lambda: left.account.spooled == 200)
+        await happen(left, range(late))
+        await until(lambda: left.account.spooled == late)
         await mosquitto.start()
+        await until(lambda: left.connected)
+        for number in (late, late + 1):  # keep their places behind them
+            left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
         await until(lambda: left.account.resent >= 2)  # two attempts
-        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(200))  # keeps its place behind them
         async with observe(mosquitto.url) as observer:
-            events = await heard_events(observer, 200)
+            events = await heard_events(observer, late + 1)
             await until(lambda: left.account.waiting == 0)
-        assert [(event["seq"], event["replayed"]) for event in events] == [(n, n < 200) for n in range(201)]
+        assert [(event["seq"], event["replayed"]) for event in events] == [
+            (n, n < max(late, 1)) for n in range(late + 2)
+        ]
 
 
 async def test_late_events_do_not_wait_for_subscribers_for_ever(
