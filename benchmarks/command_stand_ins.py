@@ -118,6 +118,7 @@ def handlers_on(stand_in: StandIn, config: Config) -> CommandHandlers:
         locate=stand_in.locate,
         streams=stand_in.streams,
         publish_rates=stand_in.publish_rates,
+        answers_for=lambda _boot_id: True,
         stored_events=stand_in.stored_events,
         measurement=lambda: stand_in.measurement,
         apply=stand_in.apply,

@@ -23,7 +23,7 @@ class NoAnswerError(Exception):
 
 
 async def ask_events(port: int, base: str, boot_id: str | None, after_seq: int) -> dict[str, Any]:
-    """Return the answer to the command `events`; that of the daemon that has the run, where several answer.
+    """Return the answer to the command `events`.
 
     Raises
     ------

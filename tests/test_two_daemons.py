@@ -1,5 +1,6 @@
-"""Two daemons under one name: both say so, in their logs and states, and both go on measuring."""
+"""Two daemons under one name: both say so, and both go on measuring; one answers."""
 
+import json
 import logging
 from pathlib import Path
 
@@ -21,6 +22,12 @@ def said_by(heard: Observer, boot_id: str) -> str:
 
 def measured_by(heard: Observer, boot_id: str) -> int:
     return sum(forces["daemon_boot_id"] == boot_id for forces in heard.payloads("resonator/hand/forces"))
+
+
+def commands_of(heard: Observer, boot_id: str) -> dict[str, int]:
+    """What became of the commands to a daemon, by its last health."""
+    mine = [health for health in heard.payloads("resonator/hand/health") if health["daemon_boot_id"] == boot_id]
+    return dict(mine[-1]["commands"]) if mine else {}
 
 
 async def test_both_say_so_until_one_has_gone(
@@ -46,6 +53,13 @@ async def test_both_say_so_until_one_has_gone(
                 lambda: all(measured_by(heard, boot_id) > n for boot_id, n in zip(ids, counts, strict=True))
             )
             assert one.message_account.unknown_at_disconnect == 0  # neither displaces the other
+            for asked in ({}, {"daemon_boot_id": "of nobody"}, {"daemon_boot_id": ids[1]}):
+                await heard.client.publish("resonator/hand/cmd/events", json.dumps(asked), qos=1)
+            await heard.until(lambda: commands_of(heard, ids[0]) == {"done": 1, "unknown_boot": 1, "unanswered": 1})
+            await heard.until(lambda: commands_of(heard, ids[1]) == {"done": 1, "unanswered": 2})
+            await heard.until_count("resonator/hand/rsp/events", 3)
+            answers = [answer.get("daemon_boot_id") for answer in heard.payloads("resonator/hand/rsp/events")]
+            assert sorted(answers, key=str) == sorted((*ids, None), key=str)
         await heard.until(lambda: said_by(heard, ids[0]) == "measuring")
         state = heard.payloads(STATE)[-1]
         assert (state["daemon_boot_id"], state["state"]) == (ids[0], "online")

@@ -12,7 +12,7 @@ from resonator_daemon.daemon.recording_commands import RecordingCommands, as_jso
 from resonator_daemon.pipeline import control_requests
 from resonator_daemon.pipeline.control_requests import Control
 from resonator_daemon.publishing.codec import decode
-from resonator_daemon.publishing.commands import CommandRefusedError, Handler
+from resonator_daemon.publishing.commands import CommandRefusedError, Handler, NotAddressedError
 from resonator_daemon.publishing.event_history import HistoryPage, UnknownRunError
 from resonator_daemon.publishing.payloads import ContactEvent, Health, Message
 from resonator_daemon.publishing.spool import SpoolError
@@ -60,6 +60,8 @@ class DaemonParts:
         Paths of the topics that this daemon publishes as streams.
     publish_rates
         Called with the further rates of all streams, in Hz by path, when they have changed.
+    answers_for
+        Returns whether this daemon, and no other of its name, answers for a run (None: the present one).
     stored_events
         Returns stored events of a run (None: the present one), beyond a `seq`, up to a size in bytes.
     measurement
@@ -74,6 +76,7 @@ class DaemonParts:
     locate: Callable[[Located], None]
     streams: Collection[str]
     publish_rates: PublishRates
+    answers_for: Callable[[str | None], bool]
     stored_events: Callable[[str | None, int, int], Awaitable[HistoryPage]]
     measurement: Callable[[], Measurement]
     apply: Callable[[Control], Awaitable[str | None]]
@@ -137,6 +140,8 @@ class CommandHandlers:
         return SnapshotAnswer(messages=messages, omitted=tuple(omitted))
 
     async def _events(self, request: Events) -> EventsAnswer:
+        if not self._parts.answers_for(request.daemon_boot_id):
+            raise NotAddressedError
         if CONTACTS.path not in self._parts.streams:
             raise CommandRefusedError(
                 "not_published", "this daemon publishes no contacts", "see decoder_id in contacts"

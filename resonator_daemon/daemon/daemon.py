@@ -217,6 +217,7 @@ class Service:
             locate=self._reader.blink,
             streams=tuple(topic.path for topic in self._pipeline.sensor.streams),
             publish_rates=self._publish_rates,
+            answers_for=self._daemon.answers_for,
             stored_events=self._plate_publisher.stored_events,
             measurement=lambda: self._pipeline.sensor.measurement,
             apply=self._control_requests.apply,

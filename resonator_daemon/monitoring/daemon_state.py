@@ -11,6 +11,7 @@ from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition, State
 
 _BOOT_ID_LENGTH_MAX: Final = 64
+_DIGITS_MAX: Final = 19  # of a time in ns
 _OTHERS_MAX: Final = 4  # that are named; nobody runs more under one name, but anyone may claim to
 
 _REMEDY: Final = "stop one of them, or, if they read different boards, give each a name of its own"
@@ -45,7 +46,8 @@ class DaemonState:
     Two daemons of one name overwrite each other's states. Each subscribes to its own `state/daemon`: a live
     message of another boot id is a conflict, announced once by both, until the other is offline. Any other
     `offline` is a will that came late, of an earlier run or connection: the present state is announced again. What the
-    broker had retained is ignored: it may be of a daemon that is long gone.
+    broker had retained is ignored: it may be of a daemon that is long gone. Of several daemons the one whose connection
+    is the oldest owns the name.
 
     Parameters
     ----------
@@ -68,13 +70,27 @@ class DaemonState:
         self._since_utc_ns = time.time_ns()
         self._connections = 0
         self._connected_utc_ns: int | None = None
-        self._others: set[str] = set()
+        self._others: dict[str, int | None] = {}  # when each connected, by boot id
         self._ended = False
 
     @property
     def conflict(self) -> bool:
         """Whether another daemon publishes under this name."""
         return bool(self._others)
+
+    def answers_for(self, boot_id: str | None) -> bool:
+        """Return whether this daemon, and no other of its name, answers for a run; None: for whichever lasts.
+
+        A run that lasts answers for itself. For all else the daemon that owns the name answers.
+        """
+        if boot_id is not None and (boot_id == self._daemon_boot_id or boot_id in self._others):
+            return boot_id == self._daemon_boot_id
+        own_ns = self._connected_utc_ns
+        return not any(
+            own_ns is None or (connected_ns, other) < (own_ns, self._daemon_boot_id)
+            for other, connected_ns in self._others.items()
+            if connected_ns is not None
+        )
 
     @property
     def snapshot(self) -> DaemonSnapshot:
@@ -113,13 +129,20 @@ class DaemonState:
         if state == Condition.OFFLINE:
             if boot_id in self._others:
                 log.warning("the other daemon of this name (boot id %s) is gone", boot_id)
-                self._others.remove(boot_id)
+                del self._others[boot_id]
             if boot_id != self._daemon_boot_id:
                 self._republish()
             self._announce(self.snapshot)
-        elif boot_id not in (self._daemon_boot_id, *self._others) and len(self._others) < _OTHERS_MAX:
-            self._others.add(boot_id)
+        elif boot_id in self._others:
+            self._others[boot_id] = _utc_ns(content.get("connected_t_ns"))
+        elif boot_id != self._daemon_boot_id and len(self._others) < _OTHERS_MAX:
+            self._others[boot_id] = _utc_ns(content.get("connected_t_ns"))
             log.warning(
                 "another daemon (boot id %s) publishes under this name on %s: %s", boot_id, message.topic, _REMEDY
             )
             self._announce(self.snapshot)
+
+
+def _utc_ns(text: object) -> int | None:
+    """Return a time of a message of any sender; None where it is none."""
+    return int(text) if isinstance(text, str) and len(text) <= _DIGITS_MAX and text.isdecimal() else None

@@ -48,6 +48,10 @@ class CommandRefusedError(Exception):
         self.code, self.message, self.hint = code, message, hint
 
 
+class NotAddressedError(Exception):
+    """Raised by a handler if another daemon of the name answers the command."""
+
+
 class _Command(NamedTuple):
     """A command with the place for its answer."""
 
@@ -67,7 +71,8 @@ class Commands:
         Topics' beginning, prefix and name.
     handlers
         What does each verb, by its name in VERBS. Called with the request; returns the answer, or a coroutine that
-        does, and may raise CommandRefusedError. Whatever else it raises is answered with `failed`.
+        does, and may raise CommandRefusedError, or NotAddressedError for no answer. Whatever else it raises is answered
+        with `failed`.
     allowed
         Verbs that may change something.
     send
@@ -222,6 +227,8 @@ class Commands:
             yield
         except CommandRefusedError as refused:
             self._refuse(command, refused.code, refused.message, refused.hint)
+        except NotAddressedError:
+            self.counts["unanswered"] += 1
         except Exception as error:  # a command of any sender must not end the daemon
             kind = (command.verb, type(error))
             if kind not in self._logged:

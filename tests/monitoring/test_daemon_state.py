@@ -10,8 +10,8 @@ from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition
 
 
-def incoming(boot_id: object, state: object, *, retained: bool = False) -> Incoming:
-    payload = json.dumps({"daemon_boot_id": boot_id, "state": state}).encode()
+def incoming(boot_id: object, state: object, *, retained: bool = False, connected: object = None) -> Incoming:
+    payload = json.dumps({"daemon_boot_id": boot_id, "state": state, "connected_t_ns": connected}).encode()
     return Incoming("resonator/hand/state/daemon", payload, retained, None, None)
 
 
@@ -77,6 +77,27 @@ def test_another_daemon_is_told_of_once(
     assert conflict.reason.startswith("measuring; another daemon (boot id bb) publishes under this name")
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
     assert "boot id bb" in caplog.text
+
+
+def test_of_two_daemons_one_answers_for_a_run(state: DaemonState) -> None:
+    connected_ns = state.snapshot.connected_utc_ns or 0
+    for other, owns in (
+        (str(connected_ns + 1), True),
+        (str(connected_ns), True),  # of equal times the lower boot id
+        (str(connected_ns - 1), False),
+        ("9" * 100, True),
+        (None, True),
+        (-1, True),
+        ("-1", True),
+    ):
+        state.receive(incoming("bb", "online", connected=other))
+        answers = [state.answers_for(run) for run in (None, "an earlier one", "aa", "bb")]
+        assert answers == [owns, owns, True, False], other
+    state.receive(incoming("bb", "online", connected="0"))
+    assert not state.answers_for(None)
+    state.receive(incoming("bb", "offline"))
+    assert state.answers_for(None)
+    assert state.answers_for("bb")
 
 
 def test_the_conflict_is_over_when_the_other_has_gone(
