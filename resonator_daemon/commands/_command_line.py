@@ -70,6 +70,15 @@ def command_names(package: ModuleType | None = None) -> Iterator[str]:
         yield from (f"{name} {sub}" for sub in command_names(module)) if hasattr(module, "__path__") else (name,)
 
 
+def parsers(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.ArgumentParser]]:
+    """Yield program name and parser of a command and of all that it contains."""
+    yield parser.prog, parser
+    for action in parser._actions:  # noqa: SLF001 - argparse has no other way to list arguments
+        if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001
+            for sub in action.choices.values():
+                yield from parsers(sub)
+
+
 def _names(package: ModuleType) -> list[str]:
     files = os.listdir(package.__path__[0])  # pkgutil costs 10 ms more
     return sorted(file.removesuffix(".py") for file in files if file[0] not in "._")
@@ -106,10 +115,29 @@ class _PrintVersion(argparse.Action):
 class _Parser(argparse.ArgumentParser):
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse, with an error where the command does not have an argument: argparse prints the usage of all."""
+        words = list(args or ())
+        options = words[: words.index("--")] if "--" in words else words
+        if not self._subparsers:  # else the options are those of another command
+            for option in options:  # first: argparse would take the value of an unknown option for an argument
+                self._check_option(option.partition("=")[0])
         namespace, unknown = super().parse_known_args(args, namespace)
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
         return namespace, unknown
+
+    def _check_option(self, option: str) -> None:
+        known = list(self._option_string_actions)
+        if option.startswith("--") and " " not in option and not any(name.startswith(option) for name in known):
+            from difflib import get_close_matches
+
+            near = get_close_matches(option, known, n=1)
+            self.error(f"no such option: {option}{f'; did you mean {near[0]}?' if near else ''}")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            from resonator_daemon.toml_files.reading import nearest  # slow to import
+
+            raise argparse.ArgumentError(action, f"got {value!r}; {nearest(str(value), list(action.choices))}")
 
     def print_help(self, file: Any = None) -> None:
         """Print the help; OSError where it cannot be written, which argparse ignores."""

@@ -1,4 +1,4 @@
-"""Put units, udev rules, user and directories of the services into their places.
+"""Put units, udev rules and user of the services, completion and manual pages into their places.
 
 Example: sudo /opt/resonatord/bin/resonatord install
 """
@@ -13,7 +13,9 @@ from resonator_daemon.errors import ExitCode
 from resonator_daemon.host.printable import print_note
 
 if TYPE_CHECKING:
-    from resonator_daemon.host.install import Installation
+    from collections.abc import Iterator
+
+    from resonator_daemon.host.install import Action, Installation
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,10 +25,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.commands._completion import completions
+    from resonator_daemon.commands._manual import manual
     from resonator_daemon.config import example_config
-    from resonator_daemon.host.install import install
+    from resonator_daemon.host.install import EXAMPLE, install
 
-    done = install(arguments.prefix, example_config(), dry_run=arguments.dry_run)
+    made = {EXAMPLE: example_config(), **dict(completions()), **dict(manual())}
+    done = install(arguments.prefix, made, dry_run=arguments.dry_run)
     failed = [f"{' '.join(command)}: {error}" for command, error in done.commands if error]
     if arguments.json:
         print_json(_as_json(done, dry_run=arguments.dry_run, ok=not failed))
@@ -42,9 +47,10 @@ def _print(done: "Installation", prefix: Path | None) -> None:
     words = {
         Action.WOULD_WRITE: "would be written",
         Action.WOULD_UPDATE: "would be updated",
+        Action.READ_ONLY: "left out: this file system is read-only",
         Action.KEPT: "kept: it was changed here; `resonatord install --prefix DIR` writes the new one elsewhere",
     }
-    lines = [f"{file.path}: {words.get(file.action, str(file.action))}" for file in done.placed]
+    lines = [f"{place}: {words.get(action, str(action))}" for place, action in _places(done)]
     for command, error in done.commands:
         lines.append(f"{' '.join(command)}: {error or ('done' if done.run else 'would be run')}")
     if done.warning:
@@ -52,6 +58,17 @@ def _print(done: "Installation", prefix: Path | None) -> None:
     elif prefix is None:
         lines.append(f"next: copy {EXAMPLE} to /etc/resonatord/NAME.toml, then: systemctl enable --now resonatord@NAME")
     sys.stdout.writelines(f"{line}\n" for line in lines)
+
+
+def _places(done: "Installation") -> "Iterator[tuple[str, Action]]":
+    """Yield each file with what is done with it; pages of the manual as one where they fare alike."""
+    pages = [file for file in done.placed if file.path.parent.name == "man1"]
+    alike = len({file.action for file in pages}) == 1
+    for file in done.placed:
+        if not alike or file not in pages:
+            yield str(file.path), file.action
+    if alike:
+        yield f"{pages[0].path.parent}, {len(pages)} pages", pages[0].action
 
 
 def _as_json(done: "Installation", *, dry_run: bool, ok: bool) -> dict[str, object]:

@@ -1,11 +1,14 @@
-"""Installation of systemd units, udev rules, user and directories, from the wheel that this program runs from."""
+"""Installation of units, udev rules, user, completion and manual, from the wheel that this program runs from."""
 
+import dataclasses
+import errno
 import hashlib
 import os
 import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib import resources
@@ -31,7 +34,7 @@ _PLACES = {
     "resonatord.tmpfiles": "/etc/tmpfiles.d/resonatord.conf",
 }
 EXAMPLE = "/etc/resonatord/example.toml"
-_SEAL = re.compile(r"# resonatord install [0-9a-f]{64}\n\Z")
+_SEAL = re.compile(r"(?:#|\.\\\") resonatord install [0-9a-f]{64}\n\Z")
 SYSTEMD_RUNNING, UDEV_RUNNING = Path("/run/systemd/system"), Path("/run/udev/control")  # there while they run
 # Those that need nobody running prepare an image, too.
 _COMMANDS: tuple[tuple[tuple[str, ...], Path | None], ...] = (
@@ -64,6 +67,7 @@ class Action(StrEnum):
     WOULD_UPDATE = "would_update"
     UNCHANGED = "unchanged"
     KEPT = "kept"  # somebody changed it
+    READ_ONLY = "read_only"  # completion and manual, which services do without
 
 
 @dataclass(frozen=True)
@@ -104,15 +108,15 @@ class Installation:
     run: bool
 
 
-def install(prefix: Path | None, example_config: str, *, dry_run: bool) -> Installation:
+def install(prefix: Path | None, made: Mapping[str, str], *, dry_run: bool) -> Installation:
     """Put all files in place and run the commands that announce them; return what was done.
 
     Parameters
     ----------
     prefix
         Below it everything is put, and no command is run: for a package or an image.
-    example_config
-        Text of the example configuration.
+    made
+        Text of each file that the program makes itself, by its place: example configuration, completion, manual.
     dry_run
         Change nothing, and return what would be done.
 
@@ -128,11 +132,8 @@ def install(prefix: Path | None, example_config: str, *, dry_run: bool) -> Insta
     if hidden and prefix is None and not dry_run:
         raise InstallError(hidden)
     running = _may_run_commands(prefix, dry_run)
-    placed = [
-        _judge(path, content, dry_run) for path, content in _contents(prefix or Path("/"), program, example_config)
-    ]
-    for file in placed:
-        _write(file)
+    placed = [_judge(path, content, dry_run) for path, content in _contents(prefix or Path("/"), program, made)]
+    placed = [_write(file) for file in placed]
     commands = [(command, run_command(command) if running else None) for command in _due(prefix is None)]
     return Installation(program, hidden, placed, commands, running)
 
@@ -159,12 +160,11 @@ def _may_run_commands(prefix: Path | None, dry_run: bool) -> bool:
     return True
 
 
-def _contents(root: Path, program: Path, example_config: str) -> list[tuple[Path, str]]:
+def _contents(root: Path, program: Path, made: Mapping[str, str]) -> list[tuple[Path, str]]:
     """Return each file's place and content."""
     shipped = resources.files("resonator_daemon") / "service_files"
-    texts = [(place, (shipped / name).read_text("utf-8")) for name, place in _PLACES.items()]
-    texts.append((EXAMPLE, example_config))
-    return [(root / place.lstrip("/"), sealed(started_by(text, program))) for place, text in texts]
+    texts = {place: (shipped / name).read_text("utf-8") for name, place in _PLACES.items()} | dict(made)
+    return [(root / place.lstrip("/"), sealed(started_by(text, program))) for place, text in texts.items()]
 
 
 def started_by(text: str, program: Path) -> str:
@@ -175,7 +175,8 @@ def started_by(text: str, program: Path) -> str:
 
 def sealed(text: str) -> str:
     """Return the text with a last line by which `_judge` detects whether it was changed."""
-    return f"{text}# resonatord install {hashlib.sha256(text.encode()).hexdigest()}\n"
+    comment = '.\\"' if text.startswith(".") else "#"  # of roff, or of units, rules and shells
+    return f"{text}{comment} resonatord install {hashlib.sha256(text.encode()).hexdigest()}\n"
 
 
 def _judge(path: Path, content: str, dry_run: bool) -> Placed:
@@ -192,14 +193,17 @@ def _judge(path: Path, content: str, dry_run: bool) -> Placed:
     return Placed(path, content, update if intact else Action.KEPT)
 
 
-def _write(file: Placed) -> None:
+def _write(file: Placed) -> Placed:
     """Write whole files only: an interrupted one is begun again by the next run."""
     if file.action not in (Action.WRITTEN, Action.UPDATED):
-        return
+        return file
     try:
         replace_file(file.path, file.content.encode(), 0o644)
     except OSError as error:
+        if error.errno == errno.EROFS and "share" in file.path.parts:  # as on computers whose /usr is an image
+            return dataclasses.replace(file, action=Action.READ_ONLY)
         raise InstallError(f"{file.path} cannot be written: {error.strerror}") from error
+    return file
 
 
 def _due(here: bool) -> list[tuple[str, ...]]:

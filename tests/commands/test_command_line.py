@@ -67,11 +67,31 @@ def test_its_version_is_that_of_the_project(resonatord: Resonatord) -> None:
     assert resonatord("--version") == (0, f"resonatord {project['version']}\n", "")
 
 
-def test_usage_errors_exit_with_2(resonatord: Resonatord) -> None:
-    for arguments in ((), ("fly",), ("run",), ("emulate", "--plate", "quartz16"), ("demo", "--seconds", "-1")):
-        run = resonatord(*arguments)
-        assert run.returncode == 2
-        assert "Traceback" not in run.stderr
+@pytest.mark.parametrize(
+    ("line", "usage", "meant"),
+    [
+        ("", "", ""),
+        ("fly", "", ""),
+        ("rcord --config x.toml", "", "record"),
+        ("plan code", " plan", "codes"),
+        ("run", " run", ""),
+        ("run --conifg x.toml", " run", "--config"),
+        ("doctor --secnds 3", " doctor", "--seconds"),
+        ("plan codes --grid 4x4 --pitchmm=5", " plan codes", "--pitch-mm"),
+        ("calibrate skni --config x.toml", " calibrate", "skin"),
+        ("emulate --plate quartz16", " emulate", ""),
+        ("demo --seconds -1", " demo", ""),
+    ],
+)
+def test_usage_errors_exit_with_2_and_the_usage_of_their_command(
+    line: str, usage: str, meant: str, resonatord: Resonatord
+) -> None:
+    run = resonatord(*line.split())
+    assert (run.returncode, run.stdout) == (2, "")
+    assert run.stderr.startswith(f"usage: resonatord{usage} [-h]")
+    last = run.stderr.splitlines()[-1]
+    assert last.startswith(f"resonatord{usage}: error: ")
+    assert last.endswith(f"did you mean {meant}?") or not meant
 
 
 def test_the_example_passes_its_own_check(config_path: Path, resonatord: Resonatord) -> None:

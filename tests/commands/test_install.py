@@ -7,12 +7,13 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.commands import main
+from resonator_daemon.commands._command_line import command_names
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.host import install as module
 
 ROOT = Path(__file__).parents[2]
 PROGRAM = Path(sys.executable).with_name("resonatord")
-PLACES = {
+SERVICES = {
     "etc/systemd/system/resonatord@.service",
     "etc/systemd/system/resonatord-decode@.service",
     "etc/udev/rules.d/70-resonatord.rules",
@@ -20,6 +21,12 @@ PLACES = {
     "etc/tmpfiles.d/resonatord.conf",
     "etc/resonatord/example.toml",
 }
+SHARE = "usr/local/share"
+BASH = f"{SHARE}/bash-completion/completions/resonatord"
+COMPLETIONS = {BASH, f"{SHARE}/zsh/site-functions/_resonatord", f"{SHARE}/fish/vendor_completions.d/resonatord.fish"}
+COMMANDS = {name for command in command_names() for name in (command, command.split()[0])}
+PAGES = {f"{SHARE}/man/man1/{'-'.join(['resonatord', *name.split()])}.1" for name in COMMANDS | {""}}
+PLACES = SERVICES | COMPLETIONS | PAGES
 UNIT = "etc/systemd/system/resonatord@.service"
 
 
@@ -79,6 +86,38 @@ def test_a_file_of_others_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert theirs.read_bytes() == b"[Service]\nExecStart=/bin/true \xff\n"
     assert main(["install", "--prefix", str(tmp_path)]) == ExitCode.DONE
     assert f"{theirs}: kept: it was changed here" in capsys.readouterr().out
+
+
+def test_bash_completes_commands_options_and_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    installed(tmp_path, capsys)
+    (tmp_path / "left.toml").touch()
+    for words, offered in (
+        ("rem", "remove"),
+        ("plan ''", "codes sensors"),
+        ("doctor --sec", "--seconds"),
+        ("calibrate sk", "skin"),
+        ("export --config le", "left.toml"),
+    ):
+        script = (
+            f"source {BASH}; COMP_WORDS=(resonatord {words}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1)); "
+            'read -r _ _ _ _ function _ < <(complete -p resonatord); "$function"; echo "${COMPREPLY[*]}"'
+        )
+        done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
+        assert (done.stdout, done.stderr) == (f"{offered}\n", "")
+
+
+def test_the_manual_has_what_the_help_has(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    installed(tmp_path, capsys)
+    page = (tmp_path / f"{SHARE}/man/man1/resonatord-plan-codes.1").read_text()
+    with pytest.raises(SystemExit):
+        main(["plan", "codes", "--help"])
+    helped = capsys.readouterr().out.split()
+    words = page.replace("\\-", "-").replace("\\(dq", '"').replace("\\(ga", "`").split()
+    assert {word for word in helped if word.startswith("--")} <= set(words)
+    assert page.startswith('.TH RESONATORD\\-PLAN\\-CODES 1 ""')
+    assert all(
+        line.split()[0] in {".TH", ".SH", ".TP", ".B", ".BR", '.\\"'} for line in page.splitlines() if line[0] == "."
+    )
 
 
 def test_a_dry_run_for_this_system_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
