@@ -142,7 +142,7 @@ bench-cost: .venv/test-stamp  ## processor time of each stage per frame, against
 	debian-packages $(BROKER)
 	.venv/bin/python benchmarks/stage_cost.py
 
-figures: .venv/figures-stamp  ## draw the pictures of README.md, docs/reproduction.md and docs/elastic.md anew
+figures: .venv/figures-stamp  ## draw the pictures of README.md, docs/research/reproduction.md and docs/explanation/elastic.md anew
 	@export OMP_NUM_THREADS=1
 	.venv/bin/python docs/figures/draw.py
 	.venv/bin/python docs/figures/fingertip.py

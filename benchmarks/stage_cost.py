@@ -2,7 +2,7 @@
 
 Run it with `make bench-cost`, or `python benchmarks/stage_cost.py [--checkout DIR] [--only TEXT] [--record]`.
 `--checkout` measures another checkout that has a `.venv` of its own. `--record` writes `benchmarks/stage_cost.json` and
-the table of docs/performance.md. Exit code 1 when a stage costs more than 15 % above its record.
+the table of docs/explanation/performance.md. Exit code 1 when a stage costs more than 15 % above its record.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from stage_cost_parts import PARTS, Cost, Stages
 
 ROOT = Path(__file__).parents[1]
 RECORD = ROOT / "benchmarks" / "stage_cost.json"
-PAGE = ROOT / "docs" / "performance.md"
+PAGE = ROOT / "docs" / "explanation" / "performance.md"
 PRESENT, BASELINE = "present", "baseline"
 LIMIT = 1.15
 BEGIN, END = "<!-- stages: make bench-cost -->\n", "<!-- /stages -->\n"

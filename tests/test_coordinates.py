@@ -1,4 +1,4 @@
-"""docs/coordinates.md holds from the emulated plate to the payload: each sign, each order of rows, by the truth.
+"""docs/reference/coordinates.md holds from emulated plate to payload: each sign, each order of rows, by the truth.
 
 Presses are off centre, with x and y of their own sizes and signs, and sheared in both directions, so that no axis can
 be exchanged or reversed unseen. Expected moments are r x f by hand.

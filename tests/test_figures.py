@@ -1,4 +1,4 @@
-"""`make figures` draws what docs/reproduction.md shows, and the page states what it prints."""
+"""`make figures` draws what docs/research/reproduction.md shows, and the page states what it prints."""
 
 import re
 import subprocess
@@ -29,7 +29,7 @@ def test_figures_are_drawn_and_the_page_states_what_they_print(tmp_path: Path) -
         text=True,
         check=True,
     )
-    text = (ROOT / "docs" / "reproduction.md").read_text()
+    text = (ROOT / "docs" / "research" / "reproduction.md").read_text()
     page = " ".join(text.split())
     shown = set(re.findall(r"figures/([\w-]+\.svg)", page))
     assert {path.name for path in tmp_path.iterdir()} == shown
@@ -50,7 +50,7 @@ def test_figures_are_drawn_and_the_page_states_what_they_print(tmp_path: Path) -
 
 
 def test_the_example_of_the_elastic_page_runs() -> None:
-    block = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "elastic.md").read_text(), re.DOTALL)
+    block = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "explanation" / "elastic.md").read_text(), re.DOTALL)
     assert block
     run = subprocess.run([sys.executable, "-c", block[1]], capture_output=True, text=True, check=True)
     assert re.search(r"\d+ pixels stick, \d+ slip", run.stdout)

@@ -8,7 +8,6 @@ import sys
 from asyncio.subprocess import Process
 from pathlib import Path
 
-import pytest
 from brokers import Mosquitto
 from decoder_bench import until
 
@@ -28,19 +27,6 @@ def commands(section: str, port: Path) -> list[list[str]]:
 def test_lines_and_words_are_few() -> None:
     assert [line for line in README.splitlines() if len(line) > LINES_MAX] == []
     assert len(README.split()) <= WORDS_MAX
-
-
-def test_every_page_is_in_the_index() -> None:
-    index = (ROOT / "docs" / "README.md").read_text()
-    pages = {page.name for page in (ROOT / "docs").glob("*.md")} - {"README.md"}
-    assert {page for page in pages if f"({page})" not in index} == set()
-
-
-@pytest.mark.parametrize("page", ["README.md", "docs/README.md"])
-def test_links_lead_to_files(page: str) -> None:
-    text = (ROOT / page).read_text()
-    targets = [target.partition("#")[0] for target in re.findall(r"\]\(([^)]+)\)", text)]
-    assert [target for target in targets if not (ROOT / page).parent.joinpath(target).exists()] == []
 
 
 async def test_a_board_is_connected_by_its_commands(tmp_path: Path, mosquitto: Mosquitto) -> None:

@@ -1,4 +1,4 @@
-"""Draw the figures of docs/reproduction.md: the paper's Figs 2-13, with the corrected matrices.
+"""Draw the figures of docs/research/reproduction.md: the paper's Figs 2-13, with the corrected matrices.
 
 Run it with `make figures`. It prints the figures that the page states.
 """
@@ -121,7 +121,7 @@ def encoding(folder: Path) -> None:
 def main() -> None:
     matplotlib.rcParams["svg.hashsalt"] = "resonatord"  # the same drawing is the same file
     os.environ.setdefault("SOURCE_DATE_EPOCH", "0")
-    parser = argparse.ArgumentParser(description="Draw the figures of docs/reproduction.md.")
+    parser = argparse.ArgumentParser(description="Draw the figures of docs/research/reproduction.md.")
     parser.add_argument(
         "--folder", type=Path, default=Path(__file__).parent, help="where to (default: beside this file)"
     )

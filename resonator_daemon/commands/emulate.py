@@ -32,8 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--faults",
         default="",
         metavar="SPEC",
-        help="besides the scenario's faults, as bit_error_rate=1e-5,unplug_at_s=10,unplug_for_s=3; docs/emulator.md "
-        "lists all",
+        help="besides the scenario's faults, as bit_error_rate=1e-5,unplug_at_s=10,unplug_for_s=3; "
+        "docs/reference/emulator.md lists all",
     )
     parser.add_argument(
         "--counter",

@@ -58,5 +58,5 @@ def _lines(place: "FoundPort") -> Iterator[str]:
     if place.held_by:
         yield f"    held by {' and '.join(str(holder) for holder in place.held_by)}"
     if not place.permitted:
-        yield "    may not be opened by this user; see docs/links.md"
+        yield "    may not be opened by this user; see docs/how-to/connect.md"
     yield f'    link = "{place.link}"'

@@ -34,7 +34,7 @@ name = "left-index"                      # topics: resonator/left-index/...; def
 plate = "quartz16"                       # a shipped plate or a path, relative to this file
 link = "serial:/dev/serial/by-id/usb-RD_board_0042-if00?baud=4000000"   # or tcp://host:port, usb:1209:0001?serial=0042
 [mqtt]
-url = "mqtt://127.0.0.1:1883"            # mqtts:// for TLS; username, password_file and certificates: docs/security.md
+url = "mqtt://127.0.0.1:1883"            # mqtts:// for TLS; certificates, passwords: docs/how-to/secure-the-broker.md
 prefix = "resonator"
 [measurement]
 window_ms = 10

@@ -160,7 +160,7 @@ async def _measure(broker: Mqtt, times: ConnectionTimes | None) -> tuple[_Probe,
 def _findings(probe: _Probe, last_text: str, busy: str) -> Iterator[Finding]:
     if not probe.accepted.is_set():
         silent = connection_errors.SILENT in last_text
-        remedy = "correct the keys of [mqtt], or the broker's accounts; docs/security.md"
+        remedy = "correct the keys of [mqtt], or the broker's accounts; docs/how-to/secure-the-broker.md"
         if silent:
             remedy = (
                 "see that mqtt.url names the broker's host and port, and that the broker is not stopped; restart it"

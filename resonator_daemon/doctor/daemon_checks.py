@@ -43,7 +43,7 @@ def check_status(status: Mapping[str, Any], where: str) -> Iterator[Finding]:
         yield LINK.ok(f"online {link.get('reason', '')}".strip())
         yield from _losses(_table(status, "health"))
     else:
-        yield LINK.fault(f"{link.get('state')}: {link.get('reason')}", "see the reason and docs/links.md")
+        yield LINK.fault(f"{link.get('state')}: {link.get('reason')}", "see the reason and docs/how-to/connect.md")
     yield _sensor(_table(status, "sensor"), online=link.get("state") == Condition.ONLINE)
     broker = _table(status, "broker")
     if broker.get("connected"):

@@ -219,7 +219,7 @@ def _round_trip(probed: ProbeResult) -> Finding:
         return ROUND_TRIP.ok(evidence, Amount(median_s * 1e3, _ROUND_TRIP_S * 1e3, "ms"))
     return ROUND_TRIP.warning(
         evidence,
-        "an adapter that collects bytes: shorten its latency timer (docs/links.md); of TCP, look at the network",
+        "an adapter that collects bytes: shorten its latency timer (docs/how-to/connect.md); of TCP, check the network",
         Amount(median_s * 1e3, _ROUND_TRIP_S * 1e3, "ms"),
     )
 

@@ -23,7 +23,7 @@ _OF_A_PORT: Final = (PERMISSION, HOLDER, MODEM_MANAGER, BRLTTY, LATENCY_TIMER)
 _LATENCY_LIMIT_MS: Final = 1
 _IGNORED: Final = re.compile(r"^E:ID_MM_(PORT|DEVICE)_IGNORE=1$", re.MULTILINE)
 _RULES: Final = ("/etc/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.d")
-_RULES_FILE: Final = "the rules of docs/links.md, or: resonatord install"
+_RULES_FILE: Final = "the rules of docs/how-to/connect.md, or: resonatord install"
 
 
 def check_port(port: str, host: Host, holders: Holders) -> Iterator[Finding]:

@@ -64,7 +64,7 @@ def check_usb_link(link: UsbId, host: Host, load_bit_per_s: float | None) -> Ite
     else:
         yield DEVICE.fault(
             f"{wanted} is there, and this user may not open {node}",
-            "a udev rule gives it to a group of this user: docs/links.md, or: resonatord install",
+            "a udev rule gives it to a group of this user: docs/how-to/connect.md, or: resonatord install",
         )
     yield from check_usb_device(found[0], host, load_bit_per_s)
 
@@ -95,7 +95,7 @@ def _autosuspend(device: Path, host: Host) -> Finding:
         return AUTOSUSPEND.ok("off")
     return AUTOSUSPEND.warning(
         f"on (power/control = {control}): the device may be put to sleep after {delay_ms or '?'} ms without traffic",
-        'a udev rule: TEST=="power/control", ATTR{power/control}="on" (docs/links.md, or: resonatord install)',
+        'a udev rule: TEST=="power/control", ATTR{power/control}="on" (docs/how-to/connect.md, or: resonatord install)',
     )
 
 

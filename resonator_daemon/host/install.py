@@ -55,7 +55,7 @@ class InstallError(UserError):
 
     exit_code = ExitCode.FAILED
     code = "install"
-    hint = "docs/service.md"
+    hint = "docs/how-to/install.md"
 
 
 class Action(StrEnum):
@@ -154,7 +154,7 @@ def _may_run_commands(prefix: Path | None, dry_run: bool) -> bool:
     if prefix is not None or dry_run:
         return False
     if shutil.which("systemctl") is None:
-        raise InstallError("no systemctl on PATH: this computer has no systemd; see docs/service.md for others")
+        raise InstallError("no systemctl on PATH: this computer has no systemd; see docs/how-to/install.md for others")
     if os.geteuid() != 0:
         raise InstallError(f"only root may write to /etc: sudo {sys.argv[0]} install, or look first with --dry-run")
     return True

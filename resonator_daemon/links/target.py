@@ -108,7 +108,7 @@ class LinkTarget(ABC):
     @property
     def remedy(self) -> str:
         """What a person does about a link that does not open."""
-        return "see with `resonatord ports` which ports there are, and who holds them; docs/links.md"
+        return "see with `resonatord ports` which ports there are, and who holds them; docs/how-to/connect.md"
 
 
 def options_of(query: str, allowed: Sequence[str]) -> dict[str, str]:

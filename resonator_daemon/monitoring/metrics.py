@@ -1,4 +1,4 @@
-"""Status of a daemon as metrics for Prometheus; docs/monitoring.md lists them."""
+"""Status of a daemon as metrics for Prometheus; docs/how-to/monitor.md lists them."""
 
 import math
 import time

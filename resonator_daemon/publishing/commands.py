@@ -263,10 +263,12 @@ def _request(verb: Verb, payload: bytes) -> Request:
     except ValidationError as error:
         findings = error.errors(include_url=False)[:_FINDINGS_MAX]
         raise CommandRefusedError(
-            "payload", "; ".join(_sentence(verb, found) for found in findings), "see docs/mqtt.md and the topic schema"
+            "payload",
+            "; ".join(_sentence(verb, found) for found in findings),
+            "see docs/reference/mqtt.md and the topic schema",
         ) from None
     except ValueError as error:
-        hint = "see docs/mqtt.md and the topic schema" if payload else "send {} for a command without fields"
+        hint = "see docs/reference/mqtt.md and the topic schema" if payload else "send {} for a command without fields"
         raise CommandRefusedError("payload", str(error), hint) from None
 
 

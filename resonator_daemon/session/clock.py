@@ -2,7 +2,7 @@
 
 A ping exchange brackets one tick count between two readings of the host's monotonic clock. The lines from ticks to host
 time that all exchanges allow give the instant and the bound of its error; arrival times of frames are never used.
-See docs/time.md.
+See docs/explanation/time.md.
 """
 
 import math

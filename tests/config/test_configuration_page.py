@@ -1,4 +1,4 @@
-"""docs/configuration.md says what the code does."""
+"""docs/reference/configuration.md says what the code does."""
 
 import re
 

@@ -1,11 +1,11 @@
-"""The examples of docs/decoding.md run as they stand."""
+"""The examples of docs/explanation/decoding.md run as they stand."""
 
 import re
 from pathlib import Path
 
 import pytest
 
-PAGE = Path(__file__).parents[2] / "docs" / "decoding.md"
+PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "decoding.md"
 
 
 def test_the_examples_run(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""Every row of docs/errata.md: what is printed fails, what replaces it holds, by means that share no formula."""
+"""Every row of docs/research/errata.md: the print fails, the correction holds, by means that share no formula."""
 
 import random
 from functools import cache

@@ -147,7 +147,7 @@ def test_every_metric_of_the_dashboard_exists() -> None:
 
 
 def test_the_page_lists_every_metric_and_no_other() -> None:
-    page = (DOCS / "monitoring.md").read_text()
+    page = (DOCS / "how-to" / "monitor.md").read_text()
     listed = set(re.findall(r"^\| `((?:resonatord|process)_[a-z_]+)", page, re.MULTILINE))
     assert listed == there_are()
     assert named_in(page) - {"resonatord_latency_seconds"} <= there_are()

@@ -1,4 +1,4 @@
-"""Tables of keys and examples in docs/mqtt.md, from the models: `python tests/publishing/key_tables.py` writes them.
+"""Tables of keys and examples in docs/reference/mqtt.md, from the models; `python tests/publishing/key_tables.py`.
 
 A table follows a comment that names its models, as `<!-- keys: Header, Measured -->`; inherited keys are left out. An
 example is the JSON block of the section that is named after its model.
@@ -15,7 +15,7 @@ from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.units import unit_of
 from resonator_daemon.publishing.verbs import ERRORS
 
-PAGE = Path(__file__).parents[2] / "docs" / "mqtt.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "mqtt.md"
 WIDTH = 130
 EXAMPLE = re.compile(r"(^## (\w+)\n(?:(?!^## |^```).*\n)*```json\n)(?:.*\n)*?(```)", re.MULTILINE)
 KEYS = re.compile(r"(<!-- (keys|words): ([\w, ]+) -->\n\n)(?:\|.*\n)*\n*")

@@ -1,4 +1,4 @@
-"""docs/mqtt.md says what the code does: topics, words, examples, and the subscriber in ten lines."""
+"""docs/reference/mqtt.md says what the code does: topics, words, examples, and the subscriber in ten lines."""
 
 import asyncio
 import json

@@ -1,4 +1,4 @@
-"""docs/security.md: its commands make certificates that the example's broker and the daemon accept."""
+"""docs/how-to/secure-the-broker.md: its commands make certificates that the example's broker and the daemon accept."""
 
 import re
 import shutil
@@ -12,7 +12,7 @@ from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.broker_connection import FAILURE, MQTT_5, BrokerConnection
 from resonator_daemon.publishing.connection_errors import BrokerError
 
-PAGE = (Path(__file__).parents[2] / "docs" / "security.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "secure-the-broker.md").read_text()
 COMMANDS = re.findall(r"<!-- runs in tests -->\n```sh\n(.*?)```", PAGE, re.DOTALL)
 
 

@@ -3,7 +3,7 @@
 An emulated plate, the daemon and a broker run on this machine. The latency is the time from the last edge that is
 counted for a message to the subscriber who has it.
 
-docs/latency.md explains the figures. Example: resonatord bench latency --plate quartz16 --seconds 60
+docs/explanation/latency.md explains the figures. Example: resonatord bench latency --plate quartz16 --seconds 60
 """
 
 import argparse

@@ -4,7 +4,7 @@ Each force site of a plate gets a code: a step of a ladder of tones, wide enough
 and tolerances, with codes far apart for neighbours. The page shows how often touches would be mistaken, what band and
 link it takes and how noisy forces are; --output writes a plate file.
 
-docs/codes.md explains more.
+docs/explanation/codes.md explains more.
 Example: resonatord plan codes --grid 4x4 --pitch-mm 5 --force-max-newton 10 --output new-plate.toml
 """
 

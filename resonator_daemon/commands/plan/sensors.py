@@ -5,7 +5,7 @@ and rank of the signals; what pitch and depth would do; a picture of the signals
 frequencies. The skin counts as an elastic half-space.
 
 A feature of 1 mm is one stripe of a grating with 1 mm stripes and 1 mm gaps. It counts as resolved where a best linear
-estimate brings back at least half of it. docs/sensors.md explains more.
+estimate brings back at least half of it. docs/explanation/sensors.md explains more.
 Example: resonatord plan sensors --set p_n,xz,yz --depth-mm 1 --pitch-mm 0.4 --snr-db 30
 """
 

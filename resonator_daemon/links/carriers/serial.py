@@ -221,7 +221,7 @@ def _way_in(path: str) -> str:
     except (KeyError, OSError):  # a group without a name, as in a container; a port that has just gone
         group = None
     if group in (None, "root"):
-        return "give it to a group of this user with a udev rule (docs/links.md)"
+        return "give it to a group of this user with a udev rule (docs/how-to/connect.md)"
     return f"join its group: sudo usermod -aG {group} $USER, then log in again"
 
 

@@ -56,7 +56,8 @@ class TcpTarget(LinkTarget):
     def remedy(self) -> str:
         return (
             f"see that what should listen at {self.host} port {self.port} is switched on and in the network "
-            f"(ping {self.host}), that address and port are right, and that no firewall is in between; docs/links.md"
+            f"(ping {self.host}), that address and port are right, and that no firewall is in between; "
+            "docs/how-to/connect.md"
         )
 
 

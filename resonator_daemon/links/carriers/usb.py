@@ -67,7 +67,8 @@ class UsbTarget(LinkTarget):
     @property
     def remedy(self) -> str:
         return (
-            "unplug the board and plug it in again, and see with `resonatord ports` whether it is there; docs/links.md"
+            "unplug the board and plug it in again, and see with `resonatord ports` whether it is there; "
+            "docs/how-to/connect.md"
         )
 
     @classmethod
