@@ -4,19 +4,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date, timedelta
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration.coupling import compare_with_width, find_coupling
-from resonator_daemon.calibration.creep_bound import creep_share
-from resonator_daemon.calibration.load_history import COMMON_MODE_STD, load_history, readings_of, steps_of
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
 from resonator_daemon.calibration.plate_file import Record, ResponseRecord, SiteRecord, UntouchedSite
 from resonator_daemon.calibration.site_codes import site_codes
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY, LoadRequest, Step
 from resonator_daemon.forces.calibration_fit import CalibrationFit, fit_calibration
+from resonator_daemon.forces.loading_fit import RESPONSE_DEFAULT
+from resonator_daemon.forces.loadings import Readings, Steps
 from resonator_daemon.forces.site_response import SiteResponse
 from resonator_daemon.forces.temperature_fit import fit_temperature
 from resonator_daemon.plate import Plate
@@ -29,6 +29,66 @@ BAD_NEWTON: Final = 2e-3
 USUAL_CUT: Final = np.array([0.0, -0.5e-9, 1.08e-10])  # of AT quartz: a depends on the angle of cut, b and c little
 USUAL_CUT_STD: Final = np.array([1e-6, 1e-9, 1e-11])
 SMALLEST_MASS_STD: Final = 1e-9  # stands for exact masses
+
+SIGMAS: Final = 2.0  # of the pace, so that holds too short to show creep do not rule it out
+CARRIED_ON_S: Final = math.exp(RESPONSE_DEFAULT[2])  # creep that begins at some pace and dies out goes on for its time
+
+COMMON_MODE_STD: Final = 1e-9  # of the pilot's mean over some tenths of a second
+
+
+class LoadChange(NamedTuple):
+    """A load that comes to a site, or goes: then `loading` is None."""
+
+    site: int
+    since_s: float
+    kelvin: float
+    loading: Loading | None
+
+
+def load_history(procedure: LoadProcedure, loadings: Sequence[Loading]) -> list[LoadChange]:
+    """Return the changes that loadings were, in their order."""
+    changes = []
+    for loading in sorted(loadings, key=lambda loading: loading.since_s):
+        kelvin = loading.step.kelvin
+        changes.append(LoadChange(loading.site, loading.since_s, kelvin, loading))
+        if (released_s := _released_s(procedure, loading)) is not None:
+            changes.append(LoadChange(loading.site, released_s, kelvin, None))
+    return changes
+
+
+def steps_of(changes: Sequence[LoadChange], request: LoadRequest) -> Steps:
+    """Return the changes as the steps of a fit."""
+    masses_kg = np.array(request.masses_kg)
+    lying_kg = [change.loading.step.mass_kg if change.loading else math.nan for change in changes]
+    kelvin = [change.kelvin if request.kelvin is not None else math.nan for change in changes]
+    return Steps(
+        np.array([change.site for change in changes]),
+        np.array([change.since_s for change in changes]),
+        masses_kg == np.array(lying_kg)[:, None],
+        np.full(len(changes), COMMON_MODE_STD),
+        np.array(kelvin),
+    )
+
+
+def readings_of(changes: Sequence[LoadChange], procedure: LoadProcedure) -> Readings:
+    """Return the readings of all loads that were captured."""
+    captured = [(row, change.loading) for row, change in enumerate(changes) if change.loading is not None]
+    return Readings(
+        np.concatenate([np.full(len(load.times_s), row) for row, load in captured]),
+        np.concatenate([load.times_s for _, load in captured]),
+        np.concatenate([load.without_common_mode(procedure.untouched) for _, load in captured]),
+        np.concatenate([load.std for _, load in captured]),
+        np.concatenate([np.full(len(load.times_s), load.oscillator_std) for _, load in captured]),
+    )
+
+
+def _released_s(procedure: LoadProcedure, loading: Loading) -> float | None:
+    """When a load was taken away; None where another followed on the same site."""
+    after = [time_s for time_s in procedure.released_s if time_s > loading.times_s[-1]]
+    following = [other.since_s for other in procedure.loadings.values() if other.since_s > loading.since_s]
+    if not after or (following and min(following) < after[0]):
+        return None
+    return after[0]
 
 
 @dataclass(frozen=True)
@@ -245,3 +305,30 @@ def _response(response: SiteResponse) -> ResponseRecord:
     return ResponseRecord(
         response.hysteresis_newton, response.creep_fraction, response.creep_time_s, min(max(spread, 0.01), 1.0)
     )
+
+
+def creep_share(procedure: LoadProcedure, loadings: Sequence[Loading], fit: CalibrationFit) -> float:
+    """Share of a force by which sites may creep on, at the pace of the holds, for as long as creep usually takes.
+
+    The pace is the fastest that readings allow, of loads from zero on sites that `fit` has; NaN where there are none.
+    """
+    sites = fit.site.tolist()
+    growth = [
+        _pace(load, procedure, fit.sensitivity[sites.index(load.site)]) for load in loadings if load.site in sites
+    ]
+    pace, weight = np.array(growth).reshape(-1, 2).T
+    if not weight.sum() > 0:
+        return math.nan
+    return (abs(float(weight @ pace / weight.sum())) + SIGMAS / math.sqrt(weight.sum())) * CARRIED_ON_S
+
+
+def _pace(loading: Loading, procedure: LoadProcedure, sensitivity: Floats) -> tuple[float, float]:
+    """Return how fast the reading grows, 1/s of the force, and the inverse of its variance."""
+    lever = loading.times_s - loading.times_s.mean()
+    by_channel = sensitivity / (sensitivity @ sensitivity)
+    newton = loading.without_common_mode(procedure.untouched) @ by_channel
+    common_newton = loading.oscillator_std * by_channel.sum()
+    variance = common_newton**2 + (loading.std.mean(axis=0) * by_channel) @ (loading.std.mean(axis=0) * by_channel)
+    spread = float(lever @ lever)
+    force = loading.step.force_newton
+    return float(lever @ newton) / spread / force, spread * force**2 / variance

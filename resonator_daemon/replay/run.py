@@ -2,12 +2,14 @@
 
 import asyncio
 import math
+import sys
+import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, Protocol
 
 from resonator_daemon.config import Config, Mqtt, plate_name
 from resonator_daemon.errors import ConfigurationError, InterruptedCommandError, UsageError
@@ -18,12 +20,78 @@ from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.recording.reader import damage_in_words
 from resonator_daemon.replay.broker import AtBroker
 from resonator_daemon.replay.outputs import Lines, Output
-from resonator_daemon.replay.pacing import AtSpeed, Pacing, StepByStep
 from resonator_daemon.replay.progress import Progress
 from resonator_daemon.replay.recorded_pipeline import Moment, Published, RecordingReplay
 from resonator_daemon.replay.source import open_replay
 from resonator_daemon.replay.span import Span, find_span
+from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.view.watch import broker_at
+
+_AT_ONCE_S: Final = 1e-3  # a wait takes longer than this
+
+
+class Pacing(Protocol):
+    """Waits for each moment's turn."""
+
+    async def wait_for(self, moment: Moment) -> None: ...
+
+
+class AtSpeed:
+    """Recorded time passes this many times as fast as it did, from the first moment on.
+
+    Parameters
+    ----------
+    speed
+        Above 0; infinite: as fast as it goes.
+    clock_ns, sleep
+        Of the present.
+    """
+
+    def __init__(
+        self,
+        speed: float,
+        clock_ns: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
+    ) -> None:
+        self._speed = speed
+        self._clock_ns = clock_ns
+        self._sleep = sleep
+        self._begun: tuple[int, int] | None = None  # on the clock, and in recorded time
+
+    async def wait_for(self, moment: Moment) -> None:
+        if self._begun is None:
+            self._begun = self._clock_ns(), moment.now.monotonic_ns
+        clock_ns, recorded_ns = self._begun
+        due_ns = clock_ns + (moment.now.monotonic_ns - recorded_ns) / self._speed
+        left_s = (due_ns - self._clock_ns()) * 1e-9
+        await self._sleep(left_s if left_s > _AT_ONCE_S else 0.0)
+
+
+class StepByStep:
+    """Prints on stderr what comes next, and waits for Enter on a terminal."""
+
+    def __init__(self, begun: HostTime) -> None:
+        self._begun_ns = begun.monotonic_ns
+
+    async def wait_for(self, moment: Moment) -> None:
+        at_s = (moment.now.monotonic_ns - self._begun_ns) * 1e-9
+        topics = ", ".join(published.topic.path for published in moment.messages)
+        sys.stderr.write(f"{at_s:.3f} s  {topics}  [Enter] ")
+        sys.stderr.flush()
+        await _enter()
+
+
+async def _enter() -> None:
+    """Wait for a line on stdin; EOFError: no more of them come."""
+    loop = asyncio.get_running_loop()
+    there = asyncio.Event()
+    loop.add_reader(sys.stdin.fileno(), there.set)
+    try:
+        await there.wait()
+    finally:
+        loop.remove_reader(sys.stdin.fileno())
+    if not sys.stdin.readline():
+        raise EOFError
 
 
 @dataclass

@@ -15,8 +15,7 @@ from resonator_daemon.forces.code_plan import ForceNoise, GuardBand
 from resonator_daemon.forces.code_trials import Outcomes
 from resonator_daemon.forces.codes import CodeOverlap
 from resonator_daemon.plate import Counter, Plate
-from resonator_daemon.view.code_figure import write_code_figure
-from resonator_daemon.view.pages import number_table
+from resonator_daemon.view.pages import number_table, write_code_figure
 from resonator_daemon.view.words import quantity
 
 BITS_A_BYTE: Final = 10  # on a serial line: start bit, 8 data bits, stop bit

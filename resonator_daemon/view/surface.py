@@ -13,9 +13,8 @@ from rich.text import Text
 
 from resonator_daemon.publishing.payloads import Contact, Status
 from resonator_daemon.publishing.topics import CONTACTS, DECODED, DECODED_SUMMARY, INFO
-from resonator_daemon.view.maps import Line, pooling, round_scale, scale_bar, traction_map
+from resonator_daemon.view.maps import Line, as_pixels, pooling, round_scale, scale_bar, traction_map
 from resonator_daemon.view.plate_view import PlateView, TrueContact, Truth
-from resonator_daemon.view.scattered import as_pixels
 from resonator_daemon.view.words import UNKNOWN, newtons, pascals, quantity
 
 Floats = NDArray[np.floating]

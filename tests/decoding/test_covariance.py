@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from resonator_daemon.decoding.open_plane.covariance import SiteCovariance
+from resonator_daemon.decoding.open_plane.decoder import SiteCovariance
 from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.elastic import HalfSpace

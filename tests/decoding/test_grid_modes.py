@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from resonator_daemon.decoding.layout import Grid
-from resonator_daemon.decoding.open_plane.covariance import SiteCovariance
+from resonator_daemon.decoding.open_plane.decoder import SiteCovariance
 from resonator_daemon.decoding.open_plane.estimate_power import FIELDS
 from resonator_daemon.decoding.open_plane.grid_bases import Bases, Reduction
 from resonator_daemon.decoding.open_plane.grid_modes import LEVELS, GridCovariance, GridModes

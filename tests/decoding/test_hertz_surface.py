@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.decoding.fitting.hertz_surface import hertz_displacement, hertz_traction
+from resonator_daemon.decoding.fitting.parametric_decoder import hertz_displacement, hertz_traction
 from resonator_daemon.elastic import HalfSpace
 
 RADIUS_M = 1.7e-3

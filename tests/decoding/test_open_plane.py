@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from contact_scenes import DEPTH_M, E, Scene, centred_noise, grid_positions, scene
 
-from resonator_daemon.decoding.open_plane.covariance import SiteCovariance
-from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
+from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder, SiteCovariance
 from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.elastic import HalfSpace

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from resonator_daemon.replay.comparing import ABSENT, Difference, Scales, payload_differences
+from resonator_daemon.replay.checking import ABSENT, Difference, Scales, payload_differences
 
 EXPECTED = {"a": 1, "b": "one", "f": [0.0, 2.0], "g": [{"x": 1e-9}, {"x": 4e-9}], "n": None, "t": True}
 

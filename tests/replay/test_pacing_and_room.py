@@ -9,8 +9,8 @@ from observer import observe
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing import outbox
 from resonator_daemon.replay.broker import AtBroker
-from resonator_daemon.replay.pacing import AtSpeed
 from resonator_daemon.replay.recorded_pipeline import Moment
+from resonator_daemon.replay.run import AtSpeed
 from resonator_daemon.replay.source import open_replay
 from resonator_daemon.session.host_time import HostTime
 
