@@ -13,6 +13,7 @@ from resonator_daemon.errors import ConfigurationError, IncompatibleBoardError
 from resonator_daemon.pipeline.tone_capture import ToneCapture
 from resonator_daemon.recording.event_replay import replay_of
 from resonator_daemon.session.frames import BoardOnline, BoardRefused, ChannelisedFrame, LinkChange, SingleToneFrame
+from resonator_daemon.session.link_reasons import OPENING
 from resonator_daemon.tones.tone_detector import ToneReading
 
 OPEN_S: Final = 10.0  # in which a board must answer
@@ -36,7 +37,7 @@ def _interrupt(*_: object) -> None:
 
 
 def _readings(capture: ToneCapture, timeout_s: float) -> Iterator[BoardOnline | ToneReading]:
-    state = LinkChange(Condition.STARTING, "the link is being opened", 0, 0)
+    state = LinkChange(Condition.STARTING, OPENING, 0, 0)
     online = False
     last_s = time.monotonic()
     for arrival, reading in capture.arrivals():
@@ -49,13 +50,14 @@ def _readings(capture: ToneCapture, timeout_s: float) -> Iterator[BoardOnline | 
                 online = True
                 yield arrival
             case BoardRefused():
-                raise (IncompatibleBoardError if arrival.other_protocol else ConfigurationError)(*arrival.problems)
+                error = IncompatibleBoardError if arrival.other_protocol else ConfigurationError
+                raise error(*(problem.text for problem in arrival.problems))
             case LinkChange():
                 state = arrival
                 if arrival.state is Condition.WAITING and not online:
                     remedy = "a calibration needs the link for itself: stop the daemon that runs on it"
-                    raise LinkBusyError(f"link: {arrival.reason}; {remedy}")
+                    raise LinkBusyError(f"link: {arrival.reason.text}; {remedy}")
             case None if time.monotonic() - last_s > (timeout_s if online else OPEN_S):
                 raise CalibrationRefusedError(
-                    f"link {state.state}: {state.reason}; no frame came; the plate file is as before"
+                    f"link {state.state}: {state.reason.text}; no frame came; the plate file is as before"
                 )

@@ -52,6 +52,7 @@ from resonator_daemon.session.frames import (
     Frame,
     ReaderFailed,
 )
+from resonator_daemon.session.link_reasons import all_of
 
 if TYPE_CHECKING:
     from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
@@ -322,9 +323,9 @@ class Service:
         if self._pipeline.board is not None:
             return  # the right board was here before and may come back
         error = IncompatibleBoardError if refused.other_protocol else ConfigurationError
-        self._fatal = error(*refused.problems)
+        self._fatal = error(*(problem.text for problem in refused.problems))
         self._end()
-        self._daemon.become(Condition.REFUSED, "; ".join(refused.problems), time.time_ns())
+        self._daemon.become(Condition.REFUSED, all_of(refused.problems).text, time.time_ns())
 
     def _make_decoder(self, settings: "SurfaceSettings", client: "SurfaceClient[Any]") -> "DecoderSupervisor[Any]":
         from resonator_daemon.decoder_process.supervisor import DecoderSupervisor  # here: only a skin needs it
@@ -373,7 +374,7 @@ class Service:
     def _sentence(self) -> str:
         """Return the status line."""
         link, health = self._pipeline.link, self._health
-        state = f"link {link.state}: {link.reason}" if link is not None else "starting"
+        state = f"link {link.state}: {link.reason.text}" if link is not None else "starting"
         if link is not None and link.state == Condition.ONLINE and health is not None:
             lost = sum(health.lost.model_dump(exclude={"skipped_late"}).values())
             state = f"{health.frame_rate_hz:.0f} frames/s, {lost} lost"

@@ -210,9 +210,9 @@ class _LinkRecording:
             case SingleToneFrame() | ChannelisedFrame() if self._first_frame_s is None:
                 self._first_frame_s = arrival.gate_middle.monotonic_ns * 1e-9
             case LinkChange():
-                self._link = arrival.reason
+                self._link = arrival.reason.text
             case BoardRefused():
-                raise IncompatibleBoardError(*arrival.problems)
+                raise IncompatibleBoardError(*(problem.text for problem in arrival.problems))
             case ReaderFailed():
                 raise RecordingEndedError(f"the reader failed: {arrival.error!r}") from arrival.error
 

@@ -14,6 +14,7 @@ from resonator_daemon.doctor.plate_readings import FEWEST_FRAMES, PlateReading, 
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.pipeline.tone_capture import ToneCapture
 from resonator_daemon.plate import Plate
+from resonator_daemon.reasons import Reason
 from resonator_daemon.sensors.expected_tones import ExpectedTones
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.session.counters import LinkCounters
@@ -53,7 +54,7 @@ class Capture:
     interruptions: list[str] = field(default_factory=list)
     losses: list[str] = field(default_factory=list)
     busy: str = ""
-    problems: tuple[str, ...] = ()
+    problems: tuple[Reason, ...] = ()
     temperatures_kelvin: list[float] = field(default_factory=list)
 
     @property
@@ -121,11 +122,11 @@ def _capture(tones: ToneCapture, capture: Capture, seconds: float, progress: Pro
                 first_s = time.monotonic()
                 capture.before = tones.reader.counters()
             case LinkChange():
-                capture.link = arrival.reason
+                capture.link = arrival.reason.text
                 if first_s is not None and arrival.state == "stalled":
-                    capture.interruptions.append(arrival.reason)
+                    capture.interruptions.append(arrival.reason.text)
                 if first_s is not None and arrival.state == "lost":
-                    capture.losses.append(arrival.reason)
+                    capture.losses.append(arrival.reason.text)
             case BoardRefused():
                 capture.problems = arrival.problems
                 return

@@ -7,8 +7,10 @@ from firmware_protocol.messages import ResetCause
 from resonator_daemon.doctor.capture import OPEN_S, Capture
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, excused, graded, not_checked
 from resonator_daemon.plate import Plate
+from resonator_daemon.reasons import ReasonCode
 from resonator_daemon.session.clock import TOLERANCE_PPM
 from resonator_daemon.session.compatibility import incompatibilities
+from resonator_daemon.session.link_reasons import all_of
 from resonator_daemon.session.probe import ProbeResult, round_trip_s
 
 OPENS: Final = Check("link.opens", Area.WIRING, "link")
@@ -88,8 +90,9 @@ def _nothing_came(capture: Capture) -> Iterator[Finding]:
     rest = (STEADY, OVERFLOW, OVERRUN)
     account = capture.after
     if capture.problems:
-        check = FITS if not any(text.startswith("reference_hz") for text in capture.problems) else REFERENCE
-        yield check.fault("; ".join(capture.problems), "connect the right board, or name the right plate file")
+        codes = [problem.code for problem in capture.problems]
+        check = REFERENCE if ReasonCode.WRONG_REFERENCE in codes else FITS
+        yield check.fault(all_of(capture.problems).text, "connect the right board, or name the right plate file")
         yield from not_checked((COUNTS, ERRORS, *rest), "the board does not serve this plate")
     elif account.bytes_discarded > _GARBAGE_FAULT * max(account.bytes_received, 1):
         yield _garbage(account.bytes_discarded, account.bytes_received, 0, 0)
@@ -174,9 +177,7 @@ def _all_frames(capture: Capture) -> int:
 def _fits(probed: ProbeResult, plate: Plate) -> Finding:
     problems = incompatibilities(probed.described.description, plate)
     if problems:
-        return FITS.fault(
-            "; ".join(problem.text for problem in problems), "connect the right board, or name the right plate file"
-        )
+        return FITS.fault(all_of(problems).text, "connect the right board, or name the right plate file")
     return FITS.ok(f"the board counts what plate {plate.name} needs")
 
 

@@ -6,7 +6,9 @@ import select
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Protocol
+from typing import Final, Protocol
+
+from resonator_daemon.reasons import Reason, ReasonCode
 
 WRITE_TIMEOUT_S = 1.0  # in which a board must take what it is sent
 
@@ -15,13 +17,24 @@ _TERMINAL_BYTES, _TERMINAL_BYTES_MAX = 2048, 4096  # a terminal with more waitin
 _SELECT_LIMIT = 1024  # descriptors that select can wait for
 _CLOSED = frozenset({errno.ECONNRESET, errno.EPIPE})  # by the other end, as an end of the stream
 _BROKEN = select.POLLERR | select.POLLHUP | select.POLLNVAL
+_UNPLUGGED: Final = Reason(ReasonCode.UNPLUGGED, "unplugged")
+
+CLOSED_HERE: Final = Reason(ReasonCode.STOPPED, "closed here")
 
 
-class LinkUnavailableError(Exception):
+class LinkError(Exception):
+    """A link is not there, with the reason."""
+
+    def __init__(self, code: ReasonCode, text: str) -> None:
+        super().__init__(text)
+        self.reason = Reason(code, text)
+
+
+class LinkUnavailableError(LinkError):
     """The link cannot be opened now; the text has which, why, and what is there instead."""
 
 
-class LinkLostError(Exception):
+class LinkLostError(LinkError):
     """An open link went away, as when a cable is pulled."""
 
 
@@ -46,7 +59,7 @@ class Link(Protocol):
 
 
 def write_timeout() -> LinkLostError:
-    return LinkLostError(f"the board took no bytes for {WRITE_TIMEOUT_S:g} s")
+    return LinkLostError(ReasonCode.WRITE_TIMEOUT, f"the board took no bytes for {WRITE_TIMEOUT_S:g} s")
 
 
 class FileDescriptorLink:
@@ -62,11 +75,11 @@ class FileDescriptorLink:
         What a stream means that ends before a byte has come; None: unplugged, as later.
     """
 
-    def __init__(self, descriptor: int, close: Callable[[], None], refusal: str | None = None) -> None:
+    def __init__(self, descriptor: int, close: Callable[[], None], refusal: Reason | None = None) -> None:
         self._descriptor = descriptor
         self._close: Callable[[], None] | None = close
-        self._ended = refusal or "unplugged"  # until a byte has come
-        self._lost: str | None = None
+        self._ended = refusal or _UNPLUGGED  # until a byte has come
+        self._lost: Reason | None = None
         self._buffer = memoryview(bytearray(_READ_BYTES))
         self._readable = select.poll()
         self._readable.register(descriptor, select.POLLIN)
@@ -83,7 +96,7 @@ class FileDescriptorLink:
             return b""
         data = self._drain()
         if not data and self._lost is None and any(state & _BROKEN for _, state in self._readable.poll(0)):
-            self._lost = f"{self._ended} (hung up)"  # the next wait would return at once again, for ever
+            self._lost = _with(self._ended, "hung up")  # the next wait would return at once again, for ever
         if not data:
             self._check()
         return data
@@ -100,7 +113,7 @@ class FileDescriptorLink:
             except BlockingIOError:
                 continue
             except OSError as error:
-                raise LinkLostError(self._error(error)) from error
+                raise LinkLostError(*self._error(error)) from error
 
     def reset(self) -> None:
         self._check()
@@ -108,7 +121,7 @@ class FileDescriptorLink:
     def close(self) -> None:
         close, self._close = self._close, None
         if close is not None:
-            self._lost = self._lost or "closed here"
+            self._lost = self._lost or CLOSED_HERE
             close()
 
     def _wait(self, timeout_s: float) -> bool:
@@ -132,18 +145,22 @@ class FileDescriptorLink:
                 self._lost = self._error(error)
                 break
             if not piece_bytes:
-                self._lost = f"{self._ended} (end of stream)"
+                self._lost = _with(self._ended, "end of stream")
                 break
-            self._ended = "unplugged"
+            self._ended = _UNPLUGGED
             size += piece_bytes
             if piece_bytes < _TERMINAL_BYTES or piece_bytes > _TERMINAL_BYTES_MAX:
                 break  # a socket gives all that has come
         return bytes(buffer[:size])
 
-    def _error(self, error: OSError) -> str:
-        return f"{self._ended if error.errno in _CLOSED else 'unplugged'} ({error.strerror})"
+    def _error(self, error: OSError) -> Reason:
+        return _with(self._ended if error.errno in _CLOSED else _UNPLUGGED, str(error.strerror))
 
     def _check(self) -> None:
         # A closed descriptor's number may be somebody else's by now.
         if self._lost is not None:
-            raise LinkLostError(self._lost)
+            raise LinkLostError(*self._lost)
+
+
+def _with(reason: Reason, detail: str) -> Reason:
+    return Reason(reason.code, f"{reason.text} ({detail})")

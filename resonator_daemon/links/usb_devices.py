@@ -13,6 +13,7 @@ import usb.core
 
 from resonator_daemon.links.carriers.usb import UsbTarget
 from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.reasons import ReasonCode
 
 INTERFACE = (0xFF, 0x52, 0x01)  # class, subclass, protocol; PROTOCOL.md, section USB
 
@@ -69,7 +70,9 @@ def usb_backend() -> Any:
     """
     backend = usb.backend.libusb1.get_backend()
     if backend is None:
-        raise LinkUnavailableError("libusb 1.0 cannot be loaded; install it: apt-get install libusb-1.0-0")
+        raise LinkUnavailableError(
+            ReasonCode.PORT_UNUSABLE, "libusb 1.0 cannot be loaded; install it: apt-get install libusb-1.0-0"
+        )
     return backend
 
 
@@ -85,7 +88,9 @@ def present_boards() -> list[UsbBoard]:
     try:
         devices = list(backend.enumerate_devices())
     except FAILURES as error:
-        raise LinkUnavailableError(f"USB devices cannot be listed: {reason_of(error)}") from error
+        raise LinkUnavailableError(
+            ReasonCode.PORT_UNUSABLE, f"USB devices cannot be listed: {reason_of(error)}"
+        ) from error
     boards = []
     for device in devices:
         try:

@@ -11,10 +11,17 @@ from usb.core import USBError, USBTimeoutError
 
 from firmware_protocol.layouts import PROTOCOL_MAJOR
 from resonator_daemon.links.carriers.usb import UsbTarget
-from resonator_daemon.links.link import WRITE_TIMEOUT_S, LinkLostError, LinkUnavailableError, write_timeout
+from resonator_daemon.links.link import (
+    CLOSED_HERE,
+    WRITE_TIMEOUT_S,
+    LinkLostError,
+    LinkUnavailableError,
+    write_timeout,
+)
 from resonator_daemon.links.port_holders import Holders, port_holders
 from resonator_daemon.links.usb_devices import FAILURES, UsbBoard, present_boards, reason_of, usb_backend
 from resonator_daemon.links.usb_transfers import BulkReader, Failure
+from resonator_daemon.reasons import Reason, ReasonCode
 
 _ENDPOINT_OUT, _ENDPOINT_IN = 0x01, 0x81
 _BEGIN = (0x41, 0x01)  # bmRequestType, bRequest; vendor, to the interface
@@ -42,7 +49,7 @@ def open_usb(target: UsbTarget) -> "UsbBulkLink":
     try:
         handle = backend.open_device(board.device)
     except FAILURES as error:
-        raise LinkUnavailableError(_why_not(board, error)) from error
+        raise LinkUnavailableError(*_why_not(board, error)) from error
     try:
         # Setting the configuration again would be a light reset, and fails while other interfaces are in use.
         if backend.get_configuration(handle) != board.configuration:
@@ -51,7 +58,7 @@ def open_usb(target: UsbTarget) -> "UsbBulkLink":
         _begin(backend, handle, board)
     except FAILURES as error:
         backend.close_device(handle)  # which releases what was claimed
-        raise LinkUnavailableError(_why_not(board, error)) from error
+        raise LinkUnavailableError(*_why_not(board, error)) from error
     except LinkUnavailableError:
         backend.close_device(handle)
         raise
@@ -66,7 +73,7 @@ class UsbBulkLink:
         self._handle = handle
         self._board = board
         self._may_reset = may_reset
-        self._lost: str | None = None
+        self._lost: Reason | None = None
         self._halts_in_a_row = 0
         self._reader = BulkReader(backend, handle, _ENDPOINT_IN)
         self._reader.start()
@@ -105,7 +112,7 @@ class UsbBulkLink:
                 continue
             except FAILURES as error:
                 if _number(error) != errno.EPIPE:
-                    raise self._lose(_unplugged(error)) from error
+                    raise self._lose(*_unplugged(error)) from error
                 self._clear_halt(_ENDPOINT_OUT)
 
     def reset(self) -> None:
@@ -117,16 +124,16 @@ class UsbBulkLink:
         try:
             self._backend.reset_device(self._handle)
         except NotImplementedError as error:
-            raise self._lose(f"the device cannot be reset here ({error})") from error
+            raise self._lose(ReasonCode.TRANSFERS_FAIL, f"the device cannot be reset here ({error})") from error
         except USBError:
             pass  # it is gone, or comes back as another device: either way this link is over
-        raise self._lose("the device was reset")
+        raise self._lose(ReasonCode.UNPLUGGED, "the device was reset")
 
     def close(self) -> None:
         if self._handle is None:
             return
         handle, self._handle = self._handle, None
-        self._lost = self._lost or "closed here"
+        self._lost = self._lost or CLOSED_HERE
         if self._reader.close(_END_TRANSFERS_S):
             with suppress(*FAILURES):
                 self._backend.release_interface(handle, self._board.interface)
@@ -141,12 +148,14 @@ class UsbBulkLink:
     def _recover(self, failure: Failure) -> None:
         """End what is in flight, clear the endpoint's halt and go on."""
         if failure is Failure.NO_DEVICE:
-            raise self._lose("unplugged (no such device)")
+            raise self._lose(ReasonCode.UNPLUGGED, "unplugged (no such device)")
         if not self._reader.stop(_END_TRANSFERS_S):
-            raise self._lose("the USB driver does not give transfers back")
+            raise self._lose(ReasonCode.TRANSFERS_FAIL, "the USB driver does not give transfers back")
         self._clear_halt(_ENDPOINT_IN)
         if self._halts_in_a_row > _HALTS_IN_A_ROW:
-            raise self._lose(f"the board answers with {_WHAT_FAILED[failure]} again and again")
+            raise self._lose(
+                ReasonCode.TRANSFERS_FAIL, f"the board answers with {_WHAT_FAILED[failure]} again and again"
+            )
         self._reader.start()
 
     def _clear_halt(self, endpoint: int) -> None:
@@ -154,15 +163,15 @@ class UsbBulkLink:
         try:
             self._backend.clear_halt(self._handle, endpoint)
         except FAILURES as error:
-            raise self._lose(_unplugged(error)) from error
+            raise self._lose(*_unplugged(error)) from error
 
-    def _lose(self, reason: str) -> LinkLostError:
-        self._lost = reason
-        return LinkLostError(reason)
+    def _lose(self, code: ReasonCode, text: str) -> LinkLostError:
+        self._lost = Reason(code, text)
+        return LinkLostError(code, text)
 
     def _check(self) -> None:
         if self._lost is not None:
-            raise LinkLostError(self._lost)
+            raise LinkLostError(*self._lost)
 
 
 def _find(target: UsbTarget) -> UsbBoard:
@@ -172,12 +181,14 @@ def _find(target: UsbTarget) -> UsbBoard:
     if len(found) == 1:
         return found[0]
     if found:
-        raise LinkUnavailableError(f"{len(found)} boards are {target}; name one of them: {_links(found)}")
+        raise LinkUnavailableError(
+            ReasonCode.PORT_UNUSABLE, f"{len(found)} boards are {target}; name one of them: {_links(found)}"
+        )
     for board in alike:
         if board.serial_number is None and not os.access(board.node, os.R_OK | os.W_OK):
-            raise LinkUnavailableError(_not_permitted(board))
+            raise LinkUnavailableError(*_not_permitted(board))
     present = f"present: {_links(boards)}" if boards else "no board is on any USB bus"
-    raise LinkUnavailableError(f"no board is {target}; {present}")
+    raise LinkUnavailableError(ReasonCode.NO_SUCH_PORT, f"no board is {target}; {present}")
 
 
 def _links(boards: list[UsbBoard]) -> str:
@@ -189,32 +200,34 @@ def _begin(backend: Any, handle: Any, board: UsbBoard) -> None:
         backend.ctrl_transfer(handle, *_BEGIN, PROTOCOL_MAJOR, board.interface, array("B"), _BEGIN_TIMEOUT_MS)
     except USBTimeoutError as error:
         reason = f"{board.link} does not begin again within {_BEGIN_TIMEOUT_MS} ms; plug it in again"
-        raise LinkUnavailableError(reason) from error
+        raise LinkUnavailableError(ReasonCode.NO_BOARD_ANSWERS, reason) from error
     except USBError as error:
         if error.errno != errno.EPIPE:
             raise
         reason = f"{board.link} refuses to begin with protocol {PROTOCOL_MAJOR}; its firmware may use another one"
-        raise LinkUnavailableError(reason) from error
+        raise LinkUnavailableError(ReasonCode.WRONG_PROTOCOL, reason) from error
 
 
-def _why_not(board: UsbBoard, error: Exception) -> str:
+def _why_not(board: UsbBoard, error: Exception) -> Reason:
     match _number(error):
         case errno.EACCES | errno.EPERM:
             return _not_permitted(board)
         case errno.EBUSY:
-            return f"{board.link} is held by {_others(port_holders(board.node))}; close it there"
+            holders = _others(port_holders(board.node))
+            return Reason(ReasonCode.PORT_IN_USE, f"{board.link} is held by {holders}; close it there")
         case errno.ENODEV | errno.ENOENT:
-            return f"{board.link} went away while it was opened"
+            return Reason(ReasonCode.NO_SUCH_PORT, f"{board.link} went away while it was opened")
         case _:
-            return f"{board.link} cannot be opened: {reason_of(error)}"
+            return Reason(ReasonCode.PORT_UNUSABLE, f"{board.link} cannot be opened: {reason_of(error)}")
 
 
-def _not_permitted(board: UsbBoard) -> str:
-    return (
+def _not_permitted(board: UsbBoard) -> Reason:
+    return Reason(
+        ReasonCode.PERMISSION_DENIED,
         f"{board.node} ({board.vendor_id:04x}:{board.product_id:04x}) may not be opened by this user; put "
         f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{board.vendor_id:04x}", ATTR{{idProduct}}=="{board.product_id:04x}", '
         'GROUP="resonatord", MODE="0660" into /etc/udev/rules.d/70-resonatord.rules (as root, `resonatord install` '
-        "does for boards of its ids), join the group resonatord and plug it in again"
+        "does for boards of its ids), join the group resonatord and plug it in again",
     )
 
 
@@ -227,5 +240,5 @@ def _number(error: Exception) -> int | None:
     return getattr(error, "errno", None)
 
 
-def _unplugged(error: Exception) -> str:
-    return f"unplugged ({reason_of(error)})"
+def _unplugged(error: Exception) -> Reason:
+    return Reason(ReasonCode.UNPLUGGED, f"unplugged ({reason_of(error)})")

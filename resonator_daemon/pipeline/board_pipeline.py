@@ -137,7 +137,7 @@ class BoardPipeline:
                 self.link = arrival
                 self._publish_link_state(arrival)
                 if arrival.state != Condition.ONLINE:
-                    no_frames = Reason(ReasonCode.NO_FRAMES, f"link {arrival.state}: {arrival.reason}")
+                    no_frames = Reason(ReasonCode.NO_FRAMES, f"link {arrival.state}: {arrival.reason.text}")
                     self._sensor_state.no_frames(no_frames, arrival.utc_ns)
                 self._frame_timeout.watch(arrival.state, arrival.utc_ns)
             case Outage():

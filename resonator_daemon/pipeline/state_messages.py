@@ -76,12 +76,14 @@ class StateMessages:
                 start_t_ns=outage.start_utc_ns,
                 end_t_ns=outage.end_utc_ns,
                 frames_lost=outage.frames_lost,
-                reason=outage.reason,
+                reason_code=outage.reason.code,
+                reason=outage.reason.text,
             )
         return State(
             **self._in_order(STATE_LINK, link.utc_ns, link.since_utc_ns),
             state=Condition(link.state),
-            reason=link.reason,
+            reason_code=link.reason.code,
+            reason=link.reason.text,
             last_outage=last_outage,
             boot_count=boot_count,
         )

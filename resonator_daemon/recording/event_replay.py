@@ -9,11 +9,13 @@ from resonator_daemon.conditions import Condition
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.recording.reader import Recording, open_recording
 from resonator_daemon.session import board_reader
 from resonator_daemon.session import link_events as wire
 from resonator_daemon.session.compatibility import BoardRefusedError
 from resonator_daemon.session.host_time import HostTime
+from resonator_daemon.session.link_reasons import all_of
 from resonator_daemon.session.link_state_machine import LinkStateMachine
 
 log = logging.getLogger(__name__)
@@ -174,7 +176,8 @@ class Replay:
             sentences.append(f"its file is {damage}; all before that was replayed")
         if self.differences:
             sentences.append(f"replay differs from it in {self.differences} places, first {self._first}")
-        over = wire.StateAnnounced(self._now, Condition.LOST, "; ".join(sentences))
+        reason = Reason(ReasonCode.RECORDING_OVER, "; ".join(sentences))
+        over = wire.StateAnnounced(self._now, Condition.LOST, reason)
         self._machine.apply(over)
         return over
 
@@ -198,15 +201,15 @@ class Replay:
             case (wire.Lost(), None):
                 return  # the link itself went away
             case (wire.Lost(), LinkLostError()):
-                as_recorded = str(raised) == event.reason
+                as_recorded = _same_codes((event.reason,), (raised.reason,))
             case (wire.Refused(), BoardRefusedError()):
                 same_protocol = raised.refused.other_protocol == event.other_protocol
-                as_recorded = same_protocol and event.codes in ((), raised.codes)
+                as_recorded = same_protocol and _same_codes(event.problems, raised.refused.problems)
             case _:
                 as_recorded = False
         if not as_recorded:
             now = raised or "nothing is wrong"
-            self._differ(event, f"the link was closed, {'; '.join(_reasons(event))}; now: {now}")
+            self._differ(event, f"the link was closed, {all_of(_reasons(event)).text}; now: {now}")
 
     def _differ(self, event: wire.WireEvent, what: str) -> None:
         self.differences += 1
@@ -216,5 +219,11 @@ class Replay:
             log.warning("replay differs from the recording %s, %s", self._recording.path, self._first)
 
 
-def _reasons(event: wire.Lost | wire.Refused) -> tuple[str, ...]:
+def _reasons(event: wire.Lost | wire.Refused) -> tuple[Reason, ...]:
     return (event.reason,) if isinstance(event, wire.Lost) else event.problems
+
+
+def _same_codes(recorded: tuple[Reason, ...], present: tuple[Reason, ...]) -> bool:
+    """Return whether the codes are the same; sentences may be worded anew, and old recordings have no codes."""
+    codes = [reason.code for reason in recorded]
+    return ReasonCode.UNSPECIFIED in codes or codes == [reason.code for reason in present]

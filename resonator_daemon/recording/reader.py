@@ -18,6 +18,7 @@ from mcap.records import Attachment, Header, McapRecord, Metadata
 from resonator_daemon.host.printable import printable
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.plate import Plate
+from resonator_daemon.reasons import ReasonCode
 from resonator_daemon.recording.mcap_attachments import DamagedAttachment
 from resonator_daemon.recording.mcap_messages import ChunkReader, messages
 from resonator_daemon.session.host_time import HostTime
@@ -90,6 +91,13 @@ def plate_fingerprints(plate: Plate) -> dict[str, str]:
         "plate_sha256": hashlib.sha256(plate.model_dump_json().encode()).hexdigest(),
         "wire_sha256": wire.hexdigest(),
     }
+
+
+class RecordingUnusableError(LinkUnavailableError):
+    """A file is no recording, or none that this version or plate can replay."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(ReasonCode.RECORDING_UNUSABLE, text)
 
 
 @dataclass(frozen=True)
@@ -215,15 +223,15 @@ def open_recording(path: str, plate: Plate | None = None) -> Recording:
 
     Raises
     ------
-    LinkUnavailableError
+    RecordingUnusableError
         No such file, no recording, of another format, or of a plate whose frames are others.
     """
     try:
         if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would be waited for
-            raise LinkUnavailableError(f"recording {path} is no regular file")
+            raise RecordingUnusableError(f"recording {path} is no regular file")
         file = open(path, "rb")  # noqa: SIM115 - the recording closes it
     except OSError as error:
-        raise LinkUnavailableError(f"recording {path}: {error.strerror}") from error
+        raise RecordingUnusableError(f"recording {path}: {error.strerror}") from error
     try:
         records = ChunkReader(file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records
         header = read_header(path, records)
@@ -244,25 +252,25 @@ def read_header(path: str, records: Iterator[McapRecord]) -> dict[str, str]:
 
     Raises
     ------
-    LinkUnavailableError
+    RecordingUnusableError
         It is no recording.
     """
     try:
         first, second = next(records), next(records)
     except (*DAMAGE, StopIteration) as error:
         remedy = "name a file that `resonatord record` has written"
-        raise LinkUnavailableError(f"{path} is no recording, or nothing of it was written; {remedy}") from error
+        raise RecordingUnusableError(f"{path} is no recording, or nothing of it was written; {remedy}") from error
     if not isinstance(first, Header) or first.profile != PROFILE:
-        raise LinkUnavailableError(f"{path} is an MCAP file, but not of this program")
+        raise RecordingUnusableError(f"{path} is an MCAP file, but not of this program")
     if not isinstance(second, Metadata) or second.name != RECORDING:
-        raise LinkUnavailableError(f"{path} does not contain the description of its plate or board")
+        raise RecordingUnusableError(f"{path} does not contain the description of its plate or board")
     return dict(second.metadata)
 
 
 def check_format(path: str, header: dict[str, str]) -> None:
-    """Check that a file is of the format that this version reads. Raises LinkUnavailableError."""
+    """Check that a file is of the format that this version reads. Raises RecordingUnusableError."""
     if (number := header.get("format")) != FORMAT:
-        raise LinkUnavailableError(
+        raise RecordingUnusableError(
             f"{path} has format {number}, this version reads format {FORMAT}; replay it with the version that wrote it"
         )
 
@@ -300,11 +308,11 @@ def _raising(error: Exception) -> Iterator[McapRecord]:
 def _check_plate(path: str, header: dict[str, str], plate: Plate) -> None:
     expected = plate_fingerprints(plate)
     if header.get("plate") != plate.name:
-        raise LinkUnavailableError(
+        raise RecordingUnusableError(
             f"{path} is a recording of plate {header.get('plate')!r}, the configuration names plate {plate.name!r}"
         )
     if header.get("wire_sha256") != expected["wire_sha256"]:
-        raise LinkUnavailableError(
+        raise RecordingUnusableError(
             f"{path} was recorded with another [counter] or other tones than plate {plate.name!r} has now; "
             "name the plate file that it was recorded with"
         )

@@ -125,7 +125,7 @@ class RecordingReplay:
         """Give what follows from an event and its arrivals, measured by themselves."""
         for arrival in in_blocks(arrivals, _BLOCK_FRAMES):
             if isinstance(arrival, BoardRefused):
-                self.refused = arrival.problems
+                self.refused = tuple(problem.text for problem in arrival.problems)
             self._board.handle(arrival)
         yield from self._at(event.now)
 

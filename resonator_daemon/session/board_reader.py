@@ -32,6 +32,7 @@ from resonator_daemon.session.link_events import (
     TimersRun,
     WireEvent,
 )
+from resonator_daemon.session.link_reasons import OPENING
 from resonator_daemon.session.link_state import LinkLog
 from resonator_daemon.session.link_state_machine import LinkStateMachine
 from resonator_daemon.session.step_pacing import StepPacing
@@ -119,7 +120,7 @@ class BoardReader:
 
     def start(self) -> None:
         if not self.replays:  # a recording has its own first state
-            self._machine.apply(StateAnnounced(read_host_time(), Condition.STARTING, "the link is being opened"))
+            self._machine.apply(StateAnnounced(read_host_time(), Condition.STARTING, OPENING))
         self._thread.start()
 
     def stop(self) -> None:
@@ -225,7 +226,7 @@ class BoardReader:
             try:
                 link = self._open()
             except LinkUnavailableError as error:
-                self._machine.apply(StateAnnounced(read_host_time(), Condition.WAITING, str(error)))
+                self._machine.apply(StateAnnounced(read_host_time(), Condition.WAITING, error.reason))
             else:
                 try:
                     counted = self._serve(link)
@@ -283,9 +284,9 @@ class BoardReader:
                     time.sleep(_GATHER_S)
             self._request_stop(link)
         except LinkLostError as error:
-            machine.apply(Lost(read_host_time(), str(error)))
+            machine.apply(Lost(read_host_time(), error.reason))
         except BoardRefusedError as error:
-            machine.apply(Refused(read_host_time(), error.refused.problems, error.refused.other_protocol, error.codes))
+            machine.apply(Refused(read_host_time(), error.refused.problems, error.refused.other_protocol))
             with suppress(LinkLostError):  # a board that counts would fill a buffer that nobody empties
                 self._request_stop(link)
             raise
@@ -343,4 +344,4 @@ class BoardReader:
             replay(self._machine, self._watch.wait, lambda: self._stopping)
         except LinkUnavailableError as error:
             # Another file does not come by waiting.
-            self._machine.apply(Refused(read_host_time(), (str(error),), other_protocol=False))
+            self._machine.apply(Refused(read_host_time(), (error.reason,), other_protocol=False))

@@ -9,7 +9,6 @@ from firmware_protocol.host import (
     HostEvent,
     HostSession,
     Located,
-    PacketRefusal,
     Pong,
     Rebooted,
     Started,
@@ -21,16 +20,18 @@ from firmware_protocol.states import HostState
 from resonator_daemon.conditions import Condition
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.plate import Plate
+from resonator_daemon.reasons import Reason, ReasonCode
+from resonator_daemon.session import link_reasons
 from resonator_daemon.session.blink import BlinkRequests
 from resonator_daemon.session.board_log import RESET_CAUSES, BoardLogFilter
 from resonator_daemon.session.clock import BoardClock, Exchange, Instant
 from resonator_daemon.session.compatibility import (
     BoardRefusedError,
-    Problem,
     gate_ticks,
     identity_changes,
     incompatibilities,
     tick_rate_problem,
+    wrong_unit,
 )
 from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frame_numbers import Accepted, FrameNumbering
@@ -38,6 +39,7 @@ from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.frame_receiver import FrameReceiver
 from resonator_daemon.session.frames import BoardOnline
 from resonator_daemon.session.host_time import HostTime
+from resonator_daemon.session.link_reasons import UNANSWERED_S
 from resonator_daemon.session.link_snapshot import ConnectionSnapshot
 from resonator_daemon.session.link_state import LinkState
 from resonator_daemon.session.pings import Pings
@@ -50,11 +52,7 @@ _SILENCE_FRAMES, _SILENCE_NS = 3, 50 * _MS
 _GIVE_UP_NS = 3 * _S  # from when a board is first asked, or called silent, until the link is opened again
 _STUCK_NS = 500 * _MS  # of bytes without a frame among them
 _SLEPT_NS = 50 * _MS
-_UNANSWERED_NS = 10 * _S  # without an answer, though frames come
-
-
-def _refused_text(refused: PacketRefusal) -> str:
-    return f"packets are refused ({refused.code}): {refused.text}"
+_UNANSWERED_NS = UNANSWERED_S * _S
 
 
 class Connection:
@@ -213,12 +211,12 @@ class Connection:
                 self._announce_online()
         elif now_ns - self._opened_ns > _GIVE_UP_NS:
             self._announce(Condition.STALLED, self._silence())
-            raise LinkLostError("no board answers")
+            raise LinkLostError(ReasonCode.NO_BOARD_ANSWERS, "no board answers")
         if self._refusals.update(now_ns):
             if self._state.online:
                 self._announce_online()
             elif self._counting and self._state.state is Condition.STALLED:
-                self._announce(Condition.STALLED, self._no_frame())
+                self._announce(Condition.STALLED, link_reasons.no_frame(self._refusals.most_frequent))
         if not self._session.awaits_answer:
             self._next_ask_ns = now_ns + _ASK_AGAIN_NS
         elif now_ns >= self._next_ask_ns:
@@ -271,22 +269,16 @@ class Connection:
         counters.clock_outliers += outliers + (clock.outliers if clock else 0)
         counters.clock_restarts += restarts + (clock.restarts if clock else 0)
 
-    def _silence(self) -> str:
+    def _silence(self) -> Reason:
         """Return why the handshake came to no end."""
-        received = self._session.bytes.received
-        if refused := self._session.most_refused:
-            return f"no board answers: its packets are refused ({refused.code}): {refused.text}; update its firmware"
-        if self.described is not None and self._session.state is HostState.DESCRIBED:
-            serial_number = self.described.identity.serial_number
-            return f"board {serial_number} identifies itself but answers no ping (no_pong); update its firmware"
-        received_text = f"{received} bytes came and no answer" if received else "not a byte came"
-        return f"no board answers: {received_text}; is it a board of this kind, and the baud rate right?"
+        lacks_pong = self.described is not None and self._session.state is HostState.DESCRIBED
+        return link_reasons.silence(
+            self._session.bytes.received,
+            self._session.most_refused,
+            self.described.identity.serial_number if self.described is not None and lacks_pong else None,
+        )
 
-    def _no_frame(self) -> str:
-        refused = self._refusals.most_frequent
-        return "the port is open and no frame comes" + (f"; {_refused_text(refused)}" if refused else "")
-
-    def _announce(self, state: Condition, reason: str) -> None:
+    def _announce(self, state: Condition, reason: Reason) -> None:
         self._state.announce(state, reason, self._now.utc_ns)
 
     def _handle(self, event: HostEvent) -> None:
@@ -315,7 +307,7 @@ class Connection:
                 self._refused(event)
             case ForeignVersion():
                 problem = f"the board uses protocol {event.major}, this daemon uses {PROTOCOL_MAJOR}"
-                raise BoardRefusedError(Problem("other_protocol", problem), other_protocol=True)
+                raise BoardRefusedError(Reason(ReasonCode.WRONG_PROTOCOL, problem), other_protocol=True)
 
     def _receive_frames(self, frames: list[Frame]) -> None:
         if not frames or self.clock is None or self.described is None:
@@ -341,7 +333,7 @@ class Connection:
 
     def _rebooted(self) -> None:
         self._flush_receiver()  # what it holds belongs to the boot, and the clock, before
-        self._announce(Condition.LOST, "the board restarted")
+        self._announce(Condition.LOST, link_reasons.restarted())
         if self.clock is not None:
             outliers, restarts = self._clock_counts
             self._clock_counts = (outliers + self.clock.outliers, restarts + self.clock.restarts)
@@ -354,36 +346,33 @@ class Connection:
     def _refused(self, refusal: Refusal) -> None:
         match refusal.code:
             case RefusalCode.NOT_IN_THIS_STATE if self._counting:
-                raise LinkLostError(f"the board has lost its configuration ({refusal.text})")
+                raise LinkLostError(
+                    ReasonCode.CONFIGURATION_LOST, f"the board has lost its configuration ({refusal.text})"
+                )
             case RefusalCode.FAULT:
-                self._announce(Condition.STALLED, f"the board cannot count: {refusal.text}")
-                raise LinkLostError(refusal.text)
+                fault = Reason(ReasonCode.BOARD_FAULT, f"the board cannot count: {refusal.text}")
+                self._announce(Condition.STALLED, fault)
+                raise LinkLostError(ReasonCode.BOARD_FAULT, refusal.text)
             case RefusalCode.OTHER_VERSION:
-                problem = Problem("other_protocol", f"the board does not support protocol {PROTOCOL_MAJOR}")
+                problem = Reason(ReasonCode.WRONG_PROTOCOL, f"the board does not support protocol {PROTOCOL_MAJOR}")
                 raise BoardRefusedError(problem, other_protocol=True)
             case _:
                 words = f"the board refuses the configuration: {refusal.text}"
-                raise BoardRefusedError(Problem("configuration_refused", words))
+                raise BoardRefusedError(Reason(ReasonCode.CONFIGURATION_REFUSED, words))
 
     def _describe(self, event: Described) -> None:
         problems = incompatibilities(event.description, self._plate)
         if self._known is not None:
             problems += identity_changes(event, self._known)
         elif (unit := self._plate.calibration.unit) and unit != event.identity.serial_number:
-            words = (
-                f"serial number: the board is {event.identity.serial_number}, the plate file was calibrated with "
-                f"{unit}; connect that one, or name the plate file of this one"
-            )
-            problems += (Problem("calibrated_with_another", words),)
+            problems += (wrong_unit(event.identity.serial_number, unit),)
         if problems:
             raise BoardRefusedError(*problems)
         identity = event.identity
         before = self.described or self._known
         if before is not None and before.boot_id != event.boot_id:
-            self._announce(Condition.LOST, "the board restarted" + RESET_CAUSES.get(identity.reset_cause, ""))
-        self._announce(
-            Condition.STARTING, f"board {identity.serial_number} with firmware {identity.firmware} is being configured"
-        )
+            self._announce(Condition.LOST, link_reasons.restarted(RESET_CAUSES.get(identity.reset_cause, "")))
+        self._announce(Condition.STARTING, link_reasons.configuring(identity.serial_number, identity.firmware))
         self.described = event
         self.pings.restart()
         self._receiver.newest_ticks = 0
@@ -396,7 +385,7 @@ class Connection:
         given = event.configuration.gate_ticks
         if given != self._gate_ticks:
             words = f"the board counts gates of {given} ticks, {self._gate_ticks} were asked for"
-            raise BoardRefusedError(Problem("other_gate", words))
+            raise BoardRefusedError(Reason(ReasonCode.WRONG_GATE, words))
         continues = self._numbering.continues(self.described.boot_id, self._receiver.newest_ticks)
         self._numbering.started(self._now.monotonic_ns)
         self._counting = True
@@ -406,15 +395,14 @@ class Connection:
 
     def _announce_online(self) -> None:
         if self.described is not None:
-            rate_hz = self._plate.counter.frame_rate_hz
-            sentences = [f"board {self.described.identity.serial_number} sends {rate_hz:g} frames/s"]
-            if self._rate_doubt:
-                sentences.append(self._rate_doubt)
-            if self._unanswered:
-                sentences.append(f"no ping was answered for {_UNANSWERED_NS // _S} s: is the line to the board broken?")
-            if refused := self._refusals.most_frequent:
-                sentences.append(_refused_text(refused))
-            self._announce(Condition.ONLINE, "; ".join(sentences))
+            reason = link_reasons.counting(
+                self.described.identity.serial_number,
+                self._plate.counter.frame_rate_hz,
+                rate_doubt=self._rate_doubt,
+                is_unanswered=self._unanswered,
+                refused=self._refusals.most_frequent,
+            )
+            self._announce(Condition.ONLINE, reason)
 
     def _ping(self, clock: BoardClock) -> None:
         now_ns = self._now.monotonic_ns
@@ -427,8 +415,9 @@ class Connection:
             return
         if event.board_ticks < ping.known_ticks:
             raise LinkLostError(
+                ReasonCode.CLOCK_JUMPED,
                 f"boot id {self.described.boot_id:08x} came twice: the board's ticks went back from "
-                f"{ping.known_ticks} to {event.board_ticks}, as at a start"
+                f"{ping.known_ticks} to {event.board_ticks}, as at a start",
             )
         self._receiver.newest_ticks = max(self._receiver.newest_ticks, event.board_ticks)
         now = self._now
@@ -458,7 +447,7 @@ class Connection:
     def _watch_silence(self, now_ns: int) -> None:
         silent_ns = now_ns - self._receiver.last_frame_ns
         if silent_ns > self._silence_ns + _GIVE_UP_NS:
-            raise LinkLostError(f"the board was silent for {silent_ns * 1e-9:.1f} s")
+            raise LinkLostError(ReasonCode.BOARD_SILENT, f"the board was silent for {silent_ns * 1e-9:.1f} s")
         if silent_ns > self._silence_ns and self._state.state is not Condition.STALLED:
-            self._announce(Condition.STALLED, self._no_frame())
+            self._announce(Condition.STALLED, link_reasons.no_frame(self._refusals.most_frequent))
             self._next_ping_ns = now_ns  # whether it is alive at all: if so it is asked to go on

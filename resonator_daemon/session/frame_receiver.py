@@ -6,8 +6,9 @@ from typing import Final
 from firmware_protocol.host import Frame, FramePart, PacketRefusal
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.plate import Plate
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.session.clock import BoardClock, Instant, TickScale
-from resonator_daemon.session.compatibility import BoardRefusedError, Problem, gate_ticks
+from resonator_daemon.session.compatibility import BoardRefusedError, gate_ticks
 from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frame_assembly import AssembledFrame, FrameAssembler
 from resonator_daemon.session.frame_numbers import Accepted, BrokenSpacingError, FrameNumbering
@@ -181,6 +182,6 @@ class FrameReceiver:
             spacing = f"{error.spacing_ticks} ticks from frame to frame, {error.gate_ticks} were configured"
             if error.from_the_start:
                 raise BoardRefusedError(
-                    Problem("gate_not_kept", f"the board does not keep its gate: {spacing}")
+                    Reason(ReasonCode.WRONG_GATE, f"the board does not keep its gate: {spacing}")
                 ) from error
-            raise LinkLostError(f"the board's clock jumped: {spacing}") from error
+            raise LinkLostError(ReasonCode.CLOCK_JUMPED, f"the board's clock jumped: {spacing}") from error

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from firmware_protocol.layouts import SingleToneRecord, single_tone_records
 from firmware_protocol.messages import Configuration, Description, Identity
 from resonator_daemon.conditions import Condition
+from resonator_daemon.reasons import Reason
 from resonator_daemon.session.clock import Instant, TickScale
 from resonator_daemon.session.counters import FrameLoss
 from resonator_daemon.session.frame_assembly import Tones, known_tones, variance_of
@@ -108,9 +109,9 @@ class BoardOnline:
 
 @dataclass(frozen=True, slots=True)
 class BoardRefused:
-    """A board answered that cannot serve this plate or does not support this protocol; each problem is one sentence."""
+    """A board answered that cannot serve this plate or does not support this protocol."""
 
-    problems: tuple[str, ...]
+    problems: tuple[Reason, ...]
     other_protocol: bool = False
 
 
@@ -119,7 +120,7 @@ class LinkChange:
     """The link's state changed, or its reason: waiting, starting, online, stalled, lost or refused."""
 
     state: Condition
-    reason: str
+    reason: Reason
     since_utc_ns: int  # of the state
     utc_ns: int  # of this announcement
 
@@ -134,7 +135,7 @@ class Outage:
     start_utc_ns: int
     end_utc_ns: int
     frames_lost: int
-    reason: str  # of the link when it began
+    reason: Reason  # of the link when it began
 
 
 @dataclass(frozen=True, slots=True)

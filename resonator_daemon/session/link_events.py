@@ -8,8 +8,10 @@ from typing import Annotated, Any, NamedTuple, get_args
 from pydantic import Field, Strict, TypeAdapter, ValidationError
 
 from resonator_daemon.conditions import Condition
+from resonator_daemon.reasons import Reason
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_snapshot import LinkSnapshot
+from resonator_daemon.session.stored_reasons import StoredReason
 
 _HEAD = struct.Struct("<Bq")  # kind, boottime_less_monotonic_ns
 
@@ -19,7 +21,7 @@ class StateAnnounced(NamedTuple):
 
     now: HostTime
     state: Condition
-    reason: str
+    reason: Reason
 
 
 class Opened(NamedTuple):
@@ -65,16 +67,15 @@ class Lost(NamedTuple):
     """The open link went away, or the board on it is to be asked again."""
 
     now: HostTime
-    reason: str
+    reason: Reason
 
 
 class Refused(NamedTuple):
-    """The board cannot serve the plate: sentences, and their codes, which recordings of earlier versions lack."""
+    """The board cannot serve the plate."""
 
     now: HostTime
-    problems: tuple[str, ...]
+    problems: tuple[Reason, ...]
     other_protocol: bool
-    codes: tuple[str, ...] = ()
 
 
 class Closed(NamedTuple):
@@ -136,12 +137,9 @@ _Text = Annotated[str, Strict()]
 _Count = Annotated[int, Strict(), Field(ge=0, lt=2**63)]
 _SNAPSHOT = TypeAdapter(LinkSnapshot)
 _JSON: Mapping[type[WireEvent], TypeAdapter[Any]] = {  # of what an event has besides its time
-    StateAnnounced: TypeAdapter(tuple[Condition, _Text]),
-    Lost: TypeAdapter(tuple[_Text]),
-    Refused: TypeAdapter(
-        tuple[tuple[_Text, ...], Annotated[bool, Strict()], tuple[_Text, ...]]
-        | tuple[tuple[_Text, ...], Annotated[bool, Strict()]]
-    ),
+    StateAnnounced: TypeAdapter(tuple[Condition, StoredReason]),
+    Lost: TypeAdapter(tuple[StoredReason]),
+    Refused: TypeAdapter(tuple[tuple[StoredReason, ...], Annotated[bool, Strict()]]),
     Skipped: TypeAdapter(tuple[_Count, _Count]),
     ControlRequested: TypeAdapter(tuple[_Text, _Text]),
 }

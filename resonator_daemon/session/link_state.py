@@ -5,8 +5,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from resonator_daemon.conditions import Condition
+from resonator_daemon.reasons import Reason
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.frames import Arrival, LinkChange, Outage
+from resonator_daemon.session.link_reasons import OPENING, all_of
+from resonator_daemon.session.stored_reasons import StoredReason
 
 log = logging.getLogger(__name__)
 
@@ -15,9 +18,9 @@ class LinkStateSnapshot(NamedTuple):
     """State of `LinkState`: what was announced last, None before the first, and the reasons of the present outage."""
 
     state: Condition | None
-    reason: str
+    reason: StoredReason
     since_utc_ns: int
-    outage_reasons: tuple[str, ...]
+    outage_reasons: tuple[StoredReason, ...]
 
 
 class LinkState:
@@ -31,7 +34,7 @@ class LinkState:
 
     def __init__(self, put: Callable[[Arrival], None]) -> None:
         self._put = put
-        self._present = LinkStateSnapshot(None, "", 0, ())
+        self._present = LinkStateSnapshot(None, OPENING, 0, ())
 
     @property
     def state(self) -> Condition | None:
@@ -50,17 +53,17 @@ class LinkState:
         if snapshot.state is not None:
             self._put(LinkChange(snapshot.state, snapshot.reason, snapshot.since_utc_ns, utc_ns))
 
-    def announce(self, state: Condition, reason: str, utc_ns: int) -> None:
+    def announce(self, state: Condition, reason: Reason, utc_ns: int) -> None:
         """Announce a state, unless it was announced already; a reason alone may change."""
         before = self._present
-        if (state, reason) == (before.state, before.reason):
+        if (state, reason.text) == (before.state, before.reason.text):  # which has no code in old recordings
             return
         changed = state != before.state
         reasons = before.outage_reasons
         if before.state is Condition.ONLINE and changed:
             reasons = (reason,)
         elif state is Condition.LOST and reasons:
-            if reason.startswith(reasons[-1]):  # the same, with its cause
+            if reason.text.startswith(reasons[-1].text):  # the same, with its cause
                 reasons = reasons[:-1]
             reasons = (*reasons, reason)
         since_utc_ns = utc_ns if changed else before.since_utc_ns
@@ -76,7 +79,7 @@ class LinkState:
         if previous is not None and frames_lost:
             # By the clock of its end: that may have been set meanwhile.
             start_utc_ns = this.utc_ns - (this.boottime_ns - previous.boottime_ns)
-            self._put(Outage(start_utc_ns, this.utc_ns, frames_lost, "; ".join(reasons)))
+            self._put(Outage(start_utc_ns, this.utc_ns, frames_lost, all_of(reasons)))
 
 
 class LinkLog:
@@ -88,12 +91,14 @@ class LinkLog:
     def write(self, event: LinkChange | Outage) -> None:
         if isinstance(event, Outage):
             seconds = (event.end_utc_ns - event.start_utc_ns) * 1e-9
-            log.info("outage of %.3f s is over, %d frames lost: %s", seconds, event.frames_lost, event.reason)
+            log.info("outage of %.3f s is over, %d frames lost: %s", seconds, event.frames_lost, event.reason.text)
             return
         last, self._last = self._last, event
-        before = last.reason if last is not None and event.state is last.state else None
-        doubt = before is not None and event.state is Condition.ONLINE and len(event.reason) > len(before)
+        before = last.reason.text if last is not None and event.state is last.state else None
+        doubt = before is not None and event.state is Condition.ONLINE and len(event.reason.text) > len(before)
         if before is None or doubt:
             well = event.state in (Condition.STARTING, Condition.ONLINE) and not doubt
             level = logging.INFO if well else logging.WARNING
-            log.log(level, "link %s: %s", event.state, event.reason, extra={"resonatord_link_state": event.state})
+            code, text = event.reason
+            fields = {"resonatord_link_state": event.state, "resonatord_reason_code": code}
+            log.log(level, "link %s (%s): %s", event.state, code, text, extra=fields)

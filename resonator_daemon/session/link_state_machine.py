@@ -14,6 +14,7 @@ from resonator_daemon.session.frame_numbers import FrameNumbering
 from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.frames import BoardRefused, ControlRequest
 from resonator_daemon.session.host_time import HostTime
+from resonator_daemon.session.link_reasons import all_of
 from resonator_daemon.session.link_snapshot import LinkSnapshot
 from resonator_daemon.session.link_state import LinkState
 
@@ -88,7 +89,7 @@ class LinkStateMachine:
                     state = Condition.LOST if self.opened.was_online else Condition.WAITING
                     self._state.announce(state, event.reason, event.now.utc_ns)
             case wire.Refused():
-                self._state.announce(Condition.REFUSED, "; ".join(event.problems), event.now.utc_ns)
+                self._state.announce(Condition.REFUSED, all_of(event.problems), event.now.utc_ns)
                 self._queue.put(BoardRefused(event.problems, event.other_protocol))
             case wire.Closed():
                 self._close()

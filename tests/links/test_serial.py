@@ -22,7 +22,9 @@ import serial
 from resonator_daemon.links.carriers import serial as serial_link
 from resonator_daemon.links.carriers.serial import SerialTarget, open_serial
 from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.reasons import Reason
 
+DENIED = "permission_denied"
 BAUD = 4_000_000
 TIOCGEXCL = 0x80045440  # asks Linux whether TIOCEXCL holds
 TCSETS2 = 0x402C542B  # sets a baud rate that has no constant
@@ -54,10 +56,10 @@ def port() -> Iterator[Terminal]:
     terminal.close()
 
 
-def refusal(path: str | Path, baud: int = BAUD) -> str:
+def refusal(path: str | Path, baud: int = BAUD) -> Reason:
     with pytest.raises(LinkUnavailableError) as raised:
         open_serial(SerialTarget(str(path), baud))
-    return str(raised.value)
+    return raised.value.reason
 
 
 @contextmanager
@@ -99,7 +101,8 @@ def test_a_port_is_kept_from_programs_that_do_not_ask_while_it_is_open(port: Ter
 
 def test_a_busy_port_is_said_to_be_held_and_opens_once_it_is_free(port: Terminal) -> None:
     held = open_serial(SerialTarget(port.path, BAUD))
-    said = refusal(port.path)
+    code, said = refusal(port.path)
+    assert code == "port_in_use"
     name = Path("/proc/self/comm").read_text().strip()
     assert said == f"{port.path} is held by {name} (pid {os.getpid()}); close it there"
     held.close()
@@ -111,9 +114,9 @@ def test_a_port_that_another_program_has_open_without_a_lock_is_not_shared(
 ) -> None:
     monkeypatch.setattr(serial_link, "is_pseudo_terminal", lambda _path: False)
     with locked_elsewhere(port.path, lock=False) as holder:
-        assert f"also held by {Path(f'/proc/{holder.pid}/comm').read_text().strip()} (pid {holder.pid})" in refusal(
-            port.path
-        )
+        code, said = refusal(port.path)
+        assert code == "port_in_use"
+        assert f"also held by {Path(f'/proc/{holder.pid}/comm').read_text().strip()} (pid {holder.pid})" in said
     open_serial(SerialTarget(port.path, BAUD)).close()  # this process's own hold counts for nothing
 
 
@@ -221,46 +224,47 @@ def test_losses_of_the_driver_are_counted_from_the_opening_on(port: Terminal, mo
 def test_a_file_that_is_no_terminal_is_said_to_be_no_serial_port(tmp_path: Path, make: Callable[[Path], None]) -> None:
     path = tmp_path / "notes.txt"
     make(path)
-    said = refusal(path)
-    assert said.startswith(f"{path} is no serial port; ")
+    code, said = refusal(path)
+    assert (code, said.startswith(f"{path} is no serial port; ")) == ("port_unusable", True)
     assert "present" in said
 
 
 @pytest.mark.parametrize(
-    ("code", "group", "remedy"),
+    ("number", "code", "group", "remedy"),
     [
-        (errno.EACCES, "dialout", "join its group: sudo usermod -aG dialout $USER, then log in again"),
-        (errno.EPERM, "dialout", "join its group: sudo usermod -aG dialout $USER, then log in again"),
-        (errno.EACCES, "root", "give it to a group of this user with a udev rule (docs/how-to/connect.md)"),
-        (errno.EACCES, None, "give it to a group of this user with a udev rule (docs/how-to/connect.md)"),
-        (errno.EMFILE, None, os.strerror(errno.EMFILE)),
-        (errno.ENXIO, None, f"({os.strerror(errno.ENXIO)}); plug it in"),
+        (errno.EACCES, DENIED, "dialout", "join its group: sudo usermod -aG dialout $USER, then log in again"),
+        (errno.EPERM, DENIED, "dialout", "join its group: sudo usermod -aG dialout $USER, then log in again"),
+        (errno.EACCES, DENIED, "root", "give it to a group of this user with a udev rule (docs/how-to/connect.md)"),
+        (errno.EACCES, DENIED, None, "give it to a group of this user with a udev rule (docs/how-to/connect.md)"),
+        (errno.EMFILE, "port_unusable", None, os.strerror(errno.EMFILE)),
+        (errno.ENXIO, "no_such_port", None, f"({os.strerror(errno.ENXIO)}); plug it in"),
     ],
 )
 def test_why_a_port_cannot_be_opened_is_said_with_a_remedy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int, group: str | None, remedy: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, code: str, group: str | None, remedy: str
 ) -> None:
     def refuse(*_: object, **__: object) -> None:
-        raise serial.SerialException(code, f"could not open port: [Errno {code}] {os.strerror(code)}: 'x'")
+        raise serial.SerialException(number, f"could not open port: [Errno {number}] {os.strerror(number)}: 'x'")
 
-    def named(number: int) -> SimpleNamespace:
+    def named(group_id: int) -> SimpleNamespace:
         if group is None:
-            raise KeyError(f"getgrgid(): gid not found: {number}")
+            raise KeyError(f"getgrgid(): gid not found: {group_id}")
         return SimpleNamespace(gr_name=group)
 
     path = tmp_path / "ttyACM0"
     path.touch()
     monkeypatch.setattr(grp, "getgrgid", named)
     monkeypatch.setattr(serial, "Serial", refuse)
-    said = refusal(path)
-    assert said.startswith(f"{path} ")
+    found, said = refusal(path)
+    assert (found, said.startswith(f"{path} ")) == (code, True)
     assert said.endswith(remedy)
-    assert f"Errno {code}" not in said
+    assert f"Errno {number}" not in said
 
 
 def test_a_rate_that_the_driver_refuses_is_said(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patched:
         patched.setattr(fcntl, "ioctl", failing_ioctl(TCSETS2, errno.EINVAL))
-        said = refusal(port.path, 2_345_678)
-    assert said.startswith(f"{port.path} cannot be set to 2345678 baud")
+        reason = refusal(port.path, 2_345_678)
+    assert reason.code == "port_unusable"
+    assert reason.text.startswith(f"{port.path} cannot be set to 2345678 baud")
     open_serial(SerialTarget(port.path, BAUD)).close()  # the failure left no lock behind

@@ -70,8 +70,10 @@ def test_a_board_that_vanished_without_a_word_is_noticed(connected: Connected) -
 
 def test_a_board_that_serves_another_program_is_not_unplugged(connected: Connected) -> None:
     connected.board.close()
-    with pytest.raises(LinkLostError, match="one program at a time"):
-        connected.link.read(AMPLE_S)
+    for _ in range(2):
+        with pytest.raises(LinkLostError) as caught:
+            connected.link.read(AMPLE_S)
+        assert caught.value.reason.code == "port_in_use"
 
 
 def test_a_host_that_does_not_answer_is_given_up() -> None:
@@ -82,8 +84,9 @@ def test_a_host_that_does_not_answer_is_given_up() -> None:
                 client = waiting.enter_context(socket.socket())
                 client.setblocking(False)
                 client.connect_ex(("127.0.0.1", where.port))
-            with pytest.raises(LinkUnavailableError, match=r"127\.0\.0\.1: no answer in time"):
+            with pytest.raises(LinkUnavailableError) as caught:
                 open_tcp(where, timeout_s=0.05)
+            assert caught.value.reason.code == "host_unreachable"
 
 
 def test_all_addresses_and_the_name_share_one_time(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,5 +113,8 @@ def test_the_next_address_of_a_host_is_tried(listener: socket.socket, monkeypatc
     monkeypatch.setattr(tcp_link, "resolve_host", lambda _host, _port, _timeout_s: addresses)
     open_tcp(TcpTarget("board.local", port)).close()
     monkeypatch.setattr(tcp_link, "resolve_host", lambda _host, _port, _timeout_s: addresses[:1] * 2)
-    with pytest.raises(LinkUnavailableError, match=r"127\.0\.0\.2: Connection refused; 127\.0\.0\.2: Connection"):
+    with pytest.raises(
+        LinkUnavailableError, match=r"127\.0\.0\.2: Connection refused; 127\.0\.0\.2: Connection"
+    ) as caught:
         open_tcp(TcpTarget("board.local", port))
+    assert caught.value.reason.code == "connection_refused"

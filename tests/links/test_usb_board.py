@@ -29,7 +29,7 @@ def take():
         elif isinstance(arrival, Gap):
             missing += arrival.loss.total
         elif isinstance(arrival, LinkChange):
-            states.append((arrival.state, arrival.reason))
+            states.append((arrival.state, arrival.reason.code))
 
 def read_until(condition):
     while not condition():
@@ -87,14 +87,11 @@ def test_frames_arrive_and_the_link_loses_none(emulator: Emulator, host: UsbHost
 @pytest.mark.parametrize("emulator", [("quartz16", "unplug_at_s=1.5,unplug_for_s=1.5")], indirect=True)
 def test_an_unplugged_board_is_found_again_and_what_is_lost_is_counted(emulator: Emulator, host: UsbHost) -> None:
     host.run(f"start({emulator.link.address!r}, 'quartz16')")
-    absent = f"no board is {emulator.link.address}; no board is on any USB bus"
     host.run("read_until(lambda: frames); states.clear()")  # a busy computer may see the bus late, too
-    host.run(f"read_until(lambda: {absent!r} in [reason for _, reason in states])")
+    host.run("read_until(lambda: ('waiting', 'no_such_port') in states)")
     host.run("read_until(lambda: states[-1][0] == 'online')")
     host.run("first = frames; read_until(lambda: frames >= first + 200); stop()")
-    reasons = host.value("[reason for state, reason in states if state in ('lost', 'waiting')]")
-    assert isinstance(reasons, list)
-    assert any(reason.startswith("unplugged") for reason in reasons)
+    assert host.value("'unplugged' in [code for _, code in states]")
     assert host.value("account.connections") >= 2
     assert host.value("account.bytes_received == in_bins(account)")
     assert host.value("out_of_place") == []

@@ -11,6 +11,7 @@ from resonator_daemon.config import Measurement
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.pipeline.control_requests import SetWindow, Tare
 from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.session.counters import FrameLoss
 from resonator_daemon.session.frames import Arrival, Gap, LinkChange, Outage
 
@@ -36,15 +37,20 @@ class Bench:
         self.said.append((topic.path, message))
 
 
+GONE = Reason(ReasonCode.UNPLUGGED, "unplugged")
+
+
 def change(state: str, at_s: float, reason: str = "", since_s: float | None = None) -> LinkChange:
     since_ns = T0_NS + round(S * (at_s if since_s is None else since_s))
-    return LinkChange(state, reason, since_ns, T0_NS + round(S * at_s))
+    return LinkChange(state, Reason(ReasonCode.UNPLUGGED, reason), since_ns, T0_NS + round(S * at_s))
 
 
 def test_a_state_of_the_link_is_dated_when_it_was_said_and_an_outage_goes_with_it(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.handle(
-        change("online", 1), Outage(T0_NS, T0_NS + 2 * S, 7, "unplugged"), change("lost", 3, "gone", since_s=2)
+        change("online", 1),
+        Outage(T0_NS, T0_NS + 2 * S, 7, GONE),
+        change("lost", 3, "gone", since_s=2),
     )
     states = [message for topic, message in bench.said if topic == "state/link"]
     assert [(state.state, state.t_ns - T0_NS, state.since_t_ns - T0_NS) for state in states] == [

@@ -26,8 +26,10 @@ FORCE_PLATE = plate_head("three", (0, 0), (20, 10), reference_hz=250e6, frame_ra
 
 WHY = Reason(ReasonCode.CHANNELS_SILENT, "why")
 GATE_MIDDLE = gate_middle(1_000_000)
-ONLINE = LinkChange(Condition.ONLINE, "", 1, 1)
-UNPLUGGED = LinkChange(Condition.LOST, "unplugged", 1_788_999_990_000_000_001, 1_788_999_990_000_000_002)
+COUNTS = Reason(ReasonCode.BOARD_COUNTS, "")
+GONE = Reason(ReasonCode.UNPLUGGED, "unplugged")
+ONLINE = LinkChange(Condition.ONLINE, COUNTS, 1, 1)
+UNPLUGGED = LinkChange(Condition.LOST, GONE, 1_788_999_990_000_000_001, 1_788_999_990_000_000_002)
 
 
 @pytest.fixture
@@ -213,7 +215,7 @@ def test_losses_and_the_boards_boot_are_those_of_the_moment(tmp_path: Path) -> N
 def test_a_state_says_since_when_and_is_dated_when_it_was_said(messages: Messages) -> None:
     said = literal(messages.states.link_state(UNPLUGGED, None, 1))
     assert said["state"] == "lost"
-    assert said["reason"] == "unplugged"
+    assert (said["reason_code"], said["reason"]) == ("unplugged", "unplugged")
     assert said["since_t_ns"] == "1788999990000000001"
     assert said["t_ns"] == "1788999990000000002"
     assert said["t_uncertainty_ns"] == 0
@@ -295,7 +297,7 @@ def test_states_never_go_back_in_time(messages: Messages) -> None:
     waiting = messages.states.sensor_state(Condition.WAITING, WHY, 2_000, 2_000, None)
     online = messages.states.sensor_state(Condition.ONLINE, WHY, 1_500, 1_600, None)
     later = messages.states.sensor_state(Condition.DRIFTING, WHY, 1_900, 2_100, None)
-    link = messages.states.link_state(LinkChange(Condition.ONLINE, "", 1_000, 1_000), None, 1)
+    link = messages.states.link_state(LinkChange(Condition.ONLINE, COUNTS, 1_000, 1_000), None, 1)
     assert [(state.t_ns, state.since_t_ns) for state in (waiting, online, later, link)] == [
         (2_000, 2_000),
         (2_000, 2_000),
@@ -305,11 +307,12 @@ def test_states_never_go_back_in_time(messages: Messages) -> None:
 
 
 def test_the_link_tells_its_last_outage_and_the_boards_boots(messages: Messages) -> None:
-    said = literal(messages.states.link_state(ONLINE, Outage(1, 3_000_000_000, 2900, "unplugged"), 2))
+    said = literal(messages.states.link_state(ONLINE, Outage(1, 3_000_000_000, 2900, GONE), 2))
     assert said["boot_count"] == 2
     assert said["last_outage"] == {
         "start_t_ns": "1",
         "end_t_ns": "3000000000",
         "frames_lost": 2900,
+        "reason_code": "unplugged",
         "reason": "unplugged",
     }

@@ -18,6 +18,7 @@ from recording_bench import ONE_BATCH, PLATE, at, read, record
 from resonator_daemon.conditions import Condition
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.plate import load_plate
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.recording import writer as recording_writer
 from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder, RecorderTimes
@@ -40,8 +41,8 @@ from resonator_daemon.session.link_events import (
 )
 
 EVENTS: list[WireEvent] = [
-    StateAnnounced(at(0), Condition.STARTING, "the link is being opened"),
-    StateAnnounced(at(1), Condition.WAITING, "/dev/ttyÿ: no such file — yet"),
+    StateAnnounced(at(0), Condition.STARTING, Reason(ReasonCode.OPENING, "the link is being opened")),
+    StateAnnounced(at(1), Condition.WAITING, Reason(ReasonCode.NO_SUCH_PORT, "/dev/ttyÿ: no such file — yet")),
     Opened(at(2)),
     Sent(at(3), b"\x01\0"),
     Received(HostTime(at(4).monotonic_ns, -(10**9), -(2**62)), bytes(range(256))),
@@ -50,8 +51,8 @@ EVENTS: list[WireEvent] = [
     TimersRun(at(6), idle=True),
     Overrun(at(7)),
     StopRequested(at(8)),
-    Lost(at(9), "unplugged (hung up)"),
-    Refused(at(10), ("one", "two"), other_protocol=True),
+    Lost(at(9), Reason(ReasonCode.UNPLUGGED, "unplugged (hung up)")),
+    Refused(at(10), (Reason(ReasonCode.WRONG_PLATE, "one"), Reason(ReasonCode.WRONG_GATE, "two")), other_protocol=True),
     Refused(at(10), (), other_protocol=False),
     Closed(at(11)),
     Skipped(at(12), 3, 400),

@@ -20,6 +20,7 @@ from resonator_daemon.errors import UserError
 from resonator_daemon.links.carriers.serial import SerialTarget
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.recording import recorder as recording
 from resonator_daemon.recording import switch as recording_switch
 from resonator_daemon.recording.file_series import Series
@@ -112,7 +113,7 @@ def test_a_recording_begun_while_frames_come_is_replayed_with_their_numbers(tmp_
     assert gaps(arrivals) == []
     change, online = arrivals[:2]
     assert isinstance(change, LinkChange)
-    assert (change.state, change.reason) == ("online", "board EMU-0001 sends 1000 frames/s")
+    assert (change.state, change.reason.code) == ("online", "board_counts")
     assert isinstance(online, BoardOnline)
     assert online == next(arrival for arrival in it.arrivals if isinstance(arrival, BoardOnline))
     assert all(frame.gate_middle.uncertainty_ns < 10_000_000 for frame in again)
@@ -177,10 +178,10 @@ def test_a_mark_is_a_line_of_text_at_its_time(tmp_path: Path, caplog: pytest.Log
     caplog.set_level("INFO")
     path = tmp_path / "run.mcap"
     switch = RecordingSwitch()
-    switch.put(StateAnnounced(at(0), Condition.STARTING, "first"))
+    switch.put(StateAnnounced(at(0), Condition.STARTING, Reason(ReasonCode.OPENING, "first")))
     switch.start(path, ORIGIN)
     times_ns = [switch.mark("the finger slips"), switch.mark("¼ N")]
-    switch.put(StateAnnounced(at(1), Condition.WAITING, "second"))
+    switch.put(StateAnnounced(at(1), Condition.WAITING, Reason(ReasonCode.NO_SUCH_PORT, "second")))
     summary = switch.stop()
     assert summary is not None
     assert (summary.events, summary.events_missing) == (2, 0)
@@ -188,7 +189,7 @@ def test_a_mark_is_a_line_of_text_at_its_time(tmp_path: Path, caplog: pytest.Log
     assert times_ns[0] <= times_ns[1] <= time.time_ns()
     arrivals, _, differences = replayed(path)
     assert differences == 0
-    assert [arrival.reason for arrival in arrivals[:2]] == ["first", "second"]  # type: ignore[union-attr]
+    assert [arrival.reason.text for arrival in arrivals[:2]] == ["first", "second"]  # type: ignore[union-attr]
     assert f"{path}: mark: the finger slips" in caplog.messages
 
 

@@ -4,6 +4,7 @@ import struct
 import pytest
 
 from resonator_daemon.conditions import Condition
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import (
     ControlRequested,
@@ -27,6 +28,9 @@ def raw(kind: int, body: object) -> bytes:
     [
         raw(0, ["doubtful", "a state that no link has"]),
         raw(0, ["lost", "\ud800"]),
+        raw(7, [["unplugged", "\ud800"]]),
+        raw(7, [[["unplugged"], "gone"]]),
+        raw(7, [["unplugged", 1]]),
         raw(7, ["half of \udc00 a pair"]),
         raw(8, [["\ud800"], True]),
         raw(13, ["\ud800", "{}"]),
@@ -55,9 +59,9 @@ def test_what_no_daemon_wrote_is_damage(data: bytes) -> None:
 @pytest.mark.parametrize(
     "event",
     [
-        StateAnnounced(NOW, Condition.LOST, "/dev/tty\udcff is gone"),
-        Lost(NOW, "/dev/tty\udcff is gone"),
-        Refused(NOW, ("a", "/dev/tty\udcff"), False),
+        StateAnnounced(NOW, Condition.LOST, Reason(ReasonCode.UNPLUGGED, "/dev/tty\udcff is gone")),
+        Lost(NOW, Reason(ReasonCode.UNPLUGGED, "/dev/tty\udcff is gone")),
+        Refused(NOW, (Reason(ReasonCode.WRONG_PLATE, "a"), Reason(ReasonCode.WRONG_GATE, "/dev/tty\udcff")), False),
         ControlRequested(NOW, "\udcff", "{}"),
         Skipped(NOW, 0, 2**63 - 1),
     ],
@@ -67,3 +71,10 @@ def test_a_path_that_is_no_text_is_written_as_one_that_is(
 ) -> None:
     again = decode(encode(event), 5, 12)
     assert repr(again) == repr(event).replace("\\udcff", "?")
+
+
+@pytest.mark.parametrize("reason", ["gone", ["a code of a later version", "gone"]])
+def test_a_reason_without_a_code_that_is_known_is_unspecified(reason: object) -> None:
+    unspecified = Reason(ReasonCode.UNSPECIFIED, "gone")
+    assert decode(raw(7, [reason]), 5, 12) == Lost(NOW, unspecified)
+    assert decode(raw(8, [[reason], True]), 5, 12) == Refused(NOW, (unspecified,), other_protocol=True)

@@ -159,8 +159,12 @@ class Bench:
         return [arrival for arrival in self.arrivals if isinstance(arrival, Gap)]
 
     @property
+    def changes(self) -> list[LinkChange]:
+        return [arrival for arrival in self.arrivals if isinstance(arrival, LinkChange)]
+
+    @property
     def states(self) -> list[tuple[str, str]]:
-        return [(arrival.state, arrival.reason) for arrival in self.arrivals if isinstance(arrival, LinkChange)]
+        return [(change.state, change.reason.code) for change in self.changes]
 
     def check_indices(self) -> None:
         check_indices(self.arrivals)

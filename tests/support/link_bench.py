@@ -15,6 +15,7 @@ from firmware_protocol.device import DeviceSession
 from firmware_protocol.messages import CounterKind, Description, Identity
 from resonator_daemon.links.link import Link, LinkLostError, LinkUnavailableError
 from resonator_daemon.links.table import parse_link
+from resonator_daemon.reasons import ReasonCode
 from simulators import links as device_links
 from simulators.usb_link import UsbLink
 
@@ -179,7 +180,7 @@ def _told(use: Callable[[], object]) -> object:
         kind, _, text = str(error).partition(": ")
         errors = {"LinkLostError": LinkLostError, "LinkUnavailableError": LinkUnavailableError}
         if kind in errors:
-            raise errors[kind](text) from None
+            raise errors[kind](ReasonCode.UNSPECIFIED, text) from None
         raise
 
 

@@ -52,7 +52,7 @@ class Listener:
 
     @property
     def states(self) -> list[tuple[str, str]]:
-        return [(a.state, a.reason) for a in self.arrivals if isinstance(a, LinkChange)]
+        return [(a.state, a.reason.code) for a in self.arrivals if isinstance(a, LinkChange)]
 
 
 def frames(arrivals: list[Arrival]) -> list[SingleToneFrame | ChannelisedFrame]:

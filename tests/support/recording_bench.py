@@ -12,6 +12,7 @@ from mcap.reader import make_reader
 
 from resonator_daemon.conditions import Condition
 from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.recording.event_replay import replay
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.reader import Origin, open_recording
@@ -83,7 +84,7 @@ def snapshot(now: HostTime) -> SnapshotTaken:
     """How a link stands that was never open."""
     told: list[WireEvent] = []
     LinkStateMachine(PLATE, FrameQueue(FRAME_QUEUE_BYTES, lambda: None), told.append).apply(
-        StateAnnounced(now, Condition.WAITING, "no port")
+        StateAnnounced(now, Condition.WAITING, Reason(ReasonCode.NO_SUCH_PORT, "no port"))
     )
     assert isinstance(told[-1], SnapshotTaken)
     return told[-1]

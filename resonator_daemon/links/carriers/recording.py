@@ -5,6 +5,7 @@ from typing import Self
 
 from resonator_daemon.links.link import Link, LinkUnavailableError
 from resonator_daemon.links.target import LinkTarget
+from resonator_daemon.reasons import ReasonCode
 
 
 @dataclass(frozen=True)
@@ -31,4 +32,6 @@ class RecordingTarget(LinkTarget):
         return self.path
 
     def open(self) -> Link:
-        raise LinkUnavailableError(f"{self} is a recording: it can be replayed, and no board answers there")
+        raise LinkUnavailableError(
+            ReasonCode.NO_BOARD_ANSWERS, f"{self} is a recording: it can be replayed, and no board answers there"
+        )

@@ -21,6 +21,7 @@ from resonator_daemon.links.port_holders import is_pseudo_terminal, port_holders
 from resonator_daemon.links.port_identity import PortIdentity, find_port, port_identity, serial_ports
 from resonator_daemon.links.target import FoundPort, LinkTarget, options_of
 from resonator_daemon.links.tty_settings import configure_tty, overrun_count, shorten_latency_timer
+from resonator_daemon.reasons import Reason, ReasonCode
 
 _LAST_BYTES_S = 0.05
 BY_ID = Path("/dev/serial/by-id")
@@ -137,7 +138,7 @@ def open_serial(target: SerialTarget) -> SerialPortLink:
         # flock keeps out other programs that ask for it, TIOCEXCL those that do not.
         port = serial.Serial(target.path, target.baud, timeout=0, exclusive=True)
     except (OSError, ValueError, termios.error) as error:  # SerialException is an OSError, termios.error is none
-        raise LinkUnavailableError(_why_not(target, error)) from error
+        raise LinkUnavailableError(*_why_not(target, error)) from error
     descriptor = port.fileno()
 
     def close() -> None:
@@ -156,10 +157,14 @@ def open_serial(target: SerialTarget) -> SerialPortLink:
         termios.tcflush(descriptor, termios.TCOFLUSH)
     except (OSError, termios.error) as error:
         close()
-        raise LinkUnavailableError(f"{target.path} went away while it was opened ({error.args[-1]})") from error
+        raise LinkUnavailableError(
+            ReasonCode.NO_SUCH_PORT, f"{target.path} went away while it was opened ({error.args[-1]})"
+        ) from error
     if sharing := _shared_with(target.path):
         close()
-        raise LinkUnavailableError(f"{target.path} is also held by {sharing}; each would get some of the bytes")
+        raise LinkUnavailableError(
+            ReasonCode.PORT_IN_USE, f"{target.path} is also held by {sharing}; each would get some of the bytes"
+        )
     with suppress(ValueError):  # a driver without such a mode; its timer, if it has one, is set below
         port.set_low_latency_mode(True)
     shorten_latency_timer(target.path)
@@ -187,23 +192,26 @@ def _shared_with(path: str) -> str | None:
     return " and ".join(str(holder) for holder in port_holders(path).processes if holder.pid != os.getpid())
 
 
-def _why_not(target: SerialTarget, error: Exception) -> str:
+def _why_not(target: SerialTarget, error: Exception) -> Reason:
     # Where a port's settings cannot be read, only the exception behind pyserial's own has the number.
     cause = error.__context__ if isinstance(error.__context__, termios.error) else error
     code = cause.args[0] if isinstance(cause, termios.error) else getattr(cause, "errno", None)
     if code == errno.ENOENT or not os.path.exists(target.path):
-        return f"no port {target.path}; {_present()}"
+        return Reason(ReasonCode.NO_SUCH_PORT, f"no port {target.path}; {_present()}")
     if code in (errno.EACCES, errno.EPERM):
-        return f"{target.path} may not be opened by this user; {_way_in(target.path)}"
+        way_in = _way_in(target.path)
+        return Reason(ReasonCode.PERMISSION_DENIED, f"{target.path} may not be opened by this user; {way_in}")
     if code in (errno.EBUSY, errno.EAGAIN):
-        return f"{target.path} is held by {_holder(target.path)}"
+        return Reason(ReasonCode.PORT_IN_USE, f"{target.path} is held by {_holder(target.path)}")
     if code in (errno.ENOTTY, errno.EISDIR):
-        return f"{target.path} is no serial port; {_present()}"
+        return Reason(ReasonCode.PORT_UNUSABLE, f"{target.path} is no serial port; {_present()}")
     if code in (errno.ENXIO, errno.ENODEV, errno.EIO):
-        return f"{target.path} is there and its device is not ({os.strerror(code)}); plug it in"
+        absent = f"{target.path} is there and its device is not ({os.strerror(code)}); plug it in"
+        return Reason(ReasonCode.NO_SUCH_PORT, absent)
     if isinstance(error, ValueError):
-        return f"{target.path} cannot be set to {target.baud} baud; choose a rate that its driver supports"
-    return f"{target.path} cannot be opened: {os.strerror(code) if code else error}"
+        rate = f"{target.path} cannot be set to {target.baud} baud; choose a rate that its driver supports"
+        return Reason(ReasonCode.PORT_UNUSABLE, rate)
+    return Reason(ReasonCode.PORT_UNUSABLE, f"{target.path} cannot be opened: {os.strerror(code) if code else error}")
 
 
 def _holder(path: str) -> str:

@@ -8,11 +8,12 @@ import os
 import socket
 import time
 from dataclasses import dataclass
-from typing import Self
+from typing import Final, Self
 
 from resonator_daemon.links.host_lookup import resolve_host
 from resonator_daemon.links.link import FileDescriptorLink, LinkUnavailableError
 from resonator_daemon.links.target import LinkTarget
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.toml_files.urls import split_url
 
 CONNECT_TIMEOUT_S = 3.0
@@ -21,9 +22,10 @@ CONNECT_TIMEOUT_S = 3.0
 _IDLE_S, _PROBE_S, _PROBES = 1, 1, 3
 UNACKNOWLEDGED_MS = 4000
 
-_REFUSAL = (
+_REFUSAL: Final = Reason(
+    ReasonCode.PORT_IN_USE,
     "the board closed the connection before it sent a byte: it serves one program at a time; "
-    "stop the one that it serves, such as a running daemon (resonatord status lists those of this computer)"
+    "stop the one that it serves, such as a running daemon (resonatord status lists those of this computer)",
 )
 
 
@@ -79,18 +81,22 @@ def open_tcp(
         When the host is not known or not found in time, nobody listens there, or nobody answers.
     """
     deadline = time.monotonic() + timeout_s
-    reasons = []
+    code, failures = ReasonCode.HOST_UNKNOWN, []
     try:
         for family, address in resolve_host(target.host, target.port, timeout_s):
             try:
                 connection = connect(family, address, deadline - time.monotonic(), unacknowledged_ms)
             except OSError as error:
-                reasons.append(f"{address[0]!s}: {_reason(error)}")
+                refused = isinstance(error, ConnectionRefusedError)
+                code = ReasonCode.CONNECTION_REFUSED if refused else ReasonCode.HOST_UNREACHABLE
+                failures.append(f"{address[0]!s}: {_reason(error)}")
             else:
                 return FileDescriptorLink(connection.fileno(), connection.close, _REFUSAL)
     except (OSError, UnicodeError) as error:  # UnicodeError: no host can have such a name
-        raise LinkUnavailableError(f"{target} does not answer: no such host ({_reason(error)})") from error
-    raise LinkUnavailableError(f"{target} does not answer ({'; '.join(reasons)})")
+        raise LinkUnavailableError(
+            ReasonCode.HOST_UNKNOWN, f"{target} does not answer: no such host ({_reason(error)})"
+        ) from error
+    raise LinkUnavailableError(code, f"{target} does not answer ({'; '.join(failures)})")
 
 
 def connect(

@@ -1,0 +1,23 @@
+"""Reasons in recordings: recordings of earlier versions have the sentence alone."""
+
+from typing import Annotated, Any, Final
+
+from pydantic import BeforeValidator
+
+from resonator_daemon.reasons import Reason, ReasonCode
+
+_CODES: Final = frozenset(ReasonCode)
+
+
+def _complete(stored: Any) -> Reason:
+    """Return a stored reason with a code that this version has."""
+    match stored:
+        case str():
+            return Reason(ReasonCode.UNSPECIFIED, stored)
+        case [str() as code, str() as text]:
+            return Reason(ReasonCode(code) if code in _CODES else ReasonCode.UNSPECIFIED, text)
+    raise ValueError("a reason is [code, text]")
+
+
+StoredReason = Annotated[Reason, BeforeValidator(_complete)]
+"""A reason that is written as [code, text]; a text alone can be read, too."""
