@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-firmware test-schema coverage bench bench-cost figures fuzz soak pins clean
+.PHONY: help setup demo test test-firmware test-schema coverage bench bench-cost docs figures fuzz soak pins clean
 
 # A user's PATH on Debian lacks the place of mosquitto.
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
@@ -149,6 +149,11 @@ figures: .venv/figures-stamp  ## draw the pictures of README.md, docs/research/r
 	.venv/bin/python docs/figures/live_view.py
 	.venv/bin/python benchmarks/elastic_convergence.py --picture docs/figures/convergence.svg
 
+docs: .venv/docs-stamp  ## the documentation as a site with search, in build/site; each link is checked
+	@.venv/bin/python docs/site/stage.py build/site-source
+	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet --config-file docs/site/mkdocs.yml
+	echo "open build/site/index.html"
+
 fuzz: .venv/run-stamp  ## ten million inputs through each parser of the wire, in Python and in C; a million commands
 	$(debian-packages)
 	debian-packages $(COMPILER)
@@ -183,6 +188,7 @@ pins: .venv/run-stamp  ## make the requirements files anew from pyproject.toml
 	.venv/bin/python -c "$$build_requires" | compile - --output-file .ci/requirements/build.txt
 	compile pyproject.toml --extra demo --output-file .ci/requirements/run.txt
 	compile pyproject.toml --extra demo --extra figures --output-file .ci/requirements/figures.txt
+	compile pyproject.toml --extra demo --extra docs --output-file .ci/requirements/docs.txt
 	compile pyproject.toml --extra demo --extra figures --extra test --output-file .ci/requirements/test.txt
 	compile pyproject.toml --extra demo --extra figures --group peers --output-file .ci/requirements/peers.txt
 	compile --group pins --output-file .ci/requirements/pins.txt
@@ -226,6 +232,11 @@ endif
 .venv/figures-stamp: .venv/run-stamp .ci/requirements/figures.txt
 	$(pip-install)
 	pip-install "packages for pictures" --require-hashes -r .ci/requirements/figures.txt
+	touch $@
+
+.venv/docs-stamp: .venv/run-stamp .ci/requirements/docs.txt
+	$(pip-install)
+	pip-install "packages for documentation" --require-hashes -r .ci/requirements/docs.txt
 	touch $@
 
 # Peers are compared with where they install; one is built from source.

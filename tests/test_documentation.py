@@ -1,6 +1,7 @@
 """The pages of docs/ and the mentions of them: each link leads somewhere, and the index has each page."""
 
 import re
+import runpy
 import subprocess
 from pathlib import Path
 
@@ -46,3 +47,8 @@ def test_every_page_is_in_the_index() -> None:
     linked = {(folder / target).resolve() for target in re.findall(r"\]\(([^)#]+)", (folder / "README.md").read_text())}
     pages = {page for page in PAGES if folder in page.parents and page.name != "README.md"}
     assert {str(page.relative_to(ROOT)) for page in pages - linked} == set()
+
+
+def test_the_page_of_the_command_line_is_that_of_the_parser() -> None:
+    page = runpy.run_path(str(ROOT / "docs" / "site" / "command_line.py"))
+    assert page["PAGE"].read_text() == page["text"](), "python docs/site/command_line.py writes it"
