@@ -30,7 +30,7 @@ class UserError(Exception):
     """
 
     exit_code = ExitCode.CONFIG
-    code: ClassVar[str] = "config"
+    code: str = "config"
     hint: ClassVar[str] = ""
 
     def __init__(self, *messages: str) -> None:

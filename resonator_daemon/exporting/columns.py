@@ -49,6 +49,11 @@ class Column:
     description: str = ""
     unit: str = ""
 
+    @property
+    def counts(self) -> bool:
+        """Whether values are whole numbers or truth values, which cannot be NaN where they are missing."""
+        return self.data_type in ("int64", "uint64", "bool")
+
 
 @dataclass(frozen=True)
 class Source:

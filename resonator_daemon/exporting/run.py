@@ -96,7 +96,7 @@ def export(
         check_new(kind.place(target.output, target.topics, topic))
     span = find_span(path, start, end)
     with open_replay(path, config) as replaying, Progress(path, shown=show_progress) as progress:
-        output = kind(target.output, target.topics, Recorded(replaying.config, _metadata(path, replaying.config)))
+        output = kind(target.output, target.topics, Recorded(replaying.config, file_metadata(path, replaying.config)))
         files = _write(output, target.output, _part(replaying, span, progress))
         summary = {
             "file": str(path),
@@ -135,7 +135,8 @@ def _part(replaying: RecordingReplay, span: Span, progress: Progress) -> Iterato
             yield moment
 
 
-def _metadata(path: Path, config: Config) -> dict[str, str]:
+def file_metadata(path: Path, config: Config) -> dict[str, str]:
+    """Return what exported tables state about a recording: its file, plate and calibration, and the table of units."""
     plate = config.plate
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
@@ -150,14 +151,20 @@ def _metadata(path: Path, config: Config) -> dict[str, str]:
     }
 
 
-def _what_is_wrong(replaying: RecordingReplay, output: Output, target: Target, span: Span) -> Sequence[str]:
+def differences_in_words(replaying: RecordingReplay, done: str) -> list[str]:
+    """Return what is wrong with a recording that was played, a sentence each; `done` is what was done with the rest."""
     wrong = []
     if replaying.damage is not None:
-        wrong.append(damage_in_words(replaying.damage, "exported"))
+        wrong.append(damage_in_words(replaying.damage, done))
     if replaying.differences:
         wrong.append(f"the replay differs from what is recorded in {replaying.differences} places")
     if replaying.refused:
         wrong.append(f"the board was refused: {'; '.join(replaying.refused)}")
+    return wrong
+
+
+def _what_is_wrong(replaying: RecordingReplay, output: Output, target: Target, span: Span) -> Sequence[str]:
+    wrong = differences_in_words(replaying, "exported")
     if not output.rows:
         wrong.append(f"it gives no messages of {', '.join(target.topics)}{span.words}")
     return wrong

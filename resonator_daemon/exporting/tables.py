@@ -37,7 +37,7 @@ from resonator_daemon.publishing.units import NO_UNIT
 _NOTHING_PRESSES: Final = "; missing where nothing presses on the site"
 
 Row = Sequence[Value]
-_MakeTable = Callable[[Plate, Message], "Table"]
+_MakeTable = Callable[[Plate, Message | None], "Table"]
 
 
 class Table:
@@ -78,12 +78,12 @@ class Table:
             yield [*values, *(None for _ in self._get_of_item)]
 
 
-def make_table(topic: Topic[Any], plate: Plate, first: Message) -> Table:
-    """Return the table of a topic; arrays have the shapes that those of its first message have."""
+def make_table(topic: Topic[Any], plate: Plate, first: Message | None) -> Table:
+    """Return the table of a topic; arrays have the shapes of those in its first message."""
     return _MAKE[topic.path](plate, first)
 
 
-def _forces(plate: Plate, _first: Message) -> Table:
+def _forces(plate: Plate, _first: Message | None) -> Table:
     values = [*sources(Forces, skip=("sites", "beats")), *map(_beats, range(len(plate.transducers_m)))]
     return Table([*values, *(source for site in plate.site_ids for source in _of_site(int(site)))])
 
@@ -117,7 +117,7 @@ def _common_mode(channel: int) -> Source:
     return Source(Column(name, "float64", True, (), description, NO_UNIT), get)
 
 
-def _sensor_state(plate: Plate, _first: Message) -> Table:
+def _sensor_state(plate: Plate, _first: Message | None) -> Table:
     of_part = sources(Compensation, prefix="compensation_", skip=("common_mode",), within=("compensation",))
     return Table(
         [
@@ -139,7 +139,7 @@ def _plain(model: type[Message], items: str = "", item: type[Message] | None = N
 
 def _with_arrays(model: type[Message], *keys: str) -> _MakeTable:
     """Return what makes the table of a kind of message with arrays, whose shapes are those of the first message."""
-    return lambda _plate, first: Table([*sources(model, skip=keys), *array_sources(first, keys)])
+    return lambda _plate, first: Table([*sources(model, skip=keys), *(array_sources(first, keys) if first else ())])
 
 
 _MAKE: Final[Mapping[str, _MakeTable]] = {

@@ -4,7 +4,7 @@ import asyncio
 from contextlib import aclosing
 from typing import Final
 
-from resonator_daemon.config import Client
+from resonator_daemon.config import Client, Mqtt
 from resonator_daemon.errors import ConfigurationError, ExitCode, UserError
 from resonator_daemon.links.table import parse_link
 from resonator_daemon.publishing.payloads import Condition, Info, State
@@ -22,6 +22,35 @@ class NoDaemonError(UserError):
     code = "no_daemon"
 
 
+async def find_plate(broker: Mqtt, name: str) -> State:
+    """Return the state of the daemon that publishes under a name, or did; the broker retains it.
+
+    Raises
+    ------
+    NoDaemonError
+        None has published under it.
+    """
+    others = set()
+    try:
+        async with asyncio.timeout(LOOK_S), aclosing(subscribe(broker, (TOPICS[STATE_DAEMON.path],))) as messages:
+            async for plate, _, message in messages:
+                if plate == name and isinstance(message, State):
+                    return message
+                others.add(plate)
+    except TimeoutError:
+        pass
+    there = f"there: {', '.join(sorted(others))}" if others else "nor under another name"
+    where = f"{broker.prefix}/{name} at {broker.host}:{broker.port}"
+    raise NoDaemonError(f"no daemon publishes as {where}; {there}; start it: resonatord run")
+
+
+async def find_online(broker: Mqtt, name: str) -> None:
+    """Check that the daemon of a name is online. Raises NoDaemonError."""
+    state = await find_plate(broker, name)
+    if state.state is Condition.OFFLINE:
+        raise _offline(name, state.reason)
+
+
 async def find_daemon(config: Client) -> str:
     """Return the name of a daemon that is not offline, by its configured name, else by its link.
 
@@ -35,16 +64,19 @@ async def find_daemon(config: Client) -> str:
     NoDaemonError
         No such daemon is online.
     """
-    if config.name is None and config.link is None:
+    if config.name is not None:
+        await find_online(config.mqtt, config.name)
+        return config.name
+    if config.link is None:
         raise ConfigurationError("name: missing; give the name that the daemon publishes under, or the link it reads")
-    names = {config.name} if config.name else set()
+    names: set[str] = set()
     offline: dict[str, str] = {}  # the reason, by name
     online: set[str] = set()
     topics = (TOPICS[INFO.path], TOPICS[STATE_DAEMON.path])
     try:
         async with asyncio.timeout(LOOK_S) as limit, aclosing(subscribe(config.mqtt, topics)) as messages:
             async for plate, path, message in messages:
-                if isinstance(message, Info) and not config.name and parse_link(message.link) == config.link:
+                if isinstance(message, Info) and parse_link(message.link) == config.link:
                     names.add(plate)
                 elif isinstance(message, State) and path == STATE_DAEMON.path:
                     if message.state is Condition.OFFLINE:
@@ -54,15 +86,14 @@ async def find_daemon(config: Client) -> str:
                 if found := names & online:
                     return found.pop()
                 if names & offline.keys():
-                    if config.name:
-                        break
                     others_s = asyncio.get_running_loop().time() + OTHERS_S
                     limit.reschedule(min(limit.when() or others_s, others_s))
     except TimeoutError:
         pass
     if gone := sorted(names & offline.keys()):
-        raise NoDaemonError(f"daemon {gone[0]} is offline ({offline[gone[0]]}); start it: resonatord run")
-    where = f"{config.mqtt.prefix}/{config.name or ''}"
-    raise NoDaemonError(
-        f"no daemon publishes {f'as {where}' if config.name else f'of this link below {where}'}; start it"
-    )
+        raise _offline(gone[0], offline[gone[0]])
+    raise NoDaemonError(f"no daemon publishes of this link below {config.mqtt.prefix}/; start it")
+
+
+def _offline(name: str, reason: str) -> NoDaemonError:
+    return NoDaemonError(f"daemon {name} is offline ({reason}); start it: resonatord run")

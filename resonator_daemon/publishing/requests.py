@@ -3,6 +3,7 @@
 import asyncio
 import json
 import secrets
+from collections.abc import Mapping
 from typing import Any, Final
 
 from paho.mqtt.enums import MQTTProtocolVersion
@@ -14,6 +15,7 @@ from resonator_daemon.publishing.broker_connection import FAILURE, MQTT_5, Broke
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.reconnection import connection_session, keep_connected
 from resonator_daemon.publishing.topics import full_topic
+from resonator_daemon.publishing.verbs import VERBS, Answer, Refusal
 
 REACH_S: Final = 5.0
 ANSWER_S: Final = 10.0
@@ -31,6 +33,17 @@ class NoAnswerError(UserError):
 
     exit_code = ExitCode.FAILED
     code = "no_answer"
+
+
+class RefusedError(UserError):
+    """The daemon refused the command; `code` is one of `verbs.ERRORS`."""
+
+    exit_code = ExitCode.FAILED
+    code = "refused"
+
+    def __init__(self, code: str, message: str) -> None:
+        super().__init__(message)
+        self.code = code
 
 
 class DeniedError(UserError):
@@ -60,6 +73,24 @@ async def reach(broker: Mqtt, *, named_by: str = "mqtt.url") -> None:
         where = f"{broker.host}:{broker.port}"
         raise BrokerUnreachableError(f"no broker at {where} ({reason_of(error)}); see {named_by}") from None
     writer.close()
+
+
+async def execute(
+    broker: Mqtt, name: str, verb: str, arguments: Mapping[str, Any], *, answer_s: float = ANSWER_S
+) -> Answer:
+    """Send a command as `request` does; return its answer as a model.
+
+    Raises
+    ------
+    RefusedError
+        The daemon did not do it.
+    """
+    content = await request(broker, name, verb, dict(arguments), answer_s=answer_s)
+    if content.get("ok") is not True:
+        problem = Refusal.model_validate(content).error
+        hint = f"; {problem.hint}" if problem.hint else ""
+        raise RefusedError(problem.code, f"{name} refused {verb}: {problem.message}{hint} ({problem.code})")
+    return (VERBS[verb].answer if verb in VERBS else Answer).model_validate(content)
 
 
 async def request(

@@ -5,24 +5,16 @@ import zipfile
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.exporting.column_arrays import ColumnEncoder
 from resonator_daemon.exporting.columns import Column, Value
 from resonator_daemon.exporting.table_output import Batch, TableOutput
 
 _PIECE_ROWS: Final = 1 << 10
 _COMPRESSION: Final = 1  # the fastest: most columns hardly change
-_DTYPES: Final = {
-    "int64": "<i8",
-    "uint64": "<u8",
-    "float64": "<f8",
-    "bool": "|b1",
-    "float32 array": "<f4",
-    "text": "<u4",  # the number of the text; the archive has the text itself
-}
 
 
 class Format(TableOutput):
@@ -72,7 +64,7 @@ class _Table:
         ]
         self._known = [
             _ColumnFile(f"{file.name}_known", Column("", "bool"), file.place.with_suffix(".known"))
-            if column.nullable and column.data_type in ("int64", "uint64", "bool")
+            if column.nullable and column.counts
             else None
             for file, column in zip(self._columns, columns, strict=True)
         ]
@@ -94,33 +86,23 @@ class _ColumnFile:
     def __init__(self, name: str, column: Column, place: Path) -> None:
         self.name = name
         self.place = place
-        self._dtype = np.dtype(_DTYPES[column.data_type])
+        self._encoder = ColumnEncoder(column)
         self._shape = column.shape
-        self._texts: dict[str, int] | None = {} if column.data_type == "text" else None
         self._rows = 0
 
     def append(self, values: Sequence[Value]) -> None:
-        array: NDArray[Any] = np.zeros((len(values), *self._shape), self._dtype)
-        if self._texts is not None:
-            texts = ("" if value is None else str(value) for value in values)
-            values = [self._texts.setdefault(text, len(self._texts)) for text in texts]
-        elif np.issubdtype(self._dtype, np.floating):
-            array[...] = np.nan
-        for index, value in enumerate(values):
-            if value is not None:
-                array[index] = value
         self._rows += len(values)
         with self.place.open("ab") as file:
-            file.write(array.tobytes())
+            file.write(self._encoder.encode(values).tobytes())
 
     def write_into(self, archive: zipfile.ZipFile) -> None:
-        texts = None if self._texts is None else np.array(list(self._texts))
-        dtype = self._dtype if texts is None else texts.dtype
+        texts = None if self._encoder.texts is None else np.array(list(self._encoder.texts))
+        dtype = self._encoder.dtype if texts is None else texts.dtype
         shape = (self._rows, *self._shape)
         header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
-        piece_bytes = _PIECE_ROWS * self._dtype.itemsize
+        piece_bytes = _PIECE_ROWS * self._encoder.dtype.itemsize
         with archive.open(f"{self.name}.npy", "w", force_zip64=True) as member, self.place.open("rb") as file:
             np.lib.format.write_array_header_2_0(member, header)
             while data := file.read(piece_bytes):
-                member.write(data if texts is None else texts[np.frombuffer(data, self._dtype)].tobytes())
+                member.write(data if texts is None else texts[np.frombuffer(data, self._encoder.dtype)].tobytes())
         self.place.unlink()

@@ -1,0 +1,1 @@
+"""What `import resonatord` offers: recordings as tables, messages as they come, commands."""

@@ -1,0 +1,76 @@
+"""The examples of docs/how-to/use-from-python.md and the cells of the notebook run as they stand."""
+
+import asyncio
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import aiomqtt
+import pytest
+from brokers import Mosquitto
+from commanded import commanded, state
+from example_messages import example
+
+from resonator_daemon.config import Mqtt
+from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.payloads import Forces, SiteForce
+from resonator_daemon.publishing.topics import STATE_DAEMON
+from resonator_daemon.publishing.verbs import Ping, Pong
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "how-to" / "use-from-python.md"
+NOTEBOOK = ROOT / "docs" / "tutorials" / "first-press.ipynb"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Folder with a recording of presses of 2, 0.5 and 8 N on sites 7, 3 and 16 of an emulated plate."""
+    shutil.copy(ROOT / "tests" / "corpus" / "touches" / "recording.mcap", tmp_path / "run.mcap")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    return tmp_path
+
+
+async def test_the_examples_of_the_page_run(
+    mosquitto: Mosquitto, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    examples = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    names: dict[str, Any] = {}
+
+    def run_all() -> None:
+        for text in examples:
+            exec(text.replace("mqtt://127.0.0.1:1883", mosquitto.url), names)
+
+    def pong(_: Ping) -> Pong:
+        return Pong(t_ns=1, daemon_boot_id="first", uptime_s=60.25)
+
+    at = Mqtt(url=mosquitto.url)
+    forces = example(Forces, sites=(example(SiteForce, site=3, force_newton=1.75),))
+    async with (
+        commanded(mosquitto.url, {"ping": pong}, name="left-index") as daemon,
+        aiomqtt.Client(at.host, at.port) as client,
+    ):
+        daemon.publisher.publish(daemon.base, STATE_DAEMON, state("online", "measuring"))
+        await client.publish(f"{daemon.base}/forces", encode(forces), retain=True)  # until the example has subscribed
+        await asyncio.to_thread(run_all)
+    printed = capsys.readouterr().out
+    assert re.findall(r"onset at site (\d+)", printed) == ["7", "3", "16"]
+    assert "site 3 1.75 N ok" in printed
+    assert "\n60.25\nunknown_verb " in printed
+    assert names["pressed"].site.values.tolist() == [3, 7, 16]
+    assert names["pressed"].values == pytest.approx([0.5, 2.0, 8.0], abs=0.2)
+
+
+def test_the_cells_of_the_notebook_run(folder: Path) -> None:
+    cells = json.loads(NOTEBOOK.read_text())["cells"]
+    names: dict[str, Any] = {}
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            assert cell["outputs"] == []
+            exec("".join(cell["source"]), names)
+    assert names["presses"]["contact_site"].tolist() == [7, 3, 16]
+    assert names["presses"]["contact_peak_newton"].tolist() == pytest.approx([2.0, 0.5, 8.0], abs=0.2)
+    assert abs(names["mean_newton"] - 2.0) < 3 * names["systematic_newton"]
+    assert names["axes"].get_ylabel() == "force in N"

@@ -1,0 +1,135 @@
+"""`resonatord.load_recording`: the values that are published, as NumPy arrays, DataFrames and Datasets."""
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import resonatord
+
+from resonator_daemon.publishing.codec import decoded
+from resonator_daemon.replay.source import open_replay
+
+CORPUS = Path(__file__).parents[1] / "corpus"
+LIBRARIES = {"scipy", "numpy", "pydantic", "paho", "aiomqtt", "mcap", "pandas", "xarray"}
+
+
+def recording(case: str) -> Path:
+    return CORPUS / case / "recording.mcap"
+
+
+def published(case: str, path: str) -> list[Any]:
+    with open_replay(recording(case)) as replaying:
+        return [
+            decoded(topic.payload, message)
+            for moment in replaying.moments()
+            for topic, message in moment.messages
+            if topic.path == path
+        ]
+
+
+def loaded_libraries(code: str) -> set[str]:
+    command = (sys.executable, "-c", f"import sys, resonatord\n{code}\nprint(*sys.modules)")
+    return LIBRARIES & set(subprocess.run(command, check=True, capture_output=True, text=True).stdout.split())
+
+
+def test_the_import_needs_no_library_and_force_sites_no_scipy() -> None:
+    assert loaded_libraries("assert resonatord.__version__") == set()
+    used = loaded_libraries(f"resonatord.load_recording({str(recording('touches'))!r}).forces")
+    assert used == {"numpy", "pydantic", "mcap"}
+    assert all(hasattr(resonatord, name) for name in resonatord.__all__)
+
+
+def test_forces_are_those_that_are_published() -> None:
+    forces = resonatord.load_recording(recording("touches")).forces
+    messages = published("touches", "forces")
+    assert forces["t_ns"].tolist() == [message.t_ns for message in messages]
+    expected = np.full((len(messages), 16), np.nan)
+    for row, message in zip(expected, messages, strict=True):
+        for site in message.sites:
+            row[site.site - 1] = site.force_newton
+    assert np.isfinite(expected).sum() > 20
+    for site in range(1, 17):
+        np.testing.assert_array_equal(forces[f"site_{site}_force_newton"], expected[:, site - 1])
+    assert forces.columns["site_7_systematic_newton"].unit == "N"
+
+    frame = forces.to_pandas()
+    np.testing.assert_array_equal(frame["site_7_force_newton"], expected[:, 6])
+    assert frame.index.tz is not None
+    assert [time.value for time in frame.index] == forces["t_ns"].tolist()
+    assert frame.attrs["units"]["site_7_force_newton"] == "N"
+    assert set(frame["site_7_status"].dropna()) == {"ok"}
+
+    data = forces.to_xarray()
+    np.testing.assert_array_equal(data.site_force_newton, expected)
+    assert (data.site_force_newton.dims, data.site_force_newton.units) == (("time", "site"), "N")
+    assert data.site.values.tolist() == list(range(1, 17))
+    assert data.channel_beats.shape == (len(messages), 4)
+
+
+def test_contacts_have_a_row_each_and_missing_counts_are_masked() -> None:
+    contacts = resonatord.load_recording(recording("slide")).contacts
+    ids = [
+        contact.id if contact else None
+        for message in published("slide", "contacts")
+        for contact in message.contacts or (None,)
+    ]
+    assert None in ids
+    assert contacts["contact_id"].tolist() == ids
+    assert [None if math.isnan(value) else value for value in contacts.to_xarray()["contact_id"].values] == ids
+    numbers = contacts.to_pandas()["contact_id"]
+    assert numbers.dtype == "Int64"
+    assert numbers.isna().tolist() == [number is None for number in ids]
+
+
+def test_maps_of_a_skin_are_loaded_where_asked_for() -> None:
+    skin = resonatord.load_recording(recording("skin"), topics=["decoded", "signals"])
+    messages = published("skin", "decoded")
+    data = skin.decoded.to_xarray()
+    np.testing.assert_array_equal(data.traction_pascal, np.stack([message.traction_pascal for message in messages]))
+    assert data.traction_pascal.dims == ("time", "component", "y", "x")
+    np.testing.assert_allclose(data.x, 0.6e-3 * (np.arange(7) - 3), atol=1e-12)  # the plate's grid
+    assert skin.signals.to_xarray().signals.dims == ("time", "signal", "site")
+    assert len(skin.decoded.to_pandas()) == len(messages)
+    with pytest.raises(resonatord.RecordingError):
+        skin.forces  # noqa: B018
+
+
+def test_a_part_lies_between_marks_or_seconds() -> None:
+    whole = resonatord.load_recording(recording("touches"))
+    (mark,) = whole.marks
+    part = resonatord.load_recording(recording("touches"), start=mark.text, topics="forces")
+    assert 0 < part.forces.row_count < whole.forces.row_count
+    assert list(part) == ["forces"]
+    empty = resonatord.load_recording(recording("touches"), until=0.01)
+    assert empty.contact_events.row_count == 0
+    assert len(empty.contact_events.to_pandas()) == 0
+
+
+def test_a_damaged_recording_is_loaded_up_to_the_damage() -> None:
+    with pytest.warns(resonatord.RecordingWarning):
+        cut_off = resonatord.load_recording(recording("cut-off"))
+    assert cut_off.forces.row_count == len(published("cut-off", "forces"))
+    assert len(cut_off.problems) == 1
+
+
+@pytest.mark.parametrize(
+    ("path", "arguments", "code"),
+    [
+        ("nowhere.mcap", {}, "no_recording"),
+        (Path(__file__), {}, "no_recording"),
+        (recording("touches"), {"topics": ["force"]}, "usage"),
+        (recording("touches"), {"start": "no such mark"}, "no_mark"),
+        (recording("touches"), {"start": 3, "until": 2}, "no_span"),
+        (recording("touches"), {"config": "nowhere.toml"}, "config"),
+    ],
+)
+def test_what_cannot_be_loaded_has_a_code_and_no_cause(path: Any, arguments: dict[str, Any], code: str) -> None:
+    with pytest.raises(resonatord.UserError) as caught:
+        resonatord.load_recording(path, **arguments)
+    assert caught.value.code == code
+    assert caught.value.__suppress_context__
+    assert "--" not in str(caught.value)
