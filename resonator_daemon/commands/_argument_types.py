@@ -60,6 +60,35 @@ def link_target(text: str) -> object:
         raise argparse.ArgumentTypeError(f"{text!r}: {error}") from error
 
 
+def add_config(parser: argparse.ArgumentParser, meaning: str) -> None:
+    """Add the configuration file as an argument and, likewise, as `--config`; one of them has to be given."""
+    group = parser.add_mutually_exclusive_group(required=True)
+    group.add_argument("--config", type=Path, metavar="FILE", help="the configuration, likewise")
+    add_config_argument(group, meaning)
+
+
+def add_config_argument(group: Any, meaning: str) -> None:
+    """Add the configuration file as an argument to a group that has it as `--config`."""
+
+    def path(text: str) -> Path | str:
+        return text if text is argparse.SUPPRESS else Path(text)  # its default leaves --config as it is
+
+    group.add_argument("config", type=path, nargs="?", default=argparse.SUPPRESS, metavar="FILE", help=meaning)
+
+
+def link_or_config(text: str) -> object:
+    """Parse the address of a link, or the name of a configuration file, which ends in .toml."""
+    return Path(text) if text.endswith(".toml") else link_target(text)
+
+
+def separate_config(arguments: argparse.Namespace) -> None:
+    """Move the configuration file of `link_or_config` from `link` to `config`; UsageError where both are given."""
+    if isinstance(arguments.link, Path):
+        if arguments.config is not None:
+            raise UsageError(f"{arguments.link} and --config {arguments.config}: give one configuration")
+        arguments.config, arguments.link = arguments.link, None
+
+
 def check_plate_name(name: str) -> None:
     """Raise UsageError where `--plate` names neither a shipped plate nor a file."""
     from resonator_daemon.plate import load_plate, shipped_plates

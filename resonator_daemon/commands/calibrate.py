@@ -1,6 +1,6 @@
 """Calibrate a force plate with known masses, or the decoder's prior to a skin.
 
-Example: resonatord calibrate --config left-index.toml --masses-grams 50,200,500 --output left-index-plate.toml
+Example: resonatord calibrate left-index.toml --masses-grams 50,200,500 --output left-index-plate.toml
 """
 
 import argparse
@@ -11,20 +11,22 @@ from typing import Final
 from resonator_daemon.commands._argument_types import options_of, positive, whole_number
 from resonator_daemon.errors import ExitCode, UsageError
 
-_OF_BOTH: Final = {"quantity", "config", "json", "command", "run"}
+_OF_BOTH: Final = {"words", "config", "json", "command", "run"}
 _OF_SKIN: Final = {"seconds"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.argument_default = argparse.SUPPRESS  # options that belong to one quantity are absent unless they are given
     parser.add_argument(
-        "quantity",
-        nargs="?",
-        choices=("force", "skin"),
-        default="force",
-        help="force: known masses on known sites; skin: the decoder's prior (default: force)",
+        "words",
+        nargs="*",
+        type=_quantity_or_config,
+        default=[],
+        metavar="{force,skin} FILE",
+        help="force: known masses on known sites; skin: the decoder's prior (default: force); and the daemon's "
+        "configuration, as left-index.toml",
     )
-    parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="that of the daemon")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="the configuration, likewise")
     parser.add_argument("--json", action="store_true", help="one JSON object a line on stdout, the last one the result")
     skin = parser.add_argument_group("skin")
     skin.add_argument("--seconds", type=positive, metavar="S", help="how long, from the first frame (default: 20)")
@@ -75,24 +77,45 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     given = vars(arguments).keys() - _OF_BOTH
-    foreign = given - _OF_SKIN if arguments.quantity == "skin" else given & _OF_SKIN
+    quantity, config = _chosen(arguments)
+    foreign = given - _OF_SKIN if quantity == "skin" else given & _OF_SKIN
     for name in foreign:
-        raise UsageError(f"--{name.replace('_', '-')} does not belong to: calibrate {arguments.quantity}")
+        raise UsageError(f"--{name.replace('_', '-')} does not belong to: calibrate {quantity}")
     as_json = "json" in arguments
-    if arguments.quantity == "skin":
+    if quantity == "skin":
         from resonator_daemon.calibration.skin import calibrate_skin
 
-        return calibrate_skin(arguments.config, getattr(arguments, "seconds", 20.0), as_json=as_json)
+        return calibrate_skin(config, getattr(arguments, "seconds", 20.0), as_json=as_json)
     from resonator_daemon.calibration.run import Ending, abort_staged, accept_staged, calibrate
     from resonator_daemon.calibration.steps import LoadRequest
 
     if "accept_staged" in arguments:
-        return accept_staged(arguments.config, as_json=as_json)
+        return accept_staged(config, as_json=as_json)
     if "abort" in arguments:
-        return abort_staged(arguments.config, as_json=as_json)
+        return abort_staged(config, as_json=as_json)
     masses = {"masses_kg": tuple(gram * 1e-3 for gram in arguments.masses_grams)} if "masses_grams" in arguments else {}
     request = options_of(LoadRequest, arguments, **masses)
-    return calibrate(arguments.config, request, options_of(Ending, arguments, as_json=as_json))
+    return calibrate(config, request, options_of(Ending, arguments, as_json=as_json))
+
+
+def _chosen(arguments: argparse.Namespace) -> tuple[str, Path]:
+    """Return quantity and configuration; UsageError where there is not one of each at most."""
+    quantities = [word for word in arguments.words if isinstance(word, str)]
+    configs = [word for word in arguments.words if isinstance(word, Path)]
+    configs += [arguments.config] if "config" in arguments else []
+    if len(quantities) > 1 or len(configs) != 1:
+        raise UsageError("name one configuration FILE, and force or skin at most once")
+    return (quantities or ["force"])[0], configs[0]
+
+
+def _quantity_or_config(text: str) -> str | Path:
+    from resonator_daemon.toml_files.reading import nearest
+
+    if text in ("force", "skin"):
+        return text
+    if text.endswith(".toml"):
+        return Path(text)
+    raise argparse.ArgumentTypeError(f"got {text!r}; {nearest(text, ('force', 'skin', 'FILE.toml'))}")
 
 
 def _numbers(text: str) -> tuple[float, ...]:

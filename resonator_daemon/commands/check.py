@@ -4,15 +4,15 @@ Example: resonatord check left-index.toml
 """
 
 import argparse
-from pathlib import Path
 
+from resonator_daemon.commands._argument_types import add_config
 from resonator_daemon.commands._output import print_error, print_json
 from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.printable import print_note
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", type=Path, metavar="FILE")
+    add_config(parser, "the configuration")
     parser.add_argument("--json", action="store_true", help="print the findings as one JSON object")
 
 
@@ -23,19 +23,19 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     findings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     try:
-        if is_decoders_own(arguments.file):
-            notes = load_decoder_config(arguments.file).mqtt.notes
+        if is_decoders_own(arguments.config):
+            notes = load_decoder_config(arguments.config).mqtt.notes
         else:
-            notes = load_checked(arguments.file).notes
+            notes = load_checked(arguments.config).notes
     except UserError as error:
         findings = error.messages
     if arguments.json:
-        file = str(arguments.file)
+        file = str(arguments.config)
         print_json({"verb": "check", "file": file, "ok": not findings, "errors": findings, "notes": notes})
     else:
         print_error(*findings)
         for line in notes:
             print_note(f"note: {line}")
         if not findings:
-            print_note(f"{arguments.file}: no errors")
+            print_note(f"{arguments.config}: no errors")
     return ExitCode.CONFIG if findings else ExitCode.DONE

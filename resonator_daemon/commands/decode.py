@@ -1,23 +1,18 @@
 """Decode the signals of skins in a process of its own, anywhere on the network, until stopped.
 
-Example: resonatord decode --config left-index.toml
+Example: resonatord decode left-index.toml
 """
 
 import argparse
 from contextlib import suppress
-from pathlib import Path
 
+from resonator_daemon.commands._argument_types import add_config
 from resonator_daemon.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--config",
-        type=Path,
-        required=True,
-        metavar="FILE",
-        help="the daemon's, with `external = true` in [decoding], or one of [mqtt] and [decoding] alone",
-    )
+    meaning = "the daemon's configuration, with `external = true` in [decoding], or one of [mqtt] and [decoding] alone"
+    add_config(parser, meaning)
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:

@@ -1,6 +1,6 @@
 """Find out whether wiring, sensor or software is at fault, with evidence and what to do.
 
-Example: resonatord doctor --config left-index.toml
+Example: resonatord doctor left-index.toml
 """
 
 import argparse
@@ -8,7 +8,7 @@ import logging
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.commands._argument_types import link_target, positive
+from resonator_daemon.commands._argument_types import link_or_config, positive, separate_config
 from resonator_daemon.errors import ExitCode, UsageError, UserError
 
 _SECONDS: Final = 10.0
@@ -18,9 +18,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "link",
         nargs="?",
-        type=link_target,
-        metavar="LINK",
-        help="serial:PATH?baud=N, tcp://HOST:PORT or usb:VID:PID?serial=S (default: the configuration's)",
+        type=link_or_config,
+        metavar="LINK|FILE",
+        help="serial:PATH?baud=N, tcp://HOST:PORT or usb:VID:PID?serial=S, or a configuration, as "
+        "left-index.toml (default: the configuration's)",
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="names plate, link, broker and directories")
     parser.add_argument(
@@ -42,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
+    separate_config(arguments)
     if arguments.link is None and arguments.config is None and not arguments.broker:
         raise UsageError("name a --config FILE, a LINK (see: resonatord ports) or a --broker URL")
     from resonator_daemon.doctor.run import DoctorOptions, doctor

@@ -9,7 +9,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from resonator_daemon.commands._argument_types import link_target
+from resonator_daemon.commands._argument_types import link_or_config, separate_config
 from resonator_daemon.commands._output import print_error, print_json
 from resonator_daemon.errors import ExitCode, UsageError, UserError
 
@@ -29,10 +29,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "link",
         nargs="?",
-        type=link_target,
-        metavar="LINK",
-        help="serial:PATH?baud=N, tcp://HOST:PORT or usb:VID:PID?serial=S; see: resonatord ports (default: the "
-        "configuration's)",
+        type=link_or_config,
+        metavar="LINK|FILE",
+        help="serial:PATH?baud=N, tcp://HOST:PORT or usb:VID:PID?serial=S; see: resonatord ports; or a "
+        "configuration, as left-index.toml (default: the configuration's)",
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="also check whether the board can serve it")
     parser.add_argument("--blink", action="store_true", help="let the board make itself seen, where it can")
@@ -45,6 +45,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.session.compatibility import incompatibilities
     from resonator_daemon.view.board_identity import as_json, labelled_lines
 
+    separate_config(arguments)
     config = load_config(arguments.config) if arguments.config is not None else None
     link: LinkTarget | None = arguments.link or (config.link if config else None)
     if link is None:

@@ -1,18 +1,18 @@
 """Record a board's link to a file that `link = "replay:FILE"` replays.
 
-Example: resonatord record --config left-index.toml --output run.mcap --seconds 60
+Example: resonatord record left-index.toml --output run.mcap --seconds 60
 """
 
 import argparse
 from pathlib import Path
 
-from resonator_daemon.commands._argument_types import options_of, positive
+from resonator_daemon.commands._argument_types import add_config, options_of, positive
 from resonator_daemon.commands._output import print_json
 from resonator_daemon.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="names the plate and the link")
+    add_config(parser, "the configuration: names the plate and the link")
     parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="the file to make, as run.mcap")
     parser.add_argument(
         "--seconds", type=positive, metavar="N", help="from the first frame on (default: until interrupted)"

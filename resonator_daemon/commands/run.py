@@ -1,17 +1,17 @@
 """Measure one board and publish, until stopped.
 
-Example: resonatord run --config left-index.toml
+Example: resonatord run left-index.toml
 """
 
 import argparse
 from contextlib import suppress
-from pathlib import Path
 
+from resonator_daemon.commands._argument_types import add_config
 from resonator_daemon.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="see: resonatord config example")
+    add_config(parser, "the configuration; see: resonatord config example")
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:

@@ -1,14 +1,14 @@
 """Tare the plate of a running daemon: its present readings count as untouched.
 
-Example: resonatord tare --config left-index.toml
+Example: resonatord tare left-index.toml
 """
 
 import argparse
 import logging
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
+from resonator_daemon.commands._argument_types import add_config
 from resonator_daemon.commands._output import print_error, print_json
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.host.printable import printable
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="that of the daemon")
+    add_config(parser, "the daemon's configuration")
     parser.add_argument("--json", action="store_true", help="print the daemon's answer as one JSON object")
 
 

@@ -40,6 +40,31 @@ def test_a_wrong_value_of_an_argument_is_a_matter_of_usage(
 @pytest.mark.parametrize(
     "line",
     [
+        "run FILE",
+        "check FILE",
+        "record FILE --output run.mcap",
+        "tare FILE",
+        "decode FILE",
+        "doctor FILE --seconds 1",
+        "identify FILE",
+        "calibrate FILE --masses-grams 100",
+        "calibrate skin FILE",
+        "watch FILE",
+    ],
+)
+@pytest.mark.parametrize("name", ["gone.toml", "--config gone.toml", "gone.toml --config gone.toml"])
+def test_a_configuration_is_an_argument_or_an_option(
+    line: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    twice = name.startswith("gone.toml --")
+    assert exit_code(*shlex.split(line.replace("FILE", name))) == (2 if twice else 78)
+    assert ("gone.toml: no such file" in capsys.readouterr().err) == (not twice)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
         "record --config board.toml --output there --seconds 1",
         "replay run.mcap --to there",
         "replay run.mcap --save-case there",

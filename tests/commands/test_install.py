@@ -95,8 +95,8 @@ def test_bash_completes_commands_options_and_files(tmp_path: Path, capsys: pytes
         ("rem", "remove"),
         ("plan ''", "codes sensors"),
         ("doctor --sec", "--seconds"),
-        ("calibrate sk", "skin"),
-        ("export --config le", "left.toml"),
+        ("bench latency --plate sk", "skin32"),
+        ("run le", "left.toml"),
     ):
         script = (
             f"source {BASH}; COMP_WORDS=(resonatord {words}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1)); "
