@@ -14,7 +14,7 @@ class ExitCode(IntEnum):
     DONE = 0
     FAILED = 1
     USAGE = 2
-    UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h: no such link, broker or recording, or none that can be used
+    UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h: no such link, board or broker, or none that can be used
     CONFIG = 78  # EX_CONFIG of sysexits.h
 
 
@@ -55,6 +55,12 @@ class UsageError(UserError):
 
     exit_code = ExitCode.USAGE
     code = "usage"
+
+
+class NoRecordingError(UsageError):
+    """File named by the arguments that is no recording, or none that can be replayed with the configuration."""
+
+    code = "no_recording"
 
 
 class ConfigurationError(UserError):

@@ -8,12 +8,13 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import ModuleType
-from typing import Any
+from typing import Any, NoReturn
 
 from resonator_daemon import commands
 from resonator_daemon.commands._output import print_error, print_json
 from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError
 from resonator_daemon.host.journal import set_up_logging
+from resonator_daemon.host.printable import coloured
 from resonator_daemon.host.system_limits import check_open_files, reason_of
 
 
@@ -50,8 +51,9 @@ def make_parser(words: Sequence[str] = ()) -> argparse.ArgumentParser:
         description="Acquisition daemon for a quartz-resonator tactile plate: counts to forces, sites, contacts and "
         "surface traction, published over MQTT.",
         epilog="Exit codes: 0 done, or stopped where a command runs until it is stopped; 1 the run failed (touches or "
-        "frames lost) or was interrupted; 2 usage; 69 a link, broker or recording that is not there or cannot be used; "
-        "78 configuration, an output that is there already or cannot be made, or a limit of fewer than 64 open files. "
+        "frames lost) or was interrupted; 2 usage, or a recording that is not there; 69 a link, board or broker that "
+        "is not there or cannot be used; 78 configuration, an output that is there already or cannot be made, or a "
+        "limit of fewer than 64 open files. "
         "Start with: resonatord demo",
     )
     hidden = argparse.SUPPRESS  # no argument of a command
@@ -138,6 +140,11 @@ class _Parser(argparse.ArgumentParser):
             from resonator_daemon.toml_files.reading import nearest  # slow to import
 
             raise argparse.ArgumentError(action, f"got {value!r}; {nearest(str(value), list(action.choices))}")
+
+    def error(self, message: str) -> NoReturn:
+        """Print the usage of the command and what is wrong; exit."""
+        self.print_usage(sys.stderr)
+        self.exit(ExitCode.USAGE, f"{self.prog}: {coloured('error:', 'red', sys.stderr)} {message}\n")
 
     def print_help(self, file: Any = None) -> None:
         """Print the help; OSError where it cannot be written, which argparse ignores."""

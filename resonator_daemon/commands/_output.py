@@ -6,7 +6,7 @@ import sys
 from typing import Any
 
 from resonator_daemon.host.journal import error_prefix
-from resonator_daemon.host.printable import printable
+from resonator_daemon.host.printable import coloured, printable
 
 
 def print_json(value: object) -> None:
@@ -26,4 +26,5 @@ def print_page(page: Any) -> None:
 def print_error(*messages: str) -> None:
     """Print each message as one line to the standard error."""
     for message in messages:
-        sys.stderr.write(f"{error_prefix()}resonatord: {printable(message)}\n")
+        program = coloured("resonatord:", "red", sys.stderr)
+        sys.stderr.write(f"{error_prefix()}{program} {printable(message)}\n")

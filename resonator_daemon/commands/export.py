@@ -7,16 +7,9 @@ import argparse
 from pathlib import Path
 
 from resonator_daemon.commands._output import print_error, print_json
-from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.errors import ExitCode, NoRecordingError
 from resonator_daemon.exporting.formats import FORMATS, ROS2
 from resonator_daemon.host.printable import print_note
-
-
-class NotExportableError(UserError):
-    """The file is no recording that can be replayed."""
-
-    exit_code = ExitCode.UNAVAILABLE
-    code = "no_recording"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,7 +53,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
                 path, target, config, arguments.start, arguments.end, show_progress=not arguments.json
             )
         except LinkUnavailableError as error:
-            raise NotExportableError(str(error)) from error
+            raise NoRecordingError(str(error)) from error
     if arguments.json:
         print_json({"verb": "export", "ok": not wrong, **result})
     else:

@@ -13,17 +13,10 @@ from typing import Any, Final
 
 from resonator_daemon.commands._argument_types import options_of
 from resonator_daemon.commands._output import print_error, print_json
-from resonator_daemon.errors import ExitCode, UsageError, UserError
+from resonator_daemon.errors import ExitCode, NoRecordingError, UsageError
 from resonator_daemon.host.printable import print_note
 
 _DEFAULT_URL: Final = "mqtt://127.0.0.1:1883"
-
-
-class NotReplayableError(UserError):
-    """The file is no recording that can be replayed."""
-
-    exit_code = ExitCode.UNAVAILABLE
-    code = "no_recording"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,7 +51,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
             return check_cases(arguments.check, as_json=arguments.json)
         return _replay(arguments)
     except LinkUnavailableError as error:
-        raise NotReplayableError(str(error)) from error
+        raise NoRecordingError(str(error)) from error
 
 
 def _replay(arguments: argparse.Namespace) -> ExitCode:

@@ -1,17 +1,20 @@
 """The verdict over all findings, and the report of it: as text in 80 columns, or as one JSON object."""
 
+import re
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Final
+from typing import Any, Final, TextIO
 
 from resonator_daemon.doctor.finding import FINE, Area, Finding, Outcome
 from resonator_daemon.errors import ExitCode
-from resonator_daemon.host.printable import printable
+from resonator_daemon.host.printable import Colour, coloured, printable
 
 WIDTH: Final = 80
 _MARKS: Final = {Outcome.OK: "ok", Outcome.WARNING: "WARNING", Outcome.FAULT: "FAULT", Outcome.NOT_CHECKED: "-"}
 _MARK_WIDTH: Final = 9
+_OUTCOME: Final = re.compile(r"(?<=^  )(ok|WARNING|FAULT)|(?<=^verdict: )\w+", re.MULTILINE)
+_COLOURS: Final[Mapping[str, Colour]] = {"ok": "green", FINE: "green", "WARNING": "yellow"}  # others red
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,14 @@ class Report:
         lines = [line for area in Area for line in self._lines_of(area)]
         ending = self._ending() if whole else ()
         return "\n".join([*lines, *self._not_checked_together(), *ending]) + "\n"
+
+    def write(self, stream: TextIO, *, whole: bool = True) -> None:
+        """Write the text output, on a terminal with the outcomes and the verdict in colour."""
+
+        def paint(found: re.Match[str]) -> str:
+            return coloured(found[0], _COLOURS.get(found[0], "red"), stream)
+
+        stream.write(_OUTCOME.sub(paint, self.as_text(whole=whole)))
 
     @property
     def _shared_reasons(self) -> dict[str, list[str]]:

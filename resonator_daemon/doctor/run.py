@@ -77,11 +77,14 @@ def doctor(options: DoctorOptions) -> ExitCode:
     except KeyboardInterrupt:
         report = Report(found)
         if found and not options.json:
-            sys.stdout.write(report.as_text(whole=False))
+            report.write(sys.stdout, whole=False)
         words = f"interrupted: {len(found)} things were looked at, which is not all"
         raise InterruptedCommandError(words, {"findings": report.as_json()["findings"]}) from None
     report = Report(found)
-    sys.stdout.write(json.dumps(report.as_json()) + "\n" if options.json else report.as_text())
+    if options.json:
+        sys.stdout.write(json.dumps(report.as_json()) + "\n")
+    else:
+        report.write(sys.stdout)
     return report.exit_code
 
 

@@ -1,12 +1,23 @@
 """Text for terminals: foreign text made safe, and lines for the terminal."""
 
+import os
 import shlex
 import sys
+from typing import Final, Literal, TextIO
+
+Colour = Literal["red", "green", "yellow"]
+_COLOURS: Final[dict[Colour, int]] = {"red": 31, "green": 32, "yellow": 33}
 
 
 def printable(text: object) -> str:
     """Return the text in one line, without control characters."""
     return "".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in str(text))
+
+
+def coloured(text: str, colour: Colour, stream: TextIO) -> str:
+    """Return the text in bold colour for a terminal (https://no-color.org), unchanged for other streams."""
+    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb" or not stream.isatty()
+    return text if plain else f"\x1b[1;{_COLOURS[colour]}m{text}\x1b[0m"
 
 
 def how_to_install(package: str) -> str:

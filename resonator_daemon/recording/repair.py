@@ -49,7 +49,7 @@ class RepairError(UserError):
 class NotRepairableError(RepairError):
     """The file is no recording of this format."""
 
-    exit_code = ExitCode.UNAVAILABLE
+    exit_code = ExitCode.USAGE
 
 
 class Repaired(NamedTuple):

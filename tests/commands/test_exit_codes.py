@@ -90,7 +90,7 @@ def test_an_output_that_is_there_is_not_overwritten(
 
 @pytest.mark.parametrize("line", ["replay run.mcap --to copy", "export run.mcap --output out.npz", "repair run.mcap"])
 @pytest.mark.parametrize("content", [None, b"", b"MZ" * 100, RECORDING.read_bytes()[:40]])
-def test_what_is_no_recording_is_unavailable(
+def test_what_is_no_recording_is_a_matter_of_usage(
     line: str,
     content: bytes | None,
     tmp_path: Path,
@@ -100,9 +100,21 @@ def test_what_is_no_recording_is_unavailable(
     monkeypatch.chdir(tmp_path)
     if content is not None:
         (tmp_path / "run.mcap").write_bytes(content)
-    assert exit_code(*shlex.split(line), "--json") == 69
+    assert exit_code(*shlex.split(line), "--json") == 2
     printed = capsys.readouterr()
     assert (printed.err.count("\n"), printed.out.count("\n"), '"code": ' in printed.out) == (1, 1, True)
+
+
+@pytest.mark.parametrize("line", ["check gone.toml", "tare --wrong"])
+@pytest.mark.parametrize(("terminal", "no_color"), [(True, ""), (True, "1"), (False, "")])
+def test_errors_have_colour_on_a_terminal(
+    line: str, terminal: bool, no_color: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("NO_COLOR", no_color)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+    assert exit_code(*shlex.split(line)) in (2, 78)
+    assert ("\x1b[1;31m" in capsys.readouterr().err) == (terminal and not no_color)
 
 
 @pytest.mark.parametrize("line", [f"replay {RECORDING} --to -", "schema"])
