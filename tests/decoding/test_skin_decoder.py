@@ -232,23 +232,6 @@ def test_contacts_on_one_support_share_its_load(long: SkinDecoder) -> None:
         np.testing.assert_allclose(contact.patch.centroid_m, centre_m, atol=4e-5)
 
 
-IRREGULAR_M = np.random.default_rng(0).uniform(-2.8e-3, 2.8e-3, (SITES, 2))
-
-
-@pytest.fixture(scope="module")
-def irregular() -> SkinDecoder:
-    return SkinDecoder(replace(SKIN, site_positions_m=IRREGULAR_M), PHYSICS, QUIET[:, :SITES], [].append)
-
-
-@pytest.mark.parametrize("centre_m", [(0.0, 0.0), (-1.3e-3, 1.0e-3)])
-def test_a_touch_on_irregular_sites_is_one_contact(irregular: SkinDecoder, centre_m: tuple[float, float]) -> None:
-    irregular.reset("test")
-    (contact,) = settled(irregular, press(1.0, centre_m, sites_m=IRREGULAR_M)).contacts
-    assert contact.patch.force_newton[2] == pytest.approx(1.0, abs=5.0 * contact.patch.force_std_newton[2])
-    assert contact.patch.force_std_newton[2] < 0.02
-    np.testing.assert_allclose(contact.patch.centroid_m, centre_m, atol=5e-5)
-
-
 def test_at_the_border_error_bars_say_how_little_is_known(long: SkinDecoder) -> None:
     edge_m = float(SITES_M[:, 0].max())
     (contact,) = settled(long, press(1.0, (edge_m - 2e-4, 0.0))).contacts

@@ -5,14 +5,11 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 from contact_scenes import Contact, disc_model, noise_std
-from scipy.optimize import lsq_linear
 
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
 from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
 from resonator_daemon.decoding.fitting.slip_fitter import SlipFitter, fit_partial_slip
-from resonator_daemon.decoding.fitting.slip_frame import Frame, Linearisation
-from resonator_daemon.decoding.fitting.slip_problem import SlipProblem
 
 
 @pytest.fixture(scope="module")
@@ -72,31 +69,6 @@ def test_following_is_as_good_as_fits_of_single_frames(
         found = fitter.fit(signals, noise, starts)
         assert list(found) == list(starts)
         assert_alike(found.values(), fit_partial_slip(discs, signals, noise, list(starts.values())))
-
-
-@pytest.mark.parametrize("held", [{}, {0: 0.002}], ids=["bounded", "held"])
-def test_a_step_to_a_bound_ends_where_bounded_least_squares_do(discs: DiscModel, held: dict[int, float]) -> None:
-    """A contact that slides as a whole, by the slopes at a margin of 0.004: the signals ask for one below 0."""
-    scene = Contact((3e-4, 5e-4), 2.2e-3, 0.0, 0.4)
-    noise = noise_std(scene.signals, 20.0)
-    beyond = Contact((3.05e-4, 4.95e-4), 2.203e-3, 0.0, 0.4).signals
-    push = Contact((3e-4, 5e-4), 2.2e-3, 0.4, 0.4, mu=0.5 / (1.0 - 0.4**3)).signals - scene.signals  # equal forces
-    frame = Frame(discs, beyond - 0.02 * push, np.full((3, 1024), noise), None)
-    begin = np.array([*scene.centre_m, scene.radius_m, *scene.force_newton, 0.004])
-    before = Linearisation(discs, begin, frame.whitening)
-    settled = SlipProblem(discs, frame, [None]).from_before(before, held)
-    assert settled is not None
-    assert settled.linearisation is before
-
-    value, slopes = discs.slip.signals(begin)
-    std = 1.0 / np.linalg.norm(slopes / noise, axis=1)
-    lower, upper = np.full(7, -np.inf), np.full(7, np.inf)
-    lower[6], upper[6] = (held.get(0, margin) - 0.004 for margin in (0.0, 1.0))
-    upper += 1e-9
-    columns = (slopes * std[:, None] / noise).T
-    expected = lsq_linear(columns, frame.target - value / noise, (lower / std, upper / std), tol=1e-12).x
-    assert abs(expected[6] * std[6] + 0.004 - held.get(0, 0.0)) < 1e-6
-    np.testing.assert_allclose((settled.parameters - begin) / std, expected, atol=0.02)
 
 
 def test_noise_that_changes_from_frame_to_frame(discs: DiscModel) -> None:

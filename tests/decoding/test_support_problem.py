@@ -194,20 +194,3 @@ def test_without_noise_the_error_of_a_load_is_that_of_its_pixels(scene):
     np.testing.assert_allclose(load.force_std_newton, np.array([3e-4, 3e-4, 2e-4]) * force)
     np.testing.assert_allclose(load.moment_std_newton_m, np.array([2e-4, 2e-4, 3e-4]) * lever_m * force)
     np.testing.assert_allclose(load.centroid_std_m, 2e-4 * np.sqrt(1.6e-7 * problem.pixels.size / np.pi))
-
-
-def test_contacts_that_share_a_blob_divide_its_load(scene):
-    problem = problem_of(scene, SignalRows(fields(scene, (36,))))
-    sums = LoadSums(problem, scene[2].ravel().astype(np.int32), scene[0], 1.6e-7)
-    x_m = scene[0][problem.pixels, 0]
-    left, right = problem.pixels[x_m < x_m.mean()], problem.pixels[x_m > x_m.mean()]
-    right_side = problem.right_side(np.random.default_rng(8).standard_normal(108).astype(np.float32))
-    (whole,) = sums.loads([problem.pixels], right_side, 1.0, (0.0, 0.0))
-    one, other = sums.loads([left, right], right_side, 1.0, (0.0, 0.0))
-    swapped = sums.loads([right, left], right_side, 1.0, (0.0, 0.0))
-    for quantity in ("force_newton", "moment_newton_m"):
-        parts = [getattr(load, quantity) for load in (one, other)]
-        expected = getattr(whole, quantity)
-        np.testing.assert_allclose(sum(parts), expected, atol=1e-3 * np.abs(expected).max())
-        np.testing.assert_array_equal([getattr(load, quantity) for load in reversed(swapped)], parts)
-    assert sums.loads([np.flatnonzero(~scene[2].ravel())], right_side, 1.0, (0.0, 0.0)) == [None]

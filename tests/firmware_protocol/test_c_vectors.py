@@ -1,37 +1,10 @@
 """The vectors that every implementation of the wire must pass, passed by the C reference."""
 
-import subprocess
-from pathlib import Path
 from typing import Any
 
 import pytest
-from c_reference import C_FOLDER, board_command, build, event_line, hexadecimal, run_commands
+from c_reference import board_command, event_line, hexadecimal, run_commands
 from vector_files import board_of, cases, check_sent, expected_events, named
-
-CHECKS_PROGRAM = """
-#include <stdio.h>
-#include <string.h>
-#include "resonator_packets.h"
-int main(int count, char **words)
-{
-    for (int i = 1; i < count; i++) {
-        const uint8_t *bytes = (const uint8_t *)words[i];
-        uint32_t size = (uint32_t)strlen(words[i]);
-        printf("%u %u\\n", resonator_crc16(0xFFFF, bytes, size), ~resonator_crc32(0xFFFFFFFF, bytes, size));
-    }
-    return 0;
-}
-"""
-
-
-def test_checks(tmp_path: Path) -> None:
-    source = tmp_path / "checks.c"
-    source.write_text(CHECKS_PROGRAM)
-    program = build(tmp_path / "checks", str(source), str(C_FOLDER / "resonator_crc.c"))
-    for case in cases("checks"):
-        text = bytes.fromhex(case["bytes"]).decode()
-        printed = subprocess.run([program, text], capture_output=True, text=True, check=True).stdout.split()
-        assert int(printed[case["check"] == "crc"]) == case["value"]
 
 
 @pytest.mark.parametrize("piece_bytes", [1, 3, 10_000])

@@ -6,7 +6,7 @@ import pytest
 from protocol_sessions import BOOT, DESCRIPTION, GATE, IDENTITY, RECORD, RECORDS, exchange, new_device, running
 
 from firmware_protocol.device import MAX_TONES_PER_PART, DeviceSession
-from firmware_protocol.host import Described, Frame, FramePart, HostSession, Located, Rebooted, Started
+from firmware_protocol.host import Described, Frame, FramePart, HostSession, Located, Started
 from firmware_protocol.layouts import TONE_STRUCT, MessageType
 from firmware_protocol.messages import (
     Configuration,
@@ -67,12 +67,6 @@ def test_lost_answers_are_asked_for_again_without_a_second_run() -> None:
     host.ask_again()
     assert exchange(host, device) == [Started(GATE)]
     assert device.started == 1
-
-
-def test_a_frame_of_another_boot_is_no_frame() -> None:
-    host, _ = running()
-    assert host.receive(new_device(boot_id=0x9999).frame(7, 1, RECORDS)) == [Rebooted(0x9999)]
-    assert (host.state, host.messages.stale) == (HostState.IDENTIFYING, 1)
 
 
 def test_a_request_of_another_version_is_no_event_of_a_board() -> None:

@@ -9,8 +9,6 @@ from pathlib import Path
 from random import Random
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from mcap.writer import Writer
 from plates import with_counter
 from recording_bench import ONE_BATCH, PLATE, at, read, record
@@ -36,7 +34,6 @@ from resonator_daemon.session.link_events import (
     StopRequested,
     TimersRun,
     WireEvent,
-    decode,
     encode,
 )
 
@@ -59,13 +56,6 @@ EVENTS: list[WireEvent] = [
 ]
 DEADLINE_S = 30.0
 
-host_times = st.builds(
-    HostTime,
-    st.integers(0, 2**62),
-    st.integers(0, 2**62),
-    st.integers(-(2**63), 2**63 - 1),
-)
-
 
 def kinds(events: list[WireEvent]) -> list[type[WireEvent]]:
     return [type(event) for event in events]
@@ -79,13 +69,6 @@ def test_every_event_comes_back_exactly(tmp_path: Path) -> None:
     assert kinds(events) == kinds(EVENTS)  # named tuples of two kinds can be equal
     assert damage is None
     assert (recorder.counts.events_missing, recorder.failure) == (0, None)
-
-
-@given(host_times, st.binary(max_size=300), st.booleans())
-def test_every_time_and_byte_comes_back(now: HostTime, data: bytes, flag: bool) -> None:
-    for event in (Received(now, data), Sent(now, data), TimersRun(now, flag), Opened(now)):
-        again = decode(encode(event), now.monotonic_ns, now.utc_ns)
-        assert (type(again), again) == (type(event), event)
 
 
 def test_what_does_not_fit_into_the_queue_is_counted_in_its_place(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Partial-slip contact: tractions against sampling and Coulomb's law, signals against sums of point loads."""
+"""Partial-slip contact: tractions against sampling and Coulomb's law."""
 
 import math
 
@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from resonator_daemon.arrays import Floats
-from simulators.contact import PressedSpot, hertz_parts, pixel_tractions
+from simulators.contact import hertz_parts, pixel_tractions
 
 RADIUS, FRICTION, CENTRE = 2.5e-3, 0.5, (0.3e-3, -0.7e-3)
-E, NU, DEPTH = 2e5, 0.5, 1e-3
 SHAPE, PITCH = (32, 32), 4e-4
 
 
@@ -69,33 +68,3 @@ def test_pixels_average_the_traction() -> None:
     expected = points.reshape(3, SHAPE[0], fine, SHAPE[1], fine).mean(axis=(2, 4))
     found = pixel_tractions(force, CENTRE, RADIUS, FRICTION, SHAPE, PITCH)
     assert np.abs(found - expected).max() < 1e-3 * np.abs(expected).max()
-
-
-@pytest.fixture(scope="module")
-def places() -> Floats:
-    return np.random.default_rng(11).uniform(-6e-3, 6e-3, (40, 2))
-
-
-@pytest.fixture(scope="module")
-def spot(places: Floats) -> PressedSpot:
-    return PressedSpot(places, DEPTH, E, NU, CENTRE, RADIUS, FRICTION, 4.0)
-
-
-@pytest.mark.parametrize("force", [[0.2, -0.3, 1.0], [-0.9, 0.3, 2.0], [0.001, -0.002, 0.05]])
-def test_signals_equal_the_summed_point_loads(spot: PressedSpot, places: Floats, force: list[float]) -> None:
-    load = np.array(force)
-    count, fine = 600, 2.2 * RADIUS * np.cbrt(force[2]) / 600
-    x, y = (line.ravel() for line in midpoints(count, fine))
-    x, y = x + CENTRE[0], y + CENTRE[1]
-    forces = sampled_traction(load, x, y) * fine**2
-    forces *= (load / forces.sum(axis=1))[:, np.newaxis]
-    expected = np.empty((3, len(places)))
-    for k, (place_x, place_y) in enumerate(places):
-        d_x, d_y = place_x - x, place_y - y
-        rho2 = d_x**2 + d_y**2 + DEPTH**2
-        along = d_x * forces[0] + d_y * forces[1] + DEPTH * forces[2]
-        stress = -3 * DEPTH * along / (2 * math.pi * rho2**2.5)
-        p_n = -(1 + NU) / (3 * math.pi) * (along / rho2**1.5).sum()
-        expected[:, k] = p_n, (1 + NU) / E * (stress * d_x).sum(), (1 + NU) / E * (stress * d_y).sum()
-    error = np.abs(spot.signals(load) - expected).max(axis=1) / np.abs(expected).max(axis=1)
-    assert error.max() < 1e-4

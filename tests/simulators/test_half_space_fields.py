@@ -1,4 +1,4 @@
-"""Hertz fields against Johnson's point loads summed over the disc, closed forms and field equations."""
+"""Hertz fields against Johnson's point loads summed over the disc."""
 
 import math
 from collections.abc import Callable
@@ -9,8 +9,7 @@ import pytest
 from resonator_daemon.arrays import Floats
 from simulators.half_space_fields import hertz_fields
 
-E, NU = 2e5, 0.3
-MODULUS_OF_SHEAR = E / (2 * (1 + NU))
+E = 2e5
 
 XX, YY, ZZ, XY, XZ, YZ = range(6)
 
@@ -100,25 +99,3 @@ def test_fields_equal_the_summed_point_loads(z: float, a: float, nu: float) -> N
         expected = as_signals(stress, nu)
         error = np.abs(found[force] - expected).max(axis=1) / np.abs(expected).max(axis=1)
         assert error.max() < 1e-9
-
-
-@pytest.mark.parametrize("z_over_a", [0.02, 0.3, 1.0, 5.0])
-def test_axis_of_a_hertz_pressure(z_over_a: float) -> None:
-    a = 2e-3
-    p0 = 3 / (2 * math.pi * a**2)
-    over = 0.5 / (1 + z_over_a**2)
-    lateral = -(1 + NU) * (1 - z_over_a * math.atan(1 / z_over_a)) + over
-    p_n, eps_xz, eps_yz = hertz_fields([[0.0, 0.0]], z_over_a * a, [a], E, NU)[0, 2, :, 0]
-    assert p_n == pytest.approx(p0 * (2 * lateral - 2 * over) / 3, rel=1e-10)
-    assert eps_xz == 0
-    assert eps_yz == 0
-
-
-@pytest.mark.parametrize("z_over_a", [0.05, 0.7, 4.0])
-def test_axis_of_a_hertz_shear_traction(z_over_a: float) -> None:
-    a, ratio = 2e-3, z_over_a
-    tau = 3 / (2 * math.pi * a**2) * (-1 + 1.5 * ratio * math.atan(1 / ratio) - ratio**2 / (2 * (1 + ratio**2)))
-    p_n, eps_xz, eps_yz = hertz_fields([[0.0, 0.0]], ratio * a, [a], E, NU)[0, 0, :, 0]
-    assert eps_xz == pytest.approx(tau / (2 * MODULUS_OF_SHEAR), rel=1e-9)
-    assert p_n == 0
-    assert eps_yz == 0

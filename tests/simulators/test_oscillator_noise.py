@@ -1,7 +1,5 @@
 """Oscillator noise as allantools and closed forms judge it."""
 
-import math
-
 import allantools
 import numpy as np
 import pytest
@@ -38,30 +36,3 @@ def test_allan_deviations_have_their_slope_and_level(
     deviation = overlapping_allan_deviation(shift, dt_s, spans)
     assert deviation == pytest.approx(S * tau_s**slope, rel=0.05)
     assert np.polyfit(np.log(tau_s), np.log(deviation), 1)[0] == pytest.approx(slope, abs=0.02)
-
-
-def test_a_regression_over_gates_sees_white_fm_as_in_a_finely_made_phase() -> None:
-    """Against a random walk of the phase in 500 steps a gate, over one gate and over ten that are merged."""
-    dt_s, gates, steps, runs = 1e-3, 10, 500, 2_000
-    random = np.random.default_rng(5)
-    increments = S * math.sqrt(dt_s / steps) * random.standard_normal((runs, gates * steps))
-    phase_s = np.cumsum(increments, axis=1).astype(np.float64)
-    t_s = (np.arange(gates * steps) + 1) * dt_s / steps
-    one, ten = t_s[:steps] - t_s[:steps].mean(), t_s - t_s.mean()
-    made_one, made_ten = phase_s[:, :steps] @ one / (one @ one), phase_s @ ten / (ten @ ten)
-
-    noise = oscillators(4_000, S, 0.0, 0.0, seed=6).advance(dt_s, gates)
-    slope = noise.relative_shift + noise.regression_excess
-    ends_s = np.cumsum(noise.relative_shift, axis=0) * dt_s
-    mean_s = ends_s - noise.relative_shift * dt_s / 2 + noise.phase_mean_s
-    middle_s = (np.arange(gates)[:, np.newaxis] - (gates - 1) / 2) * dt_s
-    # Sums of products about the middle of ten gates: between the gates' means, and within each gate.
-    ours = (middle_s * mean_s + slope * dt_s**2 / 12).sum(axis=0) / (gates * (gates * dt_s) ** 2 / 12)
-
-    assert slope.std() == pytest.approx(made_one.std(), rel=0.04)
-    assert ours.std() == pytest.approx(made_ten.std(), rel=0.04)
-    # Rubiola, Lenczner, Bourgeois, Vernotte, "The Omega Counter" (2016): 1.2 times the variance between the ends.
-    assert slope.var() == pytest.approx(1.2 * S**2 / dt_s, rel=0.03)
-    assert ours.var() == pytest.approx(1.2 * S**2 / (gates * dt_s), rel=0.05)
-    bridges_s = phase_s[:, :steps] - phase_s[:, steps - 1 : steps] * t_s[:steps] / dt_s
-    assert noise.phase_mean_s.std() == pytest.approx(bridges_s.mean(axis=1).std(), rel=0.04)
