@@ -29,6 +29,12 @@ class ReasonCode(Word):
     DECODER_HUNG = "decoder_hung", "the decoder process did not answer and was ended; it is restarted"
     UNDECODABLE = "undecodable", "no decoder can be set up for these sites and options"
 
+    # Daemons.
+    NAME_CONFLICT = "name_conflict", "another process publishes under the same name"
+    BAD_CONFIGURATION = "bad_configuration", "the configuration file cannot be used; an earlier configuration is in use"
+    RESTART_NEEDED = "restart_needed", "the configuration file has changes that take effect at the next start"
+    REPLAYING = "replaying", "a recording is replayed to the broker"
+
     # Links and boards.
     OPENING = "opening", "the link is being opened for the first time"
     NO_SUCH_PORT = "no_such_port", "the port or device is not there"

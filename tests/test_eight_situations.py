@@ -51,7 +51,7 @@ def since_s(state: dict[str, Any]) -> float:
 
 
 def states(daemon: str, link: str | None, sensor: str | None, *, boots: int = 1) -> dict[str, Any]:
-    said = {"daemon": {"state": daemon, "reason": "", "connections": 1}}
+    said = {"daemon": {"state": daemon, "reason_code": "connection_lost", "connections": 1}}
     if link is not None:
         said["link"] = {"state": link, "boot_count": boots}
     if sensor is not None:

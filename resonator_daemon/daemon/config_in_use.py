@@ -9,6 +9,7 @@ from resonator_daemon.daemon.config_store import ConfigStore, Loaded
 from resonator_daemon.daemon.recording_commands import as_json_text
 from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.monitoring.status import ConfigStatus
+from resonator_daemon.reasons import Reason, ReasonCode
 
 log = logging.getLogger(__name__)
 
@@ -45,20 +46,23 @@ class ConfigInUse:
         return self._loaded.sha256
 
     @property
-    def remark(self) -> str | None:
+    def remark(self) -> Reason | None:
         """What is wrong with the file or waits for a restart; None if the file is in use as it is."""
         if self._problems:
             last_good = self._loaded.in_use == "last_good"
             on = "on the last good configuration" if last_good else "its changed configuration cannot be used"
             more = f", and {len(self._problems) - 1} more" if len(self._problems) > 1 else ""
-            return f"{on}: {self._problems[0]}{more}"
-        return f"restart for changed {', '.join(self._waiting)}" if self._waiting else None
+            return Reason(ReasonCode.BAD_CONFIGURATION, f"{on}: {self._problems[0]}{more}")
+        if self._waiting:
+            return Reason(ReasonCode.RESTART_NEEDED, f"restart for changed {', '.join(self._waiting)}")
+        return None
 
     @property
     def status(self) -> ConfigStatus:
         return ConfigStatus(
             file=as_json_text(self._store.path),
             in_use=self._loaded.in_use,
+            reason_code=self.remark.code if self.remark is not None else None,
             problems=self._problems,
             loaded_t_ns=self._loaded.utc_ns,
             needs_restart=self._waiting,

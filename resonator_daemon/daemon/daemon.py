@@ -38,6 +38,7 @@ from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import Condition, Health, Message, MessageAccount, State
 from resonator_daemon.publishing.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.recording.event_replay import replay_of
 from resonator_daemon.recording.switch import RecordingSwitch
 from resonator_daemon.sensors.base import Sensor
@@ -275,7 +276,7 @@ class Service:
         if self._ready:
             self._manager.ready(self._sentence())
 
-    def _make_offline(self, reason: str) -> State:
+    def _make_offline(self, reason: Reason) -> State:
         now_ns = time.time_ns()
         snapshot = self._daemon.snapshot._replace(condition=Condition.OFFLINE, reason=reason, since_utc_ns=now_ns)
         return self._pipeline.states.daemon_state(snapshot, now_ns)
@@ -325,7 +326,7 @@ class Service:
         error = IncompatibleBoardError if refused.other_protocol else ConfigurationError
         self._fatal = error(*(problem.text for problem in refused.problems))
         self._end()
-        self._daemon.become(Condition.REFUSED, all_of(refused.problems).text, time.time_ns())
+        self._daemon.become(Condition.REFUSED, all_of(refused.problems), time.time_ns())
 
     def _make_decoder(self, settings: "SurfaceSettings", client: "SurfaceClient[Any]") -> "DecoderSupervisor[Any]":
         from resonator_daemon.decoder_process.supervisor import DecoderSupervisor  # here: only a skin needs it
@@ -341,8 +342,8 @@ class Service:
         self._publish(STATE_DAEMON, self._pipeline.states.daemon_state(snapshot, time.time_ns()))
 
     def _publish_measuring(self) -> None:
-        reason = "; ".join(filter(None, ("measuring", self._in_use.remark)))
-        self._daemon.become(Condition.ONLINE, reason, self._started_utc_ns)
+        reasons = (self._in_use.remark, Reason(ReasonCode.MEASURING, "measuring"))
+        self._daemon.become(Condition.ONLINE, all_of(filter(None, reasons)), self._started_utc_ns)
 
     def _helpers(self) -> dict[str, Coroutine[Any, Any, None]]:
         """Return what runs concurrently with the reading of the board, by name, until cancelled."""
@@ -378,7 +379,8 @@ class Service:
         if link is not None and link.state == Condition.ONLINE and health is not None:
             lost = sum(health.lost.model_dump(exclude={"skipped_late"}).values())
             state = f"{health.frame_rate_hz:.0f} frames/s, {lost} lost"
-        return "; ".join(filter(None, (f"{self._name or self._instance}: {state}", self._in_use.remark)))
+        remark = self._in_use.remark
+        return f"{self._name or self._instance}: {state}" + (f"; {remark.text}" if remark is not None else "")
 
     def _status(self) -> Status:
         """Return how all of this is, for programs on the same computer."""

@@ -27,10 +27,11 @@ from resonator_daemon.publishing.topics import (
     Topic,
     full_topic,
 )
+from resonator_daemon.reasons import Reason, ReasonCode
 
 _OF_DECODERS: Final = (CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY)  # where decoding is apart
 
-MakeOffline = Callable[[str], State]
+MakeOffline = Callable[[Reason], State]
 
 
 class PlatePublisher:
@@ -158,7 +159,7 @@ class PlatePublisher:
         if self._commands is not None:
             await self._commands.close()
         if self._publisher is not None:
-            farewell = (self._base, STATE_DAEMON, self._make_offline("stopped"))
+            farewell = (self._base, STATE_DAEMON, self._make_offline(Reason(ReasonCode.STOPPED, "stopped")))
             await self._publisher.close(farewell, wait_for_broker=wait_for_broker)
 
     def _never_retained(self) -> Collection[str]:
@@ -174,5 +175,6 @@ class PlatePublisher:
             self._publisher.answer(answer)
 
     def _make_will(self) -> Outgoing:
-        will = self._make_offline("connection lost").model_copy(update={"since_t_ns": None})
+        lost = Reason(ReasonCode.CONNECTION_LOST, "connection lost")
+        will = self._make_offline(lost).model_copy(update={"since_t_ns": None})
         return Outgoing(f"{self._base}/{STATE_DAEMON.path}", encode(will), retained=STATE_DAEMON.retained)

@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 from resonator_daemon.publishing.headers import BoardFields
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition, State
+from resonator_daemon.reasons import Reason, ReasonCode
 
 _BOOT_ID_LENGTH_MAX: Final = 64
 _DIGITS_MAX: Final = 19  # of a time in ns
@@ -23,7 +24,7 @@ class DaemonSnapshot(NamedTuple):
     """Fields of `state/daemon` apart from its header."""
 
     condition: Condition
-    reason: str
+    reason: Reason
     since_utc_ns: int
     connections: int
     connected_utc_ns: int | None
@@ -33,7 +34,8 @@ class DaemonSnapshot(NamedTuple):
         return State(
             **header,
             state=self.condition,
-            reason=self.reason,
+            reason_code=self.reason.code,
+            reason=self.reason.text,
             since_t_ns=self.since_utc_ns,
             connections=self.connections,
             connected_t_ns=self.connected_utc_ns,
@@ -66,7 +68,7 @@ class DaemonState:
         self._announce = announce
         self._republish = republish
         self._condition = Condition.STARTING
-        self._reason = ""
+        self._reason = Reason(ReasonCode.STARTED, "started")
         self._since_utc_ns = time.time_ns()
         self._connections = 0
         self._connected_utc_ns: int | None = None
@@ -96,12 +98,12 @@ class DaemonState:
     def snapshot(self) -> DaemonSnapshot:
         reason = self._reason
         if self._others:
-            reason += (
-                f"; another daemon (boot id {', '.join(sorted(self._others))}) publishes under this name: {_REMEDY}"
-            )
+            boot_ids = ", ".join(sorted(self._others))
+            text = f"another daemon (boot id {boot_ids}) publishes under this name: {_REMEDY}; {reason.text}"
+            reason = Reason(ReasonCode.NAME_CONFLICT, text)
         return DaemonSnapshot(self._condition, reason, self._since_utc_ns, self._connections, self._connected_utc_ns)
 
-    def become(self, condition: Condition, reason: str, since_utc_ns: int) -> None:
+    def become(self, condition: Condition, reason: Reason, since_utc_ns: int) -> None:
         self._condition, self._reason, self._since_utc_ns = condition, reason, since_utc_ns
         self._announce(self.snapshot)
 

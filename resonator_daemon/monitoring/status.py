@@ -5,6 +5,7 @@ from typing import Literal
 from pydantic import Field
 
 from resonator_daemon.publishing.payloads import Health, Int64, Message, RecordingInfo, State
+from resonator_daemon.reasons import ReasonCode
 
 
 class ConfigStatus(Message):
@@ -14,6 +15,9 @@ class ConfigStatus(Message):
     in_use: Literal["file", "last_good"] = Field(
         description="`file`: its content when it was last read without problems; `last_good`: a copy kept from an "
         "earlier run, because the file had problems at the start"
+    )
+    reason_code: ReasonCode | None = Field(
+        None, description="why the file is not in use as it is: `bad_configuration`, `restart_needed`; null if it is"
     )
     problems: tuple[str, ...] = Field(
         (),

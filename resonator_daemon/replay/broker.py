@@ -20,6 +20,7 @@ from resonator_daemon.publishing.publisher import Publisher, Subscription
 from resonator_daemon.publishing.requests import BrokerUnreachableError, reach
 from resonator_daemon.publishing.subscriber import subscribe
 from resonator_daemon.publishing.topics import STATE_DAEMON, TOPICS, full_topic
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.replay.recorded_pipeline import Published
 
 LOOK_S: Final = 1.0  # for what the broker has retained
@@ -91,7 +92,7 @@ class AtBroker:
             on_connected=self._state.connected,
         )
         self._running = asyncio.create_task(self._publisher.run())
-        self._state.become(Condition.ONLINE, self._what, time.time_ns())
+        self._state.become(Condition.ONLINE, Reason(ReasonCode.REPLAYING, self._what), time.time_ns())
         try:
             async with asyncio.timeout(CONNECT_S):
                 await self._connected()
@@ -108,7 +109,7 @@ class AtBroker:
         self._state.end()
         if error is None:
             await self._room(0)
-        offline = self._daemon_state(self._snapshot(Condition.OFFLINE, f"{self._what}: over"))
+        offline = self._daemon_state(self._offline(Reason(ReasonCode.RECORDING_OVER, f"{self._what}: over")))
         await self._publisher.close((self._base, STATE_DAEMON, offline))
         await self._running
 
@@ -147,13 +148,13 @@ class AtBroker:
     def _publish_state(self, snapshot: DaemonSnapshot) -> None:
         self._publisher.publish(self._base, STATE_DAEMON, self._daemon_state(snapshot))
 
-    def _snapshot(self, condition: Condition, reason: str) -> DaemonSnapshot:
-        return self._state.snapshot._replace(condition=condition, reason=reason, since_utc_ns=time.time_ns())
+    def _offline(self, reason: Reason) -> DaemonSnapshot:
+        return self._state.snapshot._replace(condition=Condition.OFFLINE, reason=reason, since_utc_ns=time.time_ns())
 
     def _daemon_state(self, snapshot: DaemonSnapshot) -> State:
         return snapshot.message(self._headers.of(STATE_DAEMON, time.time_ns()))
 
     def _make_will(self) -> Outgoing:
-        will = self._daemon_state(self._snapshot(Condition.OFFLINE, "connection lost"))
+        will = self._daemon_state(self._offline(Reason(ReasonCode.CONNECTION_LOST, "connection lost")))
         will = will.model_copy(update={"since_t_ns": None})
         return Outgoing(f"{self._base}/{STATE_DAEMON.path}", encode(will), retained=STATE_DAEMON.retained)

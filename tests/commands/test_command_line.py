@@ -179,7 +179,7 @@ async def test_run_starts_with_nothing_there_and_stops_on_sigterm(config_path: P
         link = await heard.until_last("resonator/left-index/state/link", state="waiting")
         await heard.until_last("resonator/left-index/state/daemon", state="online")
         daemon.send_signal(signal.SIGTERM)
-        await heard.until_last("resonator/left-index/state/daemon", state="offline", reason="stopped")
+        await heard.until_last("resonator/left-index/state/daemon", state="offline", reason_code="stopped")
     _, stderr = daemon.communicate(timeout=30)
     assert daemon.returncode == 0
     assert "Traceback" not in stderr

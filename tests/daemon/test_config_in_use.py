@@ -6,6 +6,7 @@ import pytest
 
 from resonator_daemon.daemon.config_in_use import ConfigInUse
 from resonator_daemon.daemon.config_store import ConfigStore
+from resonator_daemon.reasons import Reason, ReasonCode
 
 GOOD = 'name = "left"\nplate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
 
@@ -24,13 +25,15 @@ def in_use(path: Path) -> ConfigInUse:
 async def test_what_can_change_live_is_taken_and_the_rest_is_named_until_a_restart(path: Path) -> None:
     present = in_use(path)
     assert (present.remark, present.status.in_use, present.status.needs_restart) == (None, "file", ())
+    assert present.status.reason_code is None
     first = present.sha256
     path.write_text(GOOD.replace("5000", "5001") + "[measurement]\nwindow_ms = 20\n")
     found = await present.reload()
     assert found is not None
     assert (found.live, found.restart) == (("measurement.window_ms",), ("link",))
     assert (present.config.measurement.window_ms, str(present.config.link)) == (20.0, "tcp://127.0.0.1:5000")
-    assert present.remark == "restart for changed link"
+    assert present.remark == Reason(ReasonCode.RESTART_NEEDED, "restart for changed link")
+    assert present.status.reason_code == "restart_needed"
     assert present.status.needs_restart == ("link",)
     assert present.sha256 != first
     path.write_text(GOOD)  # as it was at the start
@@ -46,9 +49,9 @@ async def test_a_bad_file_changes_nothing_and_all_that_is_wrong_with_it_is_told(
     assert present.config is before
     assert len(present.status.problems) == 2
     assert present.remark is not None
-    assert present.remark.startswith(f"its changed configuration cannot be used: {path}:6: measurement.span_ms")
-    assert present.remark is not None
-    assert present.remark.endswith(", and 1 more")
+    assert present.remark.code == present.status.reason_code == "bad_configuration"
+    assert present.remark.text.startswith(f"its changed configuration cannot be used: {path}:6: measurement.span_ms")
+    assert present.remark.text.endswith(", and 1 more")
     path.write_text(GOOD)
     await present.reload()
     assert (present.remark, present.status.problems) == (None, ())
@@ -60,11 +63,11 @@ async def test_a_daemon_that_began_on_the_last_good_one_says_so_until_the_file_i
     present = in_use(path)
     assert present.status.in_use == "last_good"
     assert present.remark is not None
-    assert present.remark.startswith(f"on the last good configuration: {path}:4: wrong: unknown key")
+    assert present.remark.text.startswith(f"on the last good configuration: {path}:4: wrong: unknown key")
     path.write_text(GOOD + "worse = 1\n")
     await present.reload()
     assert present.remark is not None
-    assert present.remark.startswith(f"on the last good configuration: {path}:4: worse: unknown key")
+    assert present.remark.text.startswith(f"on the last good configuration: {path}:4: worse: unknown key")
     path.write_text(GOOD + "[measurement]\nstep_ms = 2\n")
     await present.reload()
     assert (present.remark, present.status.in_use, present.config.measurement.step_ms) == (None, "file", 2.0)

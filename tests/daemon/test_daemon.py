@@ -79,7 +79,7 @@ async def test_states_for_one_who_comes_late_and_a_farewell(bench: Bench, mosqui
         assert "site forces only" in sensor["reason"]
         assert daemon["daemon_boot_id"] == link["daemon_boot_id"]
         async with observe(mosquitto.url) as after:
-            await after.until_last("resonator/hand/state/daemon", state="offline", reason="stopped")
+            await after.until_last("resonator/hand/state/daemon", state="offline", reason_code="stopped")
 
 
 async def test_a_pulled_cable_is_survived_and_said(bench: Bench, mosquitto: Mosquitto) -> None:

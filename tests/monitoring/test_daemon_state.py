@@ -8,6 +8,9 @@ import pytest
 from resonator_daemon.monitoring.daemon_state import DaemonSnapshot, DaemonState
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition
+from resonator_daemon.reasons import Reason, ReasonCode
+
+MEASURING = Reason(ReasonCode.MEASURING, "measuring")
 
 
 def incoming(boot_id: object, state: object, *, retained: bool = False, connected: object = None) -> Incoming:
@@ -29,7 +32,7 @@ def restored() -> list[None]:
 @pytest.fixture
 def state(said: list[DaemonSnapshot], restored: list[None]) -> DaemonState:
     state = DaemonState("aa", said.append, lambda: restored.append(None))
-    state.become(Condition.ONLINE, "measuring", 5)
+    state.become(Condition.ONLINE, MEASURING, 5)
     state.connected(1)
     said.clear()
     return state
@@ -39,7 +42,7 @@ def test_each_connection_is_numbered_and_dated(state: DaemonState, said: list[Da
     first = state.snapshot
     state.connected(2)
     (again,) = said
-    assert (again.condition, again.reason, again.since_utc_ns) == (Condition.ONLINE, "measuring", 5)
+    assert (again.condition, again.reason, again.since_utc_ns) == (Condition.ONLINE, MEASURING, 5)
     assert (first.connections, again.connections) == (1, 2)
     assert first.connected_utc_ns is not None
     assert again.connected_utc_ns is not None
@@ -64,7 +67,7 @@ def test_strangers_who_claim_to_be_thousands_are_not_listed(
     for number in range(3000):
         state.receive(incoming(f"b{number}", "online"))
     assert len(said) == len(caplog.records) == 4
-    assert len(state.snapshot.reason) < 400
+    assert len(state.snapshot.reason.text) < 400
 
 
 def test_another_daemon_is_told_of_once(
@@ -74,7 +77,8 @@ def test_another_daemon_is_told_of_once(
     state.receive(incoming("bb", "online"))
     (conflict,) = said
     assert conflict.condition is Condition.ONLINE
-    assert conflict.reason.startswith("measuring; another daemon (boot id bb) publishes under this name")
+    assert conflict.reason.code is ReasonCode.NAME_CONFLICT
+    assert "boot id bb" in conflict.reason.text
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
     assert "boot id bb" in caplog.text
 
@@ -106,9 +110,9 @@ def test_the_conflict_is_over_when_the_other_has_gone(
     state.receive(incoming("bb", "online"))
     state.receive(incoming("cc", "online"))
     state.receive(incoming("bb", "offline"))
-    assert "boot id cc)" in said[-1].reason
+    assert "boot id cc)" in said[-1].reason.text
     state.receive(incoming("cc", "offline"))
-    assert said[-1].reason == "measuring"
+    assert said[-1].reason == MEASURING
     assert len(said) == 4
     assert len(restored) == 2  # the other had written over everything
 
@@ -121,7 +125,7 @@ def test_retained_states_and_earlier_connections_are_no_conflict(
     assert said == []
     state.receive(incoming("bb", "online"))
     state.connected(2)
-    assert said[-1].reason == "measuring"
+    assert said[-1].reason == MEASURING
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ def situation(states):
     if "daemon" not in states:
         return "never started"
     if states["daemon"]["state"] == "offline":
-        return "clean stop" if states["daemon"]["reason"] == "stopped" else "crash"
+        return "clean stop" if states["daemon"]["reason_code"] == "stopped" else "crash"
     words = {part: states[part]["state"] if part in states else "unknown" for part in ("daemon", "link", "sensor")}
     match tuple(words.values()):
         case "online", "lost" | "waiting", _:
