@@ -36,7 +36,7 @@ WAIT_MAX_NS: Final = 30_000_000  # of a frame while newer ones are there: a rebu
 SOUND_S: Final = 60.0  # of running, after which the back-off starts from the beginning
 _EXIT_S: Final = 1.0  # of a process that has closed its socket
 
-Skipped = Literal["newer_frame", "too_old", "measured_late", "no_noise", "decoder_ended", "undecodable"]
+Skipped = Literal["newer_frame", "too_old", "measured_late", "no_noise", "not_ready", "decoder_ended", "undecodable"]
 Ending = Literal["crashed", "hung"]
 _ENDINGS: Final[dict[Ending, ReasonCode]] = {
     "crashed": ReasonCode.DECODER_CRASHED,
@@ -54,7 +54,7 @@ class DecoderSupervisor(Generic[Origin]):
     """Decoding by a child process; to be used from the event loop's thread only.
 
     At most one frame is with the process; the next ones wait in order. A frame that has waited for more than 30 ms is
-    skipped if there is a newer one.
+    skipped if there is a newer one. Until the process is ready this is no loss by overload, and has another cause.
     At any instant, frames measured without fault = `decoded` + sum of `skipped` + `waiting`.
 
     Parameters
@@ -85,7 +85,10 @@ class DecoderSupervisor(Generic[Origin]):
         self._usage: ProcessUsage | None = None
         self._is_idle = False
         self._present: Origin | None = None  # of the frame that the process has, until its map is there
+        self._present_offered_ns = 0
         self._last: Origin | None = None  # of the frame that the process got last
+        self._ready_ns: int | None = None  # since when the process decodes
+        self._until_ready: Skipped = "not_ready"  # cause of frames that were offered before
         self._waiting: deque[tuple[Origin, Work]] = deque()
         self._interruption: Reason | None = None
         self._undecodable = False
@@ -229,13 +232,19 @@ class DecoderSupervisor(Generic[Origin]):
             self.skipped["undecodable" if self._undecodable else "decoder_ended"] += 1
         self._connection = self._ending = self._present = self._usage = self._interruption = None
         self._is_idle = False
+        self._ready_ns, self._until_ready = None, "decoder_ended"
 
     def _skip_old(self) -> None:
         """Skip frames that have waited for too long, but for the newest."""
         oldest_ns = time.monotonic_ns() - WAIT_MAX_NS
         while len(self._waiting) > 1 and self._waiting[0][1].offered_ns < oldest_ns:
-            self._waiting.popleft()
-            self.skipped["newer_frame"] += 1
+            _, work = self._waiting.popleft()
+            self._skip(work.offered_ns, "newer_frame")
+
+    def _skip(self, offered_ns: int, cause: Skipped) -> None:
+        """Count a frame that the process was too slow for, unless it came before the process was ready."""
+        in_time = self._ready_ns is not None and offered_ns > self._ready_ns
+        self.skipped[cause if in_time else self._until_ready] += 1
 
     def _send_next(self) -> None:
         if self._connection is None or not self._is_idle:
@@ -248,6 +257,7 @@ class DecoderSupervisor(Generic[Origin]):
             self._skip_old()
             origin, work = self._waiting.popleft()
             self._present = self._last = origin
+            self._present_offered_ns = work.offered_ns
             work.frame.header["lost"] = self._client.lost(origin)  # with the frames skipped since it was offered
             self._connection.send(work)
         else:
@@ -262,11 +272,14 @@ class DecoderSupervisor(Generic[Origin]):
             case SetUpStep(step=""):
                 log.info("decoder of %s is ready", self._name)
                 self._client.announce(None)
+                self._ready_ns = time.monotonic_ns()
                 self._expect_reply(HUNG_S)
             case SetUpStep(step=step):
                 log.info("decoder is being set up: %s", step)
                 starting = Reason(ReasonCode.DECODER_STARTING, f"decoder is being set up: {step}")
                 self._client.announce(starting)
+                if self._ready_ns is not None:  # set up anew while it runs
+                    self._ready_ns, self._until_ready = None, "not_ready"
                 self._expect_reply(SET_UP_MAX_S)
             case Undecodable(reason=reason):
                 log.error("nothing is decoded: %s", reason)
@@ -292,8 +305,10 @@ class DecoderSupervisor(Generic[Origin]):
             self._client.deliver(origin, topic, Encoded(message.payload, message.t_ns))
         if results.outcome is None:
             return
-        if results.outcome in ("too_old", "no_noise"):
-            self.skipped[results.outcome] += 1
+        if results.outcome == "no_noise":
+            self.skipped["no_noise"] += 1
+        elif results.outcome == "too_old":
+            self._skip(self._present_offered_ns, "too_old")
         self._present = None
         self._is_idle = True
         if self._deadline is not None:

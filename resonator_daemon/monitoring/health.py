@@ -6,7 +6,7 @@ import resource
 import time
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import psutil
 
@@ -19,6 +19,8 @@ from resonator_daemon.publishing.payloads import (
     RecordingInfo,
 )
 from resonator_daemon.session.counters import LinkCounters
+
+_NOT_READY: Final = "not_ready"  # frames that came while the decoder was being set up: nothing is lost by them
 
 
 class Held(NamedTuple):
@@ -92,7 +94,7 @@ class HealthMonitor:
             frames=link.frames,
             frame_rate_hz=rate_hz,
             parts_lost=link.parts_lost,
-            frames_not_decoded=sum(decoder.skipped.values()) if decoder is not None else 0,
+            frames_not_decoded=_not_decoded(decoder.skipped) if decoder is not None else 0,
             records_unusable=records_unusable,
             packets_ignored={
                 "stale": link.messages_stale,
@@ -133,3 +135,7 @@ class HealthMonitor:
             commands=commands,
             messages=messages,
         )
+
+
+def _not_decoded(skipped: Mapping[str, int]) -> int:
+    return sum(count for cause, count in skipped.items() if cause != _NOT_READY)

@@ -159,7 +159,8 @@ class DecoderProcessInfo(Message):
     skipped: dict[str, int] = Field(
         description="frames that were not, by cause: `newer_frame` (a newer one came first), `too_old` (more than 0.1 s"
         " when its turn came), `measured_late` (the daemon was behind), `no_noise` (the noise of a channel is not known"
-        " yet), `decoder_ended`, `undecodable`"
+        " yet), `not_ready` (the decoder was being set up, as after each start), `decoder_ended` (until the next one is"
+        " ready), `undecodable`"
     )
     waiting: int = Field(description="frames that are being decoded, or are next")
     cpu_percent: Float = Field(description=_CPU)
@@ -191,7 +192,9 @@ class Health(BoardHeader):
     frames: int = Field(description="frames that arrived since then")
     frame_rate_hz: Float = Field(description="since the last `health`")
     parts_lost: int = Field(description="parts of large frames that were damaged or missing; their tones are not known")
-    frames_not_decoded: int = Field(description="skipped by the decoder; `decoder` has them by cause")
+    frames_not_decoded: int = Field(
+        description="skipped by the decoder; `decoder` has them by cause, and those that came before it was ready"
+    )
     records_unusable: dict[str, int] = Field(description="readings that gave no frequency, by cause")
     packets_ignored: dict[str, int] = Field(
         description="undamaged packets that led to nothing, by cause: from before a reset, malformed, of unknown type, "
@@ -241,7 +244,7 @@ class DecoderPlateHealth(Message):
 
     received: int = Field(description="messages of `signals` since the decoder started")
     decoded: int = Field(description="published as `decoded` and `decoded/summary`")
-    skipped: int = Field(description="a newer frame was there first")
+    skipped: int = Field(description="a newer frame was there first, or the decoder was not ready")
     unusable: int = Field(description="not a message, another shape than in `info`, or the noise is not known yet")
     waiting: int = Field(description="being decoded, or next")
     missed: int = Field(description="gaps in `seq`; with a group: frames that others got, too")

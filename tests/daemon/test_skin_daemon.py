@@ -36,6 +36,10 @@ def array_of(value: Any) -> np.ndarray:
     return np.frombuffer(elements.value, "<f4").reshape(shape)
 
 
+def is_firm(contacts: dict[str, Any]) -> bool:
+    return any(contact["force_newton"][2] > 0.7 for contact in contacts["contacts"])
+
+
 async def test_a_pressed_skin_becomes_traction(tmp_path: Path, broker: Mosquitto | Amqtt) -> None:
     bench = Bench(tmp_path, broker.url)
     async with (
@@ -44,6 +48,7 @@ async def test_a_pressed_skin_becomes_traction(tmp_path: Path, broker: Mosquitto
         bench.running(bench.service("skin32", emulator.link.address)) as service,
     ):
         await heard.until(lambda: len([1 for summary in summaries(heard) if summary["patches"]]) >= 20)
+        await heard.until(lambda: any(is_firm(contacts) for contacts in heard.payloads("resonator/hand/contacts")))
         sensor = await heard.until_last("resonator/hand/state/sensor", state="online")
         assert service.link_counters.lost.total == 0
     assert sensor["reason"] == "all sites are read"

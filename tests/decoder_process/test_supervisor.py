@@ -40,14 +40,17 @@ async def test_frames_wait_in_order_and_of_those_that_wait_too_long_the_newest_i
     monkeypatch.setattr(supervisor, "WAIT_MAX_NS", 0)
     client = Client()
     async with client.running():
+        for _ in range(5):
+            client.offer(NOTHING)
         await client.read(NOTHING)
-        skipped = client.supervisor.skipped["newer_frame"]
+        assert client.supervisor.skipped["not_ready"] >= 5
+        assert client.supervisor.skipped["newer_frame"] == 0
         for _ in range(30):
             client.offer(NOTHING)
         assert client.supervisor.waiting == 2
         assert client.is_exact
         await until(lambda: client.supervisor.waiting == 0)
-        assert client.supervisor.skipped["newer_frame"] == skipped + 28
+        assert client.supervisor.skipped["newer_frame"] == 28
         monkeypatch.setattr(supervisor, "WAIT_MAX_NS", 10**12)
         first = client.offered
         for _ in range(3):
@@ -126,7 +129,8 @@ async def test_a_process_that_stops_is_killed_and_restarted(monkeypatch: pytest.
         monkeypatch.undo()
         await client.touch()
         assert client.supervisor.restarts == {"hung": 1}
-        assert client.supervisor.skipped["decoder_ended"] == 1
+        assert client.supervisor.skipped["decoder_ended"] >= 3
+        assert client.supervisor.skipped["newer_frame"] == 0
     assert [event.reason for event in client.events] == [None, "the decoder hung", None]
 
 
@@ -141,7 +145,7 @@ async def test_sites_that_cannot_be_decoded_are_announced_and_not_tried_again() 
         client.offer(NOTHING)
         assert client.is_exact
         assert client.supervisor.restarts == {}
-        assert client.supervisor.skipped == {"newer_frame": 1, "undecodable": 2}
+        assert client.supervisor.skipped == {"not_ready": 1, "undecodable": 2}
     assert client.announced[-1] is not None
     assert client.announced[-1].code == "undecodable"
 

@@ -80,6 +80,24 @@ async def test_rates_are_those_since_the_last_call(machine: Machine) -> None:
     assert {each.rss_mb for each in made} == {92.0}
 
 
+async def test_frames_before_the_decoder_is_ready_are_not_lost() -> None:
+    info = status_samples.health().decoder
+    assert info is not None
+    info = info.model_copy(update={"skipped": {"not_ready": 178, "newer_frame": 4, "decoder_ended": 2}})
+    made = HealthMonitor().report(
+        HEADER,  # type: ignore[arg-type]
+        LinkCounters(),
+        MESSAGES,
+        1.5,
+        {},
+        LATENCY,
+        RECORDING,
+        COMMANDS,
+        decoder=info,
+    )
+    assert (made.frames_not_decoded, made.decoder) == (6, info)
+
+
 async def test_what_is_held_is_counted_and_what_is_let_go_is_not() -> None:
     before = health_of_now()
     release = threading.Event()
