@@ -142,11 +142,13 @@ bench-cost: .venv/test-stamp  ## processor time of each stage per frame, against
 	debian-packages $(BROKER)
 	.venv/bin/python benchmarks/stage_cost.py
 
-figures: .venv/figures-stamp  ## draw the pictures of README.md, docs/research/reproduction.md and docs/explanation/elastic.md anew
+figures: .venv/figures-stamp  ## draw the pictures of README.md and docs/ again
 	@export OMP_NUM_THREADS=1
 	.venv/bin/python docs/figures/draw.py
 	.venv/bin/python docs/figures/fingertip.py
 	.venv/bin/python docs/figures/live_view.py
+	.venv/bin/python docs/figures/diagrams.py
+	.venv/bin/python docs/figures/press.py
 	.venv/bin/python benchmarks/elastic_convergence.py --picture docs/figures/convergence.svg
 
 docs: .venv/docs-stamp  ## the documentation as a site with search, in build/site; each link is checked
