@@ -1,24 +1,26 @@
 """Tare the plate of a running daemon: its present readings count as untouched.
 
+Right after a start the daemon has no readings yet: a window of untouched ones has to be complete. The command waits
+for it, and for a plate that is touched, as long as --wait allows.
+
 Example: resonatord tare left-index.toml
 """
 
 import argparse
 import logging
-import sys
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
-from resonator_daemon.commands._argument_types import add_config
-from resonator_daemon.commands._output import print_error, print_json
+from resonator_daemon.commands._answers import print_answer, send_command
+from resonator_daemon.commands._argument_types import add_config, number
 from resonator_daemon.errors import ExitCode
-from resonator_daemon.host.printable import printable
-
-if TYPE_CHECKING:
-    from resonator_daemon.config import Client
+from resonator_daemon.host.printable import print_note
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser, "the daemon's configuration")
+    parser.add_argument(
+        "--wait", type=number(0, 3600), default=5.0, metavar="S", help="for an untouched reading (default: 5 s)"
+    )
     parser.add_argument("--json", action="store_true", help="print the daemon's answer as one JSON object")
 
 
@@ -28,24 +30,10 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
     from resonator_daemon.config import load_client
 
+    def waiting(refusal: Mapping[str, object]) -> None:
+        print_note(f"{refusal.get('message')}; waiting up to {arguments.wait:g} s for untouched readings")
+
     logging.getLogger().setLevel(logging.WARNING)  # connections are not logged here
-    answer = asyncio.run(_request(load_client(arguments.config)))
-    done = answer.get("ok") is True
-    if arguments.json:
-        print_json(answer)
-    elif done:
-        sys.stdout.write(f"{printable(answer.get('message', 'done'))}\n")
-    if not done:
-        refusal = answer.get("error")
-        reasons = refusal if isinstance(refusal, dict) else {}
-        parts = [str(reasons[key]) for key in ("message", "hint") if reasons.get(key)]
-        print_error(f"not tared: {'; '.join(parts) or 'refused'}")
-    return ExitCode.DONE if done else ExitCode.FAILED
-
-
-async def _request(config: "Client") -> dict[str, object]:
-    from resonator_daemon.publishing.daemon_search import find_daemon
-    from resonator_daemon.publishing.requests import reach, request
-
-    await reach(config.mqtt)
-    return await request(config.mqtt, await find_daemon(config), "tare", {})
+    client = load_client(arguments.config)
+    answer = asyncio.run(send_command(client, "tare", {}, wait_s=arguments.wait, on_wait=waiting))
+    return print_answer(answer, "not tared", as_json=arguments.json, only="message")

@@ -1,12 +1,13 @@
-"""`resonatord tare` as a user meets it: what the daemon did, or why it did not."""
+"""`resonatord tare` and `command` as a user meets them: what the daemon did, or why it did not."""
 
 import asyncio
 import json
 import sys
 from asyncio.subprocess import PIPE
-from collections.abc import AsyncIterator, Awaitable, Callable, Collection
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Mapping
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
+from types import MappingProxyType
 
 import pytest
 from brokers import Mosquitto, free_port
@@ -18,7 +19,7 @@ from resonator_daemon.publishing.commands import CommandRefusedError, Handler
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Info
 from resonator_daemon.publishing.topics import INFO, STATE_DAEMON
-from resonator_daemon.publishing.verbs import Tare, TareAnswer
+from resonator_daemon.publishing.verbs import Mark, MarkAnswer, SetRate, SetRateAnswer, Tare, TareAnswer
 
 TIMEOUT_S = 60
 LINK = "tcp://127.0.0.1:9"
@@ -55,9 +56,13 @@ async def tare_in_a_process(config: str, *arguments: str) -> Printed:
 
 @asynccontextmanager
 async def daemon(
-    url: str, handler: Handler, name: str = "left", allowed: Collection[str] = ("tare",)
+    url: str,
+    handler: Handler,
+    name: str = "left",
+    allowed: Collection[str] = ("tare",),
+    more: Mapping[str, Handler] = MappingProxyType({}),
 ) -> AsyncIterator[None]:
-    async with commanded(url, {"tare": handler}, allowed, name) as running:
+    async with commanded(url, {"tare": handler, **more}, allowed, name) as running:
         running.publisher.publish(running.base, STATE_DAEMON, state("online", "measuring"))
         info = Info.model_validate({**EXAMPLES["Info"], "link": LINK, "serial_number": name})
         running.publisher.publish(running.base, INFO, info)
@@ -116,9 +121,61 @@ async def test_every_failure_is_an_object(mosquitto: Mosquitto, tare: Ask, monke
         assert reported == f"resonatord: {answer['error']['message']}\n"
         codes.append((code, answer["error"]["code"]))
     async with daemon(mosquitto.url, touched):
-        code, printed, _ = await tare(mosquitto.url, "--json")
+        code, printed, _ = await tare(mosquitto.url, "--json", "--wait", "0")
     codes.append((code, json.loads(printed)["error"]["code"]))
     assert codes == [(69, "no_broker"), (1, "no_daemon"), (78, "config"), (1, "not_untouched")]
+
+
+async def test_it_waits_for_the_first_untouched_reading(mosquitto: Mosquitto, tare: Ask) -> None:
+    refusals = [CommandRefusedError("not_ready", "no reading yet"), CommandRefusedError("not_untouched", "touched")]
+
+    def handler(request: Tare) -> TareAnswer:
+        if refusals:
+            raise refusals.pop(0)
+        return tared(request)
+
+    async with daemon(mosquitto.url, handler):
+        code, printed, noted = await tare(mosquitto.url, "--wait", "30")
+    assert (code, printed) == (0, "common mode taken as untouched\n")
+    assert noted == "no reading yet; waiting up to 30 s for untouched readings\n"
+
+
+@pytest.mark.parametrize("target", [("left",), ("board.toml",)])
+async def test_any_command_is_sent_with_its_fields(
+    target: tuple[str, ...],
+    mosquitto: Mosquitto,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_config(tmp_path, mosquitto.url)
+    marks: list[str] = []
+
+    def mark(request: Mark) -> MarkAnswer:
+        marks.append(request.text)
+        return MarkAnswer(t_ns=17)
+
+    def set_rate(request: SetRate) -> SetRateAnswer:
+        return SetRateAnswer(topic=f"{request.topic}/5hz", rate_hz=request.rate_hz, until_t_ns=None)
+
+    async def command(*words: str) -> Printed:
+        where = () if target[0].endswith(".toml") else ("--url", mosquitto.url)
+        return await asyncio.to_thread(main, ["command", *target, *words, *where]), *capsys.readouterr()
+
+    async with daemon(mosquitto.url, tared, allowed=("mark", "set_rate"), more={"mark": mark, "set_rate": set_rate}):
+        assert await command("mark", "text=5") == (0, 't_ns: "17"\n'.replace('"', ""), "")
+        code, printed, _ = await command("set_rate", "topic=forces", "rate_hz=5", "--json")
+        assert (code, json.loads(printed)["topic"]) == (0, "forces/5hz")
+        code, printed, reported = await command("tare")
+        assert (code, printed, reported.startswith("resonatord: tare not done: ")) == (1, "", True)
+        code, printed, _ = await command("mark", "--json")
+        assert (code, json.loads(printed)["error"]["code"]) == (1, "payload")
+        for wrong in (("tear",), ("mark", "text")):
+            with suppress(SystemExit):
+                code = (await command(*wrong))[0]
+                assert code == 2
+    assert marks == ["5"]
 
 
 async def test_without_a_name_the_daemon_is_found_by_its_link(mosquitto: Mosquitto, tare: Ask) -> None:

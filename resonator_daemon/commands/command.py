@@ -1,0 +1,90 @@
+"""Send a command to a running daemon and print its answer.
+
+The verbs and their keys are those of `cmd/<verb>` in docs/reference/mqtt.md. A VALUE is JSON, or else text. A daemon
+executes a verb that changes something only where `allow` in [commands] of its configuration has it.
+
+Example: resonatord command left-index set_rate topic=forces rate_hz=20
+"""
+
+import argparse
+import json
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from resonator_daemon.commands._answers import print_answer, send_command
+from resonator_daemon.commands._broker import add_broker, broker_of
+from resonator_daemon.errors import ExitCode, UsageError
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from resonator_daemon.config import Client
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "name", metavar="NAME|FILE", help="that the daemon publishes under; or its configuration, as left-index.toml"
+    )
+    parser.add_argument("verb", metavar="VERB", help="as ping, health, tare or start_recording")
+    parser.add_argument("fields", nargs="*", type=_field, metavar="KEY=VALUE", help="fields of the command")
+    add_broker(parser)
+    parser.add_argument("--json", action="store_true", help="print the daemon's answer as one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    """Print the answer; FAILED where the command was refused."""
+    import asyncio
+
+    from resonator_daemon.publishing.verbs import VERBS
+    from resonator_daemon.toml_files.reading import nearest
+
+    logging.getLogger().setLevel(logging.WARNING)  # connections are not logged here
+    verb = VERBS.get(arguments.verb)
+    if verb is None:
+        raise UsageError(f"VERB: got {arguments.verb!r}; {nearest(arguments.verb, list(VERBS))}")
+    answer = asyncio.run(send_command(_client(arguments), verb.name, _payload(verb.request, arguments.fields)))
+    return print_answer(answer, f"{verb.name} not done", as_json=arguments.json)
+
+
+def _client(arguments: argparse.Namespace) -> "Client":
+    from resonator_daemon.config import Client, load_client, plate_name
+
+    if arguments.name.endswith(".toml"):
+        if arguments.config is not None or arguments.url is not None:
+            raise UsageError(f"{arguments.name} names the broker; leave --config and --url out")
+        arguments.config = Path(arguments.name)
+        return load_client(arguments.config).model_copy(update={"mqtt": broker_of(arguments)})
+    try:
+        name = plate_name(arguments.name)
+    except ValueError as error:
+        raise UsageError(f"NAME: got {arguments.name!r}; {error}") from None
+    return Client.model_construct(name=name, link=None, mqtt=broker_of(arguments))
+
+
+def _payload(model: "type[BaseModel]", fields: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    """Return the fields with values of JSON; as text where they are none, or the command takes text alone."""
+    from pydantic import ValidationError
+
+    payload = {key: _value(text) for key, text in fields}
+    try:
+        model.model_validate(payload)
+    except ValidationError as error:
+        wrong = {found["loc"][0] for found in error.errors() if found["type"] == "string_type"}
+        payload |= {key: text for key, text in fields if key in wrong}
+    return payload
+
+
+def _field(text: str) -> tuple[str, str]:
+    key, equals, value = text.partition("=")
+    if not key or not equals:
+        raise argparse.ArgumentTypeError(f"got {text!r}; give KEY=VALUE, as rate_hz=20")
+    return key, value
+
+
+def _value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return text
