@@ -118,6 +118,7 @@ class HealthMonitor:
                     connections=boot.connections,
                     frames=boot.frames,
                     lost=asdict(boot.lost),
+                    lost_in_outages=asdict(boot.lost_in_outages),
                 )
                 for boot in link.boots
             ),

@@ -14,6 +14,7 @@ from resonator_daemon.publishing.units import UNITS
 from resonator_daemon.publishing.verbs import VERBS, Refusal
 
 # Value of each key in all messages, or in one model. A key without one has the value of what has not happened.
+_NO_FRAMES: Final = dict.fromkeys(("link_gap", "damaged", "board_overflow", "host_overrun", "queue_overflow"), 0)
 _VALUES: Final[dict[str, Any]] = {
     "name": "left-index",
     "seq": 1234,
@@ -86,7 +87,8 @@ _VALUES: Final[dict[str, Any]] = {
     "bytes_by_outcome": {"accepted": 12240210, "other_version": 0, "echo": 0, "discarded": 0, "waiting": 102},
     "Health.connections": 1,
     "BootInfo.connections": 1,
-    "BootInfo.lost": dict.fromkeys(("link_gap", "damaged", "board_overflow", "host_overrun", "queue_overflow"), 0),
+    "BootInfo.lost": _NO_FRAMES,
+    "BootInfo.lost_in_outages": _NO_FRAMES,
     "clock_drift_ppm": 3.1,
     "cpu_percent": 21.0,
     "rss_mb": 92.0,

@@ -136,6 +136,7 @@ class BootInfo(Message):
     connections: int = Field(description="openings of the link during this boot")
     frames: int = Field(description="frames that arrived")
     lost: dict[str, int] = Field(description="frames by cause, as in the header")
+    lost_in_outages: dict[str, int] = Field(description="of these: in outages that `state/link` has reported")
 
 
 class LatencyInfo(Message):

@@ -33,7 +33,7 @@ from resonator_daemon.session.compatibility import (
     tick_rate_problem,
     wrong_unit,
 )
-from resonator_daemon.session.counters import LinkCounters
+from resonator_daemon.session.counters import FrameLoss, LinkCounters
 from resonator_daemon.session.frame_numbers import Accepted, FrameNumbering
 from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.frame_receiver import FrameReceiver
@@ -442,7 +442,9 @@ class Connection:
             self.was_online = True
             if not self._state.online:
                 self._announce_online()
-            self._state.frame_received(accepted.previous, middle, accepted.gap.loss.total if accepted.gap else 0)
+            loss = accepted.gap.loss if accepted.gap else FrameLoss()
+            if self._state.frame_received(accepted.previous, middle, loss.total):
+                self._counters.boots[-1].lost_in_outages += loss
 
     def _watch_silence(self, now_ns: int) -> None:
         silent_ns = now_ns - self._receiver.last_frame_ns

@@ -32,6 +32,7 @@ class BootCounters:
     connections: int = 0
     frames: int = 0
     lost: FrameLoss = field(default_factory=FrameLoss)  # without queue_overflow: the queue does not distinguish boots
+    lost_in_outages: FrameLoss = field(default_factory=FrameLoss)  # of `lost`: what `state/link` reports as outages
 
 
 BOOTS_REMEMBERED = 8

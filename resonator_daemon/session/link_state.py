@@ -70,16 +70,18 @@ class LinkState:
         self._present = LinkStateSnapshot(state, reason, since_utc_ns, reasons)
         self._put(LinkChange(state, reason, since_utc_ns, utc_ns))
 
-    def frame_received(self, previous: Instant | None, this: Instant, frames_lost: int) -> None:
-        """Announce the outage that this frame has ended, if there was one and frames were lost."""
+    def frame_received(self, previous: Instant | None, this: Instant, frames_lost: int) -> bool:
+        """Announce the outage that this frame has ended, if there was one and frames were lost; return whether."""
         reasons = self._present.outage_reasons
         if not reasons:
-            return
+            return False
         self._present = self._present._replace(outage_reasons=())
-        if previous is not None and frames_lost:
-            # By the clock of its end: that may have been set meanwhile.
-            start_utc_ns = this.utc_ns - (this.boottime_ns - previous.boottime_ns)
-            self._put(Outage(start_utc_ns, this.utc_ns, frames_lost, all_of(reasons)))
+        if previous is None or not frames_lost:
+            return False
+        # By the clock of its end: that may have been set meanwhile.
+        start_utc_ns = this.utc_ns - (this.boottime_ns - previous.boottime_ns)
+        self._put(Outage(start_utc_ns, this.utc_ns, frames_lost, all_of(reasons)))
+        return True
 
 
 class LinkLog:

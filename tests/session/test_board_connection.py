@@ -182,7 +182,7 @@ def test_a_reboot_is_told_with_its_cause_and_the_host_measures_it() -> None:
     assert [boot.boot_id for boot in boots] == [7, 8]
     assert [boot.connections for boot in boots] == [1, 1]
     assert sum(boot.frames for boot in boots) == bench.counters.frames
-    assert boots[1].lost == gap.loss
+    assert boots[1].lost == boots[1].lost_in_outages == gap.loss
     assert not [arrival for arrival in bench.arrivals if isinstance(arrival, BoardOnline)][-1].continues
 
 

@@ -81,7 +81,11 @@ def health(**changed: Any) -> Health:
         },
         "connections": 14,
         "host_overruns": 15,
-        "boots": (BootInfo(board_boot_id="51aa03c4", connections=14, frames=3_600_000, lost={"link_gap": 1}),),
+        "boots": (
+            BootInfo(
+                board_boot_id="51aa03c4", connections=14, frames=3_600_000, lost={"link_gap": 1}, lost_in_outages={}
+            ),
+        ),
         "clock_drift_ppm": 3.25,
         "clock_outliers": 16,
         "clock_restarts": 17,
