@@ -7,7 +7,7 @@ import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, Final, NamedTuple
 
 import aiomqtt
@@ -22,6 +22,7 @@ from resonator_daemon.publishing.tls import make_tls
 END_TIMEOUT_S: Final = 2.0  # an attempt to connect cannot be cancelled
 
 _CANCEL_AGAIN_S: Final = 0.1
+_TOPICS_MAX: Final = 1024  # that are remembered
 
 log = logging.getLogger(__name__)
 _library_log = logging.getLogger(f"{__name__}.aiomqtt")
@@ -137,6 +138,11 @@ class Receiver:
         self, filters: Mapping[str, int], subscribed: asyncio.Future[None], attempt: Attempt
     ) -> None:
         accepted = False
+
+        @lru_cache(_TOPICS_MAX)
+        def requested(topic: aiomqtt.Topic) -> bool:  # amqtt delivers retained messages of other topics, too
+            return any(topic.matches(topic_filter) for topic_filter in filters)
+
         try:
             async with self._make_client(attempt) as client:
                 accepted = True
@@ -145,7 +151,7 @@ class Receiver:
                     await client.subscribe(topic_filter, qos=qos)
                 _finish(subscribed)
                 async for message in client.messages:
-                    if isinstance(message.payload, bytes):
+                    if isinstance(message.payload, bytes) and requested(message.topic):
                         self._on_arrival(Arrival(message.topic.value, message.payload, time.time_ns()))
         except aiomqtt.MqttError as error:
             raise _broker_error(error, self._broker, accepted=accepted) from None

@@ -56,9 +56,7 @@ async def subscribe(
     """
     loop = asyncio.get_running_loop()
     arrived = asyncio.Event()
-    filters = topic_filters(broker.prefix, topics, plate=plate, full_rate=full_rate)
-    paths = {split_topic(broker.prefix, topic_filter)[1] for topic_filter in filters}
-    waiting = _Waiting(broker.prefix, plate, paths)
+    waiting = _Waiting(broker.prefix)
 
     def on_arrival(arrival: Arrival) -> None:
         if waiting.append(arrival):
@@ -72,6 +70,7 @@ async def subscribe(
         with suppress(RuntimeError):  # the consumer's loop has ended without closing the iterator
             loop.call_soon_threadsafe(arrived.set)
 
+    filters = topic_filters(broker.prefix, topics, plate=plate, full_rate=full_rate)
     streams = {topic_filter: qos for topic_filter, qos in filters.items() if qos == 0}
     others = {topic_filter: qos for topic_filter, qos in filters.items() if qos}
     receiver = Receiver(broker, [each for each in (streams, others) if each], on_arrival, on_end)
@@ -102,20 +101,16 @@ def topic_filters(
 class _Waiting:
     """Queue between the receiving thread, which appends, and the consumer, which pops."""
 
-    def __init__(self, prefix: str, plate: str, paths: Collection[str]) -> None:
+    def __init__(self, prefix: str) -> None:
         self.over = False
         self._prefix = prefix
-        self._plate = plate
-        self._paths = paths
         self._streams: deque[Arrival] = deque(maxlen=STREAM_WAITING_MAX)
         self._others: deque[Arrival] = deque(maxlen=OTHERS_WAITING_MAX)
         self._newest_ns: dict[str, int] = {}  # by topic, of streams
 
     def append(self, arrival: Arrival) -> bool:
         """Append a message; return whether it is the only one."""
-        plate, path = split_topic(self._prefix, arrival.topic)  # amqtt delivers retained messages of other topics, too
-        if path not in self._paths or self._plate not in (plate, EVERY_PLATE):
-            return False
+        _, path = split_topic(self._prefix, arrival.topic)
         if _BY_PATH[path].qos:
             self._others.append(arrival)
         else:

@@ -1,6 +1,7 @@
 """What the tests of the examples share: the C programs, built once, and programs whose lines can be waited for."""
 
 import asyncio
+import signal
 import subprocess
 import sys
 import tempfile
@@ -54,6 +55,10 @@ async def running(language: str, name: str, broker_url: str) -> AsyncIterator[Pr
     try:
         async with asyncio.timeout(DEADLINE_S):
             yield program
+        if language == "python":
+            program.send_signal(signal.SIGINT)
+            await program.communicate()
+            assert program.returncode == 0  # Ctrl-C, without a traceback
     finally:
         if program.returncode is None:
             program.kill()

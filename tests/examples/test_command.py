@@ -3,50 +3,39 @@
 import asyncio
 import json
 import sys
-from asyncio.subprocess import PIPE, Process
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from asyncio.subprocess import PIPE
 
-import aiomqtt
-import pytest
+from brokers import Mosquitto
+from commanded import commanded, state
 from example_programs import DEADLINE_S, EXAMPLES
 
 from resonator_daemon.config import Mqtt
+from resonator_daemon.publishing.topics import STATE_DAEMON
+from resonator_daemon.publishing.verbs import Ping, Pong
 
 
-async def start(broker_url: str, *arguments: str) -> Process:
+async def run(broker_url: str, *arguments: str) -> tuple[int | None, str, str]:
     at = Mqtt(url=broker_url)
-    command = (EXAMPLES / "python" / "command.py", "left", *arguments, "--host", at.host, "--port", str(at.port))
-    return await asyncio.create_subprocess_exec(sys.executable, *command, stdout=PIPE, stderr=PIPE)
+    command = (sys.executable, EXAMPLES / "python" / "command.py", at.host, str(at.port), *arguments)
+    program = await asyncio.create_subprocess_exec(*command, stdout=PIPE, stderr=PIPE)
+    async with asyncio.timeout(DEADLINE_S):
+        printed, reported = await program.communicate()
+    return program.returncode, printed.decode(), reported.decode()
 
 
-@asynccontextmanager
-async def asked(broker, *arguments: str) -> AsyncIterator[tuple[aiomqtt.Client, aiomqtt.Message, Process]]:
-    """Start the example; yield the command as it comes to a daemon, and a client to answer with."""
-    at = Mqtt(url=broker.url)
-    async with asyncio.timeout(DEADLINE_S), aiomqtt.Client(at.host, at.port) as client:
-        await client.subscribe("resonator/left/cmd/+", qos=1)
-        program = await start(broker.url, *arguments)
-        yield client, await anext(client.messages), program
+async def test_the_answer_is_printed_and_the_exit_code_shows_whether_it_was_done(mosquitto: Mosquitto) -> None:
+    def pong(_: Ping) -> Pong:
+        return Pong(t_ns=1, daemon_boot_id="first", uptime_s=2.5)
+
+    async with commanded(mosquitto.url, {"ping": pong}) as left:
+        left.publisher.publish(left.base, STATE_DAEMON, state("online", "measuring"))
+        code, printed, _ = await run(mosquitto.url, "left", "ping", '{"id": "mine"}')
+        assert (code, json.loads(printed)["id"], json.loads(printed)["uptime_s"]) == (0, "mine", 2.5)
+        code, _, reported = await run(mosquitto.url, "left", "ping", '{"no": 1}')
+        assert (code, reported.partition(":")[0], reported.count("\n")) == (1, "payload", 1)
 
 
-@pytest.mark.parametrize("ok", [True, False])
-async def test_the_answer_is_printed_and_the_exit_code_tells_whether_it_was_done(broker, ok: bool) -> None:
-    async with asked(broker, "tare", '{"why": "new"}') as (daemon, command, program):
-        assert command.topic.value == "resonator/left/cmd/tare"
-        request = json.loads(command.payload)
-        answer = {"verb": "tare", "ok": ok, "id": request.pop("id")}
-        assert request == {"why": "new"}
-        for each in ({"verb": "tare", "ok": not ok, "id": "of another"}, answer):
-            await daemon.publish("resonator/left/rsp/tare", json.dumps(each), qos=1)
-        said, _ = await program.communicate()
-    assert json.loads(said) == answer
-    assert program.returncode == (0 if ok else 1)
-
-
-async def test_a_broker_that_is_not_there_is_told() -> None:
-    program = await start("mqtt://127.0.0.1:9", "ping")
-    _, said = await program.communicate()
-    assert program.returncode == 1
-    assert said.startswith(b"broker 127.0.0.1:9: ")
-    assert said.count(b"\n") == 1
+async def test_a_broker_that_is_not_there_is_reported_in_one_line() -> None:
+    code, _, reported = await run("mqtt://127.0.0.1:9", "left", "ping")
+    assert (code, reported.count("\n")) == (1, 1)
+    assert "127.0.0.1:9" in reported

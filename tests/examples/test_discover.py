@@ -86,4 +86,4 @@ async def test_a_plate_says_how_it_is_and_what_it_is(mosquitto, tmp_path: Path, 
 async def test_a_daemon_that_never_met_its_board_is_listed(mosquitto, tmp_path: Path) -> None:
     state = State(**HEADER, state="online", reason="", since_t_ns=1)
     await publish(mosquitto.url, "state/daemon", state, plate="right")
-    assert await discover(mosquitto.url, tmp_path) == "right: online, and has not said what it is\n"
+    assert await discover(mosquitto.url, tmp_path) == "right: online, has published no info\n"

@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager
 
 import aiomqtt
 from brokers import Amqtt, Mosquitto
-from commanded import commanded
+from commanded import commanded, state
 from example_programs import DEADLINE_S, EXAMPLES, next_line
 from published import event
 from relay import relay
@@ -17,6 +17,7 @@ from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.commands import CommandRefusedError, Handler
 from resonator_daemon.publishing.payloads import ContactEvent
+from resonator_daemon.publishing.topics import STATE_DAEMON
 from resonator_daemon.publishing.verbs import Events, EventsAnswer
 
 PAGE = 3  # events in an answer
@@ -47,7 +48,7 @@ class Store:
 @asynccontextmanager
 async def following(broker_url: str) -> AsyncIterator[Process]:
     at = Mqtt(url=broker_url)
-    command = (EXAMPLES / "python" / "events.py", "left", "--host", at.host, "--port", str(at.port))
+    command = (EXAMPLES / "python" / "events.py", at.host, str(at.port), "left")
     program = await asyncio.create_subprocess_exec(sys.executable, *command, stdout=PIPE, stderr=DEVNULL)
     try:
         async with asyncio.timeout(DEADLINE_S):
@@ -68,7 +69,7 @@ async def test_each_event_is_printed_once(broker: Mosquitto | Amqtt) -> None:
         store.happen("first")
     at = Mqtt(url=broker.url)
     async with (
-        commanded(broker.url, store.handlers),
+        commanded(broker.url, store.handlers) as left,
         relay(broker.url) as way,
         aiomqtt.Client(at.host, at.port) as daemon,
         following(way.url) as program,
@@ -78,6 +79,7 @@ async def test_each_event_is_printed_once(broker: Mosquitto | Amqtt) -> None:
             for each in events:
                 await daemon.publish("resonator/left/contacts/event", encode(each), qos=1)
 
+        left.publisher.publish(left.base, STATE_DAEMON, state("online", "measuring"))
         assert await printed(program, 4) == [("first", seq) for seq in range(4)]  # those of before
         now = store.happen("first")
         await publish(now, now)

@@ -31,6 +31,11 @@ async def another(broker, tmp_path: Path) -> AsyncIterator[Amqtt | Mosquitto]:
     await another.kill()
 
 
+def plate(language: str) -> str:
+    """Return what a program prints before the topic of a plate."""
+    return {"c": "resonator/left", "python": "left"}[language]
+
+
 @pytest.mark.parametrize("language", LANGUAGES)
 async def test_forces_and_decoded(broker, another, language: str) -> None:
     """Both at once: a program in C waits five seconds for a broker that does not know its MQTT."""
@@ -45,47 +50,46 @@ async def test_forces_and_decoded(broker, another, language: str) -> None:
         running(language, "decoded", another.url) as of_decoded,
     ):
         await check_forces(of_forces, broker.url, language)
-        await check_decoded(of_decoded, another.url, on_grid, scattered)
-        await check_that_nothing_known_ends_nothing(of_decoded, another.url)
+        await check_decoded(of_decoded, another.url, language, on_grid, scattered)
+        await check_that_nothing_known_ends_nothing(of_decoded, another.url, language)
 
 
 async def check_forces(program: Process, url: str, language: str) -> None:
-    at_topic, when = "resonator/left/forces", "t_ns 1789000000000000123"
-    unknown = {"c": "nan", "python": "None"}[language]
+    at, when = plate(language), "t_ns 1789000000000000123"
     at_first = {await next_line(program) for _ in range(3)}  # events have a connection of their own
     assert at_first == {
-        f"{at_topic} {when} site 7 1.234 N ok",
-        f"{at_topic} {when} site 12 {unknown} N overload",
-        f"resonator/left/contacts/event {when} onset contact 12 site 7",
+        f"{at}/forces {when} site 7 1.234 N ok",
+        f"{at}/forces {when} site 12 nan N overload",
+        f"{at}/contacts/event {when} onset contact 12 site 7",
     }
     await publish(url, "forces", forces(2))
     await publish(url, "forces", forces(3, force(3, -0.5)))
-    assert await next_line(program) == f"{at_topic} {when} site 3 -0.5 N ok"
+    assert await next_line(program) == f"{at}/forces {when} site 3 -0.5 N ok"
 
 
-async def check_decoded(program: Process, url: str, on_grid: Floats, scattered: Floats) -> None:
+async def check_decoded(program: Process, url: str, language: str, on_grid: Floats, scattered: Floats) -> None:
     words = (await next_line(program)).replace(",", "").split()
     await publish(url, "decoded", decoded(2**40, scattered, None))
     last = (await next_line(program)).split()
     row, column = np.unravel_index(on_grid[2].argmax(), (4, 5))
-    assert words[:4] == ["resonator/left/decoded", "seq", "5", "peak"]
+    assert words[:4] == [f"{plate(language)}/decoded", "seq", "5", "peak"]
     numbers = [float(word) for word in (words[4], *words[7:9], *words[12:15])]
     place_m = (-0.0012 + 4e-4 * column, 0.0034 + 4e-4 * row)
     net_newton = on_grid.sum(axis=(1, 2)) * 4e-4**2
     np.testing.assert_allclose(numbers, [on_grid[2].max(), *place_m, *net_newton], rtol=1e-5)
-    assert last[:4] == ["resonator/left/decoded", "seq", str(2**40), "peak"]
+    assert last[:4] == [f"{plate(language)}/decoded", "seq", str(2**40), "peak"]
     assert float(last[4]) == pytest.approx(np.nanmax(scattered[2]), rel=1e-5)
     assert last[5:] == ["Pa", "at", "point", str(np.nanargmax(scattered[2]))]
 
 
-async def check_that_nothing_known_ends_nothing(program: Process, url: str) -> None:
+async def check_that_nothing_known_ends_nothing(program: Process, url: str, language: str) -> None:
     nothing = np.full((3, 4, 5), math.nan)
     await publish(url, "decoded", decoded(5, nothing, Grid(origin_m=(0.0, 0.0), pitch_m=4e-4)))
-    assert await next_line(program) == "resonator/left/decoded seq 5 nothing known"
+    assert await next_line(program) == f"{plate(language)}/decoded seq 5 nothing known"
     await publish(url, "decoded", decoded(6, nothing[:, 0], None))
-    assert await next_line(program) == "resonator/left/decoded seq 6 nothing known"
+    assert await next_line(program) == f"{plate(language)}/decoded seq 6 nothing known"
     await publish(url, "decoded", decoded(7, np.ones((3, 7)), None))
-    assert await next_line(program) == "resonator/left/decoded seq 7 peak 1 Pa at point 0"
+    assert await next_line(program) == f"{plate(language)}/decoded seq 7 peak 1 Pa at point 0"
 
 
 @pytest.mark.parametrize("language", LANGUAGES)

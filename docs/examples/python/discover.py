@@ -1,14 +1,14 @@
 """Lists every plate on a broker and draws each from `info` alone: discover.py [HOST [PORT [PREFIX [FOLDER]]]]."""
 
-import json
+import asyncio
+import contextlib
 import math
 import sys
-import time
 from html import escape
 from pathlib import Path
 from urllib.parse import quote
 
-from paho.mqtt.client import CallbackAPIVersion, Client
+import resonatord
 
 QUIET_S = 1.0  # retained messages come at once: after such a silence there are no more
 LABELLED_MAX = 64  # sites; with more of them their numbers would hide them
@@ -16,60 +16,49 @@ LABELLED_MAX = 64  # sites; with more of them their numbers would hide them
 host, port, prefix, folder = sys.argv[1:] + ["127.0.0.1", "1883", "resonator", "."][len(sys.argv) - 1 :]
 
 
-def discover():
+async def discover():
     """Return `info` and `state/daemon` of each plate, by its name."""
-    plates, heard_s = {}, [math.inf]
-
-    def subscribe(client, *_):
-        client.subscribe([(f"{prefix}/+/info", 1), (f"{prefix}/+/state/daemon", 1)])
-        heard_s[0] = time.monotonic()
-
-    def take(client, context, message):
-        name, _, path = message.topic.removeprefix(f"{prefix}/").partition("/")
-        plates.setdefault(name, {})[path] = json.loads(message.payload)
-        heard_s[0] = time.monotonic()
-
-    client = Client(CallbackAPIVersion.VERSION2)
-    client.on_connect, client.on_message = subscribe, take
-    client.connect(host, int(port))
-    while time.monotonic() - heard_s[0] < QUIET_S:
-        if client.loop(0.1):
-            sys.exit(f"the connection to {host}:{port} was lost")
-    client.disconnect()
+    plates = {}
+    broker = resonatord.Mqtt(url=f"mqtt://{host}:{port}", prefix=prefix)
+    messages = resonatord.subscribe(broker, topics=["info", "state/daemon"])
+    with contextlib.suppress(TimeoutError):
+        while True:
+            plate, path, message = await asyncio.wait_for(anext(messages), QUIET_S)
+            plates.setdefault(plate, {})[path] = message
     return plates
 
 
 def describe(name, info, state):
     """Return what one wants to know of a plate, a line each."""
-    condition = state["state"] if state else "unknown"
-    calibration, sites = info["calibration"], len(info["sites"])
-    valid = f"valid until {calibration['expiry']}" if calibration["expiry"] else "no expiry date"
-    rates = ", ".join(f"{topic} {rate:g}/s" for topic, rate in info["rates_hz"].items())
+    condition = state.state if state else "unknown"
+    calibration = info.calibration
+    valid = f"valid until {calibration.expiry}" if calibration.expiry else "no expiry date"
+    rates = ", ".join(f"{topic} {rate:g}/s" for topic, rate in info.rates_hz.items())
     return [
-        f"{name}: {condition}, {info['plate']}, {sites} sites up to {info['force_max_newton']:g} N, {info['counter']}",
-        f"board {info['serial_number']}, {info['product']} {info['firmware']}, {info['frame_rate_hz']:g} frames/s",
-        f"calibration {calibration['id'] or 'not named'}, {valid}",
+        f"{name}: {condition}, {info.plate}, {len(info.sites)} sites up to {info.force_max_newton:g} N, {info.counter}",
+        f"board {info.serial_number}, {info.product} {info.firmware}, {info.frame_rate_hz:g} frames/s",
+        f"calibration {calibration.id or 'not named'}, {valid}",
         f"publishes {rates}",
     ]
 
 
 def draw(info, lines):
     """Return a plate as SVG, 1 unit = 1 mm: outline, transducers in the order of the channels, sites."""
-    outline, transducers = ([to_mm(point) for point in info[key]] for key in ("outline_m", "transducers_m"))
+    outline, transducers = ([to_mm(point) for point in places] for places in (info.outline_m, info.transducers_m))
     left, top = (min(point[axis] for point in outline) for axis in (0, 1))
     width, height = (max(point[axis] for point in outline) - start for axis, start in ((0, left), (1, top)))
-    radius, border = 0.25 * math.sqrt(width * height / max(len(info["sites"]), 1)), 0.1 * max(width, height)
+    radius, border = 0.25 * math.sqrt(width * height / max(len(info.sites), 1)), 0.1 * max(width, height)
     letters = 0.3 * border
     parts = [f'<polygon points="{" ".join(f"{x:.6g},{y:.6g}" for x, y in outline)}" fill="#eef" stroke="#88a"/>']
     for channel, (x, y) in enumerate(transducers):
         parts.append(f'<circle class="transducer" cx="{x:.6g}" cy="{y:.6g}" r="{letters:.6g}" fill="#a60"/>')
         parts.append(text(x, y - 1.2 * letters, f"channel {channel}", letters, "middle"))
-    for site in info["sites"]:
-        x, y = to_mm(site["position_m"])
+    for site in info.sites:
+        x, y = to_mm(site.position_m)
         mark = f'<circle class="site" cx="{x:.6g}" cy="{y:.6g}" r="{radius:.6g}" fill="#7ac">'
-        parts.append(f"{mark}<title>{site['site']}</title></circle>")
-        if len(info["sites"]) <= LABELLED_MAX:
-            parts.append(text(x, y + 0.3 * radius, str(site["site"]), radius, "middle"))
+        parts.append(f"{mark}<title>{site.site}</title></circle>")
+        if len(info.sites) <= LABELLED_MAX:
+            parts.append(text(x, y + 0.3 * radius, str(site.site), radius, "middle"))
     for number, line in enumerate(lines, 2):
         parts.append(text(left, top + height + border / 2 + 1.5 * number * letters, line, letters, "start"))
     box = left - border, top - border, width + 2 * border, height + 2 * border + 1.5 * (len(lines) + 1) * letters
@@ -87,11 +76,16 @@ def text(x, y, words, size, anchor):
     return f'<text {place} font-family="sans-serif">{escape(words)}</text>'
 
 
-for name, said in sorted(discover().items()):
-    if "info" not in said:
-        print(f"{name}: {said['state/daemon']['state']}, and has not said what it is")
+try:
+    found = asyncio.run(discover())
+except resonatord.UserError as error:
+    sys.exit(str(error))
+for name, published in sorted(found.items()):
+    state = published.get("state/daemon")
+    if "info" not in published:
+        print(f"{name}: {state.state}, has published no info")
         continue
-    lines = describe(name, said["info"], said.get("state/daemon"))
+    lines = describe(name, published["info"], state)
     picture = Path(folder) / f"{quote(name, safe='')}.svg"
-    picture.write_text(draw(said["info"], lines))
+    picture.write_text(draw(published["info"], lines))
     print("\n  ".join([*lines, f"drawn in {picture}"]))
