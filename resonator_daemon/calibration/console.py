@@ -35,13 +35,19 @@ def result(word: str, staged: dict[str, Any]) -> dict[str, Any]:
 
 
 def confirmed(question: str) -> bool:
-    """Return whether the person at the terminal confirms."""
-    sys.stderr.write(question)
-    sys.stderr.flush()
+    """Return whether the person at the terminal confirms; an answer that is neither yes nor no is asked for again."""
+    answer = ""
     try:
-        return sys.stdin.readline().strip().lower() in ("y", "yes")
+        while answer not in ("y", "yes", "n", "no"):
+            sys.stderr.write(f"{question} " if not answer else f"answer y or n; {question} ")
+            sys.stderr.flush()
+            line = sys.stdin.readline()
+            if not line.strip():  # Enter, or the end of the input
+                return False
+            answer = line.strip().lower()
     except KeyboardInterrupt:  # no answer is no consent, and no reason to lose what was captured
         return False
+    return answer.startswith("y")
 
 
 def summary(record: Record, outcome: Outcome) -> Iterator[str]:

@@ -172,6 +172,29 @@ def write_plate_file(text: str, target: Path) -> None:
         raise CalibrationRefusedError(f"{target}: cannot be written ({error.strerror}); it is as before") from None
 
 
+def name_plate(config_path: Path, plate: Path) -> None:
+    """Have a configuration name a plate file; its comments and layout stay.
+
+    Raises
+    ------
+    CalibrationRefusedError
+        The configuration cannot be written; the plate file is accepted all the same.
+    """
+    path = config_path.resolve()  # a link stays a link
+    document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    if (path.parent / str(document["plate"])).resolve() == plate.resolve():
+        return
+    document["plate"] = plate.name if plate.parent.resolve() == path.parent else str(plate)
+    before = path.stat()
+    try:
+        replace_file(path, tomlkit.dumps(document).encode(), before.st_mode & 0o7777)
+        os.chown(path, before.st_uid, before.st_gid)
+    except OSError as error:
+        raise CalibrationRefusedError(
+            f'{path}: cannot be written ({error.strerror}); the calibration is in {plate}; set plate = "{plate}"'
+        ) from None
+
+
 def remove_remains(target: Path) -> None:
     """Remove what a write that was killed has left next to the plate file."""
     fresh_name(target.resolve()).unlink(missing_ok=True)

@@ -18,6 +18,7 @@ from resonator_daemon.calibration.plate_file import (
     PlateFile,
     Record,
     as_json,
+    name_plate,
     remove_remains,
     with_record,
     write_plate_file,
@@ -39,6 +40,7 @@ class Ending:
 
     as_json: bool = False
     accept: bool = False
+    apply: bool = False  # accept, and have the configuration name the new plate file
     output: Path | None = None  # None: the plate's own file
     valid_days: int = 365
     timeout_s: float = 300.0
@@ -61,13 +63,13 @@ def calibrate(config_path: Path, request: LoadRequest, ending: Ending) -> ExitCo
     if session.staged() is not None:
         raise UsageError(f"a calibration is staged already ({session.path}); finish it with --accept-staged or --abort")
     remove_remains(file.output)
-    return _Calibration(config, request, ending, steps, file, session).run()
+    return _Calibration(config, request, ending, steps, file, session, config_path).run()
 
 
-def accept_staged(config_path: Path, *, as_json: bool) -> ExitCode:
-    """Put a staged calibration into the plate file."""
+def accept_staged(config_path: Path, *, as_json: bool, apply: bool = False) -> ExitCode:
+    """Put a staged calibration into the plate file; with `apply`, have the configuration name that file."""
     session = Session(config_path)
-    _accept(session, session.staged_or_refuse(), Console(as_json))
+    _accept(session, session.staged_or_refuse(), Console(as_json), config_path if apply else None)
     return ExitCode.DONE
 
 
@@ -93,7 +95,9 @@ class _Calibration:
         steps: tuple[Step, ...],
         file: PlateFile,
         session: Session,
+        config_path: Path,
     ) -> None:
+        self._config_path = config_path
         self._config, self._request, self._ending = config, request, ending
         self._steps, self._file, self._session = steps, file, session
         self._procedure = LoadProcedure(config.plate, steps, ending.timeout_s)
@@ -254,8 +258,9 @@ class _Calibration:
         }
 
     def _finish(self, staged: dict[str, Any]) -> ExitCode:
-        if self._ending.accept or (sys.stdin.isatty() and confirmed("accept? [y/N] ")):
-            _accept(self._session, staged, self._console)
+        accept = self._ending.accept or self._ending.apply
+        if accept or (sys.stdin.isatty() and confirmed("accept? [y/N]")):
+            _accept(self._session, staged, self._console, self._config_path if self._ending.apply else None)
         else:
             self._console.object(
                 result("staged", staged),
@@ -264,13 +269,17 @@ class _Calibration:
         return ExitCode.DONE
 
 
-def _accept(session: Session, staged: dict[str, Any], console: Console) -> None:
+def _accept(session: Session, staged: dict[str, Any], console: Console, config_path: Path | None) -> None:
+    """Write the plate file, and name it in the configuration of this path if one is given."""
     source, output = Path(staged["source"]), Path(staged["output"])
     if PlateFile(source, output).digest != staged["sha256"]:
         raise CalibrationRefusedError(f"{source} has changed since it was calibrated; --abort, and calibrate again")
     write_plate_file(staged["plate_file"], output)
     session.archive(staged["id"])
     line = f"accepted: {output} holds calibration {staged['id']}"
-    if source != output:
+    if config_path is not None:
+        name_plate(config_path, output)
+        line += f"; {config_path} names it; a running daemon uses it after a restart"
+    elif source != output:
         line += f'; set plate = "{output}" in the configuration'
     console.object(result("accepted", staged), line)

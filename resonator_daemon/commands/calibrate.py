@@ -71,6 +71,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     result.add_argument("--output", type=Path, metavar="FILE", help="new plate file (default: change the plate's own)")
     ends = result.add_mutually_exclusive_group()
     ends.add_argument("--accept", action="store_true", help="accept a result without asking")
+    result.add_argument(
+        "--apply", action="store_true", help="accept, and have the configuration name the plate file of --output"
+    )
     ends.add_argument("--accept-staged", action="store_true", help="accept the result of an earlier calibration")
     ends.add_argument("--abort", action="store_true", help="discard the result of an earlier calibration")
 
@@ -90,7 +93,9 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.calibration.steps import LoadRequest
 
     if "accept_staged" in arguments:
-        return accept_staged(config, as_json=as_json)
+        return accept_staged(config, as_json=as_json, apply="apply" in arguments)
+    if "abort" in arguments and "apply" in arguments:
+        raise UsageError("--apply does not go with --abort")
     if "abort" in arguments:
         return abort_staged(config, as_json=as_json)
     masses = {"masses_kg": tuple(gram * 1e-3 for gram in arguments.masses_grams)} if "masses_grams" in arguments else {}

@@ -18,6 +18,7 @@ from emulated_loads import COMB_TRUE, TRUE, Touches, comb_text, nominal_text, tr
 from emulation import emulated
 
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY
+from resonator_daemon.config import load_config
 from resonator_daemon.plate import load_plate
 from simulators.emulator import EmulatorOptions
 
@@ -158,7 +159,7 @@ def test_a_staged_calibration_waits_and_is_accepted_or_aborted(desk: Desk, capsy
     before = desk.tree()
     desk.loads()
     with desk.board():
-        code, printed, reported = desk.say(capsys, *LOADS)
+        code, printed, reported = desk.say(capsys, *LOADS, "--output", str(desk.folder / "new.toml"))
     assert (code, printed[-1]["result"]) == (0, "staged")
     assert "finish with --accept-staged or --abort" in reported
     assert desk.tree() == before
@@ -185,8 +186,12 @@ def test_a_staged_calibration_waits_and_is_accepted_or_aborted(desk: Desk, capsy
     assert "has changed since it was calibrated" in reported
     assert desk.plate.read_text() == original + "# a line more\n"
     desk.plate.write_text(original)
-    code, printed, _ = desk.say(capsys, "--accept-staged")
+    config = desk.config.read_text()
+    code, printed, _ = desk.say(capsys, "--accept-staged", "--apply")
     assert (code, printed[-1]["result"]) == (0, "accepted")
+    assert desk.config.read_text() == config.replace("plate.toml", "new.toml")
+    assert load_config(desk.config).plate.calibration.id == printed[-1]["id"]
+    desk.plate = desk.folder / "new.toml"
     assert sensitivity_error(desk) < 3e-3
 
 
@@ -222,12 +227,12 @@ def test_a_bad_load_is_asked_for_once_more_and_a_person_is_asked_to_accept(desk:
     grams = ("--sites", "7", "--masses-grams", "100,200,300,400,500", "--hold-s", "0.3")
     with desk.board():
         keyboard, terminal = os.openpty()
-        os.write(keyboard, b"y\n")
+        os.write(keyboard, b"yeah\ny\n")
         code, printed, reported = desk.run(*grams, stdin=terminal)
         os.close(keyboard)
         os.close(terminal)
     assert code == 0, reported
-    assert "accept? [y/N]" in reported
+    assert reported.count("accept? [y/N]") == 2
     assert printed[-1]["result"] == "accepted"
     assert "step 3 (300 g on site 7) does not fit the others" in reported
     assert [line["step"] for line in printed if line.get("event") == "captured"] == [1, 2, 3, 4, 5, 3]
