@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
@@ -42,17 +42,6 @@ class LoadReading:
         sites = [tone for tone in self.tone if tone >= 0]
         best = max(set(sites), key=sites.count, default=None)
         return best if best is not None and sites.count(best) > 1 else None
-
-
-class LoadDetector(Protocol):
-    """Interprets tone readings of a plate that is loaded site after site."""
-
-    def read(self, reading: ToneReading) -> LoadReading | None:
-        """Return the loads in a tone reading; None before they can be known."""
-
-    @property
-    def untouched_hz(self) -> Floats | None:
-        """Frequencies (m, 4) of the untouched plate, by the board's clock; None if they were not measured."""
 
 
 class CapturedLoads:

@@ -10,7 +10,7 @@ from typing import Any
 from resonator_daemon.calibration.board_readings import board_readings
 from resonator_daemon.calibration.console import Console, confirmed, result, summary
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure, Prompt
-from resonator_daemon.calibration.load_readings import CapturedLoads, LoadDetector
+from resonator_daemon.calibration.load_readings import CapturedLoads
 from resonator_daemon.calibration.multitone_loads import MultitoneLoads
 from resonator_daemon.calibration.outcome import Outcome, fit_loadings, make_record, notes
 from resonator_daemon.calibration.outliers import OutlierSite, find_outliers, refuse_unknown_sensitivity
@@ -102,7 +102,7 @@ class _Calibration:
         self._steps, self._file, self._session = steps, file, session
         self._procedure = LoadProcedure(config.plate, steps, ending.timeout_s)
         every_tone = sensor_of(config.plate).expected_tones.pressed_hz is None
-        self._loads: LoadDetector = (MultitoneLoads if every_tone else CapturedLoads)(config.plate)
+        self._loads = MultitoneLoads(config.plate) if every_tone else CapturedLoads(config.plate)
         self._console = Console(ending.as_json)
         self._unit = ""
         self._repeated: set[int] = set()

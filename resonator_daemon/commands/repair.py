@@ -4,6 +4,7 @@ Example: resonatord repair run.mcap
 """
 
 import argparse
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,7 +33,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         done = repair(path, copy)
     if arguments.json:
         made = None if done.was_whole else str(copy)
-        print_json({"verb": "repair", "ok": True, "output": made, **done._asdict()})
+        print_json({"verb": "repair", "ok": True, "output": made, **asdict(done)})
     print_note(_summary(path, copy, done))
     return ExitCode.DONE
 

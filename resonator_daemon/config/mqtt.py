@@ -193,7 +193,7 @@ class Mqtt(Table):
             for key, file in files.items()
             if file and file.path is None
         ]
-        if self.username is not None and not self.tls and not _is_this_computer(self.host):
+        if self.username is not None and not self.tls and not is_this_computer(self.host):
             notes.append(f"mqtt.url: the password goes to {self.host} unencrypted; use mqtts://")
         return tuple(notes)
 
@@ -221,7 +221,8 @@ def _disagreements(table: dict[str, Any]) -> Iterator[InitErrorDetails]:
             yield finding((key,), table[key], "has a meaning with TLS only; use mqtts:// in mqtt.url")
 
 
-def _is_this_computer(host: str) -> bool:
+def is_this_computer(host: str) -> bool:
+    """Return whether only programs of this computer reach an address."""
     try:
         return ip_address(host).is_loopback
     except ValueError:

@@ -1,7 +1,6 @@
 """Tables of a configuration file: commands, recording, metrics, measurement, decoding."""
 
 from dataclasses import dataclass
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -16,7 +15,7 @@ from pydantic import (
     field_validator,
 )
 
-from resonator_daemon.config.mqtt import topic_level
+from resonator_daemon.config.mqtt import is_this_computer, topic_level
 from resonator_daemon.host.places import state_directory
 from resonator_daemon.toml_files.reading import Number, Table
 from resonator_daemon.toml_files.urls import split_url
@@ -129,10 +128,7 @@ class Listen:
     @property
     def loopback(self) -> bool:
         """True if only programs of this computer can connect."""
-        try:
-            return ip_address(self.host).is_loopback
-        except ValueError:
-            return self.host == "localhost"
+        return is_this_computer(self.host)
 
 
 def _listen(value: object) -> Listen:

@@ -1,7 +1,7 @@
 """The computer that is checked: its files below a root that a test may choose, and what this process may open."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,7 +30,4 @@ class Host:
 
     def running(self, name: str) -> bool:
         """Whether a process of this name runs."""
-        return any(self.text(f"/proc/{directory.name}/comm") == name for directory in self._processes())
-
-    def _processes(self) -> Iterator[Path]:
-        return self.at("/proc").glob("[0-9]*")
+        return any(self.text(f"/proc/{directory.name}/comm") == name for directory in self.at("/proc").glob("[0-9]*"))

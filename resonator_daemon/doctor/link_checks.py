@@ -1,5 +1,6 @@
 """The way from the board to the computer: who answers, how its ticks come, what is damaged or lost."""
 
+import math
 from collections.abc import Iterator
 from typing import Final
 
@@ -148,9 +149,7 @@ def _errors(capture: Capture) -> Finding:
     if many or discarded > max(_GARBAGE_FAULT * received, _GARBAGE_LEAST_BYTES):
         return _garbage(discarded, received, hit, frames)
     evidence = f"{hit} of {frames} frames damaged or lost (limit {ERRORS_FAULT:g}), {discarded} of {received} bytes"
-    if not hit and not discarded:
-        return ERRORS.ok(evidence, Amount(0.0, ERRORS_FAULT))
-    return ERRORS.warning(evidence, CABLE, Amount(hit / frames, ERRORS_FAULT))
+    return ERRORS.judged(graded(hit + discarded, 0.0, math.inf), evidence, CABLE, Amount(hit / frames, ERRORS_FAULT))
 
 
 FIRMWARE: Final = "update the board's firmware: what it sends does not have the form that PROTOCOL.md gives"
@@ -216,9 +215,8 @@ def _round_trip(probed: ProbeResult) -> Finding:
         return PINGS.fault("it identifies itself, and answers no ping", FIRMWARE)
     shortest_s, median_s = times_s
     evidence = f"{shortest_s * 1e3:.2f} ms at best, {median_s * 1e3:.2f} ms median (limit {_ROUND_TRIP_S * 1e3:g})"
-    if median_s <= _ROUND_TRIP_S:
-        return ROUND_TRIP.ok(evidence, Amount(median_s * 1e3, _ROUND_TRIP_S * 1e3, "ms"))
-    return ROUND_TRIP.warning(
+    return ROUND_TRIP.judged(
+        graded(median_s, _ROUND_TRIP_S, math.inf),
         evidence,
         "an adapter that collects bytes: shorten its latency timer (docs/how-to/connect.md); of TCP, check the network",
         Amount(median_s * 1e3, _ROUND_TRIP_S * 1e3, "ms"),

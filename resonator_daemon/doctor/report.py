@@ -54,7 +54,7 @@ class Report:
             "verdict": self.verdict,
             "faulty": list(self.faulty),
             "cause": self.cause.id if self.cause else None,
-            "findings": [_as_json(finding) for finding in self.findings],
+            "findings": [asdict(finding) for finding in self.findings],
         }
 
     def as_text(self, *, whole: bool = True) -> str:
@@ -122,10 +122,6 @@ class Report:
             return
         others = "".join(f", then {area.value}" for area in self.faulty[1:])
         yield from _wrapped("verdict: ", f"{self.verdict}{others}; first: {self.cause.title}: {self.cause.evidence}")
-
-
-def _as_json(finding: Finding) -> dict[str, Any]:
-    return {key: value.value if isinstance(value, Area | Outcome) else value for key, value in asdict(finding).items()}
 
 
 def _wrapped(head: str, text: str) -> Iterable[str]:

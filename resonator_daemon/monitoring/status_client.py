@@ -34,12 +34,9 @@ class Answer:
 
 async def ask_all(wanted: str | None) -> list[Answer]:
     """Ask all daemons at once; return those that run, or that of one name, in the order of their sockets."""
-    answers = await asyncio.gather(*(_ask(path) for path in _sockets()))
+    sockets = {path for directory in runtime_directories() for path in directory.glob(f"*/{SOCKET_NAME}")}
+    answers = await asyncio.gather(*map(_ask, sorted(sockets)))
     return [answer for answer in answers if answer is not None and (wanted is None or wanted in answer.names)]
-
-
-def _sockets() -> list[Path]:
-    return sorted({path for directory in runtime_directories() for path in directory.glob(f"*/{SOCKET_NAME}")})
 
 
 async def _ask(path: Path) -> Answer | None:

@@ -37,11 +37,12 @@ MARKS = "marks"
 JSON_ENCODING, JSON_SCHEMA_ENCODING = "json", "jsonschema"
 # One of the schemas that viewers of such files show as lines of text, in their place in time.
 MARK_SCHEMA = "foxglove.Log"
+TIME_SCHEMA: Final = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 MARK_SCHEMA_DATA: Final = {
     "title": MARK_SCHEMA,
     "type": "object",
     "properties": {
-        "timestamp": {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}},
+        "timestamp": TIME_SCHEMA,
         "level": {"type": "integer"},
         "message": {"type": "string"},
         "name": {"type": "string"},
@@ -49,7 +50,7 @@ MARK_SCHEMA_DATA: Final = {
         "line": {"type": "integer"},
     },
 }
-_INFO_LEVEL = 2
+INFO_LEVEL = 2  # before WARNING and ERROR
 
 MAX_RECORD_BYTES = 64 << 20  # of MCAP; a chunk ends with the event that fills it
 # What mcap, lz4 and `decode` raise about bytes that they cannot read.
@@ -65,16 +66,19 @@ class Mark(NamedTuple):
 
 def encode_mark(mark: Mark) -> bytes:
     """Return the mark as a line of a log."""
-    sec, nsec = divmod(mark.now.utc_ns, 10**9)
-    line = {
-        "timestamp": {"sec": sec, "nsec": nsec},
-        "level": _INFO_LEVEL,
-        "message": mark.text,
-        "name": "mark",
-        "file": "",
-        "line": 0,
-    }
+    return log_line(mark.now.utc_ns, INFO_LEVEL, "mark", mark.text)
+
+
+def log_line(utc_ns: int, level: int, name: str, text: str) -> bytes:
+    """Return a line of a log as JSON of MARK_SCHEMA."""
+    line = {"timestamp": json_time(utc_ns), "level": level, "message": text, "name": name, "file": "", "line": 0}
     return json.dumps(line).encode()
+
+
+def json_time(utc_ns: int) -> dict[str, int]:
+    """Return a time as JSON of TIME_SCHEMA."""
+    sec, nsec = divmod(utc_ns, 10**9)
+    return {"sec": sec, "nsec": nsec}
 
 
 def decode_mark(data: bytes, monotonic_ns: int, utc_ns: int) -> Mark:

@@ -5,8 +5,9 @@ import os
 from collections import Counter
 from collections.abc import Iterable
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO
 
 from mcap.records import (
     Attachment,
@@ -52,7 +53,8 @@ class NotRepairableError(RepairError):
     exit_code = ExitCode.USAGE
 
 
-class Repaired(NamedTuple):
+@dataclass
+class Repaired:
     """What came of it; `cut_bytes` of the file's end are in no copy, nor are `holes` chunks before.
 
     `index_damaged`: the index at its end is not what was written, and other programs read the file by it.
@@ -61,16 +63,16 @@ class Repaired(NamedTuple):
     plate file and settings are in it.
     """
 
-    ended: bool
-    cut_bytes: int
-    holes: int
-    index_damaged: bool
-    unreadable: int
-    damaged_attachments: tuple[str, ...]
-    events: int
-    events_missing: int
-    last_event_utc_ns: int | None
-    carries_config: bool
+    ended: bool = False
+    cut_bytes: int = 0
+    holes: int = 0
+    index_damaged: bool = False
+    unreadable: int = 0
+    damaged_attachments: list[str] = field(default_factory=list)
+    events: int = 0
+    events_missing: int = 0
+    last_event_utc_ns: int | None = None
+    carries_config: bool = False
 
     @property
     def was_whole(self) -> bool:
@@ -128,19 +130,12 @@ def _copy(file: IO[bytes], target: IO[bytes]) -> Repaired:
     for record in records:
         copier.add(record)
     copier.finish()
-    whole_bytes = file.seek(0, os.SEEK_END)
-    return Repaired(
-        records.ended,
-        0 if records.ended else whole_bytes - records.good_bytes,
-        copier.holes,
-        records.ended and not index.is_whole,
-        copier.unreadable,
-        tuple(copier.damaged_attachments),
-        copier.events,
-        copier.events_missing,
-        copier.last_event_utc_ns,
-        copier.texts >= {PLATE_FILE, SETTINGS_FILE},
-    )
+    done = copier.done
+    done.ended, done.index_damaged = records.ended, records.ended and not index.is_whole
+    if not records.ended:
+        done.cut_bytes = file.seek(0, os.SEEK_END) - records.good_bytes
+    done.carries_config = copier.texts >= {PLATE_FILE, SETTINGS_FILE}
+    return done
 
 
 class _Copier:
@@ -161,15 +156,13 @@ class _Copier:
         self._known_schemas = {record.id: record for record in known if isinstance(record, Schema)}
         self._known_channels = {record.id: record for record in known if isinstance(record, Channel)}
         self._hole: DamagedRange | None = None
-        self.holes = self.unreadable = self.events = self.events_missing = 0
+        self.done = Repaired()
         self.texts: set[str] = set()
-        self.damaged_attachments: list[str] = []
-        self.last_event_utc_ns: int | None = None
 
     def add(self, record: McapRecord | DamagedRange) -> None:
         match record:
             case DamagedRange():
-                self.holes += 1
+                self.done.holes += 1
                 self._miss(record)
             case Header() if not self._begun:
                 self._begun = True
@@ -177,7 +170,7 @@ class _Copier:
             case Metadata():
                 self._writer.add_metadata(record.name, record.metadata)
             case DamagedAttachment():
-                self.damaged_attachments.append(record.name)
+                self.done.damaged_attachments.append(record.name)
             case Attachment():
                 self._attach(record)
             case Schema():
@@ -192,14 +185,14 @@ class _Copier:
 
     def finish(self) -> None:
         if self._hole is not None:
-            self.events_missing += self._missing(self._hole)
+            self.done.events_missing += self._missing(self._hole)
         self._writer.finish()
 
     def _attach(self, attachment: Attachment) -> None:
         try:
             attachment.data.decode()
         except UnicodeDecodeError:
-            self.unreadable += 1
+            self.done.unreadable += 1
             return
         self.texts.add(attachment.name)
         self._writer.add_attachment(
@@ -229,15 +222,15 @@ class _Copier:
             elif topic == MARKS:
                 decode_mark(message.data, message.publish_time, message.log_time)
         except DAMAGE:
-            self.unreadable += 1
+            self.done.unreadable += 1
             self._miss(DamagedRange(len(message.data), Counter({message.channel_id: 1})))
             return
         if topic == TOPIC:
             if self._hole is not None:
                 self._write_missing(self._hole, message)
                 self._hole = None
-            self.events += 1
-            self.last_event_utc_ns = message.log_time
+            self.done.events += 1
+            self.done.last_event_utc_ns = message.log_time
         self._writer.add_message(
             self._channels[message.channel_id], message.log_time, message.data, message.publish_time, message.sequence
         )
@@ -247,7 +240,7 @@ class _Copier:
 
     def _write_missing(self, hole: DamagedRange, following: Message) -> None:
         missing = self._missing(hole)
-        self.events_missing += missing
+        self.done.events_missing += missing
         now = HostTime(following.publish_time, following.log_time - following.publish_time, 0)
         data = encode(Skipped(now, missing, hole.size_bytes))
         self._writer.add_message(self._channels[following.channel_id], now.utc_ns, data, now.monotonic_ns)

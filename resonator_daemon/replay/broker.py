@@ -4,7 +4,6 @@ import asyncio
 import secrets
 import time
 from contextlib import aclosing
-from types import TracebackType
 from typing import Final, Self
 
 from resonator_daemon.config import Mqtt
@@ -103,9 +102,7 @@ class AtBroker:
             raise BrokerUnreachableError(f"the broker at {where} takes no connection; see above for why") from None
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, _kind: object, error: BaseException | None, _where: object) -> None:
         self._state.end()
         if error is None:
             await self._room(0)

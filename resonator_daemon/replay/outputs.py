@@ -3,8 +3,7 @@
 import contextlib
 import sys
 from pathlib import Path
-from types import TracebackType
-from typing import Literal, Protocol, Self, TextIO
+from typing import Literal, Self, TextIO
 
 from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.new_file import NoNewFileError, check_new, takes_a_stream
@@ -17,18 +16,6 @@ class OutputFailedError(UserError):
 
     exit_code = ExitCode.FAILED
     code = "output"
-
-
-class Output(Protocol):
-    """Receiver of messages in order, between its beginning and its end."""
-
-    async def __aenter__(self) -> Self: ...
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
-    ) -> None: ...
-
-    async def put(self, published: Published) -> None: ...
 
 
 class Lines:
@@ -62,9 +49,7 @@ class Lines:
                 raise NoNewFileError(f"{self._path} cannot be made: {error.strerror}") from error
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, _kind: object, error: BaseException | None, _where: object) -> None:
         try:
             self._closing.close()
             if self._removable:

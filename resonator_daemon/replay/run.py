@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from resonator_daemon.config import Config, Mqtt, plate_name
 from resonator_daemon.errors import ConfigurationError, InterruptedCommandError, UsageError
@@ -19,7 +19,7 @@ from resonator_daemon.publishing.payloads import Info
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.recording.reader import damage_in_words
 from resonator_daemon.replay.broker import AtBroker
-from resonator_daemon.replay.outputs import Lines, Output
+from resonator_daemon.replay.outputs import Lines
 from resonator_daemon.replay.progress import Progress
 from resonator_daemon.replay.recorded_pipeline import Moment, Published, RecordingReplay
 from resonator_daemon.replay.source import open_replay
@@ -28,12 +28,6 @@ from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.view.watch import broker_at
 
 _AT_ONCE_S: Final = 1e-3  # a wait takes longer than this
-
-
-class Pacing(Protocol):
-    """Waits for each moment's turn."""
-
-    async def wait_for(self, moment: Moment) -> None: ...
 
 
 class AtSpeed:
@@ -181,7 +175,7 @@ async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[d
     config = options.config
     span = find_span(path, options.start, options.end)
     summary: dict[str, Any] = {}
-    output: Output
+    output: Lines | AtBroker
     if options.output is not None:
         output, boot_id, speed = Lines(options.output), None, options.speed or math.inf
     else:
@@ -191,7 +185,7 @@ async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[d
         boot_id, speed = output.daemon_boot_id, options.speed or 1.0
         summary["name"] = name
     with open_replay(path, config, boot_id) as replaying:
-        pacing: Pacing = StepByStep(span.begun) if options.step else AtSpeed(speed)
+        pacing = StepByStep(span.begun) if options.step else AtSpeed(speed)
         with Progress(path, shown=options.show_progress and not options.step) as progress:
             async with output:
                 await play(replaying, span, pacing, output, progress, tally)
@@ -212,7 +206,12 @@ async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[d
 
 
 async def play(
-    replaying: RecordingReplay, span: Span, pacing: Pacing, output: Output, progress: Progress, tally: Tally
+    replaying: RecordingReplay,
+    span: Span,
+    pacing: AtSpeed | StepByStep,
+    output: Lines | AtBroker,
+    progress: Progress,
+    tally: Tally,
 ) -> None:
     """Play a part of a recording out; what is before it is played, too, but its retained messages alone are kept."""
     retained: dict[Topic[Any], Published] = {}

@@ -52,7 +52,9 @@ class _Run:
         if path in self.last:
             self.missed[path] += max(0, message.seq - self.last[path][0].seq - 1)
         self.newest_t_ns = max(self.newest_t_ns, message.t_ns)
-        self.lost = max(self.lost, message.lost, key=_total)  # they only grow; a last will has old ones
+        self.lost = max(
+            self.lost, message.lost, key=lambda lost: sum(lost.model_dump().values())
+        )  # they only grow; a last will has old ones
         self.arrived_utc_ns = arrived_utc_ns
         self.last[path] = (message, arrived_utc_ns)
         self.first_arrived_utc_ns.setdefault(path, arrived_utc_ns)
@@ -136,7 +138,3 @@ class PlateView:
     def age_s(self, now_utc_ns: int) -> float:
         """Seconds since the last message of any kind; NaN before the first."""
         return math.nan if self._run.arrived_utc_ns is None else (now_utc_ns - self._run.arrived_utc_ns) / 1e9
-
-
-def _total(lost: Lost) -> int:
-    return sum(lost.model_dump().values())

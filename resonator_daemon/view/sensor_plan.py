@@ -45,7 +45,10 @@ class SensorPlan:
     @cached_property
     def _best(self) -> dict[Load, float]:
         return {
-            load: min((self._array.features_m(load, angle)[0] for angle in _DIRECTIONS_RAD), key=_nan_last)
+            load: min(
+                (self._array.features_m(load, angle)[0] for angle in _DIRECTIONS_RAD),
+                key=lambda finest_m: (math.isnan(finest_m), finest_m),
+            )
             for load in LOADS
         }
 
@@ -248,10 +251,6 @@ def _mm(value_m: float) -> str:
 
 def _degrees(angle_rad: float) -> str:
     return f"{math.degrees(angle_rad):.4g}°"
-
-
-def _nan_last(value: float) -> float:
-    return math.inf if math.isnan(value) else value
 
 
 def _or_none(value: float) -> float | None:

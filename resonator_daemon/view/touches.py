@@ -32,7 +32,7 @@ class _Touch(NamedTuple):
     """A touch as measured and as it is; None where there is no such one."""
 
     site: int | None
-    measured: _Force | None
+    measured: _Force | SiteForce | None
     true: TrueContact | None
     lasted_s: float
 
@@ -83,7 +83,9 @@ class TouchesPanel:
             true = () if self._truth is None else (newtons(touch.true.force_newton[2]) if touch.true else UNKNOWN,)
             status = touch.measured.status if touch.measured else "not measured"
             since = duration(touch.lasted_s)
-            table.add_row(_site(touch), _force(touch.measured), *true, status, since)
+            table.add_row(
+                "between" if touch.site is None else str(touch.site), _force(touch.measured), *true, status, since
+            )
         return [table, Text(self._status())]
 
     def words(self) -> str:
@@ -97,7 +99,7 @@ class TouchesPanel:
         return "forces unknown: none arrive" if self._forces is None else f"status {self._forces.status}"
 
     def _all_touches(self) -> Iterator[_Touch]:
-        measured: dict[int, _Force] = {}
+        measured: dict[int, _Force | SiteForce] = {}
         lasted_s = {}
         if self._contacts is not None:
             for contact in self._contacts.contacts:
@@ -105,7 +107,7 @@ class TouchesPanel:
                 now_ns = self._contacts.t_ns
                 lasted_s[contact.site] = (now_ns - self._view.contact_since_t_ns(contact.id, now_ns)) / 1e9
         if self._forces is not None:
-            measured |= {force.site: _force_of_site(force) for force in self._forces.sites}
+            measured |= {force.site: force for force in self._forces.sites}
         on_sites: dict[int, TrueContact] = {}
         for truth in self._truth.contacts if self._truth else ():
             if truth.site is None:
@@ -123,21 +125,13 @@ def _forces_of(touch: _Touch | None) -> tuple[float | None, float | None]:
     return measured, touch.true.force_newton[2] if touch.true else None
 
 
-def _site(touch: _Touch) -> str:
-    return "between" if touch.site is None else str(touch.site)
-
-
-def _force_of_site(force: SiteForce) -> _Force:
-    return _Force(force.force_newton, force.noise_newton, force.systematic_newton, force.at_least_newton, force.status)
-
-
 def _force_of_contact(contact: Contact) -> _Force:
     normal_newton, noise_newton = contact.force_newton[2], contact.noise_newton[2]
     systematic_newton = math.nan if contact.systematic_newton is None else contact.systematic_newton
     return _Force(normal_newton, noise_newton, systematic_newton, contact.at_least_newton, contact.status)
 
 
-def _force(force: _Force | None) -> str:
+def _force(force: _Force | SiteForce | None) -> str:
     if force is None:
         return UNKNOWN
     if not math.isfinite(force.force_newton):

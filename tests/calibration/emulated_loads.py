@@ -13,7 +13,7 @@ import numpy as np
 from firmware_protocol.layouts import CHANNEL_COUNT, TONE_FIELDS, single_tone_records
 from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration.load_procedure import LoadProcedure, Prompt
-from resonator_daemon.calibration.load_readings import CapturedLoads, LoadDetector, LoadReading
+from resonator_daemon.calibration.load_readings import CapturedLoads, LoadReading
 from resonator_daemon.calibration.multitone_loads import MultitoneLoads
 from resonator_daemon.calibration.outcome import Outcome, fit_loadings
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY, LoadRequest, Step
@@ -131,7 +131,7 @@ class Loads:
         frames = reading_frames(1 / plate.counter.frame_rate_hz)
         every_tone = sensor.expected_tones.pressed_hz is None
         self._detector = sensor.tone_detector(frames, even_oscillators(true)[0] if every_tone else np.zeros(0))
-        self._loads: LoadDetector = MultitoneLoads(plate) if every_tone else CapturedLoads(plate)
+        self._loads = MultitoneLoads(plate) if every_tone else CapturedLoads(plate)
 
     @property
     def untouched_hz(self) -> Floats | None:

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from resonator_daemon.arrays import Bools, Floats
 from resonator_daemon.decoding.decoded import Decoded, stated
-from resonator_daemon.decoding.fitting.centre_search import Candidate, CentreSearch
+from resonator_daemon.decoding.fitting.centre_search import CentreSearch
 from resonator_daemon.decoding.fitting.contact_fit import Fit, fit
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.layout import at_border, gap_m, refuse_duplicates
@@ -195,8 +195,8 @@ class ParametricDecoder:
         """Return the contacts from the best places of the search, least chi-square first."""
         whitened = np.where(known, signals / self._noise, 0.0)
         places = self._search.candidates(whitened, known, _CANDIDATES)
-        fits = [self._refine(_begin(place), signals, noise) for place in places]
-        return sorted(fits, key=lambda found: found.chi_square)
+        begins = [np.array([*place.centre_m, place.radius_m**2, *place.force_newton]) for place in places]
+        return sorted((self._refine(begin, signals, noise) for begin in begins), key=lambda found: found.chi_square)
 
     def _refine(self, begin: Floats, signals: Floats, noise: Floats) -> Fit:
         limit = _FORCE_LIMIT * float(np.abs(begin[3:]).max())
@@ -304,10 +304,6 @@ class ParametricDecoder:
         shape = 3, len(self.query_positions_m)
         why = Reason(code, f"{self._why}; {text}")
         return Decoded.unknown(shape, displacement, log_evidence, chi2, status, why)
-
-
-def _begin(place: Candidate) -> Floats:
-    return np.array([*place.centre_m, place.radius_m**2, *place.force_newton])
 
 
 def _with_shear_or_without(contact: Floats, covariance: Floats) -> tuple[Floats, Floats]:

@@ -8,16 +8,26 @@ from typing import Any, Final
 
 from resonator_daemon.config.text import plate_text, settings_text
 from resonator_daemon.exporting.clouds import Clouds, Points
-from resonator_daemon.exporting.mcap_output import OK, McapOutput, cloud_fields, severity, state_text
+from resonator_daemon.exporting.mcap_output import McapOutput, cloud_fields, severity, state_text
 from resonator_daemon.exporting.tables import WITH_TABLE
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import WITH_ARRAYS, Header, Message, State
 from resonator_daemon.publishing.topics import INFO, TOPICS, Topic
-from resonator_daemon.recording.reader import MARK_SCHEMA_DATA, MARKS, PLATE_FILE, SETTINGS_FILE
+from resonator_daemon.recording.reader import (
+    INFO_LEVEL,
+    MARK_SCHEMA_DATA,
+    MARKS,
+    PLATE_FILE,
+    SETTINGS_FILE,
+    TIME_SCHEMA,
+    Mark,
+    encode_mark,
+    json_time,
+    log_line,
+)
 from resonator_daemon.replay.recorded_pipeline import Moment
 
 _LOG: Final = "log"
-_TIME: Final = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 _NUMBER: Final = {"type": "number"}
 _VECTOR: Final = {"type": "object", "properties": dict.fromkeys("xyz", _NUMBER)}
 _QUATERNION: Final = {"type": "object", "properties": dict.fromkeys("xyzw", _NUMBER)}
@@ -30,7 +40,7 @@ _CLOUD_SCHEMA: Final = {
     "title": "foxglove.PointCloud",
     "type": "object",
     "properties": {
-        "timestamp": _TIME,
+        "timestamp": TIME_SCHEMA,
         "frame_id": {"type": "string"},
         "pose": {"type": "object", "properties": {"position": _VECTOR, "orientation": _QUATERNION}},
         "point_stride": {"type": "integer"},
@@ -40,7 +50,6 @@ _CLOUD_SCHEMA: Final = {
 }
 _NUMERIC_TYPES: Final = {"<u2": 3, "<f4": 7, "<f8": 8}  # UINT16, FLOAT32, FLOAT64
 _POSE: Final = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
-_LEVEL_OF_OK: Final = 2  # of the log: INFO, before WARNING and ERROR
 
 
 class Format(McapOutput):
@@ -60,7 +69,7 @@ class Format(McapOutput):
     def add(self, moment: Moment) -> None:
         if moment.mark is not None:
             now_ns = moment.now.utc_ns
-            self._put_json(MARKS, MARK_SCHEMA_DATA, _log_line(now_ns, OK, "mark", moment.mark), now_ns, now_ns)
+            self._put_json(MARKS, MARK_SCHEMA_DATA, encode_mark(Mark(moment.now, moment.mark)), now_ns, now_ns)
         super().add(moment)
 
     def put(self, topic: Topic[Any], message: Message, now_ns: int) -> None:
@@ -71,7 +80,7 @@ class Format(McapOutput):
             cloud = _cloud(points, self._recorded.name, t_ns)
             self._put_json(f"{path}/cloud", _CLOUD_SCHEMA, cloud, now_ns, t_ns)
         if isinstance(message, State):
-            line = _log_line(t_ns, severity(message.state), path, state_text(message))
+            line = log_line(t_ns, INFO_LEVEL + severity(message.state), path, state_text(message))
             self._put_json(_LOG, MARK_SCHEMA_DATA, line, now_ns, t_ns)
 
     def _put_json(self, channel: str, schema: Mapping[str, Any], data: bytes, now_ns: int, t_ns: int) -> None:
@@ -84,21 +93,10 @@ def _schema_of(path: str) -> dict[str, Any]:
     return TOPICS[path].payload.model_json_schema(mode="serialization")
 
 
-def _time(t_ns: int) -> dict[str, int]:
-    sec, nsec = divmod(t_ns, 10**9)
-    return {"sec": sec, "nsec": nsec}
-
-
-def _log_line(t_ns: int, how_bad: int, name: str, text: str) -> bytes:
-    level = _LEVEL_OF_OK + how_bad
-    line = {"timestamp": _time(t_ns), "level": level, "message": text, "name": name, "file": "", "line": 0}
-    return json.dumps(line).encode()
-
-
 def _cloud(points: Points, frame_id: str, t_ns: int) -> bytes:
     return json.dumps(
         {
-            "timestamp": _time(t_ns),
+            "timestamp": json_time(t_ns),
             "frame_id": frame_id,
             "pose": _POSE,
             "point_stride": points.dtype.itemsize,
