@@ -18,8 +18,7 @@ import psutil
 from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.config import Measurement, Mqtt
-from resonator_daemon.demo.latency_figures import Arrival, measure, read_gates
-from resonator_daemon.demo.latency_report import LatencyReport
+from resonator_daemon.demo.latency_report import Arrival, LatencyReport, measure, read_gates
 from resonator_daemon.demo.local_broker import local_broker
 from resonator_daemon.demo.processes import Child, cpu_s, raise_if_ended, start_daemons, start_emulator
 from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 from resonator_daemon.arrays import Bools, Floats
 from resonator_daemon.elastic.checks import check_tolerance, real_array
 from resonator_daemon.elastic.constrained import NotConvergedError, Pushing, minimise
+from resonator_daemon.elastic.grid import window_around
 from resonator_daemon.elastic.influence import RoughStiffness, SurfaceCompliance, Z
-from resonator_daemon.elastic.windows import window_around
 
 _COARSEST = 12  # pixels a side that a coarser grid must have to pay
 _COARSE_TOLERANCE = 3e-2  # about as far as the coarser grid is from the finer one

@@ -6,8 +6,10 @@ from numbers import Integral
 
 import numpy as np
 
-from resonator_daemon.arrays import Complexes, Floats
+from resonator_daemon.arrays import Bools, Complexes, Floats
 from resonator_daemon.elastic.half_space import HalfSpace, Input, Output, ZeroRule
+
+Window = tuple[slice, slice]
 
 
 @dataclass(frozen=True)
@@ -77,3 +79,14 @@ def _both_signs(omega: Floats, count: int) -> list[Floats]:
     other = omega.copy()
     other[count // 2] *= -1.0
     return [omega, other]
+
+
+def window_around(hit: Bools, margin: int = 0) -> Window:
+    """Smallest window (y, x) that holds all pixels hit and a margin within the grid; all of it where none is hit."""
+
+    def span(axis: int) -> slice:
+        count = hit.shape[axis]
+        at = np.flatnonzero(hit.any(axis=1 - axis))
+        return slice(max(int(at[0]) - margin, 0), min(int(at[-1]) + 1 + margin, count)) if at.size else slice(0, count)
+
+    return span(0), span(1)

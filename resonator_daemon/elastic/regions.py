@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic.checks import real_array
 from resonator_daemon.elastic.constrained import Prescribed, minimise
+from resonator_daemon.elastic.grid import window_around
 from resonator_daemon.elastic.influence import RoughStiffness, SurfaceCompliance, X, Y, Z
-from resonator_daemon.elastic.windows import window_around
 
 
 @dataclass(frozen=True)

@@ -3,16 +3,17 @@
 import struct
 import zlib
 from collections.abc import Collection, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
 from io import BytesIO
 from typing import Final, NamedTuple
 
 from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, McapRecord, Message
+from mcap.records import Attachment, Channel, Chunk, McapRecord, Message
 from mcap.stream_reader import CRCValidationError, StreamReader
-
-from resonator_daemon.recording.mcap_attachments import read_attachment
 
 _RECORD: Final = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE: Final = struct.Struct("<BQHIQQ")  # with channel, sequence, log time, publish time; its data follow
@@ -21,6 +22,43 @@ _MESSAGE_OPCODE: Final = int(Opcode.MESSAGE)
 CHUNK_BYTES: Final = 256 << 10  # as written: about a millisecond to compress
 MAX_CHUNK_BYTES: Final = 16 << 20  # as read
 """Of a chunk's records: those that are written have 256 KiB and what fills them, an event of 256 KiB or a message."""
+
+_TIMES_BYTES: Final = 16
+_CRC: Final = struct.Struct("<I")
+_UNREADABLE: Final = (McapError, ValueError, OverflowError, MemoryError, struct.error)
+
+
+@dataclass
+class DamagedAttachment(McapRecord):
+    """An attachment with a wrong check sum, or one that cannot be read.
+
+    Parameters
+    ----------
+    name
+        As it is in the file, which may be damaged, too; a question mark where it cannot be read.
+    """
+
+    name: str
+
+
+def read_attachment(content: bytes) -> Attachment | DamagedAttachment:
+    """Read the content of an attachment's record.
+
+    As in the specification of MCAP the check sum, CRC-32, is of all content before it, and 0 means that there is none.
+    """
+    with suppress(*_UNREADABLE):
+        (crc,) = _CRC.unpack(content[-_CRC.size :])
+        if crc in (0, zlib.crc32(content[: -_CRC.size])):
+            attachment: Attachment = Attachment.read(ReadDataStream(BytesIO(content)))
+            return attachment
+    return DamagedAttachment(_name(content))
+
+
+def _name(content: bytes) -> str:
+    name = "?"
+    with suppress(*_UNREADABLE):
+        name = ReadDataStream(BytesIO(content[_TIMES_BYTES:])).read_prefixed_string()
+    return name
 
 
 class Logged(NamedTuple):

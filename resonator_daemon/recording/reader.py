@@ -19,8 +19,7 @@ from resonator_daemon.host.printable import printable
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.plate import Plate
 from resonator_daemon.reasons import ReasonCode
-from resonator_daemon.recording.mcap_attachments import DamagedAttachment
-from resonator_daemon.recording.mcap_messages import ChunkReader, messages
+from resonator_daemon.recording.mcap_messages import ChunkReader, DamagedAttachment, messages
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import WireEvent, decode
 

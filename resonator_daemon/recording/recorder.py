@@ -9,7 +9,6 @@ from typing import Final, NamedTuple, Self
 
 from resonator_daemon.errors import UserError
 from resonator_daemon.recording.file_series import DiskSpace, LogLine, Series, discard_line
-from resonator_daemon.recording.items import EVENT_BYTES, Item, size_bytes
 from resonator_daemon.recording.reader import Mark, Origin
 from resonator_daemon.recording.writer import Contents, Published, RecordingWriter
 from resonator_daemon.session.frames import BoardOnline
@@ -20,6 +19,12 @@ QUEUE_BYTES = 64 << 20  # 4 s of a plate with 3072 tones and 100 frames/s
 
 _PUBLISHED_SHARE: Final = 2  # of the queue is for what was published, the rest for the link alone
 _NAMES_APART_NS: Final = 1_000_000  # names have milliseconds
+
+EVENT_BYTES: Final = 300  # of memory, besides its data
+
+_SNAPSHOT_BYTES: Final = 10_000  # most of it vertices of the clock's hulls
+
+Item = WireEvent | Mark | BoardOnline | Published
 
 
 class RecorderTimes(NamedTuple):
@@ -401,3 +406,20 @@ class Recorder:
 def _is_of_use(snapshot: SnapshotTaken, file: RecordingWriter) -> bool:
     """Whether a replay could begin with it or, where the chunk before is damaged, go on with the open link."""
     return not file.begun or (file.snapshot_due and snapshot.snapshot.running is not None)
+
+
+def size_bytes(item: Item) -> int:
+    """Return about what an item takes of memory while it waits."""
+    match item:
+        case Received() | Sent():
+            return EVENT_BYTES + len(item.data)
+        case Mark():
+            return EVENT_BYTES + len(item.text)
+        case Published():
+            return EVENT_BYTES + len(item.payload)
+        case SnapshotTaken():
+            return _SNAPSHOT_BYTES
+        case BoardOnline():
+            return 0
+        case _:
+            return EVENT_BYTES

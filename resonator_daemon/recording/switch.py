@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 from resonator_daemon.errors import UserError
 from resonator_daemon.recording.file_series import Series
-from resonator_daemon.recording.items import size_bytes
 from resonator_daemon.recording.reader import Mark, Origin
-from resonator_daemon.recording.recorder import Recorder, RecordingCounts
+from resonator_daemon.recording.recorder import Recorder, RecordingCounts, size_bytes
 from resonator_daemon.recording.writer import Published
 from resonator_daemon.session.frames import BoardOnline
 from resonator_daemon.session.host_time import HostTime, read_host_time

@@ -15,8 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt, 
 
 from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.host.new_file import NoNewFileError, part_is_there, part_of
-from resonator_daemon.replay.lines import payload_json
-from resonator_daemon.replay.outputs import OutputFailedError
+from resonator_daemon.replay.outputs import OutputFailedError, payload_json
 from resonator_daemon.replay.recorded_pipeline import RecordingReplay
 from resonator_daemon.replay.source import open_replay
 

@@ -3,11 +3,14 @@
 import contextlib
 import sys
 from pathlib import Path
-from typing import Literal, Self, TextIO
+from typing import Any, Literal, Self, TextIO
+
+import numpy as np
 
 from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.new_file import NoNewFileError, check_new, takes_a_stream
-from resonator_daemon.replay.lines import line
+from resonator_daemon.publishing.codec import Encoded
+from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.replay.recorded_pipeline import Published
 
 
@@ -69,3 +72,21 @@ class Lines:
 
     def _failed(self, error: OSError) -> OutputFailedError:
         return OutputFailedError(f"{self._path}: {error.strerror}; what was written stays")
+
+
+def payload_json(message: Message | Encoded) -> str:
+    """Return what is published as JSON; for a message with arrays, the same keys with rows of numbers."""
+    if isinstance(message, Encoded):
+        return message.payload.decode()
+    return message.model_dump_json(fallback=_rows)
+
+
+def line(published: Published) -> str:
+    """Return topic and payload as one JSON object."""
+    return f'{{"topic":"{published.topic.path}","payload":{payload_json(published.message)}}}'
+
+
+def _rows(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is nothing that messages have")

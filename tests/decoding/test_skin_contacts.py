@@ -14,7 +14,7 @@ from resonator_daemon.decoding.layout import cell_areas_m2
 from resonator_daemon.decoding.patches import PatchFinder
 from resonator_daemon.decoding.skin import Skin
 from resonator_daemon.decoding.skin_contacts import SkinContact, SkinContacts, SkinEvent
-from resonator_daemon.decoding.surface_estimators import net_patches
+from resonator_daemon.decoding.skin_decoder import net_patches
 
 FINDER = PatchFinder(SITES_M, cell_areas_m2(SITES_M), DEPTH_M)
 NOTHING = np.zeros((3, SITES))

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from resonator_daemon.demo.latency_figures import Arrival, Gates, measure, read_gates
+from resonator_daemon.demo.latency_report import Arrival, Gates, measure, read_gates
 from resonator_daemon.monitoring.latency import BOUNDS_MS
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import Decoded, Lost

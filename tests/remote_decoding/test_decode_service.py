@@ -24,7 +24,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.publishing.topics import DECODER_STATE
-from resonator_daemon.remote_decoding import followed_plate, shared_stage
+from resonator_daemon.remote_decoding import followed_plate, shared_plates
 from resonator_daemon.remote_decoding import service as decode_service
 from resonator_daemon.remote_decoding.service import CannotShareError, own_id
 
@@ -267,7 +267,7 @@ async def test_a_stop_during_a_set_up_is_said_before_that_has_ended(
         assert may_end.wait(60)
         raise ValueError("too late")
 
-    monkeypatch.setattr(shared_stage, "set_up", slow)
+    monkeypatch.setattr(shared_plates, "set_up", slow)
     decoder = process(tmp_path, mosquitto.url, decoding=SHARING, name=None)
     async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand:
 

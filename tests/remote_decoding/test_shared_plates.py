@@ -17,7 +17,7 @@ from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import GridInfo, Info, Message, Signals
 from resonator_daemon.reasons import Reason, ReasonCode
-from resonator_daemon.remote_decoding import shared_plates, shared_stage
+from resonator_daemon.remote_decoding import shared_plates
 from resonator_daemon.remote_decoding.shared_plates import SharedPlates
 
 CONFIG = DecoderConfig(decoding=Decoding(plates=("+",), group="touch"))
@@ -152,14 +152,14 @@ async def test_a_plate_is_there_from_its_first_skin_until_its_info_is_gone() -> 
 
 async def test_a_plate_forgotten_while_its_frame_is_decoded_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     began, may_end = threading.Event(), threading.Event()
-    real = shared_stage.set_up
+    real = shared_plates.set_up
 
     def slow(*arguments: Any) -> Any:
         began.set()
         assert may_end.wait(20)
         return real(*arguments)
 
-    monkeypatch.setattr(shared_stage, "set_up", slow)
+    monkeypatch.setattr(shared_plates, "set_up", slow)
     async with Shared().running() as shared:
         shared.tell("left", info())
         shared.send("left", signals(0))

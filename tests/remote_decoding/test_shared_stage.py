@@ -14,9 +14,9 @@ from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.reasons import Reason
-from resonator_daemon.remote_decoding import shared_stage
+from resonator_daemon.remote_decoding import shared_plates
 from resonator_daemon.remote_decoding.plate import SkinPlate
-from resonator_daemon.remote_decoding.shared_stage import DECODERS_MAX, SharedStage
+from resonator_daemon.remote_decoding.shared_plates import DECODERS_MAX, SharedStage
 
 LINEAR = DecodingOptions(contact_physics=False, background=False)
 
@@ -92,7 +92,7 @@ def substitute(monkeypatch: pytest.MonkeyPatch) -> type[Substitute]:
     def put(of: Skin, _wanted: DecodingOptions, noise_std: Floats, _progress: Callable[[str], None]) -> Substitute:
         return Substitute(of, noise_std)
 
-    monkeypatch.setattr(shared_stage, "set_up", put)
+    monkeypatch.setattr(shared_plates, "set_up", put)
     return Substitute
 
 

@@ -16,7 +16,7 @@ from resonator_daemon.daemon.daemon import Service
 from resonator_daemon.publishing.codec import decode
 from resonator_daemon.publishing.requests import request
 from resonator_daemon.publishing.topics import TOPICS
-from resonator_daemon.replay.lines import payload_json
+from resonator_daemon.replay.outputs import payload_json
 from resonator_daemon.replay.source import open_replay
 from simulators.faults import parse_faults
 
