@@ -15,6 +15,7 @@ from resonator_daemon.errors import ExitCode, UsageError, UserError
 
 if TYPE_CHECKING:
     from resonator_daemon.links.target import LinkTarget
+    from resonator_daemon.reasons import ReasonCode
     from resonator_daemon.session.probe import ProbeResult
 
 
@@ -23,6 +24,12 @@ class NoAnswerError(UserError):
 
     exit_code = ExitCode.UNAVAILABLE
     code = "no_board"
+
+
+class BoardInUseError(NoAnswerError):
+    """Another program holds the port, or is served by the board."""
+
+    code = "in_use"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,14 +58,13 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     if link is None:
         raise UsageError("name a LINK (see: resonatord ports) or --config FILE")
     result = _probe(link, blink=arguments.blink)
-    found = incompatibilities(result.described.description, config.plate) if config is not None else ()
-    problems = tuple(problem.text for problem in found)
+    problems = incompatibilities(result.described.description, config.plate) if config is not None else ()
     if arguments.json:
         print_json({"verb": "identify", "ok": not problems, **as_json(link, result, problems, blink=arguments.blink)})
     else:
         for label, value in labelled_lines(link, result, blink=arguments.blink):
             sys.stdout.write(f"{label:<15}{value}\n")
-    print_error(*(f"{arguments.config}: {problem}" for problem in problems))
+    print_error(*(f"{arguments.config}: {problem.text}" for problem in problems))
     return ExitCode.UNAVAILABLE if problems else ExitCode.DONE
 
 
@@ -70,6 +76,10 @@ def _probe(target: "LinkTarget", *, blink: bool) -> "ProbeResult":
         with closing(target.open()) as link:
             return probe(link, blink=blink)
     except LinkUnavailableError as error:
-        raise NoAnswerError(str(error)) from error
+        raise _no_answer(error.reason.code, str(error)) from error
     except NoBoardError as error:
-        raise NoAnswerError(f"no board answers on {target}: {error}") from error
+        raise _no_answer(error.lost, f"no board answers on {target}: {error}") from error
+
+
+def _no_answer(code: "ReasonCode | None", message: str) -> NoAnswerError:
+    return BoardInUseError(message) if code == "port_in_use" else NoAnswerError(message)

@@ -30,6 +30,7 @@ from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.links.port_holders import Holders, port_holders
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate, load_plate, shipped_plates
+from resonator_daemon.reasons import ReasonCode
 from resonator_daemon.session.probe import NoBoardError, ProbeResult, probe
 
 _BITS_PER_BYTE: Final = 8
@@ -193,6 +194,8 @@ class _Diagnosis:
         except NoBoardError as error:
             if error.refused is not None:
                 yield link_checks.MESSAGES.fault(str(error), link_checks.FIRMWARE)
+            elif error.lost is ReasonCode.PORT_IN_USE:
+                yield link_checks.ANSWERS.fault(str(error), "stop the program that is connected to the board")
             else:
                 check = link_checks.RESPONDS if error.is_a_board else link_checks.ANSWERS
                 yield check.fault(str(error), "check power, cable and baud rate, and that it is this port")

@@ -9,6 +9,7 @@ from firmware_protocol.layouts import PROTOCOL_MAJOR, PROTOCOL_MINOR
 from firmware_protocol.messages import Refusal
 from firmware_protocol.packets import ForeignVersion
 from resonator_daemon.links.link import Link, LinkLostError
+from resonator_daemon.reasons import ReasonCode
 from resonator_daemon.session.clock import TOLERANCE_PPM, Exchange
 
 ANSWER_S = 3.0
@@ -22,13 +23,21 @@ class NoBoardError(Exception):
     """Nothing on the link gives a board's answers; the text has what came instead.
 
     `is_a_board`: it uses this protocol all the same, in another version or with a refusal. `refused`: what is wrong
-    with its packets, None where none was refused.
+    with its packets, None where none was refused. `lost`: why the link was lost meanwhile, None where it was not.
     """
 
-    def __init__(self, text: str, *, is_a_board: bool = False, refused: PacketRefusal | None = None) -> None:
+    def __init__(
+        self,
+        text: str,
+        *,
+        is_a_board: bool = False,
+        refused: PacketRefusal | None = None,
+        lost: ReasonCode | None = None,
+    ) -> None:
         super().__init__(text)
         self.is_a_board = is_a_board
         self.refused = refused
+        self.lost = lost
 
 
 class TickRate(NamedTuple):
@@ -64,7 +73,8 @@ def probe(link: Link, *, blink: bool = False) -> ProbeResult:
     try:
         return _Probe(link, blink=blink).run()
     except LinkLostError as error:
-        raise NoBoardError(f"the link was lost before the board had answered: {error}") from error
+        text = f"the link was lost before the board had answered: {error}"
+        raise NoBoardError(text, lost=error.reason.code) from error
 
 
 def tick_rate(exchanges: list[Exchange], reference_millihertz: int) -> TickRate | None:

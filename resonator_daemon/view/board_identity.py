@@ -7,13 +7,14 @@ from typing import Any
 from firmware_protocol.layouts import PROTOCOL_MAJOR, PROTOCOL_MINOR, Capability
 from firmware_protocol.messages import CounterKind, Description, ResetCause
 from resonator_daemon.links.target import LinkTarget
+from resonator_daemon.reasons import Reason
 from resonator_daemon.session.probe import ProbeResult, round_trip_s
 
 _KINDS = {int(CounterKind.SINGLE_TONE): "single-tone", int(CounterKind.CHANNELISED): "channelised"}
 _CAPABILITIES = {Capability.TEMPERATURE: "temperature", Capability.LOCATE: "locate"}
 
 
-def as_json(target: LinkTarget, result: ProbeResult, problems: tuple[str, ...], *, blink: bool) -> dict[str, Any]:
+def as_json(target: LinkTarget, result: ProbeResult, problems: tuple[Reason, ...], *, blink: bool) -> dict[str, Any]:
     """Return the object of `resonatord identify --json`; `problems` is why the board cannot serve a configuration."""
     shortest_s, median_s = round_trip_s(result) or (None, None)
     rate = result.tick_rate
@@ -26,7 +27,8 @@ def as_json(target: LinkTarget, result: ProbeResult, problems: tuple[str, ...], 
         "round_trip_s": {"shortest": shortest_s, "median": median_s, "answers": len(result.round_trips_s)},
         "tick_rate": None if rate is None else {**rate._asdict(), "plausible": rate.plausible},
         "blinks": result.refused_to_blink is None if blink else None,
-        "misfits": problems,
+        "misfits": [problem.text for problem in problems],
+        "misfit_codes": [problem.code for problem in problems],
     }
 
 

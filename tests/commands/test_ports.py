@@ -4,6 +4,7 @@ import json
 import socket
 import threading
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from resonator_daemon.commands import main
 from resonator_daemon.links import usb_devices
 from resonator_daemon.links.carriers import serial as serial_carrier
 from resonator_daemon.links.port_holders import Holders
+from resonator_daemon.links.table import parse_link
 from resonator_daemon.session import probe as port_inquiry
 from simulators.emulator import EmulatorOptions
 
@@ -97,6 +99,20 @@ def test_what_looks_like_a_board_is_told_without_opening_it(
     assert asked(capsys, "ports")[1]["ports"][0]["looks_like_a_board"] is expected
 
 
+@pytest.mark.parametrize("by", ["tcp", "serial"])
+def test_a_board_that_another_program_holds_is_in_use(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], by: str
+) -> None:
+    place: dict[str, Any] = {"tcp": ("127.0.0.1", 0)} if by == "tcp" else {"pty": tmp_path / "board"}
+    with (
+        emulated(EmulatorOptions("quartz16", **place)) as emulator,
+        closing(parse_link(emulator.link.address).open()) as served,
+    ):
+        port_inquiry.probe(served)
+        code, printed = asked(capsys, "identify", emulator.link.address)
+    assert (code, printed["error"]["code"]) == (69, "in_use")
+
+
 def test_for_programs_it_is_one_object(board: str, capsys: pytest.CaptureFixture[str]) -> None:
     code, printed = asked(capsys, "identify", board)
     assert code == 0
@@ -115,6 +131,8 @@ def test_a_configuration_names_the_link_and_is_compared(
 ) -> None:
     config = tmp_path / "board.toml"
     config.write_text(f'plate = "{plate}"\nlink = "{board}"\n')
+    found, answer = asked(capsys, "identify", "--config", str(config))
+    assert (found, "wrong_plate" in answer["misfit_codes"]) == (code, code == 69)
     assert main(["identify", "--config", str(config)]) == code
     printed = capsys.readouterr()
     assert "EMU-0001" in printed.out
