@@ -71,6 +71,9 @@ class ReasonCode(Word):
     CONFIGURATION_REFUSED = "configuration_refused", "the board refuses its configuration"
     RECORDING_UNUSABLE = "recording_unusable", "the recording that is to be replayed cannot be read"
     RECORDING_OVER = "recording_over", "the recording that was replayed is over"
+    DISK_FULL = "disk_full", "the disk is full, or has less room than is to be kept free"
+    WRITE_FAILED = "write_failed", "the file of the recording cannot be made or written"
+    FILE_GONE = "file_gone", "the file of the recording was removed, moved or replaced"
     UNSPECIFIED = "unspecified", "a recording of an earlier version has the sentence alone"
 
     # Releases of contacts.

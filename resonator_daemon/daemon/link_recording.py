@@ -169,7 +169,7 @@ class _LinkRecording:
     def check(self, seconds: float | None) -> None:
         """Raise what is wrong with a recording that has ended; `seconds` is what was asked for."""
         if self._recorder.failure is not None:
-            raise RecordingEndedError(self._recorder.failure)
+            raise RecordingEndedError(self._recorder.failure.text)
         result = self.result()
         if self._stopped and not result["frames"]:
             raise InterruptedCommandError("interrupted before a frame came; no file is kept")

@@ -174,7 +174,7 @@ def _series(config: Config, name: str, label: str | None) -> Series:
 def _ended(now: RecordingNow) -> CommandRefusedError:
     return CommandRefusedError(
         "recording_failed",
-        f"{as_json_text(now.path)} takes nothing more: {as_json_text(now.failure)}",
+        f"{as_json_text(now.path)} takes nothing more: {as_json_text(now.failure.text if now.failure else '')}",
         "send stop_recording, then start_recording",
     )
 
@@ -187,7 +187,8 @@ def _summary_info(summary: RecordingSummary) -> RecordingSummaryInfo:
         events=summary.events,
         events_missing=summary.events_missing,
         duration_s=summary.seconds,
-        failure=as_json_text(summary.failure) if summary.failure else None,
+        failure_code=summary.failure.code if summary.failure else None,
+        failure=as_json_text(summary.failure.text) if summary.failure else None,
     )
 
 
@@ -197,7 +198,8 @@ def recording_info(switch: RecordingSwitch) -> RecordingInfo:
     return RecordingInfo(
         file=as_json_text(now.path) if now else None,
         since_t_ns=now.since_utc_ns if now else None,
-        failure=as_json_text(now.failure) if now and now.failure else None,
+        failure_code=now.failure.code if now and now.failure else None,
+        failure=as_json_text(now.failure.text) if now and now.failure else None,
         **switch.totals._asdict(),
     )
 

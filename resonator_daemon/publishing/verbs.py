@@ -8,8 +8,10 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, SerializeAsAn
 from pydantic.fields import FieldInfo
 
 from resonator_daemon.config.tables import ChangingVerb
+from resonator_daemon.publishing.payload_types import optional
 from resonator_daemon.publishing.payloads import ContactEvent, Health, Int64, Message, PerChannel
 from resonator_daemon.publishing.topics import JSON, TOPICS
+from resonator_daemon.reasons import ReasonCode
 
 LABEL_PATTERN: Final = "^[A-Za-z0-9_-]{1,64}$"
 ID_LENGTH_MAX: Final = 64
@@ -226,7 +228,10 @@ class RecordingSummaryInfo(Message):
     events: int = Field(description="pieces of the link's traffic that are in its files")
     events_missing: int = Field(description="those that are in none: the disk was too slow or failed")
     duration_s: float
-    failure: str | None = Field(description="why nothing more was written; null where all was well")
+    failure_code: ReasonCode | None = optional(
+        "why nothing more was written, for programs; left out where all was well"
+    )
+    failure: str | None = Field(description="the same as a sentence; null where all was well")
 
 
 class StopRecordingAnswer(Answer):

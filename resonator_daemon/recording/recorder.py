@@ -1,5 +1,6 @@
 """Writes link events to files in a thread of its own, so that the reader never waits for the disk."""
 
+import errno
 import logging
 import threading
 import time
@@ -8,7 +9,8 @@ from pathlib import Path
 from typing import Final, NamedTuple, Self
 
 from resonator_daemon.errors import UserError
-from resonator_daemon.recording.file_series import DiskSpace, LogLine, Series, discard_line
+from resonator_daemon.reasons import Reason, ReasonCode
+from resonator_daemon.recording.file_series import DiskSpace, LogLine, NoRoomError, Series, discard_line
 from resonator_daemon.recording.reader import Mark, Origin
 from resonator_daemon.recording.writer import Contents, Published, RecordingWriter
 from resonator_daemon.session.frames import BoardOnline
@@ -97,7 +99,7 @@ class Recorder:
         self._missing_events = self._missing_bytes = 0  # since the last event that fitted
         self._events = 0
         self._counts = RecordingCounts()
-        self._failure: str | None = None
+        self._failure: Reason | None = None
         self._logged_failure = False  # once, until all is well again
         self._path = place if isinstance(place, Path) else place.directory
         self._closing = threading.Event()
@@ -113,7 +115,7 @@ class Recorder:
         except UserError as error:
             if not self._resumes:
                 raise
-            self._fail(str(error))
+            self._fail(_code(error), str(error))
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -129,7 +131,7 @@ class Recorder:
         return self._path
 
     @property
-    def failure(self) -> str | None:
+    def failure(self) -> Reason | None:
         """Why nothing is written any more; None while all is well."""
         return self._failure
 
@@ -290,7 +292,7 @@ class Recorder:
         try:
             self._begin_file(snapshot.now.utc_ns)
         except UserError as error:
-            self._fail(str(error))
+            self._fail(_code(error), str(error))
             return
         if self._board is not None and snapshot.snapshot.running is not None and self._file is not None:
             self._file.name_board(self._board)
@@ -332,7 +334,7 @@ class Recorder:
                 self._disk_space.check(again=False)
         except UserError as error:
             self._end_file(wait=False)
-            self._fail(str(error))
+            self._fail(_code(error), str(error))
         except Exception as error:  # noqa: BLE001 - as above
             self._break_off(error)
         self._update_counts()
@@ -341,7 +343,7 @@ class Recorder:
         """End a file that nobody will find; where the series resumes, the next begins as soon as it can."""
         self._end_file(wait=False)
         then = "a new file is begun as soon as that can be" if self._resumes else "nothing more is recorded"
-        self._report_failure(f"{self._path} was removed, moved or replaced: {then}")
+        self._report_failure(ReasonCode.FILE_GONE, f"{self._path} was removed, moved or replaced: {then}")
         self._retry_s = 0.0
         self._logged_failure = not self._resumes  # why none can be begun is logged, too
 
@@ -388,19 +390,25 @@ class Recorder:
             with self._lock:
                 self._count_missing(events=lost.traffic, messages=lost.messages)
         reason = (isinstance(error, OSError) and error.strerror) or repr(error)
-        self._fail(f"{self._path}: {reason}")
+        self._fail(_code(error), f"{self._path}: {reason}")
 
-    def _fail(self, reason: str) -> None:
+    def _fail(self, code: ReasonCode, text: str) -> None:
         then = f"it is tried again every {self._times.retry_s:g} s" if self._resumes else "nothing more is recorded"
-        self._report_failure(f"{reason}: {then}; what was written stays")
+        self._report_failure(code, f"{text}: {then}; what was written stays")
 
-    def _report_failure(self, text: str) -> None:
+    def _report_failure(self, code: ReasonCode, text: str) -> None:
         with self._lock:
-            self._failure = text
+            self._failure = Reason(code, text)
         self._retry_s = time.monotonic() + self._times.retry_s
         if not self._logged_failure:
             self._logged_failure = True
             self._log_line(logging.WARNING, text)
+
+
+def _code(error: Exception) -> ReasonCode:
+    cause = error.__cause__ or error
+    is_full = isinstance(error, NoRoomError) or (isinstance(cause, OSError) and cause.errno == errno.ENOSPC)
+    return ReasonCode.DISK_FULL if is_full else ReasonCode.WRITE_FAILED
 
 
 def _is_of_use(snapshot: SnapshotTaken, file: RecordingWriter) -> bool:

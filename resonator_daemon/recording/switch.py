@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from resonator_daemon.errors import UserError
+from resonator_daemon.reasons import Reason
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.reader import Mark, Origin
 from resonator_daemon.recording.recorder import Recorder, RecordingCounts, size_bytes
@@ -33,7 +34,7 @@ class RecordingNow(NamedTuple):
 
     path: Path
     since_utc_ns: int
-    failure: str | None
+    failure: Reason | None
 
 
 class RecordingSummary(NamedTuple):
@@ -45,7 +46,7 @@ class RecordingSummary(NamedTuple):
     events: int
     events_missing: int
     seconds: float
-    failure: str | None
+    failure: Reason | None
 
 
 class RecordingSwitch:
@@ -170,7 +171,7 @@ class RecordingSwitch:
             if self._recorder is None:
                 raise NothingRecordedError("nothing is being recorded; start a recording first")
             if self._recorder.failure is not None:
-                raise NothingRecordedError(self._recorder.failure)
+                raise NothingRecordedError(self._recorder.failure.text)
             if not self._recorder.mark(Mark(now, text)):
                 raise NothingRecordedError(f"the disk of {self._recorder.path} is too slow to take the mark; try again")
         return now.utc_ns

@@ -11,6 +11,7 @@ from resonator_daemon.daemon import command_handlers
 from resonator_daemon.daemon.command_handlers import CommandHandlers
 from resonator_daemon.publishing.commands import CommandRefusedError
 from resonator_daemon.publishing.verbs import VERBS, Answer
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.recording.switch import RecordingNow
 
 
@@ -107,10 +108,11 @@ async def test_a_disk_that_takes_nothing_is_said(bench: Bench) -> None:
 async def test_a_recording_that_has_failed_is_not_taken_for_one_that_runs(bench: Bench) -> None:
     await bench.ask("start_recording")
     assert bench.daemon.current is not None
-    bench.daemon.current = RecordingNow(bench.daemon.current.path, 1, "disk full")
+    bench.daemon.current = RecordingNow(bench.daemon.current.path, 1, Reason(ReasonCode.DISK_FULL, "disk full"))
     for verb, request in (("start_recording", {}), ("mark", {"text": "a"})):
         refused = await bench.refusal(verb, **request)
         assert (refused.code, refused.hint) == ("recording_failed", "send stop_recording, then start_recording")
         assert "disk full" in refused.message
-    assert (await bench.ask("stop_recording"))["recording"]["failure"] == "disk full"
+    stopped = (await bench.ask("stop_recording"))["recording"]
+    assert (stopped["failure_code"], stopped["failure"]) == ("disk_full", "disk full")
     assert (await bench.ask("start_recording"))["was_active"] is False

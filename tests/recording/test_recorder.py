@@ -101,7 +101,8 @@ def test_a_disk_without_room_ends_the_recording_and_not_the_reader(tmp_path: Pat
             recorder.put(Closed(at(put)))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert recorder.failure == f"{path}: File too large: nothing more is recorded; what was written stays"
+    assert recorder.failure is not None
+    assert recorder.failure.code == "write_failed"
     events, damage = read(path)
     assert damage == "cut off"
     assert [event.now for event in events] == [at(number) for number in range(len(events))]
@@ -121,7 +122,7 @@ def test_whatever_else_goes_wrong_ends_the_recording_and_is_said(
     path = tmp_path / "run.mcap"
     recorder = record(path, [Opened(at(0)), Sent(at(1), b"x")])
     said = "RuntimeError('LZ4 has no memory'): nothing more is recorded; what was written stays"
-    assert recorder.failure == f"{path}: {said}"
+    assert recorder.failure == Reason(ReasonCode.WRITE_FAILED, f"{path}: {said}")
     assert (recorder.events, recorder.counts.events_missing) == (0, 2)  # the other waited for its chunk to be full
     recorder.put(Closed(at(2)))
     assert recorder.counts.events_missing == 3
@@ -144,7 +145,8 @@ def test_what_is_whole_counts_as_written_though_the_end_of_the_file_fails(
             threading.Event().wait(0.01)
         for event in written[1:]:
             recorder.put(event)
-    assert recorder.failure == f"{path}: No space left on device: nothing more is recorded; what was written stays"
+    assert recorder.failure is not None
+    assert recorder.failure.code == "disk_full"
     assert read(path)[0] == written
     assert (recorder.events, recorder.counts.events_missing) == (3, 0)
     assert recorder.all_bytes == path.stat().st_size
