@@ -30,6 +30,7 @@ class ReasonCode(Word):
     UNDECODABLE = "undecodable", "no decoder can be set up for these sites and options"
 
     # Daemons.
+    NO_BOARD = "no_board", "the daemon runs and no board counts: `state/link` has why"
     NAME_CONFLICT = "name_conflict", "another process publishes under the same name"
     BAD_CONFIGURATION = "bad_configuration", "the configuration file cannot be used; an earlier configuration is in use"
     RESTART_NEEDED = "restart_needed", "the configuration file has changes that take effect at the next start"

@@ -51,6 +51,7 @@ from resonator_daemon.session.frames import (
     BoardRefused,
     ControlRequest,
     Frame,
+    LinkChange,
     ReaderFailed,
 )
 from resonator_daemon.session.link_reasons import all_of
@@ -151,6 +152,7 @@ class Service:
         self._ready = False
         self._fatal: UserError | None = None
         self._started_utc_ns = time.time_ns()
+        self._reason: Reason | None = None  # of state/daemon
 
     async def run(self) -> None:
         """Run until `stop`; raises UserError."""
@@ -307,6 +309,8 @@ class Service:
             case ReaderFailed():
                 raise arrival.error
         self._pipeline.handle(arrival)
+        if isinstance(arrival, LinkChange) and not self._over.done():
+            self._publish_measuring()
 
     def _use_serial_number(self, board: BoardOnline) -> bool:
         """Publish under the board's serial number; return whether that can be."""
@@ -342,8 +346,14 @@ class Service:
         self._publish(STATE_DAEMON, self._pipeline.states.daemon_state(snapshot, time.time_ns()))
 
     def _publish_measuring(self) -> None:
-        reasons = (self._in_use.remark, Reason(ReasonCode.MEASURING, "measuring"))
-        self._daemon.become(Condition.ONLINE, all_of(filter(None, reasons)), self._started_utc_ns)
+        """Publish the state of the daemon where its reason is another one than before."""
+        link = self._pipeline.link
+        measuring = link is not None and link.state == Condition.ONLINE
+        now = Reason(ReasonCode.MEASURING, "measuring") if measuring else Reason(ReasonCode.NO_BOARD, "no board counts")
+        reason = all_of(filter(None, (self._in_use.remark, now)))
+        if reason != self._reason:
+            self._reason = reason
+            self._daemon.become(Condition.ONLINE, reason, self._started_utc_ns)
 
     def _helpers(self) -> dict[str, Coroutine[Any, Any, None]]:
         """Return what runs concurrently with the reading of the board, by name, until cancelled."""

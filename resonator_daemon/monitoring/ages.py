@@ -26,6 +26,9 @@ class Ages:
         for name, moment_ns in _moments(status).items():
             if moment_ns is None:
                 continue
+            if moment_ns == status.started_t_ns:
+                ages[name] = uptime_s
+                continue
             known_ns, begun_s = self._begun.get(name, (None, now_s))
             if known_ns != moment_ns:
                 passed_s = (utc_ns - moment_ns) * 1e-9

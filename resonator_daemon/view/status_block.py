@@ -59,8 +59,7 @@ def status_block(status: Status, columns: int | None) -> Text:
         Of the terminal: longer lines go on below their own beginning. None: they stay as they are.
     """
     title = printable(status.name or "(its name comes from the board)")
-    up = duration(status.health.uptime_s) if status.health else _age(status, "started")
-    about = f"process {status.pid}, resonatord {printable(status.version)}, up {up}"
+    about = f"process {status.pid}, resonatord {printable(status.version)}, up {_age(status, 'started')}"
     lines = [Text.assemble((title, "bold"), f"   {about}")]
     for label, text in _lines(status):
         head = Text(f"  {label:<{_LABEL_WIDTH}}")

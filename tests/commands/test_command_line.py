@@ -177,7 +177,7 @@ async def test_run_starts_with_nothing_there_and_stops_on_sigterm(config_path: P
     daemon = subprocess.Popen([*COMMAND, "run", "--config", str(config_path)], stderr=subprocess.PIPE, text=True)
     async with observe(mosquitto.url) as heard:
         link = await heard.until_last("resonator/left-index/state/link", state="waiting")
-        await heard.until_last("resonator/left-index/state/daemon", state="online")
+        await heard.until_last("resonator/left-index/state/daemon", state="online", reason_code="no_board")
         daemon.send_signal(signal.SIGTERM)
         await heard.until_last("resonator/left-index/state/daemon", state="offline", reason_code="stopped")
     _, stderr = daemon.communicate(timeout=30)

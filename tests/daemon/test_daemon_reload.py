@@ -115,7 +115,7 @@ async def test_a_reload_at_the_end_is_ignored(tmp_path: Path, mosquitto: Mosquit
     async with observe(mosquitto.url) as heard:
         command = (RESONATORD, "run", "--config", bench.folder / "board.toml")
         process = await asyncio.create_subprocess_exec(*command, env=os.environ, stderr=asyncio.subprocess.PIPE)
-        await heard.until_last("resonator/hand/state/daemon", state="online", reason_code="measuring")
+        await heard.until_last("resonator/hand/state/daemon", state="online", reason_code="no_board")
         process.send_signal(signal.SIGTERM)
         ended = asyncio.create_task(process.communicate())
         while not ended.done():
@@ -133,7 +133,7 @@ async def test_sighup_reads_the_file_again_and_sigterm_ends(tmp_path: Path, mosq
     async with observe(mosquitto.url) as heard:
         command = (RESONATORD, "run", "--config", path)
         process = await asyncio.create_subprocess_exec(*command, env=os.environ, stderr=asyncio.subprocess.PIPE)
-        await heard.until_last("resonator/hand/state/daemon", state="online", reason_code="measuring")
+        await heard.until_last("resonator/hand/state/daemon", state="online", reason_code="no_board")
         path.write_text(path.read_text().replace("tcp://127.0.0.1:9", "tcp://127.0.0.1:10"))
         process.send_signal(signal.SIGHUP)
         await heard.until_last("resonator/hand/state/daemon", state="online", reason_code="restart_needed")

@@ -72,6 +72,13 @@ def test_a_moment_by_another_clock_than_now_counts_from_when_it_is_seen(clocks: 
     assert ages.of(status_at(moment_ns)) == pytest.approx(dict.fromkeys(NAMES, 2.0) | {"started": 102.0})
 
 
+def test_a_state_since_the_start_is_as_old_as_the_daemon_however_late_it_is_seen(clocks: Clocks) -> None:
+    ages, started_ns = Ages(), clocks.utc_ns
+    clocks.pass_s(300)
+    found = ages.of(status_at(clocks.utc_ns, started_t_ns=started_ns, daemon=status_at(started_ns).daemon))
+    assert (found["started"], found["daemon"], found["link"]) == pytest.approx((300, 300, 0))
+
+
 def test_a_new_moment_begins_anew_and_nothing_is_older_than_the_daemon(clocks: Clocks) -> None:
     ages = Ages()
     clocks.pass_s(3.0)
