@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 
 class Outcome(StrEnum):
@@ -16,7 +16,7 @@ class Outcome(StrEnum):
 
 
 class Area(StrEnum):
-    """Who must act, in the order of causes: what is wrong in one hides what may be wrong in the next."""
+    """Who must act."""
 
     WIRING = "wiring"
     SENSOR = "sensor"
@@ -24,6 +24,34 @@ class Area(StrEnum):
 
 
 FINE = "fine"
+
+
+class Stage(StrEnum):
+    """Where a cause lies, in the order of causes: what is wrong in one explains what is seen in the next."""
+
+    COMPUTER = "computer"
+    BROKER = "broker"
+    LINK = "link"
+    BOARD = "board"
+    SENSOR = "sensor"
+    CALIBRATION = "calibration"
+    DISK = "disk"
+
+
+_STAGES: Final = {  # by id, or by its part before the dot
+    "broker": Stage.BROKER,
+    "daemon.broker": Stage.BROKER,
+    "port": Stage.LINK,
+    "usb": Stage.LINK,
+    "link": Stage.LINK,
+    "host": Stage.LINK,
+    "daemon.link": Stage.LINK,
+    "board": Stage.BOARD,
+    "sensor": Stage.SENSOR,
+    "daemon.sensor": Stage.SENSOR,
+    "sensor.calibration": Stage.CALIBRATION,
+    "disk": Stage.DISK,
+}
 
 
 class Amount(NamedTuple):
@@ -57,6 +85,11 @@ class Finding:
     value: float | None = None
     limit: float | None = None
     unit: str = ""
+
+    @property
+    def stage(self) -> Stage:
+        """Where the cause lies; `computer` for its clock, its service and the daemon."""
+        return _STAGES.get(self.id) or _STAGES.get(self.id.partition(".")[0]) or Stage.COMPUTER
 
 
 @dataclass(frozen=True, slots=True)

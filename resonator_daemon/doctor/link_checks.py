@@ -82,7 +82,7 @@ def _steady(capture: Capture) -> Finding:
         return STEADY.ok("frames came all the time")
     return STEADY.fault(
         f"frames stopped {len(stops)} times in {capture.seconds:.1f} s: {stops[0]}",
-        "check plug, cable, hub and the board's power: move the cable and watch",
+        PLUG,
         Amount(float(len(stops)), 0.0, "interruptions"),
     )
 
@@ -152,6 +152,7 @@ def _errors(capture: Capture) -> Finding:
     return ERRORS.judged(graded(hit + discarded, 0.0, math.inf), evidence, CABLE, Amount(hit / frames, ERRORS_FAULT))
 
 
+PLUG: Final = "check plug, cable, hub and the board's power: move the cable and watch"
 FIRMWARE: Final = "update the board's firmware: what it sends does not have the form that PROTOCOL.md gives"
 CABLE: Final = (
     "exchange the cable, keep it away from motors, ground both ends; on a line with a baud rate, see that both ends "

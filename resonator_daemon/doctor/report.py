@@ -2,11 +2,11 @@
 
 import re
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict
 from typing import Any, Final, TextIO
 
-from resonator_daemon.doctor.finding import FINE, Area, Finding, Outcome
+from resonator_daemon.doctor.finding import FINE, Area, Finding, Outcome, Stage
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.host.printable import Colour, coloured, printable
 
@@ -17,17 +17,17 @@ _OUTCOME: Final = re.compile(r"(?<=^  )(ok|WARNING|FAULT)|(?<=^verdict: )\w+", r
 _COLOURS: Final[Mapping[str, Colour]] = {"ok": "green", FINE: "green", "WARNING": "yellow"}  # others red
 
 
-@dataclass(frozen=True)
 class Report:
-    """All findings, in the order of the checks."""
+    """All findings, in the order of causes; those of one stage in the order of the checks."""
 
-    findings: Sequence[Finding]
+    def __init__(self, findings: Iterable[Finding]) -> None:
+        self.findings = sorted(findings, key=lambda finding: list(Stage).index(finding.stage))
 
     @property
     def faulty(self) -> tuple[Area, ...]:
         """Areas with a fault, the first cause first."""
-        areas = {finding.area for finding in self.findings if finding.outcome is Outcome.FAULT}
-        return tuple(area for area in Area if area in areas)
+        faults = (finding.area for finding in self.findings if finding.outcome is Outcome.FAULT)
+        return tuple(dict.fromkeys(faults))
 
     @property
     def verdict(self) -> str:
@@ -36,9 +36,8 @@ class Report:
 
     @property
     def cause(self) -> Finding | None:
-        """The first fault of the area that must be seen to first."""
-        faults = (f for f in self.findings if f.outcome is Outcome.FAULT and f.area == self.verdict)
-        return next(faults, None)
+        """The first fault: what explains the others, where anything does."""
+        return next((finding for finding in self.findings if finding.outcome is Outcome.FAULT), None)
 
     @property
     def exit_code(self) -> ExitCode:
@@ -59,7 +58,7 @@ class Report:
 
     def as_text(self, *, whole: bool = True) -> str:
         """Return the lines of the text output; without a verdict where not everything was checked."""
-        lines = [line for area in Area for line in self._lines_of(area)]
+        lines = [line for stage in Stage for line in self._lines_of(stage)]
         ending = self._ending() if whole else ()
         return "\n".join([*lines, *self._not_checked_together(), *ending]) + "\n"
 
@@ -73,12 +72,12 @@ class Report:
 
     @property
     def _shared_reasons(self) -> dict[str, list[str]]:
-        """Why several things were not checked, each reason with the titles of these."""
-        titles: dict[str, list[str]] = {}
+        """Why several things were not checked, each reason with the ids of these."""
+        ids: dict[str, list[str]] = {}
         for finding in self.findings:
             if finding.outcome is Outcome.NOT_CHECKED:
-                titles.setdefault(finding.evidence, []).append(finding.title)
-        return {reason: of_it for reason, of_it in titles.items() if len(of_it) > 1}
+                ids.setdefault(finding.evidence, []).append(finding.id)
+        return {reason: of_it for reason, of_it in ids.items() if len(of_it) > 1}
 
     def _not_checked_together(self) -> Iterator[str]:
         """Yield the lines that hold for several findings."""
@@ -86,22 +85,22 @@ class Report:
         if not shared:
             return
         yield "not checked"
-        for reason, titles in shared.items():
-            yield from _wrapped(f"  {_MARKS[Outcome.NOT_CHECKED]:<{_MARK_WIDTH}}", f"{reason}: {', '.join(titles)}")
+        for reason, ids in shared.items():
+            yield from _wrapped(f"  {_MARKS[Outcome.NOT_CHECKED]:<{_MARK_WIDTH}}", f"{reason}: {', '.join(ids)}")
         yield ""
 
-    def _lines_of(self, area: Area) -> Iterator[str]:
+    def _lines_of(self, stage: Stage) -> Iterator[str]:
         together = self._shared_reasons
-        of_area = [
+        of_stage = [
             finding
             for finding in self.findings
-            if finding.area is area and not (finding.outcome is Outcome.NOT_CHECKED and finding.evidence in together)
+            if finding.stage is stage and not (finding.outcome is Outcome.NOT_CHECKED and finding.evidence in together)
         ]
-        if not of_area:
+        if not of_stage:
             return
-        yield area.value
-        for finding in of_area:
-            yield from _wrapped(f"  {_MARKS[finding.outcome]:<{_MARK_WIDTH}}", f"{finding.title}: {finding.evidence}")
+        yield stage.value
+        for finding in of_stage:
+            yield from _wrapped(f"  {_MARKS[finding.outcome]:<{_MARK_WIDTH}}", _named(finding))
             if finding.remedy:
                 yield from _wrapped(" " * (_MARK_WIDTH + 2), f"-> {finding.remedy}")
         yield ""
@@ -121,7 +120,11 @@ class Report:
             yield "verdict: fine"
             return
         others = "".join(f", then {area.value}" for area in self.faulty[1:])
-        yield from _wrapped("verdict: ", f"{self.verdict}{others}; first: {self.cause.title}: {self.cause.evidence}")
+        yield from _wrapped("verdict: ", f"{self.verdict}{others}; first: {_named(self.cause)}")
+
+
+def _named(finding: Finding) -> str:
+    return f"{finding.id} ({finding.title}): {finding.evidence}"
 
 
 def _wrapped(head: str, text: str) -> Iterable[str]:

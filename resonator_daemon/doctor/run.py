@@ -1,4 +1,4 @@
-"""`resonatord doctor`: checks everything in the order of causes, and names who must act."""
+"""`resonatord doctor`: checks everything and names who must act."""
 
 import asyncio
 import json
@@ -104,7 +104,7 @@ class _Diagnosis:
         self._link = link
 
     def findings(self) -> Iterator[Finding]:
-        """Yield everything in the order of causes."""
+        """Yield everything, each finding as soon as it is known."""
         try:
             yield from self._all()
         finally:
@@ -114,6 +114,8 @@ class _Diagnosis:
         config = self._config
         if self._link is not None:
             yield from self._board(self._link)
+        if config is not None:
+            yield _calibration(config.plate)
         self._show("clock, disk, service")
         yield from check_clock(self._host)
         yield from check_disk(state_directory(), config.recording if config else None, config.name if config else None)
@@ -219,7 +221,8 @@ class _Diagnosis:
         capture = capture_board(link, plate, self._options.seconds, self._show, self._host)
         of_link = [finding for finding in link_checks.check_capture(capture) if finding.id not in faults]
         yield from of_link
-        yield sensor_checks.check_calibration(plate, plate.calibration.expiry_note(datetime.now(UTC).date()))
+        if self._config is None:
+            yield _calibration(plate)
         if any(finding.outcome is Outcome.FAULT and finding.area is Area.WIRING for finding in of_link):
             reason = "too little arrives undamaged to judge by"
         elif not capture.counted:
@@ -242,3 +245,7 @@ class _Diagnosis:
         if sys.stderr.isatty():
             sys.stderr.write(f"\r{what}\x1b[K")
             sys.stderr.flush()
+
+
+def _calibration(plate: Plate) -> Finding:
+    return sensor_checks.check_calibration(plate, plate.calibration.expiry_note(datetime.now(UTC).date()))

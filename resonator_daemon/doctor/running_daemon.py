@@ -44,17 +44,18 @@ async def works_by(config_path: Path) -> str:
             continue
         copy = "an earlier run's copy of it" if config.get("in_use") == "last_good" else "this file as it was"
         return (
-            f"a daemon runs all the same (pid {answer.status.get('pid')}), by {copy}, {_read(config)}; "
+            f"a daemon runs all the same (pid {answer.status.get('pid')}), by {copy}, read at "
+            f"{utc_text(config.get('loaded_t_ns'))}; "
             f"see: resonatord status {config_path.stem}"
         )
     return ""
 
 
-def _read(config: Mapping[str, Any]) -> str:
-    loaded_t_ns = config.get("loaded_t_ns")  # a decimal string, as all times of messages
-    if not isinstance(loaded_t_ns, str) or not loaded_t_ns.isdecimal() or not 0 <= int(loaded_t_ns[:20]) < _NS_MAX:
-        return "at an unknown time"
-    return datetime.fromtimestamp(int(loaded_t_ns) // 10**9, UTC).strftime("read %Y-%m-%d %H:%M:%S UTC")
+def utc_text(t_ns: object) -> str:
+    """Return a time of a message, a decimal string of nanoseconds, as date and time of day."""
+    if not isinstance(t_ns, str) or not t_ns.isdecimal() or not 0 <= int(t_ns[:20]) < _NS_MAX:
+        return "an unknown time"
+    return datetime.fromtimestamp(int(t_ns) // 10**9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
 def _has(status: Mapping[str, Any], link: LinkTarget, config_path: Path | None) -> bool:

@@ -25,6 +25,7 @@ DRIFT: Final = Check("sensor.drift", Area.SENSOR, "drift")
 TEMPERATURE: Final = Check("board.temperature", Area.SENSOR, "temperature of the board")
 CALIBRATION: Final = Check("sensor.calibration", Area.SENSOR, "calibration record")
 OF_THE_PLATE: Final = (CHANNELS, AT_REST, TONES, NOISE, CROSS_TALK, DRIFT, TEMPERATURE)
+CALIBRATE: Final = "resonatord calibrate, with known masses"
 
 _COUNTED_SHARE: Final = 0.5  # of the readings, in which a tone that is alive is counted
 _GATES_SHARE: Final = 0.9  # of the gates with a steady tone, of a board whose stamps do not run on
@@ -74,7 +75,7 @@ def check_calibration(plate: Plate, expiry_note: str | None) -> Finding:
     if calibration.id is None:
         return CALIBRATION.not_checked("the plate file has none")
     if expiry_note:
-        return CALIBRATION.warning(expiry_note, "resonatord calibrate, with known masses")
+        return CALIBRATION.warning(expiry_note, CALIBRATE)
     return CALIBRATION.ok(f"{calibration.id}, of {calibration.date or 'an unknown day'}")
 
 

@@ -11,15 +11,13 @@ from brokers import Mosquitto
 from emulation import emulated
 
 from resonator_daemon.commands import main
-from resonator_daemon.doctor import clock_checks
-from resonator_daemon.doctor.finding import FINE, Area, Check
+from resonator_daemon.doctor import broker_checks, clock_checks, link_checks, sensor_checks
+from resonator_daemon.doctor.finding import FINE, Area
 from resonator_daemon.doctor.report import WIDTH, Report
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
-WIRE = Check("a.wire", Area.WIRING, "wire")
-PLATE = Check("a.plate", Area.SENSOR, "plate")
-HOST = Check("a.host", Area.SOFTWARE, "host")
+WIRE, PLATE, HOST = link_checks.ERRORS, sensor_checks.TONES, broker_checks.LISTENS
 
 
 def configuration(folder: Path, link: str, url: str = "mqtt://127.0.0.1:9", plate: str = "quartz16") -> Path:
@@ -42,9 +40,13 @@ def outcomes(report: dict[str, object]) -> dict[str, str]:
 
 
 def test_the_first_cause_is_the_verdict() -> None:
-    report = Report([HOST.fault("h", "do"), PLATE.fault("p", "do"), WIRE.warning("w", "do")])
-    assert (report.verdict, report.faulty, report.exit_code) == ("sensor", (Area.SENSOR, Area.SOFTWARE), 1)
-    assert "verdict: sensor, then software; first: plate: p" in report.as_text()
+    checks = (HOST, WIRE, link_checks.FITS, PLATE, sensor_checks.CALIBRATION)
+    report = Report([check.fault("evidence", "do") for check in reversed(checks)])
+    ids = [check.id for check in checks]
+    assert [finding["id"] for finding in report.as_json()["findings"]] == ids
+    assert re.findall(r"(?<=^  FAULT    )\S+", report.as_text(), re.MULTILINE) == ids
+    assert (report.cause.id if report.cause else None, report.verdict) == ("broker.listens", "software")
+    assert report.faulty == (Area.SOFTWARE, Area.WIRING, Area.SENSOR)
     report = Report([HOST.warning("h", "do"), WIRE.ok("w"), PLATE.not_checked("p")])
     assert (report.verdict, report.exit_code) == (FINE, 0)
 
@@ -121,9 +123,9 @@ def test_a_wrong_plate_is_the_sensors_and_is_not_listened_to(
     with emulated(options):
         code, report = asked(capsys, "--config", path)
     found = outcomes(report)
-    assert (code, report["verdict"], report["cause"]) == (1, "sensor", "board.fits")
-    assert (found["link.errors"], found["broker.listens"]) == ("not_checked", "fault")
-    assert report["faulty"] == ["sensor", "software"]
+    assert (code, report["verdict"], report["cause"]) == (1, "software", "broker.listens")
+    assert (found["link.errors"], found["board.fits"]) == ("not_checked", "fault")
+    assert report["faulty"] == ["software", "sensor"]
 
 
 def test_what_is_no_board_is_the_wirings(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from service_bench import Bench
 from resonator_daemon.commands import main
 from resonator_daemon.config import Mqtt
 from resonator_daemon.doctor import run, running_daemon
-from resonator_daemon.doctor.daemon_checks import check_daemon, check_status
+from resonator_daemon.doctor.daemon_checks import SENSOR, check_daemon, check_status
 from resonator_daemon.doctor.finding import Outcome
 from resonator_daemon.doctor.run import DoctorOptions, doctor
 from resonator_daemon.doctor.running_daemon import find_daemon, published_status
@@ -33,6 +33,18 @@ STATUS: dict[str, Any] = {
     "health": {"boots": [{"frames": 10_000, "lost": {"damaged": 0}}]},
     "broker": {"connected": True, "url": "mqtt://x"},
 }
+
+
+ONLINE_AGAIN = {
+    "state": "online",
+    "last_outage": {"start_t_ns": str(10**18), "end_t_ns": str(10**18 + 3 * 10**9), "frames_lost": 3007},
+}
+
+
+def unplugged(hit: int, in_outages: dict[str, int]) -> dict[str, Any]:
+    """Return the health after an outage of 3007 frames, with `hit` frames lost beside it."""
+    lost = {"link_gap": 3000 + hit, "damaged": 7}
+    return {"boots": [{"frames": 12_002, "lost": lost, "lost_in_outages": in_outages}]}
 
 
 @pytest.fixture
@@ -147,9 +159,9 @@ async def test_a_daemon_is_found_by_its_pid_its_file_or_the_link_in_its_file(
     [
         (
             {"in_use": "file", "loaded_t_ns": str(10**18)},
-            "(pid 77), by this file as it was, read 2001-09-09 01:46:40 UTC;",
+            "(pid 77), by this file as it was, read at 2001-09-09 01:46:40 UTC;",
         ),
-        ({"in_use": "last_good"}, "(pid 77), by an earlier run's copy of it, at an unknown time;"),
+        ({"in_use": "last_good"}, "(pid 77), by an earlier run's copy of it, read at an unknown time;"),
         (5, None),
     ],
 )
@@ -218,11 +230,25 @@ def test_a_daemon_that_is_well_has_nothing_wrong() -> None:
         ({"health": None}, "link.errors", Outcome.NOT_CHECKED),
         ({"health": {"boots": [{"frames": 9_995, "lost": {"damaged": 5}}]}}, "link.errors", Outcome.WARNING),
         ({"health": {"boots": [{"frames": 9_980, "lost": {"link_gap": 20}}]}}, "link.errors", Outcome.FAULT),
+        ({"health": unplugged(20, {"link_gap": 3000, "damaged": 7})}, "link.errors", Outcome.FAULT),
+        ({"health": unplugged(0, {"link_gap": 3000, "damaged": 7})}, "link.errors", Outcome.OK),
+        ({"health": unplugged(0, {}), "link": ONLINE_AGAIN}, "link.errors", Outcome.OK),
+        ({"health": unplugged(0, {}), "link": ONLINE_AGAIN}, "link.steady", Outcome.OK),
+        ({"health": unplugged(0, {}) | {"connections": 5, "uptime_s": 3600.0}}, "link.steady", Outcome.WARNING),
         ({"health": {"boots": [{"frames": 9_980, "lost": {"board_overflow": 20}}]}}, "link.errors", Outcome.OK),
     ],
 )
 def test_what_a_daemon_says_is_judged(change: dict[str, object], id: str, outcome: Outcome) -> None:
     assert judged(**change)[id] is outcome
+
+
+@pytest.mark.parametrize(
+    ("state", "by_itself"), [("pressed_at_start", True), ("uncalibrated", True), ("drifting", True), ("stalled", False)]
+)
+def test_what_the_state_explains_needs_no_second_look(state: str, by_itself: bool) -> None:
+    (found,) = (each for each in check_status(STATUS | {"sensor": {"state": state}}, "MQTT") if each.id == SENSOR.id)
+    assert found.remedy
+    assert ("stop the daemon" not in found.remedy) is by_itself
 
 
 def test_a_daemon_that_does_not_answer_is_a_fault_unless_this_user_may_not_ask(
