@@ -1,7 +1,6 @@
 """Share of a load that the other sites feel, from a plate that counts all of them at once."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -9,25 +8,16 @@ from scipy.optimize import minimize_scalar
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
-from resonator_daemon.plate import Plate
+from resonator_daemon.plate import Coupling, Plate
 
 SIGMAS: Final = 3.0
 OSCILLATOR_STD: Final = 1e-9  # of the mean of a hold against the untouched plate some seconds before
 WIDTH_TOLERANCE: Final = 0.05  # relative, to which a width in the plate file should agree
 
 
-@dataclass(frozen=True)
-class CoupledSite:
-    """Share `ratio` of a force on site `pressed` that site `heard` feels; ids."""
-
-    pressed: int
-    heard: int
-    ratio: float
-
-
 def find_coupling(
     plate: Plate, procedure: LoadProcedure, loadings: Sequence[Loading], sensitivity: Floats
-) -> tuple[CoupledSite, ...]:
+) -> tuple[Coupling, ...]:
     """Return what lies above 3 standard deviations, of loads on any of the sites; sensitivity (sites, 4)."""
     found = []
     square = (sensitivity**2).sum(axis=1)
@@ -40,14 +30,14 @@ def find_coupling(
         ratio = force @ newton / (force @ force)
         std = OSCILLATOR_STD / np.sqrt(square / sensitivity.shape[1]) / np.sqrt(force @ force)
         found += [
-            CoupledSite(int(plate.site_ids[pressed]), int(plate.site_ids[heard]), float(ratio[heard]))
+            Coupling(pressed=int(plate.site_ids[pressed]), heard=int(plate.site_ids[heard]), ratio=float(ratio[heard]))
             for heard in np.flatnonzero(np.abs(ratio) > SIGMAS * std)
             if heard != pressed
         ]
     return tuple(found)
 
 
-def width_m(plate: Plate, coupling: Sequence[CoupledSite]) -> float:
+def width_m(plate: Plate, coupling: Sequence[Coupling]) -> float:
     """Width w of the cover that explains coupling best, as a spread of (1 + r^2/w^2)^(-3/2)."""
     distance_m, ratio = _distances(plate, coupling), np.array([pair.ratio for pair in coupling])
 
@@ -58,7 +48,7 @@ def width_m(plate: Plate, coupling: Sequence[CoupledSite]) -> float:
     return float(np.exp(minimize_scalar(squared_error, bounds=(low, high), method="bounded").x))
 
 
-def compare_with_width(plate: Plate, coupling: Sequence[CoupledSite]) -> str:
+def compare_with_width(plate: Plate, coupling: Sequence[Coupling]) -> str:
     """Return a sentence that sets coupling against the plate file's spread_width_mm; "" where it has none."""
     if plate.spread_width_m is None or not coupling:
         return ""
@@ -85,7 +75,7 @@ def _moved(procedure: LoadProcedure, loading: Loading) -> Floats:
     return moved
 
 
-def _distances(plate: Plate, coupling: Sequence[CoupledSite]) -> Floats:
+def _distances(plate: Plate, coupling: Sequence[Coupling]) -> Floats:
     index = {int(site_id): row for row, site_id in enumerate(plate.site_ids)}
     pairs = np.array([(index[pair.pressed], index[pair.heard]) for pair in coupling])
     distance: Floats = np.linalg.norm(np.diff(plate.site_positions_m[pairs], axis=1)[:, 0], axis=1)

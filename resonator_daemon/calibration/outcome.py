@@ -11,7 +11,7 @@ import numpy as np
 from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration.coupling import compare_with_width, find_coupling
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
-from resonator_daemon.calibration.plate_file import Record, ResponseRecord, SiteRecord, UntouchedSite
+from resonator_daemon.calibration.plate_file import Record, ResponseRecord, SiteRecord
 from resonator_daemon.calibration.site_codes import site_codes
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY, LoadRequest, Step
 from resonator_daemon.forces.calibration_fit import CalibrationFit, fit_calibration
@@ -214,11 +214,7 @@ def make_record(
         expiry=today + timedelta(days=valid_days),
         sites=tuple(sites),
         response=None if fit.response is None else _response(fit.response),
-        untouched=tuple(
-            UntouchedSite(site_id, tuple(f0))
-            for site_id, f0 in zip(plate.site_ids.tolist(), f0_hz.tolist(), strict=True)
-            if untouched_hz is not None
-        ),
+        untouched_hz={} if untouched_hz is None else dict(zip(plate.site_ids.tolist(), f0_hz.tolist(), strict=True)),
         coupling=()
         if untouched_hz is None
         else find_coupling(plate, procedure, _loads(procedure, outcome), sensitivity),
@@ -230,9 +226,9 @@ def notes(plate: Plate, request: LoadRequest, outcome: Outcome, record: Record) 
     loaded = {site.site_id for site in record.sites}
     found = []
     if kept := [str(site_id) for site_id in plate.site_ids.tolist() if site_id not in loaded]:
-        values = "sensitivities" if record.untouched else "values"
+        values = "sensitivities" if record.untouched_hz else "values"
         found.append(f"not loaded, {values} kept: sites {', '.join(kept)}")
-    if not record.untouched and np.isnan(outcome.fit.f0_std).any():
+    if not record.untouched_hz and np.isnan(outcome.fit.f0_std).any():
         found.append("one mass alone does not determine f0: it was kept where a site had no other")
     if len(request.masses_kg) * request.repeats < 3:
         found.append("two loads or fewer of a site always fit: their residuals mean nothing")

@@ -4,7 +4,7 @@ import datetime
 import hashlib
 import os
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from importlib.resources import files
 from itertools import groupby
 from pathlib import Path
@@ -13,12 +13,11 @@ from typing import Any
 import tomlkit
 from tomlkit.items import Table
 
-from resonator_daemon.calibration.coupling import CoupledSite
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.errors import UsageError
 from resonator_daemon.host.new_file import NoNewFileError, check_new
 from resonator_daemon.host.whole_file import fresh_name, replace_file
-from resonator_daemon.plate import FORCE_SIGNAL, load_plate, shipped_plates
+from resonator_daemon.plate import FORCE_SIGNAL, Coupling, load_plate, shipped_plates
 from resonator_daemon.toml_files.reading import read_toml
 
 
@@ -44,14 +43,6 @@ class ResponseRecord:
 
 
 @dataclass(frozen=True)
-class UntouchedSite:
-    """f0 by channel (4,) of a site that was measured untouched."""
-
-    site_id: int
-    f0_hz: tuple[float, ...]
-
-
-@dataclass(frozen=True)
 class Record:
     """Everything that goes into the plate file."""
 
@@ -66,8 +57,8 @@ class Record:
     expiry: datetime.date
     sites: tuple[SiteRecord, ...]
     response: ResponseRecord | None
-    untouched: tuple[UntouchedSite, ...] = ()  # all sites, of a plate that measures them untouched
-    coupling: tuple[CoupledSite, ...] = ()
+    untouched_hz: dict[int, list[float]] = field(default_factory=dict)  # f0 by channel (4,) of all sites, by id
+    coupling: tuple[Coupling, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -114,11 +105,10 @@ def with_record(text: str, record: Record) -> str:
     """Return the text of a plate file with the record in it; sites that were not loaded keep their values."""
     document = tomlkit.parse(text)
     found = {site.site_id: site for site in record.sites}
-    untouched_sites = {site.site_id: site for site in record.untouched}
     tables: Any = document["sites"]
     for table in tables:
-        if (untouched := untouched_sites.get(int(table["id"]))) is not None:
-            _force_tone(table)["f0_hz"] = [round(value, 4) for value in untouched.f0_hz]
+        if (untouched_hz := record.untouched_hz.get(int(table["id"]))) is not None:
+            _force_tone(table)["f0_hz"] = [round(value, 4) for value in untouched_hz]
         if (site := found.get(int(table["id"]))) is not None:
             _set_site(table, site)
     if record.response is not None:
@@ -132,14 +122,13 @@ def with_record(text: str, record: Record) -> str:
 def as_json(record: Record) -> dict[str, Any]:
     """Return [calibration] of the plate file, dates as text, with `response` and the `tones` that change."""
     found = {site.site_id: site for site in record.sites}
-    f0_hz = {site.site_id: site.f0_hz for site in record.untouched}
-    f0_hz |= {site.site_id: site.f0_hz for site in record.sites}
+    f0_hz = {**record.untouched_hz, **{site.site_id: site.f0_hz for site in record.sites}}
     return {
         **_calibration(record),
         "date": record.date.isoformat(),
         "expiry": record.expiry.isoformat(),
         "validity": _validity(record),
-        "coupling": [asdict(pair) for pair in record.coupling],
+        "coupling": [pair.model_dump() for pair in record.coupling],
         "response": None if record.response is None else asdict(record.response),
         "tones": [
             {
@@ -244,7 +233,7 @@ def _set_calibration(table: Any, record: Record) -> None:
     table["validity"] = validity
 
 
-def _coupling(coupling: tuple[CoupledSite, ...]) -> Any:
+def _coupling(coupling: tuple[Coupling, ...]) -> Any:
     """One line for each site that was pressed."""
     lines = tomlkit.array()
     for pressed, others in groupby(coupling, key=lambda pair: pair.pressed):

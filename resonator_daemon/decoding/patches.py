@@ -41,20 +41,14 @@ class NetLoad:
 
 
 @dataclass(frozen=True)
-class Patch:
+class Patch(NetLoad):
     """One contact on the map.
 
     Areas and centroids are those of a blurred map: for the radius of a known shape fit the signals. Moments are about
     the origin of the plate's coordinates: (y F_z, -x F_z, x F_y - y F_x), summed.
     """
 
-    centroid_m: Floats  # (2,), of the pressure
-    centroid_std_m: Floats
     area_m2: float
-    force_newton: Floats  # (3,)
-    force_std_newton: Floats
-    moment_newton_m: Floats  # (3,)
-    moment_std_newton_m: Floats
     at_border: bool  # it reaches the border of the places, so that part of its load may lie beyond
     places: Indices  # above the threshold
 

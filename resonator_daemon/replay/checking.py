@@ -3,7 +3,7 @@
 import json
 import math
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -58,11 +58,6 @@ def payload_differences(topic: str, expected: Any, got: Any, scales: Scales) -> 
         expected = {name: value for name, value in expected.items() if name != key}
         got = {name: value for name, value in got.items() if name != key}
     yield from _differences("", topic, expected, got, scales)
-
-
-def summary_differences(expected: Mapping[str, Any], got: Mapping[str, Any]) -> list[Difference]:
-    """Return each key of a summary that differs."""
-    return list(_differences("", "", dict(expected), dict(got), Scales()))
 
 
 def _differences(key: str, field: str, expected: Any, got: Any, scales: Scales) -> Iterator[Difference]:
@@ -209,7 +204,9 @@ def _findings(expected: Expected, outcome: Outcome) -> list[Finding]:
     for replayed in kept.values():
         at_s = (replayed.now_ns - outcome.begun_ns) * 1e-9
         findings.append(Finding(replayed.topic, at_s, Difference(f"message {replayed.number}", ABSENT, "one")))
-    summary = (Finding("summary", None, found) for found in summary_differences(expected.summary, outcome.summary))
+    summary = (
+        Finding("summary", None, found) for found in _differences("", "", expected.summary, outcome.summary, Scales())
+    )
     return list(chain(findings, summary))
 
 

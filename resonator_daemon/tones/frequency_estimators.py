@@ -148,7 +148,7 @@ def pi_counter_std(sums: Sums) -> float:
 
 def lambda_counter_std(sums: Sums) -> float:
     """Relative standard deviation of `lambda_frequency_hz` of equal halves: sqrt(16 s^2 / (N T^2))."""
-    return stamp_std_ticks(sums) / _interval_ticks(sums) * math.sqrt(16.0 / sums.stamps**3)
+    return stamp_std_ticks(sums) / sums.span_ticks * (sums.stamps - 1) * math.sqrt(16.0 / sums.stamps**3)
 
 
 def counter_std(sums: Sums) -> float:
@@ -159,10 +159,6 @@ def counter_std(sums: Sums) -> float:
 def regression_std(stamp_ticks: float, stamps: int, span_ticks: int) -> float:
     """Return sqrt(12 s^2 / (N T^2)), of `counter_std`, for stamps that are off by `stamp_ticks`."""
     return stamp_ticks * (stamps - 1) / span_ticks * math.sqrt(12 / (stamps * (stamps * stamps - 1)))
-
-
-def _interval_ticks(sums: Sums) -> float:
-    return sums.span_ticks / (sums.stamps - 1)
 
 
 def oscillator_std(window_s: float, white_fm: float = OMEGA_WHITE_FM) -> float:

@@ -217,7 +217,8 @@ class CodePlan:
         table = number_table("touches, simulated", "number", "right", "one of two", "wrong", "undecided")
         for name, found in (("one site", self.trials.one_touch), ("two sites", self.trials.two_touches)):
             if found.touches:
-                shares = [_share(count, found.touches) for count in found]
+                # None of n is below 3 / n, at 95 %.
+                shares = [f"{n / found.touches:.2%}" if n else f"0 (< {300 / found.touches:.2g}%)" for n in found]
                 table.add_row(name, str(found.touches), *shares)
         return table
 
@@ -243,8 +244,3 @@ class CodePlan:
     def write_picture(self, path: Path) -> None:
         """Write plate and ladder to an SVG, PNG or PDF file; a UserError names what is missing."""
         write_code_figure(path, self.plate, self.codes, self.bands_hz(), self.guard.step, has_pilot=self.has_pilot)
-
-
-def _share(count: int, of: int) -> str:
-    """Return a share; none of n is below 3 / n, at 95 %."""
-    return f"{count / of:.2%}" if count else f"0 (< {300 / of:.2g}%)"

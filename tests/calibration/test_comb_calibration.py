@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 from emulated_loads import COMB_NOMINAL, COMB_TRUE, IDEAL, Loads, Touches, comb_frames, comb_text, fitted, lead
 
-from resonator_daemon.calibration.coupling import CoupledSite
 from resonator_daemon.calibration.load_procedure import LoadProcedure, Prompt
 from resonator_daemon.calibration.outcome import make_record, notes
 from resonator_daemon.calibration.plate_file import Record, with_record
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.calibration.steps import LoadRequest, plan_steps
-from resonator_daemon.plate import Plate
+from resonator_daemon.plate import Coupling, Plate
 
 REFERENCE_ERROR = 1.5e-6  # of the emulated board's clock, by which all of its frequencies are low
 WANTED = LoadRequest(sites=(1, 7, 12), hold_s=1.5)
@@ -50,7 +49,7 @@ def sensitivity_errors(record: Record) -> Any:
     return np.array([site.sensitivity for site in record.sites]) / COMB_TRUE.tones.sensitivity[rows] - 1
 
 
-def true_ratio(felt: CoupledSite) -> float:
+def true_ratio(felt: Coupling) -> float:
     """Boussinesq's share below a point load, comb16's cover of 2.5 mm."""
     place = {site.id: np.array(site.position_mm) for site in COMB_TRUE.sites}
     squared = float(((place[felt.pressed] - place[felt.heard]) ** 2).sum())
@@ -61,8 +60,8 @@ def test_all_sites_of_an_ideal_plate(tmp_path: Path) -> None:
     _, record, printed = calibrated(replace(WANTED, sites=(), hold_s=0.7), tmp_path)
     assert [site.site_id for site in record.sites] == sorted(IDS, key=IDS.index)
     assert np.abs(sensitivity_errors(record)).max() < 3e-4
-    assert len(record.untouched) == 16
-    f0_hz = np.array([site.f0_hz for site in record.untouched])
+    assert len(record.untouched_hz) == 16
+    f0_hz = np.array(list(record.untouched_hz.values()))
     assert np.abs(f0_hz * (1 + REFERENCE_ERROR) / COMB_TRUE.tones.f0_hz - 1).max() < 4e-9  # the file was 20e-6 off
     assert len(record.coupling) == 240  # even the farthest feels 0.2 %
     assert max(abs(felt.ratio - true_ratio(felt)) for felt in record.coupling) < 3e-4

@@ -11,7 +11,7 @@ from brokers import Mosquitto
 from emulation import emulated
 
 from resonator_daemon.commands import main
-from resonator_daemon.doctor import broker_checks, clock_checks, link_checks, sensor_checks
+from resonator_daemon.doctor import broker_checks, host_checks, link_checks, sensor_checks
 from resonator_daemon.doctor.finding import FINE, Area
 from resonator_daemon.doctor.report import WIDTH, Report
 from simulators.emulator import EmulatorOptions
@@ -81,7 +81,7 @@ async def test_a_board_and_a_broker_that_are_well(
 ) -> None:
     import asyncio
 
-    monkeypatch.setattr(clock_checks, "is_synchronised", lambda: True)
+    monkeypatch.setattr(host_checks, "is_synchronised", lambda: True)
     port = tmp_path / "board"
     path = configuration(tmp_path, f"serial:{port}?baud=4000000", mosquitto.url)
     with emulated(EmulatorOptions("quartz16", pty=port, scenario="still")):

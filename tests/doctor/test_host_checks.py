@@ -8,11 +8,9 @@ import pytest
 from made_up_host import MadeUpHost
 
 from resonator_daemon.config import Recording
-from resonator_daemon.doctor.clock_checks import check_clock
-from resonator_daemon.doctor.disk_checks import check_disk
 from resonator_daemon.doctor.finding import Outcome
 from resonator_daemon.doctor.host import Host
-from resonator_daemon.doctor.service_checks import check_service
+from resonator_daemon.doctor.host_checks import check_clock, check_disk, check_service
 
 NOW_S = 1.78e9
 SOURCE = "sys/devices/system/clocksource/clocksource0/current_clocksource"
