@@ -224,10 +224,15 @@ endif
 	echo "setup: needs Python 3.11 or newer with venv; found $$unfit. On Debian 12 or newer, as root: apt-get install python3-venv" >&2
 	exit 1
 
+# An editable install alone would find any folder called resonatord, as this checkout's, before the package.
+PATH_FILE := from pathlib import Path; from sysconfig import get_path; \
+  Path(get_path('purelib'), 'resonatord.pth').write_text(str(Path('resonator_daemon/import_name').absolute()))
+
 .venv/run-stamp: .venv/bin/python .venv/bin/pip pyproject.toml .ci/requirements/build.txt .ci/requirements/run.txt
 	$(pip-install)
 	pip-install "packages" --require-hashes -r .ci/requirements/build.txt -r .ci/requirements/run.txt
 	pip-install "resonatord itself" --no-deps --no-build-isolation --editable .
+	.venv/bin/python -c "$(PATH_FILE)"
 	echo 'setup: done, see .venv/bin/resonatord --help'
 	touch $@
 

@@ -31,14 +31,16 @@ def published(case: str, path: str) -> list[Any]:
         ]
 
 
-def loaded_libraries(code: str) -> set[str]:
+def loaded_libraries(folder: Path, code: str) -> set[str]:
     command = (sys.executable, "-c", f"import sys, resonatord\n{code}\nprint(*sys.modules)")
-    return LIBRARIES & set(subprocess.run(command, check=True, capture_output=True, text=True).stdout.split())
+    done = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
+    return LIBRARIES & set(done.stdout.split())
 
 
-def test_the_import_needs_no_library_and_force_sites_no_scipy() -> None:
-    assert loaded_libraries("assert resonatord.__version__") == set()
-    used = loaded_libraries(f"resonatord.load_recording({str(recording('touches'))!r}).forces")
+def test_the_import_needs_no_library_and_force_sites_no_scipy(tmp_path: Path) -> None:
+    (tmp_path / "resonatord").mkdir()  # as a checkout beside which Python is started
+    assert loaded_libraries(tmp_path, "assert resonatord.__version__") == set()
+    used = loaded_libraries(tmp_path, f"resonatord.load_recording({str(recording('touches'))!r}).forces")
     assert used == {"numpy", "pydantic", "mcap"}
     assert all(hasattr(resonatord, name) for name in resonatord.__all__)
 
