@@ -4,9 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy import linalg
 
-from resonator_daemon.arrays import Complexes
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.sensor_resolution import LOADS, Load, SensorArray
 from resonator_daemon.elastic.sensor_sets import CANDIDATES, SensorSet
@@ -18,80 +16,6 @@ def sensor_array(
     *components: str, nu: float = 0.5, depth_m: float = 1e-3, pitch_m: float = 0.4e-3, snr_db: float = 30.0
 ) -> SensorArray:
     return SensorArray(SensorSet(HalfSpace(2e5, nu), components or BEST, depth_m), pitch_m, snr_db)
-
-
-class Experiment:
-    """White loads on a periodic square of `count` x `count` sensors, sampled `finer` times more finely in each axis.
-
-    Loads are complex, which makes two independent real ones of each. Sampling happens in space.
-    """
-
-    def __init__(self, array: SensorArray, count: int, finer: int, seed: int) -> None:
-        self.array, self.count, self.finer = array, count, finer
-        self.rng = np.random.default_rng(seed)
-        side = count * finer
-        self.step = 2.0 * np.pi / (count * array.pitch_m)
-        omega = np.fft.fftfreq(side, 1.0 / side) * self.step
-        self.matrix = array.sensors.matrix(omega, omega[:, None])
-        power = np.sum([np.mean(np.abs(self.signals(self.loads(50))) ** 2) for _ in range(4)]) / 4
-        self.noise_std = math.sqrt(power / 10.0 ** (array.snr_db / 10.0))
-
-    def white(self, *shape: int) -> Complexes:
-        return (self.rng.standard_normal(shape) + 1j * self.rng.standard_normal(shape)) / math.sqrt(2.0)
-
-    def loads(self, draws: int) -> Complexes:
-        side = self.count * self.finer
-        return self.white(draws, side, side, 3)
-
-    def signals(self, loads: Complexes) -> Complexes:
-        spectrum = (self.matrix @ loads[..., None])[..., 0]
-        return np.fft.ifft2(spectrum, axes=(1, 2))[:, :: self.finer, :: self.finer]
-
-    def kept(self, load: Load, waves: list[tuple[int, int]], draws: int) -> list[float]:
-        """Share of the load's variance that a regression on the noisy signals brings back, for each (ky, kx).
-
-        What is not to matter, the other components at these frequencies, is made a thousand times as large.
-        """
-        wanted = {"normal": [2], "shear": [0, 1], "normal_alone": [2]}[load]
-        others = [axis for axis in range(3) if axis not in wanted]
-        seen: list[list[Complexes]] = [[] for _ in waves]
-        true: list[list[Complexes]] = [[] for _ in waves]
-        for _ in range(draws // 250):
-            loads = self.loads(250)
-            if load == "normal_alone":
-                loads[..., others] = 0.0
-            for ky, kx in waves:
-                loads[:, ky, kx, others] *= 1e3
-            signals = self.signals(loads)
-            signals += self.noise_std * self.white(*signals.shape)
-            spectrum = np.fft.fft2(signals, axes=(1, 2))
-            for n, (ky, kx) in enumerate(waves):
-                seen[n].append(spectrum[:, ky, kx])
-                true[n].append(loads[:, ky, kx][:, wanted])
-        return [worst_share(np.concatenate(s), np.concatenate(t)) for s, t in zip(seen, true, strict=True)]
-
-
-def worst_share(signals: Complexes, truth: Complexes) -> float:
-    """Share of variance explained by least squares, of the combination of components that is explained least."""
-    fit = np.linalg.lstsq(signals, truth, rcond=None)[0]
-    left = truth - signals @ fit
-    return float(1.0 - linalg.eigvalsh(left.conj().T @ left, truth.conj().T @ truth)[-1])
-
-
-@pytest.mark.parametrize(
-    ("components", "load"),
-    [(BEST, "normal"), (BEST, "shear"), (BEST, "normal_alone"), (("p_n",), "normal_alone"), (("p_n", "zz"), "normal")],
-)
-def test_what_a_wiener_inverse_keeps_is_what_regression_on_drawn_loads_keeps(components: tuple[str, ...], load: Load):
-    """Sparse sensors, 0.7 depths: at the higher waves as much comes from folding as from noise."""
-    array = sensor_array(*components, depth_m=0.7e-3, pitch_m=1e-3, snr_db=14.0)
-    experiment = Experiment(array, count=14, finer=3, seed=5)
-    waves = [(0, 1), (2, 2), (4, 0), (0, 6), (3, 5)]
-    kept = experiment.kept(load, waves, draws=1000)
-    ky, kx = np.transpose(waves) * experiment.step
-    ratio = array.load_to_error(load, kx, ky)
-    np.testing.assert_allclose(kept, ratio / (1.0 + ratio), atol=0.05)
-    assert kept[0] > kept[3] + 0.05
 
 
 def test_without_folding_the_error_is_that_of_the_inverse_matrix():

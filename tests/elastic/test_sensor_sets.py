@@ -176,21 +176,6 @@ def test_power_in_closed_form():
     np.testing.assert_allclose(found, fading[:, None] * np.transpose(expected), rtol=1e-11)
 
 
-@pytest.mark.parametrize(
-    ("components", "nu", "expected"),
-    [
-        (("p_n",), 0.5, math.sqrt(1 / 2)),
-        (("p_n",), -0.4, math.sqrt(1 / 2)),
-        (("zz",), 0.5, 1.0),
-        (("xz",), 0.3, math.sqrt(3 / 4)),
-        (BEST, 0.5, math.sqrt(5 / 8)),
-    ],
-)
-def test_bandwidth_in_closed_form(components: tuple[str, ...], nu: float, expected: float):
-    sensors = sensor_set(*components, nu=nu)
-    assert sensors.bandwidth_rad_per_m * DEPTH_M == pytest.approx(expected, rel=1e-6)
-
-
 @pytest.mark.parametrize("components", [("zz",), ("xx",), ("xy",), ("sigma_yy", "xz"), CANDIDATES["e"]])
 def test_bandwidth_and_integral_against_a_sum_over_the_plane(components: tuple[str, ...]):
     sensors = sensor_set(*components, nu=0.3)

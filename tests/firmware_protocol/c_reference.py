@@ -2,6 +2,7 @@
 
 import subprocess
 import tempfile
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from shutil import which
@@ -20,6 +21,10 @@ def reference_sources() -> list[str]:
     return sorted(map(str, C_FOLDER.glob("resonator_*.c")))
 
 
+def common_sources() -> list[str]:
+    return sorted(map(str, (C_FOLDER / "common").glob("*.c")))
+
+
 def compiler() -> str:
     """Return the path of the C compiler."""
     found = which("cc") or which("gcc")
@@ -36,21 +41,32 @@ def build(target: Path, *sources: str, options: tuple[str, ...] = SANITIZERS) ->
 
 
 @cache
-def _driver_folder() -> tempfile.TemporaryDirectory[str]:
+def _folder() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="resonator-c-")
 
 
 @cache
-def driver() -> Path:
-    """Build the driver once a process."""
-    return build(Path(_driver_folder().name) / "driver", *reference_sources(), str(C_FOLDER / "tests" / "driver.c"))
+def driver(name: str, *sources: str, options: tuple[str, ...] = ()) -> Path:
+    """Build a driver of `c/tests` with these sources beside its own, once a process."""
+    own = str(C_FOLDER / "tests" / f"{name}.c")
+    return build(Path(_folder().name) / name, own, *sources, options=(*SANITIZERS, *options))
+
+
+def run_driver(program: Path, commands: Iterable[str]) -> list[str]:
+    """Return what the driver printed; a sanitizer's report is a failure."""
+    done = subprocess.run([program], input="\n".join(commands) + "\n", capture_output=True, text=True, check=False)
+    assert done.returncode == 0, (done.returncode, done.stderr[-4000:])
+    return done.stdout.splitlines()
 
 
 def run_commands(commands: list[str]) -> list[str]:
-    """Return what the driver printed; a sanitizer's report is a failure."""
-    done = subprocess.run([driver()], input="\n".join(commands) + "\n", capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-4000:]
-    return done.stdout.splitlines()
+    """Run the driver of the reference alone."""
+    return run_driver(driver("driver", *reference_sources()), commands)
+
+
+def run_captures(commands: list[str]) -> list[str]:
+    """Run the driver of `c/common`."""
+    return run_driver(driver("capture_driver", *common_sources(), *reference_sources()), commands)
 
 
 def hexadecimal(data: bytes) -> str:

@@ -4,7 +4,7 @@ import random
 from dataclasses import dataclass, field
 
 import pytest
-from capture_driver import run_captures
+from c_reference import run_captures
 
 from firmware_protocol.layouts import RecordFlag, SingleToneRecord
 

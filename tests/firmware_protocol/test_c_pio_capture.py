@@ -4,8 +4,7 @@ import bisect
 import random
 
 import pytest
-from c_reference import C_FOLDER
-from capture_driver import run_captures
+from c_reference import C_FOLDER, run_captures
 from pio_machine import PioMachine
 
 CYCLES_PER_TICK = 2

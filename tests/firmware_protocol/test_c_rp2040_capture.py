@@ -1,11 +1,10 @@
 """The RP2040 board's capture on a computer: PIO words, DMA and the PWM clock in memory, against a model of lists."""
 
 import random
-import subprocess
 from pathlib import Path
 
 import pytest
-from c_reference import C_FOLDER, SANITIZERS, build, reference_sources
+from c_reference import C_FOLDER, common_sources, driver, reference_sources, run_driver
 from test_c_capture import record_of
 from test_c_stm32_capture import gate_of
 
@@ -17,19 +16,11 @@ GATE = 62_500
 OF_TICKS = 2**32  # the board's ticks begin behind one wrap
 
 
-@pytest.fixture(scope="module")
-def driver(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    sources = [C_FOLDER / "tests" / "rp2040_capture_driver.c", *sorted((C_FOLDER / "common").glob("*.c"))]
-    options = (*SANITIZERS, f"-I{FAKES}", f"-I{C_FOLDER / 'rp2040'}")
-    target = tmp_path_factory.mktemp("rp2040") / "driver"
-    return build(target, *map(str, sources), *reference_sources(), options=options)
-
-
-def run(driver: Path, commands: list[str]) -> list[str]:
-    text = "\n".join(commands) + "\n"
-    done = subprocess.run([driver], input=text, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, (done.returncode, done.stderr[-4000:])
-    return done.stdout.splitlines()
+def run(commands: list[str]) -> list[str]:
+    options = (f"-I{FAKES}", f"-I{C_FOLDER / 'rp2040'}")
+    return run_driver(
+        driver("rp2040_capture_driver", *common_sources(), *reference_sources(), options=options), commands
+    )
 
 
 class Bench:
@@ -57,7 +48,7 @@ class Bench:
 
 
 @pytest.mark.parametrize("start", [10_000, 2**32 - 700_000])  # the count of 32 bits wraps within the run
-def test_frames_are_the_sums_of_the_words_in_each_gate(driver: Path, start: int) -> None:
+def test_frames_are_the_sums_of_the_words_in_each_gate(start: int) -> None:
     count = 60
     bench, rng = Bench(start, start + (count + 20) * GATE), random.Random(5)
     bench.commands.append(f"run {GATE}")
@@ -68,7 +59,7 @@ def test_frames_are_the_sums_of_the_words_in_each_gate(driver: Path, start: int)
         bench.play(now - rng.randrange(500))
         bench.commands.append(f"time {now} {int(rng.random() < 0.5 or now % 65_536 > 20_000)}")
         bench.commands += ["gate"] * 6
-    closes = [gate for gate in map(gate_of, run(driver, bench.commands)[1:]) if gate[0]]
+    closes = [gate for gate in map(gate_of, run(bench.commands)[1:]) if gate[0]]
     assert len(closes) >= count
     for number, (closed, end, records) in enumerate(closes):
         low = start + number * GATE
@@ -78,7 +69,7 @@ def test_frames_are_the_sums_of_the_words_in_each_gate(driver: Path, start: int)
             assert record == record_of(numbered, RecordFlag.STRIDE_BREAK if number == 0 else 0, STRIDE)
 
 
-def test_a_word_that_a_full_fifo_lost_begins_the_counting_anew(driver: Path) -> None:
+def test_a_word_that_a_full_fifo_lost_begins_the_counting_anew() -> None:
     start = 10_000
     bench = Bench(start, start + 40 * GATE)
     bench.commands.append(f"run {GATE}")
@@ -89,7 +80,7 @@ def test_a_word_that_a_full_fifo_lost_begins_the_counting_anew(driver: Path) -> 
         if k == 2:
             bench.commands.append("stall 1")
         bench.commands.append("gate")
-    closes = [gate_of(line) for line in run(driver, bench.commands)[1:]]
+    closes = [gate_of(line) for line in run(bench.commands)[1:]]
     flags = [[record.flags for record in records] for _, _, records in closes]
     assert all(flag & RecordFlag.LOST_EDGE for flag in flags[1])
     assert flags[2] == [RecordFlag.STRIDE_BREAK] * 4
@@ -101,7 +92,7 @@ def test_a_word_that_a_full_fifo_lost_begins_the_counting_anew(driver: Path) -> 
             assert (record.first_ticks, record.stamps) == (seen[0] % 2**32, len(seen))
 
 
-def test_a_loop_that_was_stopped_misses_whole_gates_and_goes_on(driver: Path) -> None:
+def test_a_loop_that_was_stopped_misses_whole_gates_and_goes_on() -> None:
     start = 10_000
     bench = Bench(start, start + 60 * GATE)
     bench.commands.append(f"run {GATE}")
@@ -109,6 +100,6 @@ def test_a_loop_that_was_stopped_misses_whole_gates_and_goes_on(driver: Path) ->
         bench.play(now)
         bench.commands.append(f"time {now} 1")
         bench.commands += ["gate"] * 25
-    closes = [gate for gate in map(gate_of, run(driver, bench.commands)[1:]) if gate[0]]
+    closes = [gate for gate in map(gate_of, run(bench.commands)[1:]) if gate[0]]
     assert [closed for closed, _, _ in closes] == [-1] * 20 + [1] * 4
     assert [record.flags for record in closes[-1][2]] == [0] * 4

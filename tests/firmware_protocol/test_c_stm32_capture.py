@@ -1,11 +1,8 @@
 """The STM32 board's input capture on a computer: a timer, captures and DMA in memory, against a model of lists."""
 
 import random
-import subprocess
-from pathlib import Path
 
-import pytest
-from c_reference import C_FOLDER, build, reference_sources
+from c_reference import C_FOLDER, common_sources, driver, reference_sources, run_driver
 from test_c_capture import record_of
 
 from firmware_protocol.layouts import RecordFlag, SingleToneRecord
@@ -16,19 +13,11 @@ START = 2**32 - 500_000  # the timer wraps within the run
 OF_TICKS = 2**32  # the board's ticks begin behind one wrap
 
 
-@pytest.fixture(scope="module")
-def driver(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    sources = [C_FOLDER / "tests" / "stm32_capture_driver.c", *sorted((C_FOLDER / "common").glob("*.c"))]
-    options = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-DSTM32F4_FAKE")
-    target = tmp_path_factory.mktemp("stm32") / "driver"
-    return build(target, *map(str, sources), *reference_sources(), options=(*options, f"-I{C_FOLDER / 'stm32f4'}"))
-
-
-def run(driver: Path, commands: list[str]) -> list[str]:
-    text = "\n".join(commands) + "\n"
-    done = subprocess.run([driver], input=text, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-4000:]
-    return done.stdout.splitlines()
+def run(commands: list[str]) -> list[str]:
+    options = ("-DSTM32F4_FAKE", f"-I{C_FOLDER / 'stm32f4'}")
+    return run_driver(
+        driver("stm32_capture_driver", *common_sources(), *reference_sources(), options=options), commands
+    )
 
 
 def gate_of(line: str) -> tuple[int, int, list[SingleToneRecord]]:
@@ -52,7 +41,7 @@ def play(commands: list[str], tones: list[list[int]], sent: list[int], until: in
             sent[channel] += 1
 
 
-def test_frames_are_the_sums_of_the_captures_in_each_gate(driver: Path) -> None:
+def test_frames_are_the_sums_of_the_captures_in_each_gate() -> None:
     count = 60
     tones = [stamps_until(START + (count + 10) * GATE, channel) for channel in range(4)]
     rng, sent = random.Random(5), [0] * 4
@@ -65,7 +54,7 @@ def test_frames_are_the_sums_of_the_captures_in_each_gate(driver: Path) -> None:
         play(commands, tones, sent, now - rng.randrange(800))  # DMA is up to 10 us late
         commands.append(f"time {now % 2**32}")
         commands += ["gate"] * 5
-    closes = [gate for gate in map(gate_of, run(driver, commands)[2:]) if gate[0]]
+    closes = [gate for gate in map(gate_of, run(commands)[2:]) if gate[0]]
     assert len(closes) >= count
     before = [sum(t < START for t in stamps) for stamps in tones]
     for number, (closed, end, records) in enumerate(closes):
@@ -78,7 +67,7 @@ def test_frames_are_the_sums_of_the_captures_in_each_gate(driver: Path) -> None:
             assert record == record_of([(STRIDE * edge, t) for edge, t in numbered], flags, STRIDE)
 
 
-def test_a_loop_that_was_stopped_misses_whole_gates_and_goes_on(driver: Path) -> None:
+def test_a_loop_that_was_stopped_misses_whole_gates_and_goes_on() -> None:
     tones = [stamps_until(START + 60 * GATE, channel) for channel in range(4)]
     sent = [0] * 4
     commands: list[str] = [f"time {START % 2**32}"]
@@ -89,7 +78,7 @@ def test_a_loop_that_was_stopped_misses_whole_gates_and_goes_on(driver: Path) ->
         play(commands, tones, sent, now)
         commands.append(f"time {now % 2**32}")
         commands += ["gate"] * 25
-    closes = [gate for gate in map(gate_of, run(driver, commands)[1:]) if gate[0]]
+    closes = [gate for gate in map(gate_of, run(commands)[1:]) if gate[0]]
     assert [closed for closed, _, _ in closes] == [-1] * 20 + [1] * 5
     flags = [[record.flags for record in records] for closed, _, records in closes if closed == 1]
     assert all(flag & RecordFlag.LOST_EDGE for flag in flags[0])
@@ -97,7 +86,7 @@ def test_a_loop_that_was_stopped_misses_whole_gates_and_goes_on(driver: Path) ->
     assert flags[2:] == [[0] * 4] * 3
 
 
-def test_a_capture_that_the_timer_overwrote_is_a_lost_edge_on_its_channel(driver: Path) -> None:
+def test_a_capture_that_the_timer_overwrote_is_a_lost_edge_on_its_channel() -> None:
     tones = [stamps_until(START + 60 * GATE, channel) for channel in range(4)]
     sent = [0] * 4
     commands: list[str] = [f"time {START % 2**32}"]
@@ -108,7 +97,7 @@ def test_a_capture_that_the_timer_overwrote_is_a_lost_edge_on_its_channel(driver
             commands.append("over 3")
         play(commands, tones, sent, START + k * GATE + 5000)
         commands += [f"time {(START + k * GATE + 5000) % 2**32}", "gate"]
-    flags = [[record.flags for record in gate_of(line)[2]] for line in run(driver, commands)[1:]]
+    flags = [[record.flags for record in gate_of(line)[2]] for line in run(commands)[1:]]
     assert [bool(flag & RecordFlag.LOST_EDGE) for flag in flags[1]] == [False, False, False, True]
     assert flags[2] == [0, 0, 0, RecordFlag.STRIDE_BREAK]
     assert flags[3] == [0] * 4

@@ -5,32 +5,11 @@ import struct
 
 import pytest
 from c_reference import run_commands
+from test_c_capture import record_of
 
 
 def sums_line(stamps: list[tuple[int, int]], stride_edges: int) -> str:
-    """What the record must say, from whole numbers that do not wrap."""
-    if not stamps:
-        return "sums 0 0 0 0 0 0 0 0 1"
-    ticks = [t for _, t in stamps]
-    offsets = [t - ticks[0] for t in ticks]
-    bends = [c - 2 * b + a for a, b, c in zip(ticks, ticks[1:], ticks[2:], strict=False)]
-    return " ".join(
-        map(
-            str,
-            (
-                "sums",
-                stamps[0][0] % 2**32,
-                ticks[0] % 2**32,
-                len(stamps),
-                stride_edges,
-                offsets[-1],
-                sum(offsets),
-                sum(k * offset for k, offset in enumerate(offsets)),
-                sum(bend * bend for bend in bends),
-                1,
-            ),
-        )
-    )
+    return " ".join(map(str, ("sums", *record_of(stamps, 0, stride_edges)[:8], 1)))
 
 
 def command(stamps: list[tuple[int, int]], stride_edges: int) -> str:

@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from capture_driver import run_captures
+from c_reference import run_captures
 
 
 def test_a_32_bit_timer_that_is_read_once_a_wrap() -> None:

@@ -1,34 +1,24 @@
 """The RP2040's USB part on a computer: its descriptors, BEGIN, and which of its interfaces serves."""
 
-import subprocess
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from c_reference import C_FOLDER, SANITIZERS, build
+from c_reference import C_FOLDER, driver, run_driver
 
 TINYUSB = Path(__file__).parents[1] / "firmware" / "tinyusb"
 VENDOR_INTERFACE = 2
 BEGIN = f"begin {0x41} 1 1 {VENDOR_INTERFACE} 0"
 
 
-@pytest.fixture(scope="module")
-def driver(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(*commands: str) -> list[str]:
     rp2040 = C_FOLDER / "rp2040"
-    sources = [rp2040 / "usb_link.c", rp2040 / "usb_descriptors.c", C_FOLDER / "tests" / "usb_driver.c"]
-    options = (*SANITIZERS, f"-I{TINYUSB}", f"-I{rp2040}")
-    return build(tmp_path_factory.mktemp("usb") / "driver", *map(str, sources), options=options)
+    sources = (str(rp2040 / "usb_link.c"), str(rp2040 / "usb_descriptors.c"))
+    return run_driver(driver("usb_driver", *sources, options=(f"-I{TINYUSB}", f"-I{rp2040}")), commands)
 
 
-def run(driver: Path, *commands: str) -> list[str]:
-    text = "\n".join(commands) + "\n"
-    done = subprocess.run([driver], input=text, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-4000:]
-    return done.stdout.splitlines()
-
-
-def test_descriptors_are_those_of_the_page(driver: Path) -> None:
-    configuration, serial = (bytes.fromhex(line.split()[1]) for line in run(driver, "descriptors"))
+def test_descriptors_are_those_of_the_page() -> None:
+    configuration, serial = (bytes.fromhex(line.split()[1]) for line in run("descriptors"))
     assert serial[2:].decode("utf-16-le") == "A1B2"
     starts = [0]
     while starts[-1] < len(configuration):
@@ -56,13 +46,13 @@ def test_descriptors_are_those_of_the_page(driver: Path) -> None:
         (f"begin {0x41} 1 1 {VENDOR_INTERFACE} 4", "stalled", "0"),
     ],
 )
-def test_begin_and_nothing_else_begins(driver: Path, request_line: str, answer: str, begins: str) -> None:
-    assert run(driver, request_line, "task", "task") == [answer, begins, "0"]
+def test_begin_and_nothing_else_begins(request_line: str, answer: str, begins: str) -> None:
+    assert run(request_line, "task", "task") == [answer, begins, "0"]
 
 
-def test_the_interface_on_which_bytes_came_last_serves(driver: Path) -> None:
+def test_the_interface_on_which_bytes_came_last_serves() -> None:
     printed = run(
-        driver, BEGIN, "task", "vendor 0102", "read", "write 0a0b", "flush",
+        BEGIN, "task", "vendor 0102", "read", "write 0a0b", "flush",
         "cdc 03", "read", "task", "read", "write 0c", "flush",
         "vendor 04", "read", "task", "read", "write 0d", "flush",
     )  # fmt: skip
@@ -73,7 +63,7 @@ def test_the_interface_on_which_bytes_came_last_serves(driver: Path) -> None:
     ]  # fmt: skip
 
 
-def test_what_finds_no_room_is_not_accepted(driver: Path) -> None:
-    printed = run(driver, BEGIN, f"write {'55' * 300}", f"write {'66' * 10}", "flush")
+def test_what_finds_no_room_is_not_accepted() -> None:
+    printed = run(BEGIN, f"write {'55' * 300}", f"write {'66' * 10}", "flush")
     assert printed[1:3] == ["256", "0"]
     assert printed[3] == f"vendor {'55' * 256}"

@@ -113,11 +113,6 @@ AWKWARD_FRAME = FRAMES[1]
 NEXT = encode_packet(0x90, 9, b"next", boot_id=7)
 
 
-def found_after(damaged: bytes, next_bytes: bytes = NEXT) -> list[Packet | Damage]:
-    decoder = PacketDecoder(from_board=True)
-    return [item for item in decoder.feed(damaged + next_bytes) if isinstance(item, Packet | Damage)]
-
-
 @pytest.mark.parametrize("frame", [FRAMES[0], AWKWARD_FRAME], ids=["random", "full of sync words"])
 def test_the_next_packet_is_found_after_damage_at_every_byte(frame: bytes) -> None:
     expected = Packet(0x90, 9, 0, 7, b"next")
@@ -129,7 +124,7 @@ def test_the_next_packet_is_found_after_damage_at_every_byte(frame: bytes) -> No
             if damaged in (b"", frame) or frame in damaged:
                 continue
             # Behind a frame that lacks bytes, more than its promise must come before it is given up.
-            found = found_after(damaged, NEXT + frame)
+            found = PacketDecoder(from_board=True).feed(damaged + NEXT + frame)
             assert expected in found, (at, damaged)
             assert isinstance(found[0], Damage)
             assert found[0].size_bytes == len(damaged)

@@ -73,40 +73,23 @@ def forces_with_a_site(lines: list[dict[str, Any]]) -> dict[str, Any]:
     return max(pressed, key=lambda payload: payload["sites"][0]["force_newton"] or 0.0)
 
 
+def later(record: dict[str, Any], key: str) -> None:
+    record[key] = str(int(record[key]) + 1)
+
+
 def weaker(lines: list[dict[str, Any]]) -> None:
     forces_with_a_site(lines)["sites"][0]["force_newton"] *= 1 + 1e-4
-
-
-def settling(lines: list[dict[str, Any]]) -> None:
-    forces_with_a_site(lines)["status"] = "settling"
-
-
-def later(lines: list[dict[str, Any]]) -> None:
-    payload = forces_with_a_site(lines)
-    payload["t_ns"] = str(int(payload["t_ns"]) + 1)
-
-
-def made_later(lines: list[dict[str, Any]]) -> None:
-    lines[2]["now_ns"] = str(int(lines[2]["now_ns"]) + 1)
-
-
-def with_another_release(lines: list[dict[str, Any]]) -> None:
-    lines[0]["messages"]["contacts/event"] += 1
-
-
-def with_one_more(lines: list[dict[str, Any]]) -> None:
-    lines.append(lines[-1] | {"number": 10**6})
 
 
 @pytest.mark.parametrize(
     ("change", "key"),
     [
         (weaker, "sites[0].force_newton"),
-        (settling, "status"),
-        (later, "t_ns"),
-        (made_later, "(made)"),
-        (with_another_release, "messages.contacts/event"),
-        (with_one_more, "message 1000000"),
+        (lambda lines: forces_with_a_site(lines).update(status="settling"), "status"),
+        (lambda lines: later(forces_with_a_site(lines), "t_ns"), "t_ns"),
+        (lambda lines: later(lines[2], "now_ns"), "(made)"),
+        (lambda lines: lines[0]["messages"].update({"contacts/event": 99}), "messages.contacts/event"),
+        (lambda lines: lines.append(lines[-1] | {"number": 10**6}), "message 1000000"),
         (lambda lines: lines.pop(3), "message 1"),
     ],
 )

@@ -1,12 +1,11 @@
 """Forces on the emulated quartz plate, read back from its records by eq. (1)."""
 
 import tomllib
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from plates import plate_head, site, with_counter
+from plates import plate_head, site
 from scenarios import steady
 
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag, SingleToneRecord
@@ -107,33 +106,3 @@ def test_a_plate_of_few_sites_is_counted_while_all_are_touched(sites: int) -> No
     hz = [frequency_hz(count(plate, 0.2, 20), channel) for channel in range(4)]
     pressed_hz = few.tones.f0_hz[:, 0] / (1.0 + 6e-6)
     assert all(np.abs(pressed_hz - each).min() < 60.0 for each in hz)
-
-
-@pytest.mark.parametrize("counter", ["sums", "stamps"])
-@pytest.mark.parametrize(("channel", "level_db"), [(0, -40.0), (2, -20.0)])
-def test_two_touches_beat_as_theory_has_it(counter: Literal["sums", "stamps"], channel: int, level_db: float) -> None:
-    fine = with_counter(PLATE, reference_hz=1e12)
-    quiet = {"pilot_level_db": -300.0, "noise_level_db": -290.0, "white_fm": 0.0, "jitter_s": 0.0}
-    (near, near_k), (far, far_k) = tone_of(9), tone_of(7)
-    beat_hz = (far / (1 - 2.0 * far_k) - near / (1 - near_k))[channel]
-
-    def frequencies_hz(gate_s: float) -> tuple[list[float], list[float]]:
-        touches = scenario(held(1.0, site=9), held(2.0, site=7), plate=fine, **quiet)
-        plate = QuartzPlate(fine, touches, seed=2, counter=counter)
-        plate._full_amplitude = np.full((16, 4), 1e-3)
-        plate._full_amplitude[6] *= 10 ** (level_db / 20)  # site 7
-        records = []
-        for _ in range(200):  # each with a phase of its own
-            plate.start()
-            (frame,) = plate.count(0, round(0.2e12), round(gate_s * 1e12), 1)
-            records.append([SingleToneRecord(*SINGLE_TONE_STRUCT.unpack(c)) for c in frame.channels])
-            assert {record.flags for record in records[-1]} == {RecordFlag.STRIDE_BREAK}
-        omega = [frequency_hz([frame], channel, 1e12) for frame in records]
-        return omega, [1e13 * (row[channel].stamps - 1) / row[channel].span_ticks for row in records]
-
-    ratio = 10 ** (level_db / 20)
-    # Both are largest where the gate has the right part of a beat at its ends.
-    whole_s, half_s = 50.0 / beat_hz, 50.5 / beat_hz
-    omega, pi = np.std(frequencies_hz(whole_s)[0]), np.std(frequencies_hz(half_s)[1])
-    assert omega == pytest.approx(3 * ratio / (np.pi**2 * beat_hz * whole_s**2 * np.sqrt(2)), rel=0.06)
-    assert pi == pytest.approx(ratio / (np.pi * half_s * np.sqrt(2)), rel=0.06)
