@@ -33,9 +33,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.daemon.link_recording import RecordOptions, record
+    from resonator_daemon.daemon.link_recording import PortInUseError, RecordOptions, record
 
-    result = record(arguments.config, options_of(RecordOptions, arguments))
+    try:
+        result = record(arguments.config, options_of(RecordOptions, arguments))
+    except PortInUseError as error:
+        raise PortInUseError(f"{error}{_of_the_daemon(arguments.config)}") from None
     if arguments.json:
         print_json({"verb": "record", "ok": True, **result})
     return ExitCode.DONE
+
+
+def _of_the_daemon(config_path: Path) -> str:
+    """Return how the daemon that has the link records it itself; empty where none is found."""
+    import asyncio
+
+    from resonator_daemon.config import load_config
+    from resonator_daemon.doctor.running_daemon import find_daemon
+
+    answer = asyncio.run(find_daemon(load_config(config_path).link, config_path, ()))
+    if answer is None or answer.status is None:
+        return ""
+    name = answer.status.get("name") or "NAME"
+    command = f"resonatord command {name} start_recording --config {config_path}"
+    return f"; the daemon {name} reads it and can record it: {command}"

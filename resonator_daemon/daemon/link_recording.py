@@ -20,6 +20,7 @@ from resonator_daemon.errors import (
     InterruptedCommandError,
     UserError,
 )
+from resonator_daemon.reasons import ReasonCode
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.recorder import Recorder
 from resonator_daemon.session.blocking_reader import BlockingReader
@@ -45,6 +46,12 @@ class NoBoardError(UserError):
 
     exit_code = ExitCode.UNAVAILABLE
     code = "no_board"
+
+
+class PortInUseError(NoBoardError):
+    """Another program holds the link."""
+
+    code = ReasonCode.PORT_IN_USE
 
 
 class RecordingEndedError(UserError):
@@ -211,6 +218,8 @@ class _LinkRecording:
                 self._first_frame_s = arrival.gate_middle.monotonic_ns * 1e-9
             case LinkChange():
                 self._link = arrival.reason.text
+                if arrival.reason.code is ReasonCode.PORT_IN_USE and self._first_frame_s is None:
+                    raise PortInUseError(self._link)  # at once: the other program goes on for as long as it likes
             case BoardRefused():
                 raise IncompatibleBoardError(*(problem.text for problem in arrival.problems))
             case ReaderFailed():

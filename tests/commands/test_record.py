@@ -1,11 +1,13 @@
 """`resonatord record` as a user meets it: a file of what happened, what went wrong in one line, and the exit code."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -13,8 +15,9 @@ from emulation import emulated
 from jsonschema import validate
 from mcap.reader import make_reader
 
+from resonator_daemon.config import load_config
 from resonator_daemon.config.text import load_plate_text
-from resonator_daemon.daemon.link_recording import NoBoardError, RecordOptions, record
+from resonator_daemon.daemon.link_recording import NoBoardError, PortInUseError, RecordOptions, record
 from resonator_daemon.plate import load_plate
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.reader import open_recording
@@ -124,6 +127,34 @@ def test_a_board_that_sends_no_frame_is_not_waited_for_without_end(tmp_path: Pat
         pytest.raises(NoBoardError, match=r"no board counts after 0\.8 s: "),
     ):
         record(config(tmp_path, f"serial:{port}?baud=4000000"), RecordOptions(tmp_path / "run.mcap", open_s=0.8))
+
+
+def test_a_port_in_use_is_reported_at_once(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    path = config(tmp_path, f"serial:{port}?baud=4000000")
+    options = RecordOptions(tmp_path / "run.mcap", open_s=3600.0)
+    with emulated(EmulatorOptions("quartz16", pty=port)):
+        with closing(load_config(path).link.open()), pytest.raises(PortInUseError) as raised:
+            record(path, options)
+        assert (raised.value.exit_code, raised.value.code) == (69, "port_in_use")
+        assert f"(pid {os.getpid()})" in str(raised.value)
+        environment = os.environ | {"XDG_RUNTIME_DIR": str(tmp_path)}
+        path.write_text(f'name = "hand"\n{path.read_text()}[mqtt]\nurl = "mqtt://127.0.0.1:9"\n')
+        command = [*COMMAND[:-1], "run", str(path)]
+        daemon = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
+        assert daemon.stderr is not None
+        try:
+            for line in daemon.stderr:
+                if "online" in line:
+                    break
+            held = [*COMMAND, str(path), "--output", str(options.output)]
+            made = subprocess.run(held, capture_output=True, text=True, timeout=60, check=False, env=environment)
+        finally:
+            daemon.terminate()
+            daemon.communicate()
+    assert made.returncode == 69
+    assert made.stderr.rstrip().endswith(f"resonatord command hand start_recording --config {path}")
+    assert not options.output.exists()
 
 
 def test_an_interrupt_ends_a_recording_in_order(tmp_path: Path) -> None:
