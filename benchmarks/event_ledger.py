@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-_DETECTED_NEWTON = 0.02  # the force of an onset, by docs/reference/mqtt.md
+_DETECTED_NEWTON = 0.02  # the force of an onset, by docs/reference/mqtt-topics.md
 _TOLERANCE_NS = 100_000_000  # of an event's time: the window, and the readings that a release takes
 
 

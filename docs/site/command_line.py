@@ -1,4 +1,4 @@
-"""Write docs/reference/command-line.md from the parser: `python docs/site/command_line.py`."""
+"""Write the commands in docs/reference/command-line.md, from the parser: `python docs/site/command_line.py`."""
 
 import argparse
 from collections.abc import Iterator
@@ -7,16 +7,19 @@ from pathlib import Path
 from resonator_daemon.commands._command_line import make_parser, parsers
 
 PAGE = Path(__file__).parents[1] / "reference" / "command-line.md"
+MARK = "<!-- commands: docs/site/command_line.py -->\n\n"
 
 
 def text() -> str:
-    """Return the page: usage, arguments and notes of each command."""
-    return "\n\n".join(block for words, parser in parsers(make_parser()) for block in section(words, parser)) + "\n"
+    """Return the page with usage, arguments and notes of each command below its mark."""
+    introduction, mark, _ = PAGE.read_text().partition(MARK)
+    blocks = (block for words, parser in parsers(make_parser()) for block in section(words, parser))
+    return introduction + mark + "\n\n".join(blocks) + "\n"
 
 
 def section(words: str, parser: argparse.ArgumentParser) -> Iterator[str]:
     """Yield the blocks about one command, or about a group of commands."""
-    yield f"## {words}" if " " in words else "# Command line"
+    yield f"## {words}"
     yield str(parser.description)
     yield f"    {' '.join(parser.format_usage().removeprefix('usage: ').split())}"
     if rows := [row for action in parser._actions for row in entries(parser, action)]:  # noqa: SLF001

@@ -1,7 +1,7 @@
 """Send a command to a running daemon and print its answer.
 
-The verbs and their keys are those of `cmd/<verb>` in docs/reference/mqtt.md. A VALUE is JSON, or else text. A daemon
-executes a verb that changes something only where `allow` in [commands] of its configuration has it.
+docs/reference/mqtt-commands.md lists the verbs and their keys. A VALUE is JSON, or else text. A daemon executes a verb
+that changes something only where `allow` in [commands] of its configuration has it.
 
 Example: resonatord command left-index set_rate topic=forces rate_hz=20
 """

@@ -265,10 +265,14 @@ def _request(verb: Verb, payload: bytes) -> Request:
         raise CommandRefusedError(
             "payload",
             "; ".join(_sentence(verb, found) for found in findings),
-            "see docs/reference/mqtt.md and the topic schema",
+            "see docs/reference/mqtt-commands.md and the topic schema",
         ) from None
     except ValueError as error:
-        hint = "see docs/reference/mqtt.md and the topic schema" if payload else "send {} for a command without fields"
+        hint = (
+            "see docs/reference/mqtt-commands.md and the topic schema"
+            if payload
+            else "send {} for a command without fields"
+        )
         raise CommandRefusedError("payload", str(error), hint) from None
 
 

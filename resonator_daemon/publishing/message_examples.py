@@ -1,4 +1,4 @@
-"""One whole message of each topic and command, as the AsyncAPI document and docs/reference/mqtt.md show them."""
+"""One whole message of each topic and command, as the AsyncAPI document and docs/reference/mqtt-topics.md show them."""
 
 import json
 from types import NoneType

@@ -28,9 +28,9 @@ async def subscribe(
     """Yield the messages of a plate as they come, those that the broker retains first, for ever.
 
     Each item has `plate`, `path` (the topic below the plate, as `contacts/event`) and `message`, an object of the class
-    that `docs/reference/mqtt.md` describes. Units are in the names of its fields; arrays are NumPy arrays, and numbers
-    that are not known are NaN. A broker that goes away is connected to again. States and events are all delivered;
-    where the loop is slow, messages of streams older than 250 ms are dropped in favour of newer ones.
+    that `docs/reference/mqtt-topics.md` describes. Units are in the names of its fields; arrays are NumPy arrays, and
+    numbers that are not known are NaN. A broker that goes away is connected to again. States and events are all
+    delivered; where the loop is slow, messages of streams older than 250 ms are dropped in favour of newer ones.
 
     >>> async for plate, path, message in resonatord.subscribe("mqtt://127.0.0.1:1883", "left-index", "forces"):
     ...     for force in message.sites:
@@ -91,7 +91,7 @@ async def command(
         Its name.
     verb
         `ping`, `health`, `snapshot`, `events`, `tare`, `start_recording`, `stop_recording`, `mark`, `set_window`,
-        `set_rate` or `identify`; `docs/reference/mqtt.md` lists arguments and answers.
+        `set_rate` or `identify`; `docs/reference/mqtt-commands.md` lists arguments and answers.
     timeout_s
         How long to wait for the answer.
     **arguments

@@ -1,4 +1,6 @@
-"""Tables of keys and examples in docs/reference/mqtt.md, from the models; `python tests/publishing/key_tables.py`.
+"""Tables of keys and words in docs/reference, and examples of messages, from the models.
+
+`PYTHONPATH=tests/publishing:tests/support python tests/publishing/key_tables.py` writes them.
 
 A table follows a comment that names its models, as `<!-- keys: Header, Measured -->`; inherited keys are left out. An
 example is the JSON block of the section that is named after its model.
@@ -15,7 +17,10 @@ from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.units import unit_of
 from resonator_daemon.publishing.verbs import ERRORS
 
-PAGE = Path(__file__).parents[2] / "docs" / "reference" / "mqtt.md"
+PAGES = [
+    Path(__file__).parents[2] / "docs" / "reference" / f"{name}.md"
+    for name in ("mqtt-topics", "mqtt-commands", "mqtt-delivery", "words")
+]
 WIDTH = 130
 EXAMPLE = re.compile(r"(^## (\w+)\n(?:(?!^## |^```).*\n)*```json\n)(?:.*\n)*?(```)", re.MULTILINE)
 KEYS = re.compile(r"(<!-- (keys|words): ([\w, ]+) -->\n\n)(?:\|.*\n)*\n*")
@@ -68,4 +73,5 @@ def table_of_words(names: list[str]) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(with_tables(PAGE.read_text()))
+    for page in PAGES:
+        page.write_text(with_tables(page.read_text()))

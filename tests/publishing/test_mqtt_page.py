@@ -1,4 +1,4 @@
-"""docs/reference/mqtt.md says what the code does: topics, words, examples, and the subscriber in ten lines."""
+"""The pages about MQTT say what the code does: topics, words, examples, and the subscriber in ten lines."""
 
 import asyncio
 import json
@@ -19,7 +19,7 @@ from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.verbs import VERBS, ErrorCode, Refusal
 
-PAGE = key_tables.PAGE.read_text()
+PAGE = "".join(page.read_text() for page in key_tables.PAGES)
 SECTIONS = dict(re.findall(r"^## (.+)\n((?:(?!^## ).*\n?)*)", PAGE, re.MULTILINE))
 EXAMPLES_SHOWN = [
     (title, example)
@@ -83,17 +83,17 @@ def test_each_json_payload_has_an_example() -> None:
 
 
 def test_the_tables_of_commands_and_codes_are_those_of_the_verbs() -> None:
-    verbs = [cells for cells in rows("Commands") if len(cells) == 4]
+    verbs = [cells for cells in rows("Verbs") if len(cells) == 4]
     assert [(verb, allowed) for verb, _, _, allowed in verbs] == [
         (verb.name, "by name" if verb.changes else "always") for verb in VERBS.values()
     ]
     for verb, _, request, _ in verbs:
         assert [*VERBS[verb].request.model_fields] == ["id", *re.findall(r"\w+", request.partition(":")[0])]
-    assert sorted(code for code, *rest in rows("Commands") if len(rest) == 1) == sorted(get_args(ErrorCode))
+    assert sorted(code for code, *rest in rows("Refusals of commands") if len(rest) == 1) == sorted(get_args(ErrorCode))
 
 
 def test_the_answers_shown_are_whole() -> None:
-    text = "\n".join(line for line in SECTIONS["Commands"].splitlines() if line.startswith("    "))
+    text = "\n".join(line for line in SECTIONS["Answers"].splitlines() if line.startswith("    "))
     shown = [json.loads(each) for each in re.findall(r"^    (\{.*?\}$)(?=\n    \{|\Z)", text, re.DOTALL | re.MULTILINE)]
     assert len(shown) >= 4
     for answer in shown:

@@ -1,4 +1,4 @@
-"""Payloads: closed sets of words, unknown numbers, 64-bit integers; docs/reference/mqtt.md has an example of each."""
+"""Payloads: closed sets of words, unknown numbers, 64-bit integers; docs/reference has an example of each."""
 
 import json
 import math
