@@ -20,7 +20,7 @@ from resonator_daemon.session.frames import SingleToneFrame
 
 LINKS = (
     ("plain", "skew_ppm=50"),
-    ("16 ms clumps, 1 % of answers 50 ms late", "clump_ms=16,answer_delay_rate=0.01,answer_delay_ms=50,skew_ppm=50"),
+    ("16 ms batches, 1 % of answers 50 ms late", "clump_ms=16,answer_delay_rate=0.01,answer_delay_ms=50,skew_ppm=50"),
     ("the same, slow crystal", "clump_ms=16,answer_delay_rate=0.01,answer_delay_ms=50,skew_ppm=-50"),
 )
 FRAMES, SETTLED = 20_000, 5_000  # of one a millisecond

@@ -68,20 +68,18 @@ class Config(Table):
 
     name: Annotated[str, Field(max_length=100), AfterValidator(plate_name)] | None = Field(
         default=None,
-        description="publish under this name; default: the board's serial number",
+        description="name for publishing; default: the board's serial number",
         examples=["left-index"],
     )
     plate: Annotated[Plate, PlainValidator(_plate), WithJsonSchema({"type": "string"})] = Field(
-        description="the name of a shipped plate, or the path of a plate file, relative to this file",
+        description="name of a shipped plate, or path of a plate file, relative to this file",
         examples=["quartz16", "left-index-plate.toml"],
     )
     link: Annotated[LinkTarget, PlainValidator(parse_link), WithJsonSchema({"type": "string"})] = Field(
-        description=f"the board, or a recording of one: {link_forms()}; `resonatord ports` lists what is there",
+        description=f"the board, or a recording of one: {link_forms()}; `resonatord ports` lists them",
         examples=["serial:/dev/serial/by-id/usb-RD_board_0042-if00?baud=4000000", "tcp://192.168.0.42:7000"],
     )
-    mqtt: Mqtt = Field(
-        default=Mqtt(), description="which broker, how to prove who is there, and the first of the topics"
-    )
+    mqtt: Mqtt = Field(default=Mqtt(), description="broker, authentication, and topic prefix")
     measurement: Measurement = Field(
         default=Measurement(),
         validate_default=True,
@@ -90,7 +88,7 @@ class Config(Table):
     decoding: Decoding = Field(default=Decoding(), description="how signals under a skin are taken back to its surface")
     commands: Commands = Field(default=Commands(), description="what subscribers may have the daemon do")
     recording: Recording = Field(
-        default_factory=Recording, description="where recordings go, when, and how much room they may take"
+        default_factory=Recording, description="directory, start and size limits of recordings"
     )
     metrics: Metrics = Field(default=Metrics(), description="figures of the daemon for Prometheus")
 

@@ -95,10 +95,10 @@ class Mqtt(Table):
         examples=["mqtt://127.0.0.1:1883", "mqtts://broker.example"],
     )
     prefix: Annotated[str, Field(max_length=200), AfterValidator(_topic)] = Field(
-        default="resonator", description="the first of the topics; may have levels, as lab/one"
+        default="resonator", description="first level of the topics; may have several levels, as lab/one"
     )
     username: Annotated[str, Field(max_length=1000), AfterValidator(_user)] | None = Field(
-        default=None, description="of an account at the broker", examples=["left-index"]
+        default=None, description="user name at the broker", examples=["left-index"]
     )
     password_file: Annotated[BrokerFile, PlainValidator(partial(_file, read_password)), _PATH] | None = Field(
         default=None,

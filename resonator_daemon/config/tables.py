@@ -69,7 +69,7 @@ class Commands(Table):
 
     allow: tuple[ChangingVerb, ...] = Field(
         default=(),
-        description="commands that are accepted in addition to those that change nothing",
+        description="permitted commands, in addition to those that change nothing",
         examples=[["tare", "mark"]],
     )
 
@@ -79,7 +79,7 @@ class Recording(Table):
 
     directory: Annotated[Path, BeforeValidator(_directory)] = Field(
         default_factory=lambda: state_directory() / "recordings",
-        description="where recordings go, relative to this file or absolute; default: recordings/ in the daemon's own "
+        description="directory of recordings, relative to this file or absolute; default: recordings/ in the daemon's "
         "state directory",
         examples=["/var/lib/resonatord/recordings"],
     )
@@ -87,7 +87,8 @@ class Recording(Table):
         default=False, description="record from the start of the daemon on, without a command"
     )
     include_messages: StrictBool = Field(
-        default=False, description="also what is published: forces, contacts, decoded and states, as JSON channels"
+        default=False,
+        description="also record the published messages: forces, contacts, decoded and states, as JSON channels",
     )
     file_max_mb: Annotated[Number, Field(ge=1, le=1e6)] = Field(
         default=1000.0, description="begin a new file after this size, in 10^6 bytes"
@@ -98,11 +99,11 @@ class Recording(Table):
     max_total_mb: Annotated[Number, Field(ge=1, le=1e9)] = Field(
         default=10_000.0,
         validate_default=True,
-        description="size of all recordings of this daemon's name there; the oldest are removed, and counted",
+        description="largest size of all recordings of this daemon's name; the oldest are removed and counted",
     )
     min_free_mb: Annotated[Number, Field(ge=0, le=1e9)] = Field(
         default=500.0,
-        description="with less room than this on the disk nothing more is recorded, until there is room again",
+        description="with less free disk space than this, recording stops until there is space again",
     )
 
     @field_validator("max_total_mb")
@@ -147,7 +148,7 @@ class Metrics(Table):
 
     listen: Annotated[Listen, PlainValidator(_listen), WithJsonSchema({"type": "string"})] | None = Field(
         default=None,
-        description="address and port of the text for Prometheus; default: off",
+        description="address and port of the Prometheus metrics; default: off",
         examples=["127.0.0.1:9464"],
     )
 
@@ -165,10 +166,10 @@ class Measurement(Table):
     """Length of the window and publishing interval of forces; plates with a skin have neither."""
 
     window_ms: Annotated[Number, Field(gt=0, le=1000)] = Field(
-        default=10.0, description="count this long for one force; whole frame periods of the plate"
+        default=10.0, description="length of the window of one force; whole frame periods of the plate"
     )
     step_ms: Annotated[Number, Field(gt=0, le=1000)] = Field(
-        default=5.0, description="publish forces and contacts this often; whole frame periods, at most window_ms"
+        default=5.0, description="time between published forces and contacts; whole frame periods, at most window_ms"
     )
 
     @property
@@ -185,10 +186,11 @@ class Decoding(Table):
 
     method: Literal["open-plane", "fourier", "off"] = Field(
         default="open-plane",
-        description="the decoder; `fourier` is for plates with a [grid], `off` publishes signals alone",
+        description="the decoder; `fourier` is for plates with a [grid], `off` publishes signals only",
     )
     contact_physics: StrictBool = Field(
-        default=True, description="let pressure, friction and no adhesion narrow tractions; with `open-plane` only"
+        default=True,
+        description="constrain tractions by pressure, friction and absence of adhesion; with `open-plane` only",
     )
     friction_coefficient: Annotated[
         Annotated[Number, Field(ge=_FRICTION_LIMITS[0], le=_FRICTION_LIMITS[1])] | None,
@@ -201,23 +203,27 @@ class Decoding(Table):
                 ]
             }
         ),
-    ] = Field(default=None, description="of the skin and what touches it; default: unknown", examples=["unknown", 0.5])
+    ] = Field(
+        default=None,
+        description="friction coefficient between the skin and the touching objects; default: unknown",
+        examples=["unknown", 0.5],
+    )
     uncertainty: StrictBool = Field(
         default=True, description="publish the standard deviation of the traction in `decoded`"
     )
     displacement: StrictBool = Field(default=True, description="publish the displacement of the surface in `decoded`")
     external: StrictBool = Field(
-        default=False, description="publish signals alone; `resonatord decode` takes them on, in a process of its own"
+        default=False, description="publish signals only; `resonatord decode` decodes them in a process of its own"
     )
     plates: Annotated[tuple[str, ...], AfterValidator(_plates)] = Field(
         default=(),
-        description='of decoders that share them: names of plates, or "+" for all; default: `name`',
+        description='plates of decoders that share them: names, or "+" for all; default: `name`',
         examples=[["+"], ["left-index", "left-thumb"]],
     )
     group: Annotated[str, AfterValidator(topic_level)] | None = Field(
         default=None,
         validate_default=True,
-        description="decoders of one group share the plates: each frame goes to one of them",
+        description="decoders of one group share the plates: one of them receives each frame",
         examples=["touch"],
     )
 

@@ -33,7 +33,7 @@ BROKEN = [
     ("number with a unit", TOP + "[measurement]\nwindow_ms = 10ms\n", ":4: ", "one key = value a line"),
     ("two keys a line", 'plate = "quartz16" link = "tcp://a:1"\n', ":1: ", "one key = value a line"),
     # Keys that are not there, or elsewhere.
-    ("empty", "", "plate: missing", "the name of a shipped plate"),
+    ("empty", "", "plate: missing", "name of a shipped plate"),
     ("no link", 'plate = "quartz16"\n', "link: missing", "resonatord ports"),
     ("misspelt key", TOP + 'nmae = "a"\n', ":3: nmae: unknown key", "did you mean name?"),
     ("in the wrong table", TOP + "[mqtt]\nwindow_ms = 10\n", ":4: mqtt.window_ms",

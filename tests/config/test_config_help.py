@@ -67,7 +67,7 @@ def test_the_verbs_print_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert json.loads(run(capsys, "schema")) == SCHEMA
     assert run(capsys, "schema", "--json").count("\n") == 1
     assert run(capsys, "explain", "measurement.window_ms").splitlines() == [
-        "measurement.window_ms: count this long for one force; whole frame periods of the plate",
+        "measurement.window_ms: length of the window of one force; whole frame periods of the plate",
         "  type     number, in milliseconds",
         "  default  10.0",
         "  range    above 0, at most 1000",

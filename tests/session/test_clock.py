@@ -9,7 +9,7 @@ from clock_scenes import NS, UTC_LESS_MONOTONIC_NS, Crystal, Look, Scene, betwee
 from resonator_daemon.session.clock import BoardClock, Exchange
 
 REFERENCE_MILLIHERTZ = 250_000_000_000
-CLUMPS = "16 ms clumps, late, busy"
+CLUMPS = "16 ms batches, late, busy"
 CLUMPS_WARMING = "the same, crystal warming"
 QUICK = between(50, 150)
 
