@@ -15,8 +15,7 @@ from tomlkit.items import Table
 
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.errors import UsageError
-from resonator_daemon.host.new_file import NoNewFileError, check_new
-from resonator_daemon.host.whole_file import fresh_name, replace_file
+from resonator_daemon.host.new_file import NoNewFileError, check_new, fresh_name, replace_file
 from resonator_daemon.plate import FORCE_SIGNAL, Coupling, load_plate, shipped_plates
 from resonator_daemon.toml_files.reading import read_toml
 

@@ -14,7 +14,7 @@ from pydantic import BaseModel, Field, ValidationError
 from resonator_daemon.config import Config, config_from, load_config
 from resonator_daemon.config.text import load_plate_text, plate_text
 from resonator_daemon.errors import ConfigurationError
-from resonator_daemon.host.whole_file import replace_file
+from resonator_daemon.host.new_file import replace_file
 from resonator_daemon.sensors.code_check import findings
 from resonator_daemon.toml_files.reading import TomlFile, named, parse_toml, read_toml
 

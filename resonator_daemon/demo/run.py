@@ -19,9 +19,8 @@ from rich.console import Console, RenderableType
 from rich.live import Live
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.demo.host_load import HostLoad
 from resonator_daemon.demo.local_broker import BROKER_PART, local_broker
-from resonator_daemon.demo.processes import Child, cpu_s, raise_if_ended, start_daemons, start_emulator
+from resonator_daemon.demo.processes import Child, HostLoad, cpu_s, raise_if_ended, start_daemons, start_emulator
 from resonator_daemon.demo.results import delays, failures, in_words, percentiles, plate_result
 from resonator_daemon.demo.score import SCORED, PlateScore
 from resonator_daemon.demo.subscription import Subscription

@@ -12,8 +12,7 @@ from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, excused, not_checked
-from resonator_daemon.doctor.host import Host
-from resonator_daemon.doctor.load import Load
+from resonator_daemon.doctor.host import Host, Load
 from resonator_daemon.host.system_limits import reason_of
 from resonator_daemon.publishing import connection_errors
 from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes

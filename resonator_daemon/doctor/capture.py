@@ -8,8 +8,7 @@ from typing import Final
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.messages import BoardStatus, MalformedMessageError, decode_message
 from firmware_protocol.packets import Packet, PacketDecoder
-from resonator_daemon.doctor.host import Host
-from resonator_daemon.doctor.load import Load
+from resonator_daemon.doctor.host import Host, Load
 from resonator_daemon.doctor.plate_readings import FEWEST_FRAMES, PlateReading, plate_reading
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.pipeline.tone_capture import ToneCapture

@@ -13,14 +13,12 @@ from resonator_daemon.config import Config, Mqtt, load_config
 from resonator_daemon.doctor import link_checks, sensor_checks
 from resonator_daemon.doctor.broker_checks import check_broker
 from resonator_daemon.doctor.capture import capture_board
-from resonator_daemon.doctor.daemon_checks import check_daemon, check_status
+from resonator_daemon.doctor.daemon_checks import check_daemon, check_status, find_daemon, published_status, works_by
 from resonator_daemon.doctor.finding import Area, Finding, Outcome, not_checked
-from resonator_daemon.doctor.host import Host
+from resonator_daemon.doctor.host import Host, Load
 from resonator_daemon.doctor.host_checks import check_clock, check_disk, check_service
-from resonator_daemon.doctor.load import Load
 from resonator_daemon.doctor.port_checks import HOLDER, check_holder, check_port
 from resonator_daemon.doctor.report import Report
-from resonator_daemon.doctor.running_daemon import find_daemon, published_status, works_by
 from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of, usb_node
 from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError
 from resonator_daemon.host.places import state_directory

@@ -14,9 +14,9 @@ from resonator_daemon.exporting.formats import FORMATS, ROS2, format_class
 from resonator_daemon.exporting.output import Output, Recorded
 from resonator_daemon.host.new_file import check_new, takes_a_stream
 from resonator_daemon.publishing.units import UNITS
-from resonator_daemon.recording.reader import damage_in_words
 from resonator_daemon.replay.progress import Progress
 from resonator_daemon.replay.recorded_pipeline import Moment, RecordingReplay
+from resonator_daemon.replay.run import what_is_wrong
 from resonator_daemon.replay.source import open_replay
 from resonator_daemon.replay.span import Span, find_span
 
@@ -153,11 +153,7 @@ def file_metadata(path: Path, config: Config) -> dict[str, str]:
 
 def differences_in_words(replaying: RecordingReplay, done: str) -> list[str]:
     """Return what is wrong with a recording that was played, a sentence each; `done` is what was done with the rest."""
-    wrong = []
-    if replaying.damage is not None:
-        wrong.append(damage_in_words(replaying.damage, done))
-    if replaying.differences:
-        wrong.append(f"the replay differs from what is recorded in {replaying.differences} places")
+    wrong = what_is_wrong(replaying.differences, replaying.damage, done)
     if replaying.refused:
         wrong.append(f"the board was refused: {'; '.join(replaying.refused)}")
     return wrong

@@ -15,8 +15,8 @@ from importlib import resources
 from pathlib import Path, PurePosixPath
 
 from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.host.new_file import replace_file
 from resonator_daemon.host.system_limits import reason_of
-from resonator_daemon.host.whole_file import replace_file
 
 _PROGRAM_IN_UNITS = "/opt/resonatord/bin/resonatord"
 HIDDEN_FROM_SERVICES = (

@@ -37,8 +37,7 @@ class ProcessUsage:
 
     def __init__(self, pid: int | None = None) -> None:
         self._process = psutil.Process(pid)
-        self._process.cpu_percent()  # the first call begins the interval
-        self._last = Held(0.0, self._rss_mb(), self._process.num_threads(), self._process.num_fds())
+        self._last = self._now()  # and begin the interval of the processor time
 
     @property
     def pid(self) -> int:
@@ -51,16 +50,15 @@ class ProcessUsage:
         `file_descriptors` the limit, and the rest as it was.
         """
         try:
-            self._last = Held(
-                self._process.cpu_percent(), self._rss_mb(), self._process.num_threads(), self._process.num_fds()
-            )
+            self._last = self._now()
         except (OSError, psutil.Error):
             most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
             return self._last._replace(cpu_percent=math.nan, file_descriptors=most)
         return self._last
 
-    def _rss_mb(self) -> float:
-        return float(self._process.memory_info().rss) * 1e-6
+    def _now(self) -> Held:
+        rss_mb = float(self._process.memory_info().rss) * 1e-6
+        return Held(self._process.cpu_percent(), rss_mb, self._process.num_threads(), self._process.num_fds())
 
 
 class HealthMonitor:

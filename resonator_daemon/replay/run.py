@@ -150,11 +150,11 @@ def replay(path: Path, options: ReplayOptions) -> tuple[dict[str, Any], list[str
         return asyncio.run(_play_out(path, options, tally))
 
 
-def what_is_wrong(differences: int, damage: str | None) -> list[str]:
-    """Return a sentence for damage of the file, and one for differences from what is recorded."""
+def what_is_wrong(differences: int, damage: str | None, done: str = "replayed") -> list[str]:
+    """Return a sentence for damage of the file, what came before which was `done`, and one for differences."""
     wrong = []
     if damage is not None:
-        wrong.append(damage_in_words(damage, "replayed"))
+        wrong.append(damage_in_words(damage, done))
     if differences:
         wrong.append(f"the replay differs from what is recorded in {differences} places")
     return wrong

@@ -61,10 +61,6 @@ class CodePlan:
     trials: Trials
 
     @property
-    def _tones_hz(self) -> NDArray[np.float64]:
-        return self.plate.tones.f0_hz
-
-    @property
     def _band_hz(self) -> float:
         """From the pilot, where there is one, down to the lowest tone under the largest force."""
         low, high = self.bands_hz()
@@ -87,21 +83,20 @@ class CodePlan:
         plate, trials = self.plate, self.trials
         ids = plate.site_ids.tolist()
         rate_hz = plate.counter.frame_rate_hz
-        ladder_hz = float(np.ptp(self._tones_hz))
+        ladder_hz = float(np.ptp(plate.tones.f0_hz))
         return {
             "ok": not self.refused,
             "refused": list(self.refused),
             "plate": plate.name,
             "sites": [
-                {"site": site, "position_m": position_m, "code": code, "f0_hz": f0_hz, "sensitivity": sensitivity}
-                for site, position_m, code, f0_hz, sensitivity in zip(
-                    ids,
-                    plate.site_positions_m.tolist(),
-                    self.codes.tolist(),
-                    self._tones_hz.tolist(),
-                    plate.tones.sensitivity.tolist(),
-                    strict=True,
-                )
+                {
+                    "site": site,
+                    "position_m": plate.site_positions_m[row].tolist(),
+                    "code": int(self.codes[row]),
+                    "f0_hz": plate.tones.f0_hz[row].tolist(),
+                    "sensitivity": plate.tones.sensitivity[row].tolist(),
+                }
+                for row, site in enumerate(ids)
             ],
             "step_ppm": None if math.isnan(self.step) else 1e6 * self.step,
             "guard_band_ppm": {cause: 1e6 * share for cause, share in self.guard._asdict().items()}
@@ -146,16 +141,9 @@ class CodePlan:
         }
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        yield self._site_table()
-        yield ""
-        yield self._guard_table()
-        yield ""
-        yield self._cost_table()
-        yield ""
-        yield self._noise_table()
-        yield ""
-        yield self._trial_table()
-        yield ""
+        for part in (self._site_table, self._guard_table, self._cost_table, self._noise_table, self._trial_table):
+            yield part()
+            yield ""
         yield from self._sentences()
 
     def _site_table(self) -> Table:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from made_up_host import MadeUpHost
 
-from resonator_daemon.doctor.load import Load
+from resonator_daemon.doctor.host import Load
 
 
 @pytest.mark.parametrize(("idle", "busy"), [(14, True), (16, False)])

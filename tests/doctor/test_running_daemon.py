@@ -13,11 +13,10 @@ from service_bench import Bench
 
 from resonator_daemon.commands import main
 from resonator_daemon.config import Mqtt
-from resonator_daemon.doctor import run, running_daemon
-from resonator_daemon.doctor.daemon_checks import SENSOR, check_daemon, check_status
+from resonator_daemon.doctor import daemon_checks, run
+from resonator_daemon.doctor.daemon_checks import SENSOR, check_daemon, check_status, find_daemon, published_status
 from resonator_daemon.doctor.finding import Outcome
 from resonator_daemon.doctor.run import DoctorOptions, doctor
-from resonator_daemon.doctor.running_daemon import find_daemon, published_status
 from resonator_daemon.links.carriers.serial import SerialTarget
 from resonator_daemon.links.carriers.tcp import TcpTarget
 from resonator_daemon.links.carriers.usb import UsbTarget
@@ -58,7 +57,7 @@ def answering(
     async def answers(_wanted: str | None) -> list[Answer]:
         return [Answer(socket, status, None if status else "runs and gives no answer")]
 
-    monkeypatch.setattr(running_daemon, "ask_all", answers)
+    monkeypatch.setattr(daemon_checks, "ask_all", answers)
 
 
 def judged(**change: object) -> dict[str, Outcome]:
@@ -122,7 +121,7 @@ async def test_what_a_daemon_publishes_is_heard_by_its_name_or_its_link(
             await measuring(heard)
             by_name = await published_status(broker, "hand", TcpTarget("10.0.0.1", 1))
             by_link = await published_status(broker, None, link)
-            monkeypatch.setattr(running_daemon, "LOOK_S", 0.3)
+            monkeypatch.setattr(daemon_checks, "LOOK_S", 0.3)
             neither = await published_status(broker, None, SerialTarget("/dev/ttyACM7", 4_000_000))
             nobody = await published_status(broker, "foot", link)
         offline = await published_status(broker, "hand", link)

@@ -21,8 +21,7 @@ from resonator_daemon.decoding.contact_physics.hypothesis import (
     examine,
     solve,
 )
-from resonator_daemon.decoding.contact_physics.support import load_support
-from resonator_daemon.decoding.contact_physics.support_search import Frame, Located, SupportSearch
+from resonator_daemon.decoding.contact_physics.support_search import Frame, Located, SupportSearch, load_support
 from resonator_daemon.decoding.contact_physics.surface_view import SurfaceView
 from resonator_daemon.decoding.decoded import Decoded, stated
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder

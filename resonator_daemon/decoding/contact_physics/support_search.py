@@ -6,20 +6,13 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from scipy import ndimage
 
-from resonator_daemon.arrays import Bools, Floats, Singles
+from resonator_daemon.arrays import Bools, Floats, Labels, Singles
 from resonator_daemon.decoding.contact_physics.net_load import LoadSums
 from resonator_daemon.decoding.contact_physics.pixels import Interpolation, PixelLattice, PixelPrior
 from resonator_daemon.decoding.contact_physics.signal_rows import LostRows, SignalRows
 from resonator_daemon.decoding.contact_physics.site_kernel import site_kernel
-from resonator_daemon.decoding.contact_physics.support import (
-    BLOB_PEAK,
-    blobs,
-    dilated,
-    load_support,
-    raw_support,
-    swept,
-)
 from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
 from resonator_daemon.decoding.contact_physics.support_rows import Model, SupportRows
 from resonator_daemon.decoding.contact_physics.surface_view import SurfacePlaces, SurfaceView
@@ -49,6 +42,12 @@ _TINY = 1e-30
 
 
 Fit = Literal["good", "due", "unfit"]  # of a problem for a frame: due, serves but should be followed by another
+
+_THRESHOLD = 0.15  # of the largest pressure: what belongs to a contact
+BLOB_PEAK = 0.25  # of the largest pressure: what a blob must reach to count as one
+_BLOB_PIXELS = 2
+
+_EIGHT = np.ones((3, 3), np.bool_)
 
 
 @dataclass(frozen=True)
@@ -268,3 +267,51 @@ class SupportSearch:
 
 def _prior_std_pascal(pressure: Singles, snr: float) -> float:
     return math.sqrt(_PRIOR_VARIANCE / (1.0 + snr / _PRIOR_SNR) * float(pressure @ pressure) / max(pressure.size, 1))
+
+
+def raw_support(pressure: Floats | Singles) -> Bools:
+    """Return the pixels above the threshold, (ny, nx), and their neighbours: quick, with every blob of noise."""
+    return dilated(pressure > _THRESHOLD * pressure.max())
+
+
+def load_support(pressure: Floats | Singles) -> Bools:
+    """Return the pixels (ny, nx) that carry load: above the threshold, in significant blobs, and their neighbours."""
+    above = pressure > _THRESHOLD * pressure.max()
+    labels, count = ndimage.label(above, _EIGHT)
+    peaks = np.zeros(count + 1, pressure.dtype)
+    np.maximum.at(peaks, labels.ravel(), pressure.ravel())
+    kept = (peaks >= BLOB_PEAK * pressure.max()) & (np.bincount(labels.ravel()) >= _BLOB_PIXELS)
+    kept[0] = False
+    return dilated(kept[labels])
+
+
+def dilated(mask: Bools, times: int = 1) -> Bools:
+    """With its eight neighbours, `times` over."""
+    for _ in range(times):
+        wide = mask.copy()
+        wide[:, 1:] |= mask[:, :-1]
+        wide[:, :-1] |= mask[:, 1:]
+        mask = wide.copy()
+        mask[1:] |= wide[:-1]
+        mask[:-1] |= wide[1:]
+    return mask
+
+
+def swept(mask: Bools, steps: Floats) -> Bools:
+    """With what it passes on its way by `steps` pixels (y, x)."""
+    passed = mask.copy()
+    count = int(np.rint(np.abs(steps).max()))
+    for step in range(1, count + 1):
+        dy, dx = (int(shift) for shift in np.rint(steps * step / count))
+        passed[_part(dy), _part(dx)] |= mask[_part(-dy), _part(-dx)]
+    return passed
+
+
+def blobs(mask: Bools) -> Labels:
+    """Return the number of the blob of each pixel (ny, nx), from 1, and 0 outside the mask."""
+    return np.asarray(ndimage.label(mask, _EIGHT)[0], np.int32)
+
+
+def _part(shift: int) -> slice:
+    """Return what an axis that is shifted fills."""
+    return slice(shift, None) if shift >= 0 else slice(None, shift)

@@ -10,8 +10,14 @@ from resonator_daemon.decoding.fitting.contact_fit import Fit
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart
 from resonator_daemon.decoding.fitting.partial_slip import MARGIN_STD_LIMIT, PartialSlip, describe, nothing_known
-from resonator_daemon.decoding.fitting.slip_frame import Frame, Linearisation, Whitening
-from resonator_daemon.decoding.fitting.slip_problem import FULL_STICK, Settled, SlipProblem
+from resonator_daemon.decoding.fitting.slip_problem import (
+    FULL_STICK,
+    Frame,
+    Linearisation,
+    Settled,
+    SlipProblem,
+    Whitening,
+)
 from resonator_daemon.decoding.fitting.slip_signals import MARGIN, PARAMETERS
 from resonator_daemon.decoding.parameters import KNOWN_LIMIT, SIGNAL_LIMIT
 from resonator_daemon.reasons import Reason, ReasonCode
