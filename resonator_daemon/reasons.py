@@ -75,7 +75,7 @@ class ReasonCode(Word):
     DISK_FULL = "disk_full", "the disk is full, or has less room than is to be kept free"
     WRITE_FAILED = "write_failed", "the file of the recording cannot be made or written"
     FILE_GONE = "file_gone", "the file of the recording was removed, moved or replaced"
-    UNSPECIFIED = "unspecified", "a recording of an earlier version has the sentence alone"
+    UNSPECIFIED = "unspecified", "see the sentence: an earlier version wrote it alone, or a later one with a newer word"
 
     # Releases of contacts.
     FORCE_FELL = "force_fell", "the force is below the threshold of release"
@@ -129,6 +129,11 @@ class ReasonCode(Word):
     FIT_REJECTED = "fit_rejected", "no single contact explains the signals"
     FORCE_INSIGNIFICANT = "force_insignificant", "the normal force is too small against its error"
     CONTACT_TOO_LARGE = "contact_too_large", "the contact is too large for its rim to show"
+
+    @classmethod
+    def _missing_(cls, value: object) -> "ReasonCode | None":
+        """Return the code of a word that is none here, as one of a later version."""
+        return cls.UNSPECIFIED if isinstance(value, str) else None
 
 
 class Reason(NamedTuple):

@@ -106,6 +106,8 @@ _VALUES: Final[dict[str, Any]] = {
     "dropped": {"no_connection": 5, "superseded": 1},
     "MessageAccount.waiting": 2,
     "DecoderState.state": "online",
+    "DecoderState.reason_code": "decoding",
+    "OutageInfo.reason_code": "unplugged",
     "DecoderState.decoder_id": "bench-4711",
     "DecoderHealth.decoder_id": "bench-4711",
     "topic_filter": "$share/touch/resonator/+/signals",

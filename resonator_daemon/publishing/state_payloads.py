@@ -18,7 +18,9 @@ class OutageInfo(Message):
     start_t_ns: Int64 = Field(description="UTC, middle of the last gate before, by the clock as it is at the end")
     end_t_ns: Int64 = Field(description="UTC, middle of the first gate after")
     frames_lost: int = Field(description="frames that the board sent meanwhile, or would have")
-    reason_code: ReasonCode | None = optional("reason of the link's state when it began, for programs")
+    reason_code: ReasonCode = Field(
+        ReasonCode.UNSPECIFIED, description="reason of the link's state when it began, for programs"
+    )
     reason: str = Field(description="the same as a sentence for people")
 
 
@@ -26,7 +28,7 @@ class State(BoardHeader):
     """State of the daemon, its link or its sensor."""
 
     state: Condition = Field(description="one word")
-    reason_code: ReasonCode | None = optional("why, for programs")
+    reason_code: ReasonCode = Field(ReasonCode.UNSPECIFIED, description="why, for programs")
     reason: str = Field(description="the same as a sentence for people, with details")
     since_t_ns: Int64 | None = Field(
         description="UTC, since when the state lasts; null in the last will: nobody is left to date it"
@@ -233,7 +235,7 @@ class DecoderState(Message):
 
     decoder_id: str = Field(description="that of the topic, and of the messages it publishes")
     state: Condition = Field(description="one word")
-    reason_code: ReasonCode | None = optional("why, for programs")
+    reason_code: ReasonCode = Field(ReasonCode.UNSPECIFIED, description="why, for programs")
     reason: str = Field(description="the same as a sentence for people, with details")
     t_ns: Int64 = Field(description="UTC, when it was published")
     since_t_ns: Int64 | None = Field(description="UTC, since when the state lasts; null in the last will")

@@ -1,12 +1,10 @@
 """Reasons in recordings: recordings of earlier versions have the sentence alone."""
 
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
 from resonator_daemon.reasons import Reason, ReasonCode
-
-_CODES: Final = frozenset(ReasonCode)
 
 
 def _complete(stored: Any) -> Reason:
@@ -15,7 +13,7 @@ def _complete(stored: Any) -> Reason:
         case str():
             return Reason(ReasonCode.UNSPECIFIED, stored)
         case [str() as code, str() as text]:
-            return Reason(ReasonCode(code) if code in _CODES else ReasonCode.UNSPECIFIED, text)
+            return Reason(ReasonCode(code), text)
     raise ValueError("a reason is [code, text]")
 
 
