@@ -4,8 +4,9 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from resonator_daemon.config.board import Config
+from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate
-from resonator_daemon.toml_files.reading import Table
+from resonator_daemon.toml_files.reading import Table, shown
 
 LIVE: Final = ("measurement", "commands", "recording")
 """Tables whose keys a running daemon applies; windows of a new plate wait for that plate."""
@@ -38,6 +39,23 @@ def changes(old: Config, new: Config) -> Changes:
     waits = {"measurement"} if "plate" in changed else set()
     live = [key for key in changed if takes_live(key) and key.partition(".")[0] not in waits]
     return Changes(tuple(live), tuple(key for key in changed if key not in live))
+
+
+def values_in_words(config: Config) -> dict[str, str]:
+    """Return each value by the path of its key, without passwords; of a plate its name and calibration."""
+    return {key: _in_words(value) for key, value in _values(config)}
+
+
+def _in_words(value: object) -> str:
+    match value:
+        case {"name": name, "calibration": {"id": calibration}}:
+            return f"{name}, calibration {calibration or 'none'}"
+        case None | bool() | int() | float() | str() | tuple() | list():
+            return shown(value)
+        case LinkTarget():
+            return shown(str(value))
+        case _:
+            return "a file"  # of a password, a certificate or a key
 
 
 def applied(old: Config, new: Config) -> Config:

@@ -4,11 +4,11 @@ import asyncio
 import logging
 
 from resonator_daemon.config import Config
-from resonator_daemon.config.changes import Changes, applied, changes
+from resonator_daemon.config.changes import Changes, applied, changes, values_in_words
 from resonator_daemon.daemon.config_store import ConfigStore, Loaded
 from resonator_daemon.daemon.recording_commands import as_json_text
 from resonator_daemon.errors import ConfigurationError
-from resonator_daemon.monitoring.status import ConfigStatus
+from resonator_daemon.monitoring.status import ConfigChange, ConfigStatus
 from resonator_daemon.reasons import Reason, ReasonCode
 
 log = logging.getLogger(__name__)
@@ -38,6 +38,8 @@ class ConfigInUse:
         self._loaded = store.load()
         self._problems = _one_line_each(self._loaded.problems)  # of the file as it is now
         self._waiting: tuple[str, ...] = ()  # keys whose new values need a restart
+        self._reloads = 0
+        self._changes: tuple[ConfigChange, ...] = ()  # of the last reload
         self.config: Config = self._loaded.config
 
     @property
@@ -66,6 +68,8 @@ class ConfigInUse:
             problems=self._problems,
             loaded_t_ns=self._loaded.utc_ns,
             needs_restart=self._waiting,
+            reloads=self._reloads,
+            changes=self._changes,
         )
 
     async def reload(self) -> Changes | None:
@@ -73,16 +77,27 @@ class ConfigInUse:
         try:
             loaded: Loaded = await asyncio.to_thread(self._store.reload)
         except ConfigurationError as error:
+            self._reloads, self._changes = self._reloads + 1, ()
             self._problems = _one_line_each(error.messages)
             for message in error.messages:
                 log.error("%s", message)
             log.error("the configuration cannot be used; all goes on as before")
             return None
         found = changes(self.config, loaded.config)
+        before, after = _texts(self.config), _texts(loaded.config)
+        self._reloads += 1
+        self._changes = tuple(
+            ConfigChange(key=key, old=before[key], new=after[key], applied=key in found.live)
+            for key in (*found.live, *found.restart)
+        )
         self.config = applied(self.config, loaded.config)
         self._loaded, self._problems, self._waiting = loaded, (), found.restart
         log.info("configuration read again: %s", found)
         return found
+
+
+def _texts(config: Config) -> dict[str, str]:
+    return {key: as_json_text(text) for key, text in values_in_words(config).items()}
 
 
 def _one_line_each(problems: tuple[str, ...]) -> tuple[str, ...]:

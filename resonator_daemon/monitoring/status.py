@@ -8,6 +8,15 @@ from resonator_daemon.publishing.payloads import Health, Int64, Message, Recordi
 from resonator_daemon.reasons import ReasonCode
 
 
+class ConfigChange(Message):
+    """Key whose value in the file, when it was last read again, was another one than in use."""
+
+    key: str = Field(description="as mqtt.url")
+    old: str = Field(description="that was in use")
+    new: str = Field(description="that the file has")
+    applied: bool = Field(description="whether it is in use; else after a restart")
+
+
 class ConfigStatus(Message):
     """Configuration that a daemon uses."""
 
@@ -27,6 +36,8 @@ class ConfigStatus(Message):
     needs_restart: tuple[str, ...] = Field(
         (), description="keys that the file has changed and that have an effect after a restart only"
     )
+    reloads: int = Field(0, description="how often the file was read again")
+    changes: tuple[ConfigChange, ...] = Field((), description="by the last time that it was, where it could be used")
 
 
 class BrokerStatus(Message):

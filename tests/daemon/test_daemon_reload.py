@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import json
 import logging
 import os
 import signal
@@ -135,8 +136,21 @@ async def test_sighup_reads_the_file_again_and_sigterm_ends(tmp_path: Path, mosq
         process = await asyncio.create_subprocess_exec(*command, env=os.environ, stderr=asyncio.subprocess.PIPE)
         await heard.until_last("resonator/hand/state/daemon", state="online", reason_code="no_board")
         path.write_text(path.read_text().replace("tcp://127.0.0.1:9", "tcp://127.0.0.1:10"))
-        process.send_signal(signal.SIGHUP)
+        reload = (RESONATORD, "reload", "hand", "--json")
+        pipe = asyncio.subprocess.PIPE
+        asked = await asyncio.create_subprocess_exec(*reload, env=os.environ, stdout=pipe)
+        printed, _ = await asked.communicate()
+        report = json.loads(printed)
+        assert (asked.returncode, report["ok"], report["problems"]) == (0, True, [])
+        change = {"key": "link", "old": "'tcp://127.0.0.1:9'", "new": "'tcp://127.0.0.1:10'", "applied": False}
+        assert report["changes"] == [change]
         await heard.until_last("resonator/hand/state/daemon", state="online", reason_code="restart_needed")
+        good = path.read_text()
+        path.write_text("name = \n")
+        asked = await asyncio.create_subprocess_exec(*reload, env=os.environ, stdout=pipe, stderr=pipe)
+        printed, _ = await asked.communicate()
+        assert (asked.returncode, len(json.loads(printed)["problems"])) == (1, 1)
+        path.write_text(good)
         process.send_signal(signal.SIGTERM)
         _, said = await process.communicate()
     assert process.returncode == 0

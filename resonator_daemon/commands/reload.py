@@ -1,0 +1,91 @@
+"""Have a daemon of this computer read its configuration again, and print what changed.
+
+The daemon's user and root may do this. A key that a running daemon does not apply waits for a restart; a file that
+cannot be used changes nothing.
+
+Example: resonatord reload left-index
+"""
+
+import argparse
+import asyncio
+import os
+import signal
+import sys
+from typing import TYPE_CHECKING, Any, Final
+
+from resonator_daemon.commands._output import print_error, print_json
+from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.host.printable import printable
+
+if TYPE_CHECKING:
+    from resonator_daemon.monitoring.status_client import Answer
+
+_LOOK_AGAIN_S: Final = 0.2  # an answer is at most 0.1 s old
+_LIMIT_S: Final = 10.0
+
+
+class NotReloadedError(UserError):
+    """No daemon of this name runs, or it may not be asked, or does not answer."""
+
+    exit_code = ExitCode.FAILED
+    code = "no_daemon"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "name", metavar="NAME", help="that the daemon publishes under, or its configuration's file name without .toml"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    """Print each key that changed; FAILED where the file cannot be used."""
+    config = asyncio.run(_reload(arguments.name))
+    problems, changes = config.get("problems", ()), config.get("changes", ())
+    if arguments.json:
+        shown = {key: config[key] for key in ("file", "problems", "changes")}
+        print_json({"verb": "reload", "ok": not problems, **shown})
+    elif not problems:
+        lines = [
+            f"{change['key']}: {change['old']} -> {change['new']} "
+            f"({'applied' if change['applied'] else 'after a restart'})"
+            for change in changes
+        ]
+        sys.stdout.writelines(f"{printable(line)}\n" for line in lines or ["nothing changed"])
+    print_error(*problems)
+    return ExitCode.FAILED if problems else ExitCode.DONE
+
+
+async def _reload(name: str) -> dict[str, Any]:
+    """Return `config` of the status after the daemon has read its file again."""
+    before = await _ask(name)
+    pid, reloads = before["pid"], before["config"].get("reloads", 0)
+    try:
+        os.kill(pid, signal.SIGHUP)
+    except PermissionError:
+        who = f"process {pid} belongs to another user"
+        raise NotReloadedError(f"{who}; with systemd: sudo systemctl reload resonatord@{before['instance']}") from None
+    except ProcessLookupError:
+        raise NotReloadedError(f"process {pid} has ended") from None
+    try:
+        async with asyncio.timeout(_LIMIT_S):
+            while True:
+                await asyncio.sleep(_LOOK_AGAIN_S)
+                after = (await _ask(name))["config"]
+                if after.get("reloads", 0) != reloads:
+                    return dict(after)
+    except TimeoutError:
+        raise NotReloadedError(f"process {pid} does not report that it read the file within {_LIMIT_S:g} s") from None
+
+
+async def _ask(name: str) -> dict[str, Any]:
+    from resonator_daemon.monitoring.status_client import ask_all
+
+    answers: list[Answer] = await ask_all(name)
+    if len(answers) != 1:
+        what = "no daemon" if not answers else f"{len(answers)} daemons"
+        raise NotReloadedError(f"{what} called {printable(name)}; see: resonatord status")
+    (answer,) = answers
+    if answer.status is None or not isinstance(answer.status.get("config"), dict):
+        raise NotReloadedError(f"{printable(name)}: {answer.problem or 'its answer is no status'}")
+    return answer.status
