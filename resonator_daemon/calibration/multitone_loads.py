@@ -27,6 +27,11 @@ class MultitoneLoads:
 
     In the place of the pilot is what moves the middle one of the sites from one untouched reading to the next, of those
     that felt least of a touch in between: hysteresis and creep leave something of it behind on the others.
+
+    Attributes
+    ----------
+    untouched_hz
+        Frequencies (m, 4) of the untouched plate, by the board's clock; None before they were measured.
     """
 
     def __init__(self, plate: Plate) -> None:
@@ -36,16 +41,11 @@ class MultitoneLoads:
         self._moved_newton = MOVED_SHARE * plate.force_max_newton
         self._pressed_newton = PRESSED_SHARE * plate.force_max_newton if plate.calibration.id is not None else math.inf
         self._resting: list[Floats] = []  # (m, 4), hertz
-        self._f0_hz: Floats | None = None
+        self.untouched_hz: Floats | None = None
         self._rest = np.zeros(self._codes.f0_hz.shape)  # shift while untouched, with the common mode
         self._before = self._rest  # shift of the reading before
         self._peak_newton = np.zeros(len(self._site_ids))  # on each site since that anchor
         self._anchor = self._untouched = (self._rest, np.zeros(CHANNEL_COUNT))  # shift and common mode of readings
-
-    @property
-    def untouched_hz(self) -> Floats | None:
-        """Frequencies (m, 4) of the untouched plate, by the board's clock; None before they were measured."""
-        return self._f0_hz
 
     def read(self, reading: ToneReading) -> LoadReading | None:
         """Return the loads in a tone reading; None during the first second.
@@ -60,10 +60,10 @@ class MultitoneLoads:
         faults = tuple(self._fault(channel) if reading.complete else "frames are missing" for channel in heard_hz.T)
         if any(faults):
             return _nothing(time_s, faults)
-        if self._f0_hz is None:
+        if self.untouched_hz is None:
             self._begin(heard_hz)
             return None
-        return self._compare(time_s, self._f0_hz, heard_hz, reading.std[tone])
+        return self._compare(time_s, self.untouched_hz, heard_hz, reading.std[tone])
 
     def _fault(self, heard_hz: Floats) -> str | None:
         silent = [str(self._site_ids[site]) for site in np.flatnonzero(~np.isfinite(heard_hz))]
@@ -76,8 +76,8 @@ class MultitoneLoads:
         moved = self._force(shift - shift.mean(axis=1, keepdims=True))
         self._refuse_touch(np.ptp(moved, axis=0), self._touch_newton)
         if len(self._resting) == REST_READINGS:
-            self._f0_hz = np.mean(self._resting, axis=0)
-            off = self._f0_hz / self._codes.f0_hz - 1.0
+            self.untouched_hz = np.mean(self._resting, axis=0)
+            off = self.untouched_hz / self._codes.f0_hz - 1.0
             self._refuse_touch(np.abs(self._force(off - np.median(off, axis=0))), self._pressed_newton)
 
     def _refuse_touch(self, force_newton: Floats, limit_newton: float) -> None:

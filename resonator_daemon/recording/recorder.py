@@ -71,6 +71,13 @@ class Recorder:
     times
         None: `TIMES`.
 
+    Attributes
+    ----------
+    path
+        The file that is being written, or was last; the directory where none could be made yet.
+    failure
+        Why nothing is written any more; None while all is well.
+
     Raises
     ------
     UserError
@@ -99,9 +106,9 @@ class Recorder:
         self._missing_events = self._missing_bytes = 0  # since the last event that fitted
         self._events = 0
         self._counts = RecordingCounts()
-        self._failure: Reason | None = None
+        self.failure: Reason | None = None
         self._logged_failure = False  # once, until all is well again
-        self._path = place if isinstance(place, Path) else place.directory
+        self.path = place if isinstance(place, Path) else place.directory
         self._closing = threading.Event()
         self._board: BoardOnline | None = None  # those of the thread: what each file begins with
         self._states: dict[str, Published] = {}
@@ -124,16 +131,6 @@ class Recorder:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    @property
-    def path(self) -> Path:
-        """The file that is being written, or was last; the directory where none could be made yet."""
-        return self._path
-
-    @property
-    def failure(self) -> Reason | None:
-        """Why nothing is written any more; None while all is well."""
-        return self._failure
 
     @property
     def events(self) -> int:
@@ -160,7 +157,7 @@ class Recorder:
             if self._missing_events:
                 taken_bytes += EVENT_BYTES  # `Skipped` comes first
             fits = self._waiting_bytes + taken_bytes <= self._queue_bytes
-            if fits and (self._failure is None or self._resumes):
+            if fits and (self.failure is None or self._resumes):
                 self._record_missing(event.now)
                 self._append(event)
             elif not isinstance(event, SnapshotTaken):
@@ -174,7 +171,7 @@ class Recorder:
     def mark(self, mark: Mark) -> bool:
         """Queue a mark; return whether there is room for it. Never waits."""
         with self._lock:
-            fits = self._failure is None and self._waiting_bytes + size_bytes(mark) <= self._queue_bytes
+            fits = self.failure is None and self._waiting_bytes + size_bytes(mark) <= self._queue_bytes
             if fits:
                 self._append(mark)
             return fits
@@ -304,16 +301,16 @@ class Recorder:
             # The order of names is that of age, also where the host's clock was set back.
             utc_ns = self._begun_utc_ns = max(utc_ns, self._begun_utc_ns + _NAMES_APART_NS)
             if self._disk_space is not None:
-                self._disk_space.check(again=self._failure is not None)
+                self._disk_space.check(again=self.failure is not None)
                 self._disk_space.begin()
             file = self._place.make(self._origin, utc_ns)
         for state in self._states.values():
             file.publish(state)
         file.filling = Contents()  # these were counted in the file before
         with self._lock:
-            failed, self._failure = self._failure, None
+            failed, self.failure = self.failure, None
             self._logged_failure = False
-            self._path, self._file = file.path, file
+            self.path, self._file = file.path, file
             self._ended_bytes += self._counts.file_bytes
             self._ended_events, self._ended_messages = self._events, self._counts.messages
             self._counts = self._counts._replace(files=self._counts.files + 1, file_bytes=file.size_bytes)
@@ -343,7 +340,7 @@ class Recorder:
         """End a file that nobody will find; where the series resumes, the next begins as soon as it can."""
         self._end_file(wait=False)
         then = "a new file is begun as soon as that can be" if self._resumes else "nothing more is recorded"
-        self._report_failure(ReasonCode.FILE_GONE, f"{self._path} was removed, moved or replaced: {then}")
+        self._report_failure(ReasonCode.FILE_GONE, f"{self.path} was removed, moved or replaced: {then}")
         self._retry_s = 0.0
         self._logged_failure = not self._resumes  # why none can be begun is logged, too
 
@@ -390,7 +387,7 @@ class Recorder:
             with self._lock:
                 self._count_missing(events=lost.traffic, messages=lost.messages)
         reason = (isinstance(error, OSError) and error.strerror) or repr(error)
-        self._fail(_code(error), f"{self._path}: {reason}")
+        self._fail(_code(error), f"{self.path}: {reason}")
 
     def _fail(self, code: ReasonCode, text: str) -> None:
         then = f"it is tried again every {self._times.retry_s:g} s" if self._resumes else "nothing more is recorded"
@@ -398,7 +395,7 @@ class Recorder:
 
     def _report_failure(self, code: ReasonCode, text: str) -> None:
         with self._lock:
-            self._failure = Reason(code, text)
+            self.failure = Reason(code, text)
         self._retry_s = time.monotonic() + self._times.retry_s
         if not self._logged_failure:
             self._logged_failure = True

@@ -83,6 +83,8 @@ class RecordingWriter:
     ----------
     begun
         It has an event that a replay can begin with.
+    size_bytes
+        What is written, without the chunk that is being filled.
     begun_ns
         Monotonic time of the first of these.
     whole, filling
@@ -97,7 +99,7 @@ class RecordingWriter:
         self.begun_ns = 0
         self.whole = self.filling = Contents()
         self.snapshot_due = False
-        self._whole_bytes = 0
+        self.size_bytes = 0
         self._channels: dict[str, int] = {}
         self._file = _made(path)
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
@@ -107,11 +109,6 @@ class RecordingWriter:
             self.abandon()
             path.unlink(missing_ok=True)  # nothing is in it
             raise UserError(f"{path} cannot be written: {error.strerror}") from error
-
-    @property
-    def size_bytes(self) -> int:
-        """What is written, without the chunk that is being filled."""
-        return self._whole_bytes
 
     @property
     def is_gone(self) -> bool:
@@ -154,7 +151,7 @@ class RecordingWriter:
             },
         )
         self._file.flush()
-        self._whole_bytes = self._file.tell()
+        self.size_bytes = self._file.tell()
 
     def flush(self) -> None:
         """Hand what was written to the kernel."""
@@ -166,7 +163,7 @@ class RecordingWriter:
         self.flush()
         self._writer.finish()
         self._file.flush()
-        self._whole_bytes = self._file.tell()
+        self.size_bytes = self._file.tell()
 
     def sync(self) -> None:
         """Wait until the medium has the file, and close it."""
@@ -177,7 +174,7 @@ class RecordingWriter:
         """Close the file, with all that is whole: what is left of a chunk could not be read."""
         raw = self._file.raw
         with suppress(OSError):
-            raw.truncate(self._whole_bytes)
+            raw.truncate(self.size_bytes)
         with suppress(OSError):
             raw.close()  # without the rest of the chunk, which closing the buffer would write once more
 
@@ -191,11 +188,11 @@ class RecordingWriter:
             self._writer.add_attachment(utc_ns, utc_ns, name, _TOML, text.encode())
         self._wire = self._writer.register_channel(TOPIC, ENCODING, schema_id=0)
         self._writer.flush()
-        self._whole_bytes = self._file.tell()
+        self.size_bytes = self._file.tell()
 
     def _add(self, channel: int, log_ns: int, data: bytes, publish_ns: int, contents: Contents) -> None:
         self._writer.add_message(channel, log_ns, data, publish_ns)
-        was_full = self._file.tell() != self._whole_bytes
+        was_full = self._file.tell() != self.size_bytes
         if was_full:
             self._file.flush()
         self.filling = self.filling.plus(contents)
@@ -203,7 +200,7 @@ class RecordingWriter:
             self._note_chunk()
 
     def _note_chunk(self) -> None:
-        self._whole_bytes = self._file.tell()
+        self.size_bytes = self._file.tell()
         self.whole, self.filling = self.whole.plus(self.filling), Contents()
         self.snapshot_due = True
 

@@ -39,6 +39,7 @@ class SensorPlan:
     def __init__(self, array: SensorArray) -> None:
         self._array = array
         self._sensors = array.sensors
+        self._names = array.sensors.components
         self._rows = [SensorSet(self._sensors.half_space, (name,), self._sensors.depth_m) for name in self._names]
         self._features = {load: array.features_m(load) for load in LOADS}
 
@@ -66,10 +67,6 @@ class SensorPlan:
         omega = 1.0 / self._sensors.depth_m
         condition = self._sensors.condition(omega * np.cos(_DIRECTIONS_RAD), omega * np.sin(_DIRECTIONS_RAD))
         return float(condition.min()), float(condition.max())
-
-    @property
-    def _names(self) -> tuple[str, ...]:
-        return self._sensors.components
 
     def as_json(self) -> dict[str, Any]:
         """Everything that is shown but the pictures, in SI units; null is what there is not."""
