@@ -1,6 +1,7 @@
 """Decoder processes on real brokers: one that follows a plate, many that share plates, and what they say."""
 
 import asyncio
+import functools
 import json
 import os
 import signal
@@ -53,8 +54,10 @@ def topics(observer: Observer) -> set[str]:
 
 
 async def test_a_followed_plate_is_decoded_and_its_states_and_account_are_told(
-    tmp_path: Path, broker: Mosquitto | Amqtt
+    tmp_path: Path, broker: Mosquitto | Amqtt, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 3600.0)  # else a slow computer releases the contact
+    monkeypatch.setattr(followed_plate, "WAITS_AFTER_S", 3600.0)
     async with observe(broker.url) as heard, daemon(broker.url) as hand:
         decoder = process(tmp_path, broker.url, decoding=LINEAR)
         async with running(decoder):
@@ -70,7 +73,9 @@ async def test_a_followed_plate_is_decoded_and_its_states_and_account_are_told(
         last = await heard.until_last(STATE, state="offline", reason="stopped")
         assert last["decoder_id"] == "host-1"
         assert last["topic_filter"] == "resonator/hand/signals"
-        (*_, health) = heard.payloads("resonator/decoder/host-1/health")
+        healths = functools.partial(heard.payloads, "resonator/decoder/host-1/health")
+        await heard.until(lambda: healths()[-1]["plates"]["hand"]["unusable"] == 1)  # comes after the state
+        health = healths()[-1]
         account = health["plates"]["hand"]
         assert account["received"] == account["decoded"] + account["skipped"] + 1
         assert (account["unusable"], account["waiting"], account["missed"]) == (1, 0, 0)
