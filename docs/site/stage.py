@@ -10,7 +10,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PARTS = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "docs/", "firmware_protocol/", "systemd/")
+PACKAGE = [f"resonator_daemon.python_api.{module}" for module in ("recordings", "tables", "live", "errors")]
 API = {
+    "python-package": ("Python package resonatord", *PACKAGE),
     "python-elastic": ("Elastic half-space", "resonator_daemon.elastic"),
     "python-decoding": ("Decoders", "resonator_daemon.decoding"),
 }
@@ -24,8 +26,8 @@ def main(folder: Path) -> None:
         target = folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(ROOT / name, target)
-    for page, (title, package) in API.items():
-        text = f"# {title}\n\n::: {package}\n"
+    for page, (title, *modules) in API.items():
+        text = "\n".join([f"# {title}\n", *(f"::: {module}\n" for module in modules)])
         (folder / "docs" / "reference" / f"{page}.md").write_text(text)
 
 

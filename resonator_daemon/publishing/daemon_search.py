@@ -39,7 +39,7 @@ async def find_plate(broker: Mqtt, name: str) -> State:
                 others.add(plate)
     except TimeoutError:
         pass
-    there = f"there: {', '.join(sorted(others))}" if others else "nor under another name"
+    there = f"these names are there: {', '.join(sorted(others))}" if others else "no other is there"
     where = f"{broker.prefix}/{name} at {broker.host}:{broker.port}"
     raise NoDaemonError(f"no daemon publishes as {where}; {there}; start it: resonatord run")
 

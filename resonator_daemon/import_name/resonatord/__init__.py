@@ -1,4 +1,4 @@
-"""resonatord: forces on a tactile plate of quartz, from a recording or as they are measured.
+"""Forces on a tactile plate of quartz, from a recording or as they are measured.
 
 >>> import resonatord
 >>> recording = resonatord.load_recording("run.mcap")
