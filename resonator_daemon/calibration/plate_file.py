@@ -16,6 +16,7 @@ from tomlkit.items import Table
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.errors import UsageError
 from resonator_daemon.host.new_file import NoNewFileError, check_new, fresh_name, replace_file
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.plate import FORCE_SIGNAL, Coupling, load_plate, shipped_plates
 from resonator_daemon.toml_files.reading import read_toml
 
@@ -157,7 +158,7 @@ def write_plate_file(text: str, target: Path) -> None:
     try:
         replace_file(target, text.encode(), target.stat().st_mode & 0o7777 if target.exists() else None)
     except OSError as error:
-        raise CalibrationRefusedError(f"{target}: cannot be written ({error.strerror}); it is as before") from None
+        raise CalibrationRefusedError(f"{target}: cannot be written ({meaning_of(error)}); it is as before") from None
 
 
 def name_plate(config_path: Path, plate: Path) -> None:
@@ -179,7 +180,7 @@ def name_plate(config_path: Path, plate: Path) -> None:
         os.chown(path, before.st_uid, before.st_gid)
     except OSError as error:
         raise CalibrationRefusedError(
-            f'{path}: cannot be written ({error.strerror}); the calibration is in {plate}; set plate = "{plate}"'
+            f'{path}: cannot be written ({meaning_of(error)}); the calibration is in {plate}; set plate = "{plate}"'
         ) from None
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.errors import UserError
 from resonator_daemon.host.places import state_directory
+from resonator_daemon.host.system_limits import meaning_of
 
 
 class Session:
@@ -29,7 +30,7 @@ class Session:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._stream = self.path.open("w", encoding="utf-8", buffering=1)
         except OSError as error:
-            raise UserError(f"{self.path}: cannot be written ({error.strerror}); set XDG_STATE_HOME") from None
+            raise UserError(f"{self.path}: cannot be written ({meaning_of(error)}); set XDG_STATE_HOME") from None
         with self._stream:
             yield
 

@@ -15,6 +15,7 @@ from resonator_daemon.config import Config, config_from, load_config
 from resonator_daemon.config.text import load_plate_text, plate_text
 from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.host.new_file import replace_file
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.sensors.code_check import findings
 from resonator_daemon.toml_files.reading import TomlFile, named, parse_toml, read_toml
 
@@ -174,4 +175,4 @@ def _open_at_once(path: str, flags: int) -> int:
 
 
 def _reason(error: OSError | ValidationError) -> str:
-    return error.strerror or str(error) if isinstance(error, OSError) else "is damaged"
+    return meaning_of(error) if isinstance(error, OSError) else "is damaged"

@@ -15,6 +15,8 @@ from typing import Any, TypeVar
 import numpy as np
 import scipy
 
+from resonator_daemon.host.system_limits import meaning_of, reason_of
+
 log = logging.getLogger(__name__)
 
 Built = TypeVar("Built")
@@ -36,7 +38,7 @@ def cached(depends_on: Any, build: Callable[[], Built]) -> Built:
     except FileNotFoundError:
         pass
     except Exception as error:  # noqa: BLE001  a pickle written by other code may raise anything
-        log.warning("cached set-up %s cannot be used and is built again: %s", path, error)
+        log.warning("cached set-up %s cannot be used and is built again: %s", path, meaning_of(error))
     else:
         with contextlib.suppress(OSError):  # where it may only be read
             path.touch()
@@ -45,7 +47,7 @@ def cached(depends_on: Any, build: Callable[[], Built]) -> Built:
     try:
         _keep(path, content)
     except OSError as error:
-        log.info("set-up is not cached: %s", error)
+        log.info("set-up is not cached: %s", reason_of(error))
     # As from the cache: matrices that lie in memory otherwise give results that differ in their last digits.
     rebuilt: Built = pickle.loads(content)
     return rebuilt

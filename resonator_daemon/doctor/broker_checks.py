@@ -13,7 +13,7 @@ from paho.mqtt.enums import MQTTProtocolVersion
 from resonator_daemon.config import Mqtt
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, excused, not_checked
 from resonator_daemon.doctor.host import Host, Load
-from resonator_daemon.host.system_limits import reason_of
+from resonator_daemon.host.system_limits import meaning_of, reason_of
 from resonator_daemon.publishing import connection_errors
 from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes
 from resonator_daemon.publishing.mqtt_messages import Incoming
@@ -45,7 +45,7 @@ async def check_broker(broker: Mqtt, host: Host, times: ConnectionTimes | None =
         async with asyncio.timeout(_CONNECT_S):
             found = await loop.getaddrinfo(broker.host, broker.port, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError, TimeoutError) as error:
-        reason = "no answer from the resolver" if isinstance(error, TimeoutError) else getattr(error, "strerror", error)
+        reason = "no answer from the resolver" if isinstance(error, TimeoutError) else meaning_of(error)
         fault = RESOLVES.fault(f"{broker.host}: no such host ({reason})", "correct mqtt.url, or see to the network")
         return [fault, *not_checked((LISTENS, ACCEPTS, ROUND_TRIP), "its address is not known")]
     resolved = RESOLVES.ok(f"{broker.host} is {', '.join(sorted({str(address[4][0]) for address in found}))}")

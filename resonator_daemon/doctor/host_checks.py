@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 from resonator_daemon.config import Recording
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding
 from resonator_daemon.doctor.host import Host
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.recording.file_series import Series
 
 SOURCE: Final = Check("clock.source", Area.SOFTWARE, "clock source")
@@ -111,7 +112,7 @@ def _room(directory: Path) -> _Room:
         system = os.statvfs(place)
     except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        return _Room(0.0, f"cannot be written ({error.strerror})" if not full else "the disk is full")
+        return _Room(0.0, f"cannot be written ({meaning_of(error)})" if not full else "the disk is full")
     return _Room(system.f_bavail * system.f_frsize / _MB, "")
 
 

@@ -13,6 +13,7 @@ from resonator_daemon.errors import ExitCode, UsageError, UserError
 from resonator_daemon.exporting.formats import FORMATS, ROS2, format_class
 from resonator_daemon.exporting.output import Output, Recorded
 from resonator_daemon.host.new_file import check_new, takes_a_stream
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.publishing.units import UNITS
 from resonator_daemon.replay.progress import Progress
 from resonator_daemon.replay.recorded_pipeline import Moment, RecordingReplay
@@ -123,7 +124,7 @@ def _write(output: Output, path: Path, moments: Iterator[Moment]) -> dict[str, i
         if not isinstance(error, OSError):
             raise
         removed = "" if takes_a_stream(path) else "; what was written of it is removed"
-        raise ExportFailedError(f"{path} cannot be written: {error.strerror or error}{removed}") from error
+        raise ExportFailedError(f"{path} cannot be written: {meaning_of(error)}{removed}") from error
 
 
 def _part(replaying: RecordingReplay, span: Span, progress: Progress) -> Iterator[Moment]:

@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 
 from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.new_file import replace_file
-from resonator_daemon.host.system_limits import reason_of
+from resonator_daemon.host.system_limits import meaning_of, reason_of
 
 _PROGRAM_IN_UNITS = "/opt/resonatord/bin/resonatord"
 HIDDEN_FROM_SERVICES = (
@@ -186,7 +186,7 @@ def _judge(path: Path, content: str, dry_run: bool) -> Placed:
     except FileNotFoundError:
         return Placed(path, content, write)
     except OSError as error:
-        raise InstallError(f"{path}: {error.strerror}") from error
+        raise InstallError(f"{path}: {meaning_of(error)}") from error
     if there == content:
         return Placed(path, content, Action.UNCHANGED)
     intact = there == sealed(_SEAL.sub("", there))
@@ -202,7 +202,7 @@ def _write(file: Placed) -> Placed:
     except OSError as error:
         if error.errno == errno.EROFS and "share" in file.path.parts:  # as on computers whose /usr is an image
             return dataclasses.replace(file, action=Action.READ_ONLY)
-        raise InstallError(f"{file.path} cannot be written: {error.strerror}") from error
+        raise InstallError(f"{file.path} cannot be written: {meaning_of(error)}") from error
     return file
 
 

@@ -16,6 +16,7 @@ from types import FrameType
 from typing import IO, TYPE_CHECKING, Final
 
 from resonator_daemon.errors import InterruptedCommandError, UserError
+from resonator_daemon.host.system_limits import meaning_of
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -54,7 +55,7 @@ class NewFile:
         except FileExistsError as error:
             raise part_is_there(self._part) from error
         except OSError as error:
-            raise NoNewFileError(f"{path} cannot be written: {error.strerror}") from error
+            raise NoNewFileError(f"{path} cannot be written: {meaning_of(error)}") from error
 
     def keep(self) -> int:
         """Flush to the disk, rename, and return the size in bytes.

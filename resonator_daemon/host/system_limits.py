@@ -31,17 +31,24 @@ def check_open_files() -> None:
 
 
 def reason_of(error: OSError) -> str:
-    """Return what an error means, without its number, and the name of the file if it has one.
+    """Return what an error means, without its number, and the name of the file if it has one."""
+    words = meaning_of(error)
+    return words if error.filename is None or error.errno in _TOO_MANY else f"{error.filename}: {words}"
+
+
+def meaning_of(error: Exception) -> str:
+    """Return what an error means, without its number and the name of the file.
 
     asyncio puts addresses in place of the meaning, and joins the errors of all addresses of a host to one.
     """
-    words = str(error.strerror or error) or "no answer in time"
-    if numbers := [int(number) for number in _NUMBER.findall(words)]:
+    number = getattr(error, "errno", None)
+    words = str(getattr(error, "strerror", None) or error)
+    if isinstance(error, TimeoutError) and words in ("", "timed out"):
+        return "no answer in time"
+    if numbers := [int(found) for found in _NUMBER.findall(words)]:
         return "; ".join(dict.fromkeys(map(os.strerror, numbers)))
-    if error.errno is None:
-        return words
-    if error.errno in _TOO_MANY:  # whichever file it was
-        return f"{os.strerror(error.errno)}; raise the limit (ulimit -n)"
-    if words.startswith(_OF_ASYNCIO):
-        return os.strerror(error.errno)
-    return words if error.filename is None else f"{error.filename}: {words}"
+    if number in _TOO_MANY:  # whichever file it was
+        return f"{os.strerror(number)}; raise the limit (ulimit -n)"
+    if number is not None and words.startswith(_OF_ASYNCIO):
+        return os.strerror(number)
+    return words or type(error).__name__

@@ -6,6 +6,7 @@ import select
 import threading
 import time
 
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.inotify import DirectoryEvent, DirectoryEvents
 
 log = logging.getLogger(__name__)
@@ -41,7 +42,7 @@ class PortWatch:
             try:
                 self._events = DirectoryEvents()
             except OSError as error:
-                log.info("ports are looked for from time to time, not watched: no inotify (%s)", error.strerror)
+                log.info("ports are looked for from time to time, not watched: no inotify (%s)", meaning_of(error))
             else:
                 self._ready.register(self._events, select.POLLIN)
                 self._aim(self._events, path)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final, Protocol
 
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.reasons import Reason, ReasonCode
 
 WRITE_TIMEOUT_S = 1.0  # in which a board must take what it is sent
@@ -154,7 +155,7 @@ class FileDescriptorLink:
         return bytes(buffer[:size])
 
     def _error(self, error: OSError) -> Reason:
-        return _with(self._ended if error.errno in _CLOSED else _UNPLUGGED, str(error.strerror))
+        return _with(self._ended if error.errno in _CLOSED else _UNPLUGGED, meaning_of(error))
 
     def _check(self) -> None:
         # A closed descriptor's number may be somebody else's by now.

@@ -7,6 +7,8 @@ import struct
 import termios
 from pathlib import Path
 
+from resonator_daemon.host.system_limits import meaning_of
+
 log = logging.getLogger(__name__)
 
 _TIOCGICOUNT = 0x545D
@@ -46,7 +48,7 @@ def shorten_latency_timer(path: str, sys_tty: Path = SYS_TTY) -> None:
                 'ACTION=="add", SUBSYSTEM=="usb-serial", ATTR{latency_timer}="1"',
                 path,
                 timer_ms,
-                error.strerror,
+                meaning_of(error),
             )
 
 

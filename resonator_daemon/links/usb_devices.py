@@ -11,6 +11,7 @@ from typing import Any
 import usb.backend.libusb1
 import usb.core
 
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.carriers.usb import UsbTarget
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.reasons import ReasonCode
@@ -89,7 +90,7 @@ def present_boards() -> list[UsbBoard]:
         devices = list(backend.enumerate_devices())
     except FAILURES as error:
         raise LinkUnavailableError(
-            ReasonCode.PORT_UNUSABLE, f"USB devices cannot be listed: {reason_of(error)}"
+            ReasonCode.PORT_UNUSABLE, f"USB devices cannot be listed: {meaning_of(error)}"
         ) from error
     boards = []
     for device in devices:
@@ -98,11 +99,6 @@ def present_boards() -> list[UsbBoard]:
         except FAILURES:
             continue  # it went away meanwhile, or shows no descriptors: no board
     return sorted(boards, key=lambda board: (board.bus, board.address))
-
-
-def reason_of(error: Exception) -> str:
-    """Return libusb's own words for one of `FAILURES`."""
-    return str(getattr(error, "strerror", None) or error)
 
 
 def _boards_of(backend: Any, device: Any) -> list[UsbBoard]:

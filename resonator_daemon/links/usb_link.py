@@ -10,6 +10,7 @@ from typing import Any
 from usb.core import USBError, USBTimeoutError
 
 from firmware_protocol.layouts import PROTOCOL_MAJOR
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.carriers.usb import UsbTarget
 from resonator_daemon.links.link import (
     CLOSED_HERE,
@@ -19,7 +20,7 @@ from resonator_daemon.links.link import (
     write_timeout,
 )
 from resonator_daemon.links.port_holders import Holders, port_holders
-from resonator_daemon.links.usb_devices import FAILURES, UsbBoard, present_boards, reason_of, usb_backend
+from resonator_daemon.links.usb_devices import FAILURES, UsbBoard, present_boards, usb_backend
 from resonator_daemon.links.usb_transfers import BulkReader, Failure
 from resonator_daemon.reasons import Reason, ReasonCode
 
@@ -218,7 +219,7 @@ def _why_not(board: UsbBoard, error: Exception) -> Reason:
         case errno.ENODEV | errno.ENOENT:
             return Reason(ReasonCode.NO_SUCH_PORT, f"{board.link} went away while it was opened")
         case _:
-            return Reason(ReasonCode.PORT_UNUSABLE, f"{board.link} cannot be opened: {reason_of(error)}")
+            return Reason(ReasonCode.PORT_UNUSABLE, f"{board.link} cannot be opened: {meaning_of(error)}")
 
 
 def _not_permitted(board: UsbBoard) -> Reason:
@@ -241,4 +242,4 @@ def _number(error: Exception) -> int | None:
 
 
 def _unplugged(error: Exception) -> Reason:
-    return Reason(ReasonCode.UNPLUGGED, f"unplugged ({reason_of(error)})")
+    return Reason(ReasonCode.UNPLUGGED, f"unplugged ({meaning_of(error)})")

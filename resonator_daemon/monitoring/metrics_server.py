@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 from prometheus_client import CollectorRegistry, make_wsgi_app
 
 from resonator_daemon.config import Listen
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.monitoring.metrics import StatusCollector
 from resonator_daemon.monitoring.status import Status
 
@@ -68,7 +69,7 @@ class MetricsServer:
                         serving.add(task)
                         task.add_done_callback(serving.discard)
             except OSError as error:
-                self._log_change(error.strerror or str(error))
+                self._log_change(meaning_of(error))
                 await asyncio.sleep(self._times.retry_s)
 
     def _log_change(self, problem: str | None) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from resonator_daemon.host.places import runtime_directories
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.monitoring.status_server import SOCKET_NAME
 
 ANSWER_S: Final = 2.0
@@ -55,7 +56,7 @@ async def _ask(path: Path) -> Answer | None:
     except PermissionError:
         return Answer(path, None, f"this user may not ask it; {_who_may(path)}")
     except OSError as error:
-        return Answer(path, None, error.strerror or str(error))
+        return Answer(path, None, meaning_of(error))
     try:
         status = json.loads(answer)
     except (ValueError, RecursionError):

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from resonator_daemon.host.places import make_private
+from resonator_daemon.host.system_limits import reason_of
 from resonator_daemon.monitoring.status import Status
 from resonator_daemon.publishing.codec import encode
 
@@ -68,7 +69,7 @@ class StatusServer:
                     await self._serve(listening)
                 log.warning("%s or its lock was removed or replaced: made again", self._path)
             except OSError as error:
-                self._log_change(f"`resonatord status` does not see this daemon: {_sentence(error)}")
+                self._log_change(f"`resonatord status` does not see this daemon: {reason_of(error)}")
                 await asyncio.sleep(self._times.retry_s)
 
     async def _serve(self, listening: "_Listening") -> None:
@@ -204,9 +205,3 @@ def _remove_socket(path: Path) -> None:
         if not stat.S_ISSOCK(path.lstat().st_mode):
             raise FileExistsError(f"{path} is in the way and no socket; remove it")
         path.unlink()
-
-
-def _sentence(error: OSError) -> str:
-    return (
-        str(error) if error.errno is None else f"{error.strerror} ({error.filename})" if error.filename else str(error)
-    )

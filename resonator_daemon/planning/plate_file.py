@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from resonator_daemon.arrays import Floats
 from resonator_daemon.errors import ConfigurationError, UsageError
 from resonator_daemon.forces.force_sites import DEFAULT_COEFFICIENT_STD
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.plate import Plate
 from resonator_daemon.toml_files.reading import TomlFile, load_model
 
@@ -47,7 +48,7 @@ def read_layout(path: Path) -> Layout:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError) as error:
-        raise ConfigurationError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise ConfigurationError(f"{path}: cannot be read: {meaning_of(error)}") from None
     findings: list[str] = []
     places: dict[tuple[float, float], int] = {}
     for number, line in enumerate(lines, 1):

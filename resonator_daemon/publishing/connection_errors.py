@@ -9,7 +9,7 @@ from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.config.broker_files import UnusableFileError
 from resonator_daemon.config.mqtt import Mqtt
-from resonator_daemon.host.system_limits import reason_of
+from resonator_daemon.host.system_limits import meaning_of, reason_of
 
 UNSUPPORTED_VERSION: Final = 132
 UNSPECIFIED: Final = 128  # the library's code for a connection that ended without a DISCONNECT packet
@@ -58,7 +58,7 @@ def of_opening(error: OSError, broker: Mqtt) -> BrokerError:
         case TimeoutError() if "handshake" in str(error):
             return BrokerError(_NO_TLS)
         case socket.gaierror():
-            return BrokerError(f"no host of this name ({error.strerror}); see mqtt.url")
+            return BrokerError(f"no host of this name ({meaning_of(error)}); see mqtt.url")
         case _:
             return BrokerError(reason_of(error))
 

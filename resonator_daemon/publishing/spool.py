@@ -12,6 +12,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple, TypeVar
 
+from resonator_daemon.host.system_limits import meaning_of, reason_of
+
 EVENTS_MAX: Final = 100_000
 BYTES_MAX: Final = 64 * 2**20  # of payloads
 
@@ -198,7 +200,7 @@ class Spool:
                 self._count, self._bytes = before
             raise self._failed(error) from error
         except OSError as error:
-            raise SpoolError(f"{error.strerror}: {error.filename}") from error
+            raise SpoolError(reason_of(error)) from error
         return result
 
     def _failed(self, error: sqlite3.Error) -> SpoolError:
@@ -230,7 +232,7 @@ class Spool:
                 with contextlib.suppress(FileNotFoundError):
                     os.replace(f"{self.path}{companion}", f"{damaged}{companion}")
         except OSError as error:
-            return SpoolError(f"{self.path} is damaged ({reason}) and cannot be set aside: {error.strerror}")
+            return SpoolError(f"{self.path} is damaged ({reason}) and cannot be set aside: {meaning_of(error)}")
         return SpoolDamagedError(f"{self.path} is damaged ({reason}): set aside as {damaged.name}")
 
     def _open(self) -> sqlite3.Connection:

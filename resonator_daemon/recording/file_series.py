@@ -15,6 +15,7 @@ from typing import Final
 from mcap.stream_reader import StreamReader
 
 from resonator_daemon.errors import UserError
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.recording.reader import MAX_RECORD_BYTES, Origin, read_header
 from resonator_daemon.recording.writer import RecordingWriter
@@ -89,7 +90,7 @@ class Series:
             while os.path.lexists(path := self.path(utc_ns)):  # of a time before the host's clock was set back
                 utc_ns += _MS_NS
         except OSError as error:
-            raise UserError(f"{self.directory} cannot be made: {error.strerror}") from error
+            raise UserError(f"{self.directory} cannot be made: {meaning_of(error)}") from error
         return RecordingWriter(path, origin, utc_ns)
 
     def files(self) -> list[Path]:
@@ -142,7 +143,7 @@ class DiskSpace:
             directory.mkdir(parents=True, exist_ok=True)
             free_bytes = shutil.disk_usage(directory).free
         except OSError as error:
-            raise UserError(f"{directory} cannot be used: {error.strerror}") from error
+            raise UserError(f"{directory} cannot be used: {meaning_of(error)}") from error
         if free_bytes < keep_bytes * (_AGAIN if again else 1.0):
             raise NoRoomError(
                 f"{directory} has {free_bytes / 1e6:.0f} MB left, and {keep_bytes / 1e6:.0f} MB are kept free "
@@ -202,7 +203,7 @@ class DiskSpace:
         except OSError as error:
             if path not in self._logged:
                 self._logged.add(path)
-                self._log_line(logging.WARNING, f"{path} cannot be removed: {error.strerror}")
+                self._log_line(logging.WARNING, f"{path} cannot be removed: {meaning_of(error)}")
             return False
         return True
 

@@ -16,6 +16,7 @@ from mcap.exceptions import McapError
 from mcap.records import Attachment, Header, McapRecord, Metadata
 
 from resonator_daemon.host.printable import printable
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.plate import Plate
 from resonator_daemon.reasons import ReasonCode
@@ -218,7 +219,7 @@ class Recording:
         except DAMAGE as error:
             at = self._file.tell()
             whole = self._file.seek(0, 2)
-            self.damage = "cut off" if at >= whole else f"damaged before byte {at} of {whole} ({error})"
+            self.damage = "cut off" if at >= whole else f"damaged before byte {at} of {whole} ({meaning_of(error)})"
 
 
 def open_recording(path: str, plate: Plate | None = None) -> Recording:
@@ -234,7 +235,7 @@ def open_recording(path: str, plate: Plate | None = None) -> Recording:
             raise RecordingUnusableError(f"recording {path} is no regular file")
         file = open(path, "rb")  # noqa: SIM115 - the recording closes it
     except OSError as error:
-        raise RecordingUnusableError(f"recording {path}: {error.strerror}") from error
+        raise RecordingUnusableError(f"recording {path}: {meaning_of(error)}") from error
     try:
         records = ChunkReader(file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records
         header = read_header(path, records)

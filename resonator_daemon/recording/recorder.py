@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, Self
 
 from resonator_daemon.errors import UserError
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.recording.file_series import DiskSpace, LogLine, NoRoomError, Series, discard_line
 from resonator_daemon.recording.reader import Mark, Origin
@@ -376,7 +377,7 @@ class Recorder:
         try:
             file.sync()
         except OSError as error:
-            self._log_line(logging.WARNING, f"{file.path} may not be on the disk: {error.strerror}")
+            self._log_line(logging.WARNING, f"{file.path} may not be on the disk: {meaning_of(error)}")
 
     def _break_off(self, error: Exception) -> None:
         """Leave a file as it is that takes nothing more."""
@@ -386,7 +387,7 @@ class Recorder:
             lost, self._file = self._file.filling, None
             with self._lock:
                 self._count_missing(events=lost.traffic, messages=lost.messages)
-        reason = (isinstance(error, OSError) and error.strerror) or repr(error)
+        reason = meaning_of(error) if isinstance(error, OSError) else repr(error)
         self._fail(_code(error), f"{self.path}: {reason}")
 
     def _fail(self, code: ReasonCode, text: str) -> None:

@@ -30,7 +30,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.new_file import NewFile, check_new
-from resonator_daemon.host.system_limits import reason_of
+from resonator_daemon.host.system_limits import meaning_of, reason_of
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.recording.mcap_messages import (
     CHUNK_BYTES,
@@ -239,7 +239,7 @@ def repair(path: Path, copy: Path) -> Repaired:
                 new.keep()
         except OSError as error:
             new.discard()
-            raise RepairError(f"{copy} cannot be written: {error.strerror}") from error
+            raise RepairError(f"{copy} cannot be written: {meaning_of(error)}") from error
         except BaseException:
             new.discard()
             raise

@@ -14,6 +14,7 @@ from mcap.writer import CompressionType, Writer
 
 from resonator_daemon.errors import UserError
 from resonator_daemon.host.new_file import NoNewFileError
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.recording.mcap_messages import CHUNK_BYTES
 from resonator_daemon.recording.reader import (
     BOARD,
@@ -108,7 +109,7 @@ class RecordingWriter:
         except OSError as error:
             self.abandon()
             path.unlink(missing_ok=True)  # nothing is in it
-            raise UserError(f"{path} cannot be written: {error.strerror}") from error
+            raise UserError(f"{path} cannot be written: {meaning_of(error)}") from error
 
     @property
     def is_gone(self) -> bool:
@@ -218,4 +219,4 @@ def _made(path: Path) -> BufferedWriter:
         remedy = "name a file in it" if path.is_dir() else "and nothing is overwritten; name another file"
         raise NoNewFileError(f"{path} is {'a directory' if path.is_dir() else 'there already'}, {remedy}") from error
     except OSError as error:
-        raise NoNewFileError(f"{path} cannot be written: {error.strerror}") from error
+        raise NoNewFileError(f"{path} cannot be written: {meaning_of(error)}") from error

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt, 
 
 from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.host.new_file import NoNewFileError, part_is_there, part_of
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.replay.outputs import OutputFailedError, payload_json
 from resonator_daemon.replay.recorded_pipeline import RecordingReplay
 from resonator_daemon.replay.source import open_replay
@@ -139,7 +140,7 @@ def save_case(recording: Path, directory: Path) -> Outcome:
     except FileExistsError as error:
         raise part_is_there(part) from error
     except OSError as error:
-        raise OutputFailedError(f"{directory} cannot be made: {error.strerror}") from error
+        raise OutputFailedError(f"{directory} cannot be made: {meaning_of(error)}") from error
     try:
         shutil.copyfile(recording, part / RECORDING_FILE)
         with open_replay(part / RECORDING_FILE) as replaying:  # whose name messages have
@@ -148,7 +149,7 @@ def save_case(recording: Path, directory: Path) -> Outcome:
         _check_free(directory)
         os.rename(part, directory)
     except OSError as error:
-        raise OutputFailedError(f"{directory}: {error.strerror}; what was written is removed") from error
+        raise OutputFailedError(f"{directory}: {meaning_of(error)}; what was written is removed") from error
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return outcome
@@ -232,7 +233,7 @@ def read_expected(directory: Path) -> Expected:
         key = ".".join(str(part) for part in first["loc"]) or "line"
         raise ConfigurationError(f"{path} cannot be read ({key}: {first['msg']}); save the case again") from error
     except OSError as error:
-        raise ConfigurationError(f"{path}: {error.strerror or error}; cases are made by replay --save-case") from error
+        raise ConfigurationError(f"{path}: {meaning_of(error)}; cases are made by replay --save-case") from error
     except (ValueError, EOFError, KeyError, TypeError, StopIteration, RecursionError) as error:
         raise ConfigurationError(f"{path} cannot be read ({error}); save the case again") from error
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.new_file import NoNewFileError, check_new, takes_a_stream
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.replay.recorded_pipeline import Published
@@ -49,7 +50,7 @@ class Lines:
                 self._file = self._closing.enter_context(self._path.open(mode, encoding="utf-8"))
                 self._removable = not is_stream
             except OSError as error:
-                raise NoNewFileError(f"{self._path} cannot be made: {error.strerror}") from error
+                raise NoNewFileError(f"{self._path} cannot be made: {meaning_of(error)}") from error
         return self
 
     async def __aexit__(self, _kind: object, error: BaseException | None, _where: object) -> None:
@@ -71,7 +72,7 @@ class Lines:
             raise self._failed(error) from error
 
     def _failed(self, error: OSError) -> OutputFailedError:
-        return OutputFailedError(f"{self._path}: {error.strerror}; what was written stays")
+        return OutputFailedError(f"{self._path}: {meaning_of(error)}; what was written stays")
 
 
 def payload_json(message: Message | Encoded) -> str:

@@ -15,6 +15,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, InitErrorDetails
 
 from resonator_daemon.errors import ConfigurationError
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.toml_files.advice import advice
 from resonator_daemon.toml_files.limits import excess
 
@@ -72,7 +73,7 @@ def read_toml(path: Path) -> TomlFile:
     except PermissionError:
         raise ConfigurationError(f"{named(path)}: permission denied; let the user who runs this read it") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        reason = getattr(error, "strerror", None) or error
+        reason = meaning_of(error)
         raise ConfigurationError(
             f"{named(path)}: cannot be read: {reason}; name a TOML file that can be read"
         ) from None

@@ -73,11 +73,16 @@ def test_a_damaged_file_is_replaced_and_logged(
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
 
 
-def test_where_nothing_can_be_kept_it_is_built_each_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_nothing_can_be_kept_it_is_built_each_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / "file"))
     build = Builder()
     assert [cached("key", build) for _ in range(2)] == [101, 102]
+    assert "not cached" in caplog.text
+    assert "Errno" not in caplog.text
 
 
 def test_the_four_that_were_used_last_are_kept(directory: Path) -> None:

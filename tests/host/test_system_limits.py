@@ -20,6 +20,9 @@ from resonator_daemon.host.system_limits import reason_of
         ),
         (socket.gaierror(socket.EAI_NONAME, "Name or service not known"), "Name or service not known"),
         (TimeoutError(), "no answer in time"),
+        (TimeoutError("timed out"), "no answer in time"),
+        (OSError("[Errno 5] read failed"), "Input/output error"),
+        (OSError(), "OSError"),
     ],
 )
 def test_an_error_has_its_meaning_alone(error: OSError, words: str) -> None:

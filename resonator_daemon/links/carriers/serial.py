@@ -16,6 +16,7 @@ import serial
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.link import FileDescriptorLink, LinkUnavailableError
 from resonator_daemon.links.port_holders import is_pseudo_terminal, port_holders
 from resonator_daemon.links.port_identity import PortIdentity, find_port, port_identity, serial_ports
@@ -211,7 +212,9 @@ def _why_not(target: SerialTarget, error: Exception) -> Reason:
     if isinstance(error, ValueError):
         rate = f"{target.path} cannot be set to {target.baud} baud; choose a rate that its driver supports"
         return Reason(ReasonCode.PORT_UNUSABLE, rate)
-    return Reason(ReasonCode.PORT_UNUSABLE, f"{target.path} cannot be opened: {os.strerror(code) if code else error}")
+    return Reason(
+        ReasonCode.PORT_UNUSABLE, f"{target.path} cannot be opened: {os.strerror(code) if code else meaning_of(error)}"
+    )
 
 
 def _holder(path: str) -> str:

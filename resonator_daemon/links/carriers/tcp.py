@@ -4,12 +4,12 @@ The reader's thread polls the socket as it polls a serial port: an event loop wo
 them, and pyserial's `socket://` drops bytes that it has received already when the peer closes.
 """
 
-import os
 import socket
 import time
 from dataclasses import dataclass
 from typing import Final, Self
 
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.host_lookup import resolve_host
 from resonator_daemon.links.link import FileDescriptorLink, LinkUnavailableError
 from resonator_daemon.links.target import LinkTarget
@@ -89,12 +89,12 @@ def open_tcp(
             except OSError as error:
                 refused = isinstance(error, ConnectionRefusedError)
                 code = ReasonCode.CONNECTION_REFUSED if refused else ReasonCode.HOST_UNREACHABLE
-                failures.append(f"{address[0]!s}: {_reason(error)}")
+                failures.append(f"{address[0]!s}: {meaning_of(error)}")
             else:
                 return FileDescriptorLink(connection.fileno(), connection.close, _REFUSAL)
     except (OSError, UnicodeError) as error:  # UnicodeError: no host can have such a name
         raise LinkUnavailableError(
-            ReasonCode.HOST_UNKNOWN, f"{target} does not answer: no such host ({_reason(error)})"
+            ReasonCode.HOST_UNKNOWN, f"{target} does not answer: no such host ({meaning_of(error)})"
         ) from error
     raise LinkUnavailableError(code, f"{target} does not answer ({'; '.join(failures)})")
 
@@ -117,11 +117,3 @@ def connect(
         connection.close()
         raise
     return connection
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, TimeoutError):
-        return str(error) if error.errno is None and str(error) != "timed out" else "no answer in time"
-    if isinstance(error, OSError) and error.errno is not None and error.errno > 0:
-        return os.strerror(error.errno)
-    return str(getattr(error, "strerror", None) or error)
