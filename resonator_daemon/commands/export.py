@@ -1,4 +1,4 @@
-"""Export what follows from a recording as Parquet, CSV, NumPy or MCAP, the latter also for ROS 2.
+"""Export what follows from recordings as Parquet, CSV, NumPy or MCAP, the latter also for ROS 2.
 
 Example: resonatord export run.mcap --output run.parquet
 """
@@ -13,7 +13,13 @@ from resonator_daemon.host.printable import print_note
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", type=Path, metavar="FILE", help="a recording, as run.mcap")
+    parser.add_argument(
+        "files",
+        type=Path,
+        nargs="+",
+        metavar="FILE|DIR",
+        help="recordings, as run.mcap, or their directories, as one",
+    )
     parser.add_argument(
         "--output",
         type=Path,
@@ -40,18 +46,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.config import load_config
-    from resonator_daemon.exporting.run import export, make_target
+    from resonator_daemon.exporting.run import export, make_target, recordings_in
     from resonator_daemon.host.new_file import interruptible, takes_a_stream
     from resonator_daemon.links.link import LinkUnavailableError
 
-    path: Path = arguments.file
     target = make_target(arguments.output, arguments.format, arguments.topics)
     with interruptible("a part of it was written" if takes_a_stream(target.output) else "what was written is removed"):
         config = load_config(arguments.config) if arguments.config is not None else None
         try:
-            result, wrong = export(
-                path, target, config, arguments.start, arguments.end, show_progress=not arguments.json
-            )
+            paths = recordings_in(arguments.files)
+            progress = not arguments.json
+            result, wrong = export(paths, target, config, arguments.start, arguments.end, show_progress=progress)
         except LinkUnavailableError as error:
             raise NoRecordingError(str(error)) from error
     if arguments.json:
@@ -61,5 +66,5 @@ def run(arguments: argparse.Namespace) -> ExitCode:
             print_note(f"{file}: {size_bytes / 1e3:.0f} kB")
         counts = ", ".join(f"{count} of {topic}" for topic, count in result["rows"].items())
         print_note(f"{result['frames']} frames gave {counts or 'nothing'}")
-    print_error(*(f"{path}: {sentence}" for sentence in wrong))
+    print_error(*wrong)
     return ExitCode.FAILED if wrong else ExitCode.DONE

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +14,7 @@ from resonator_daemon.exporting.formats import FORMATS, ROS2, format_class
 from resonator_daemon.exporting.output import Output, Recorded
 from resonator_daemon.host.new_file import check_new, takes_a_stream
 from resonator_daemon.host.system_limits import meaning_of
+from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.units import UNITS
 from resonator_daemon.replay.progress import Progress
 from resonator_daemon.replay.recorded_pipeline import Moment, RecordingReplay
@@ -72,44 +73,98 @@ def make_target(output: Path, form: str | None, topics: str | None) -> Target:
     return Target(output, form, chosen)
 
 
+def recordings_in(paths: Sequence[Path]) -> list[Path]:
+    """Return the named recordings, and the .mcap files of named directories; UsageError where one has none."""
+    found: list[Path] = []
+    for path in paths:
+        files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+        if not files:
+            raise UsageError(f"{path} has no recording, as run.mcap")
+        found += files
+    return list(dict.fromkeys(found))
+
+
 def export(
-    path: Path, target: Target, config: Config | None, start: str | None, end: str | None, *, show_progress: bool
+    paths: Sequence[Path],
+    target: Target,
+    config: Config | None,
+    start: str | None,
+    end: str | None,
+    *,
+    show_progress: bool,
 ) -> tuple[dict[str, Any], Sequence[str]]:
-    """Export a recording; return what came of it by the keys of `--json`, and what is wrong with it.
+    """Export recordings as one; return what came of it by the keys of `--json`, and what is wrong with it.
 
     Parameters
     ----------
+    paths
+        Recordings of one plate, in any order: they are exported in that of their beginnings.
     config
-        Instead of the plate and settings that the recording carries.
+        Instead of the plate and settings that the recordings carry.
     start, end
-        Mark or seconds; None: the recording's own.
+        Mark or seconds of the only recording; None: its own.
 
     Raises
     ------
     UserError
         The options cannot be used, or the files cannot be written.
     LinkUnavailableError
-        The file is no recording.
+        A file is no recording.
     """
     begun_s = time.monotonic()
     kind = format_class(target.form)
     for topic in target.topics:
         check_new(kind.place(target.output, target.topics, topic))
-    span = find_span(path, start, end)
-    with open_replay(path, config) as replaying, Progress(path, shown=show_progress) as progress:
-        output = kind(target.output, target.topics, Recorded(replaying.config, file_metadata(path, replaying.config)))
-        files = _write(output, target.output, _part(replaying, span, progress))
-        summary = {
-            "file": str(path),
-            "format": target.form,
-            "files": files,
-            "rows": dict(output.rows),
-            "frames": replaying.counters.frames,
-            "differences": replaying.differences,
-            "damage": replaying.damage,
-            "took_seconds": round(time.monotonic() - begun_s, 3),
-        }
-        return summary, _what_is_wrong(replaying, output, target, span)
+    if len(paths) > 1 and (start is not None or end is not None):
+        raise UsageError("--from and --until belong to one recording; name one FILE, or leave them out")
+    spans = {path: find_span(path, start, end) for path in paths}
+    ordered = sorted(paths, key=lambda path: spans[path].begun.utc_ns)
+    with open_replay(ordered[0], config) as first:
+        metadata = [file_metadata(path, first.config) for path in ordered]
+        sources = {key: ",".join(each[key] for each in metadata) for key in ("source", "source_sha256")}
+        output = kind(target.output, target.topics, Recorded(first.config, metadata[0] | sources))
+    played = _Played(ordered, spans, config, show_progress=show_progress)
+    files = _write(output, target.output, played.moments())
+    wrong = list(played.wrong)
+    if not output.rows:
+        wrong.append(f"{ordered[0]}: it gives no messages of {', '.join(target.topics)}{spans[ordered[0]].words}")
+    summary = {
+        "file": str(ordered[0]),
+        "recordings": [str(path) for path in ordered],
+        "format": target.form,
+        "files": files,
+        "rows": dict(output.rows),
+        "frames": played.frames,
+        "differences": played.differences,
+        "damage": played.damage,
+        "took_seconds": round(time.monotonic() - begun_s, 3),
+    }
+    return summary, wrong
+
+
+class _Played:
+    """Recordings played one after the other, and what came of all of them."""
+
+    def __init__(
+        self, paths: Sequence[Path], spans: Mapping[Path, Span], config: Config | None, *, show_progress: bool
+    ) -> None:
+        self._paths, self._spans, self._config, self._show_progress = paths, spans, config, show_progress
+        self.frames = self.differences = 0
+        self.damage: str | None = None  # of the first that is damaged
+        self.wrong: list[str] = []
+
+    def moments(self) -> Iterator[Moment]:
+        plate: Plate | None = None
+        for path in self._paths:
+            with open_replay(path, self._config) as replaying, Progress(path, shown=self._show_progress) as progress:
+                if plate is not None and replaying.config.plate != plate:
+                    raise UsageError(f"{path} is of another plate, or calibration, than {self._paths[0]}")
+                plate = replaying.config.plate
+                yield from _part(replaying, self._spans[path], progress)
+                self.frames += replaying.counters.frames
+                self.differences += replaying.differences
+                self.damage = self.damage or replaying.damage
+                self.wrong += [f"{path}: {sentence}" for sentence in differences_in_words(replaying, "exported")]
 
 
 def _write(output: Output, path: Path, moments: Iterator[Moment]) -> dict[str, int]:
@@ -157,11 +212,4 @@ def differences_in_words(replaying: RecordingReplay, done: str) -> list[str]:
     wrong = what_is_wrong(replaying.differences, replaying.damage, done)
     if replaying.refused:
         wrong.append(f"the board was refused: {'; '.join(replaying.refused)}")
-    return wrong
-
-
-def _what_is_wrong(replaying: RecordingReplay, output: Output, target: Target, span: Span) -> Sequence[str]:
-    wrong = differences_in_words(replaying, "exported")
-    if not output.rows:
-        wrong.append(f"it gives no messages of {', '.join(target.topics)}{span.words}")
     return wrong

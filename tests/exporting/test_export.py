@@ -2,6 +2,7 @@
 
 import json
 import resource
+import shutil
 import signal
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,30 @@ def export(*arguments: object) -> int:
 
 def output(folder: Path, form: str) -> tuple[object, ...]:
     return ("--ros2", "--output", folder / "out.mcap") if form == "ros2" else ("--output", folder / f"out.{form}")
+
+
+def test_recordings_of_one_plate_become_one_in_the_order_of_time(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    alone = {}
+    for name, case in (("a", "overload"), ("b", "touches")):
+        shutil.copy(recording(case), folder / f"{name}.mcap")
+        assert export(recording(case), "--output", tmp_path / f"{name}.csv", "--topics", "forces") == 0
+        alone[name] = (tmp_path / f"{name}.csv").read_text().splitlines()
+    capsys.readouterr()
+    together = tmp_path / "all.csv"
+    assert export(folder, "--output", together, "--topics", "forces", "--json") == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["recordings"] == [str(folder / "b.mcap"), str(folder / "a.mcap")]
+    assert together.read_text().splitlines() == alone["b"] + alone["a"][1:]
+    assert printed["rows"] == {"forces": len(alone["a"]) + len(alone["b"]) - 2}
+    for wrong in ((folder, "--from", "1"), (folder, recording("comb")), (empty,)):
+        assert export(*wrong, "--output", tmp_path / "no.csv", "--topics", "forces") == 2
+    assert not (tmp_path / "no.csv").exists()
 
 
 @pytest.mark.parametrize("form", FORMATS)
