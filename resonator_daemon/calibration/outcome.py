@@ -1,4 +1,4 @@
-"""Fit of what was captured, its doubts, and the record for the plate file."""
+"""History of the loads, the fit of what was captured, its doubts, and the record for the plate file."""
 
 import math
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ USUAL_CUT: Final = np.array([0.0, -0.5e-9, 1.08e-10])  # of AT quartz: a depends
 USUAL_CUT_STD: Final = np.array([1e-6, 1e-9, 1e-11])
 SMALLEST_MASS_STD: Final = 1e-9  # stands for exact masses
 
-SIGMAS: Final = 2.0  # of the pace, so that holds too short to show creep do not rule it out
+PACE_SIGMAS: Final = 2.0  # of the pace, so that holds too short to show creep do not rule it out
 CARRIED_ON_S: Final = math.exp(RESPONSE_DEFAULT[2])  # creep that begins at some pace and dies out goes on for its time
 
 COMMON_MODE_STD: Final = 1e-9  # of the pilot's mean over some tenths of a second
@@ -315,7 +315,7 @@ def creep_share(procedure: LoadProcedure, loadings: Sequence[Loading], fit: Cali
     pace, weight = np.array(growth).reshape(-1, 2).T
     if not weight.sum() > 0:
         return math.nan
-    return (abs(float(weight @ pace / weight.sum())) + SIGMAS / math.sqrt(weight.sum())) * CARRIED_ON_S
+    return (abs(float(weight @ pace / weight.sum())) + PACE_SIGMAS / math.sqrt(weight.sum())) * CARRIED_ON_S
 
 
 def _pace(loading: Loading, procedure: LoadProcedure, sensitivity: Floats) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""What a measurement of latency looks like: as JSON, as words with a histogram, and as a picture."""
+"""Latencies by messages and the truth, and the report of them: as JSON, as words with a histogram, and as a picture."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""A daemon that runs on the link already: its own status, so that the link stays with it."""
+"""The daemon that has a link already: how it is found, and the findings by its own status."""
 
 import asyncio
 import math

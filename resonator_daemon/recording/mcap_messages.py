@@ -1,4 +1,4 @@
-"""Messages of an MCAP file in their order, without what reading it record by record would make of each."""
+"""Messages and attachments of an MCAP file in their order, without what reading by records would make of each."""
 
 import struct
 import zlib

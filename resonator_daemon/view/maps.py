@@ -1,4 +1,4 @@
-"""Maps of a plate in characters, x to the right and y downwards: sites with their forces, and a traction in colours."""
+"""Maps of a plate in characters, x to the right and y downwards: sites with forces, tractions in colours."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -31,8 +31,8 @@ _TOUCHED: Final = Style(bold=True, reverse=True)
 _DENSITY: Final = " .:-=+*#%@"
 _BARS: Final = "▁▂▃▄▅▆▇█"
 
-_PIXELS: Final = 32  # along the longer side
-_NOWHERE: Final = -1
+_SITE_PIXELS: Final = 32  # along the longer side
+_NO_SITE: Final = -1
 
 
 class SiteMark(NamedTuple):
@@ -230,17 +230,17 @@ def as_pixels(
 ) -> NDArray[np.float64]:
     """Return values (n,) at positions (n, 2) as (ny, nx), row 0 at the least y, for `traction_map`."""
     nearest = _nearest_sites(outline_m, positions_m)
-    return np.where(nearest == _NOWHERE, OUTSIDE_PASCAL, np.asarray(values_pascal, np.float64)[nearest])
+    return np.where(nearest == _NO_SITE, OUTSIDE_PASCAL, np.asarray(values_pascal, np.float64)[nearest])
 
 
 @lru_cache(maxsize=16)
 def _nearest_sites(outline_m: tuple[Point, ...], positions_m: tuple[Point, ...]) -> NDArray[np.intp]:
     low, high = np.min(outline_m, axis=0), np.max(outline_m, axis=0)
-    pitch_m = float(np.max(high - low)) / _PIXELS
+    pitch_m = float(np.max(high - low)) / _SITE_PIXELS
     nx, ny = np.ceil((high - low) / pitch_m - 1e-6).astype(int)
     x, y = np.meshgrid(
         (low[0] + high[0]) / 2 + (np.arange(nx) - (nx - 1) / 2) * pitch_m,
         (low[1] + high[1]) / 2 + (np.arange(ny) - (ny - 1) / 2) * pitch_m,
     )
     _, nearest = cKDTree(np.array(positions_m)).query(np.stack([x, y], axis=-1))
-    return np.where(inside_outline(outline_m, x, y), nearest, _NOWHERE)
+    return np.where(inside_outline(outline_m, x, y), nearest, _NO_SITE)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _PANELS_IN_A_ROW: Final = 4
 _PANEL_INCHES: Final = (2.6, 3.4)
 
-_INCHES: Final = (9.0, 4.5)
+_CODE_INCHES: Final = (9.0, 4.5)
 
 
 def number_table(first: str, *others: str) -> Table:
@@ -124,7 +124,7 @@ def write_code_figure(
     has_pilot
         Whether the pilot belongs to it.
     """
-    figure = make_figure(_INCHES)
+    figure = make_figure(_CODE_INCHES)
     above, ladder = figure.subplots(1, 2, width_ratios=[1, 1])
     outline_mm = 1e3 * np.vstack([plate.outline_m, plate.outline_m[:1]])
     above.plot(*outline_mm.T, color="0.4", linewidth=1.0)

@@ -28,9 +28,9 @@ _MARGIN_SCALE = 0.7  # of the margin, as a depth is one of length; near 0 ...
 _SLOPE_POWER = 2.0 / 3.0  # ... slopes go with this power of it
 _SETTLED = 0.12  # standard deviations
 
-_EXACT_STD = 1e-3  # of the margin, to which the law is held where mu is exact
-_CHANGED = 0.03  # relative, of a standard deviation
-_LINEAR = 0.05  # standard deviations
+_LAW_STD = 1e-3  # of the margin, to which the law is held where mu is exact
+_LAW_CHANGED = 0.03  # relative, of a standard deviation
+_LAW_LINEAR = 0.05  # standard deviations
 
 
 class Whitening:
@@ -145,7 +145,7 @@ class FrictionLaw(NamedTuple):
         """Return the law of a contact, by index: the more friction its forces use, the less exact it is."""
         rows = slice(PARAMETERS * contact + FORCE_X, PARAMETERS * (contact + 1))
         used = used_friction(parameters[rows], friction.coefficient)
-        return cls(rows, friction.coefficient, max(_EXACT_STD, used * friction.std / friction.coefficient))
+        return cls(rows, friction.coefficient, max(_LAW_STD, used * friction.std / friction.coefficient))
 
     def breach(self, parameters: Floats) -> Breach:
         """Return how far parameters (7 k,) are from the law, and the slopes of that."""
@@ -181,14 +181,16 @@ def sum_of_squares(breaches: Sequence[Breach]) -> float:
 def are_linear(laws: Sequence[FrictionLaw], before: Sequence[Breach], after: Sequence[Breach], moved: Floats) -> bool:
     """Return whether breaches changed with the parameters, moved by (p,), as their slopes have it."""
     return all(
-        abs(new.value - old.value - float(old.slopes @ moved[law.rows])) < _LINEAR
+        abs(new.value - old.value - float(old.slopes @ moved[law.rows])) < _LAW_LINEAR
         for law, old, new in zip(laws, before, after, strict=True)
     )
 
 
 def have_changed(before: Sequence[FrictionLaw], after: Sequence[FrictionLaw]) -> bool:
     """Return whether laws of the same contacts hold to another standard deviation."""
-    return any(abs(new.margin_std / old.margin_std - 1.0) > _CHANGED for old, new in zip(before, after, strict=True))
+    return any(
+        abs(new.margin_std / old.margin_std - 1.0) > _LAW_CHANGED for old, new in zip(before, after, strict=True)
+    )
 
 
 @dataclass(frozen=True)

@@ -44,8 +44,8 @@ _STACK = 16  # frames decoded at once: many more would not stay in the processor
 _BORDER_SHARE = 0.04  # of the energy of f_z on the outermost sites ...
 _BORDER_SIGMAS = 1.5  # ... and their rms over the standard deviation
 
-_ROUNDS = 20  # most rounds of the model's own prediction ...
-_TOLERANCE = 0.3  # ... which end when it changes by less than this share of the noise
+_FILL_ROUNDS = 20  # most rounds of the model's own prediction ...
+_FILL_TOLERANCE = 0.3  # ... which end when it changes by less than this share of the noise
 
 
 class Imputation:
@@ -85,8 +85,8 @@ class Imputation:
         """
         total = self._neighbours_y @ np.where(known, frame, 0.0) @ self._neighbours_x
         filled = predicted = np.where(known, frame, total / (self._neighbours_y @ known @ self._neighbours_x))
-        limit = _TOLERANCE**2 * self._noise_variance * (known.size - known.sum())
-        for n in range(_ROUNDS):
+        limit = _FILL_TOLERANCE**2 * self._noise_variance * (known.size - known.sum())
+        for n in range(_FILL_ROUNDS):
             fit = self._wiener.fit(self._transform.to_spectrum(filled[None]), float(known.mean()))
             change = np.where(known, 0.0, self._transform.to_space(self._wiener.signals(fit))[0] - predicted)
             predicted = predicted + change
