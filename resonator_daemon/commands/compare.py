@@ -1,0 +1,45 @@
+"""Compare two recordings: touches, forces, losses and timing.
+
+Each is replayed with the plate and settings that it carries. Touches correspond to each other by the order of their
+sites. `resonatord replay --check` compares message by message with what is expected.
+
+Example: resonatord compare before.mcap after.mcap --picture difference.svg
+"""
+
+import argparse
+import logging
+from pathlib import Path
+
+from resonator_daemon.commands._argument_types import picture
+from resonator_daemon.commands._output import print_error, print_json, print_page
+from resonator_daemon.errors import ExitCode, NoRecordingError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("a", type=Path, metavar="A.mcap", help="a recording, as from before a change")
+    parser.add_argument("b", type=Path, metavar="B.mcap", help="another one")
+    parser.add_argument("--picture", type=picture, metavar="FILE", help="also draw to a .svg, .png or .pdf file")
+    parser.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    """Print the comparison; FAILED where a recording is damaged or its replay differs from what is recorded."""
+    from resonator_daemon.host.new_file import interruptible
+    from resonator_daemon.links.link import LinkUnavailableError
+    from resonator_daemon.replay.comparison import Comparison, play, problems
+
+    logging.getLogger().setLevel(logging.WARNING)  # connections, and fonts of matplotlib, are not logged here
+    try:
+        with interruptible("nothing was compared"):
+            compared = Comparison(play(arguments.a), play(arguments.b))
+    except LinkUnavailableError as error:
+        raise NoRecordingError(str(error)) from error
+    if arguments.picture is not None:
+        compared.write_picture(arguments.picture)
+    wrong = problems((compared.a, compared.b))
+    if arguments.json:
+        print_json({"verb": "compare", "ok": not wrong, **compared.as_json()})
+    else:
+        print_page(compared.table())
+    print_error(*wrong)
+    return ExitCode.FAILED if wrong else ExitCode.DONE

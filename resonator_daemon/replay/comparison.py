@@ -1,0 +1,212 @@
+"""Two recordings side by side: touches, forces, losses and timing, as a table, as JSON and as a figure."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from difflib import SequenceMatcher
+from pathlib import Path
+from statistics import median
+from typing import Any, NamedTuple
+
+from rich.table import Table
+
+from resonator_daemon.publishing.codec import decoded
+from resonator_daemon.publishing.payloads import ContactEvent, Contacts
+from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS
+from resonator_daemon.replay.recorded_pipeline import RecordingReplay
+from resonator_daemon.replay.run import what_is_wrong
+from resonator_daemon.replay.source import open_replay
+from resonator_daemon.view.pages import make_figure, number_table
+
+
+class Touch(NamedTuple):
+    """A contact from its onset, in seconds of its recording, to its release; NaN for what is not known."""
+
+    site: int
+    onset_s: float
+    duration_s: float
+    peak_newton: float
+
+
+@dataclass
+class Played:
+    """A recording as it was played.
+
+    Attributes
+    ----------
+    touches
+        In the order of their onsets.
+    times_s, force_newton
+        Normal force of all contacts together, (n,), from the first message on; NaN where one is not known.
+    """
+
+    path: Path
+    seconds: float = 0.0
+    frames: int = 0
+    lost: dict[str, int] = field(default_factory=dict)
+    connections: int = 0
+    differences: int = 0
+    damage: str | None = None
+    t_uncertainty_ns: float = math.nan  # median
+    unknown: float = math.nan  # share of the messages in which a force is not known
+    touches: list[Touch] = field(default_factory=list)
+    times_s: list[float] = field(default_factory=list)
+    force_newton: list[float] = field(default_factory=list)
+
+    @property
+    def frame_rate_hz(self) -> float:
+        return self.frames / self.seconds if self.seconds else math.nan
+
+    def as_json(self) -> dict[str, Any]:
+        """Return all but the touches and the series; null for what is not known."""
+        keys = ("seconds", "frames", "frame_rate_hz", "lost", "connections", "t_uncertainty_ns", "unknown", "damage")
+        return {"file": str(self.path), **{key: _known(getattr(self, key)) for key in keys}}
+
+
+def play(path: Path) -> Played:
+    """Play a recording with the plate and settings that it carries.
+
+    Raises
+    ------
+    LinkUnavailableError
+        The file is no recording.
+    ConfigurationError
+        What it carries cannot be used.
+    """
+    result = Played(path)
+    with open_replay(path) as replaying:
+        _collect(result, replaying)
+        counters = replaying.counters
+        result.frames, result.connections = counters.frames, counters.connections
+        result.lost = asdict(counters.lost)
+        result.differences, result.damage = replaying.differences, replaying.damage
+    return result
+
+
+def _collect(result: Played, replaying: RecordingReplay) -> None:
+    begun_ns: int | None = None
+    uncertainties_ns: list[int] = []
+    present: dict[int | None, int] = {}  # number of the touch by the id of its contact
+    for moment in replaying.moments():
+        begun_ns = moment.now.monotonic_ns if begun_ns is None else begun_ns
+        result.seconds = (moment.now.monotonic_ns - begun_ns) * 1e-9
+        for topic, message in moment.messages:
+            payload = decoded(topic.payload, message) if topic in (CONTACTS, CONTACT_EVENT) else None
+            if isinstance(payload, Contacts):
+                uncertainties_ns.append(payload.t_uncertainty_ns)
+                result.times_s.append(result.seconds)
+                result.force_newton.append(sum(contact.force_newton[2] for contact in payload.contacts))
+            elif isinstance(payload, ContactEvent):
+                _add_event(result.touches, present, payload, result.seconds)
+    if uncertainties_ns:
+        result.t_uncertainty_ns = median(uncertainties_ns)
+        result.unknown = sum(map(math.isnan, result.force_newton)) / len(result.force_newton)
+
+
+def _add_event(touches: list[Touch], present: dict[int | None, int], event: ContactEvent, now_s: float) -> None:
+    """Add a touch at the onset of its contact; complete it at the release."""
+    contact = event.contact
+    if event.event == "onset":
+        present[contact.id] = len(touches)
+        touches.append(Touch(contact.site, now_s, math.nan, math.nan))
+    elif event.event == "release" and (number := present.pop(contact.id, None)) is not None:
+        duration_s, peak_newton = contact.duration_s, contact.peak_newton
+        touches[number] = touches[number]._replace(duration_s=duration_s, peak_newton=peak_newton)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two recordings, `a` and `b`, with their touches aligned by the order of their sites."""
+
+    a: Played
+    b: Played
+
+    @property
+    def pairs(self) -> list[tuple[Touch | None, Touch | None]]:
+        """Touches of both that correspond to each other; None beside one that the other recording does not have."""
+        first, second = self.a.touches, self.b.touches
+        sites = ([touch.site for touch in first], [touch.site for touch in second])
+        pairs: list[tuple[Touch | None, Touch | None]] = []
+        for kind, from_a, to_a, from_b, to_b in SequenceMatcher(None, *sites, autojunk=False).get_opcodes():
+            if kind == "equal":
+                pairs += zip(first[from_a:to_a], second[from_b:to_b], strict=True)
+            else:
+                pairs += [(touch, None) for touch in first[from_a:to_a]]
+                pairs += [(None, touch) for touch in second[from_b:to_b]]
+        return pairs
+
+    def as_json(self) -> dict[str, Any]:
+        """Return both recordings, and each pair of touches."""
+        touches = [{"a": _touch_json(one), "b": _touch_json(other)} for one, other in self.pairs]
+        return {"a": self.a.as_json(), "b": self.b.as_json(), "touches": touches}
+
+    def table(self) -> Table:
+        """Return losses, timing and touches of both in columns, and their differences."""
+        table = number_table("", "A", "B", "B - A")
+        for label, one, other, form in self._rows():
+            known = math.isfinite(one) and math.isfinite(other)
+            difference = format(other - one, f"+{form}") if known else ""
+            table.add_row(label, _number(one, form), _number(other, form), difference)
+        return table
+
+    def _rows(self) -> Iterator[tuple[str, float, float, str]]:
+        a, b = self.a, self.b
+        yield "seconds", a.seconds, b.seconds, ".3f"
+        yield "frames", a.frames, b.frames, ".0f"
+        yield "frames a second", a.frame_rate_hz, b.frame_rate_hz, ".1f"
+        yield "connections", a.connections, b.connections, ".0f"
+        for cause in dict.fromkeys((*a.lost, *b.lost)):
+            one, other = a.lost.get(cause, 0), b.lost.get(cause, 0)
+            if one or other:
+                yield f"lost: {cause}", one, other, ".0f"
+        yield "uncertainty of times, µs", 1e-3 * a.t_uncertainty_ns, 1e-3 * b.t_uncertainty_ns, ".1f"
+        yield "messages with an unknown force, %", 100 * a.unknown, 100 * b.unknown, ".2f"
+        yield "touches", len(a.touches), len(b.touches), ".0f"
+        for number, (one_touch, other_touch) in enumerate(self.pairs, 1):
+            touch_a, touch_b = one_touch or _NONE, other_touch or _NONE
+            name = f"touch {number}, site {(one_touch or other_touch or _NONE).site}"
+            yield f"{name}: onset, s", touch_a.onset_s, touch_b.onset_s, ".3f"
+            yield f"{name}: duration, s", touch_a.duration_s, touch_b.duration_s, ".3f"
+            yield f"{name}: peak, N", touch_a.peak_newton, touch_b.peak_newton, ".4f"
+
+    def write_picture(self, path: Path) -> None:
+        """Draw force over time, and the peaks of the touches against each other; UserError without matplotlib."""
+        figure = make_figure((9.0, 4.0))
+        force, peaks = figure.subplots(1, 2, width_ratios=[2, 1])
+        for name, played in (("A", self.a), ("B", self.b)):
+            force.plot(played.times_s, played.force_newton, linewidth=1.0, label=f"{name}: {played.path.name}")
+        force.set_xlabel("s from the beginning")
+        force.set_ylabel("normal force of all contacts, N")
+        force.legend(fontsize="x-small")
+        both = [(one.peak_newton, other.peak_newton) for one, other in self.pairs if one and other]
+        known = [pair for pair in both if all(map(math.isfinite, pair))]
+        if known:
+            peaks.scatter(*zip(*known, strict=True), s=16)
+            peaks.axline((0.0, 0.0), slope=1.0, color="0.7", linewidth=1.0)
+        peaks.set_xlabel("peak in A, N")
+        peaks.set_ylabel("peak in B, N")
+        figure.savefig(path)
+
+
+_NONE = Touch(0, math.nan, math.nan, math.nan)
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if math.isfinite(value) else "-"
+
+
+def _known(value: object) -> object:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _touch_json(touch: Touch | None) -> dict[str, object] | None:
+    return None if touch is None else {key: _known(value) for key, value in touch._asdict().items()}
+
+
+def problems(recordings: Sequence[Played]) -> list[str]:
+    """Return a sentence for each recording that is damaged, or whose replay differs from what is recorded."""
+    return [
+        f"{played.path}: {sentence}"
+        for played in recordings
+        for sentence in what_is_wrong(played.differences, played.damage, "compared")
+    ]
