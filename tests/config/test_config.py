@@ -3,11 +3,12 @@
 from pathlib import Path
 
 import pytest
+from config_files import loaded, refusals
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plates import plate_head, site
 
-from resonator_daemon.config import Config, example_config, load_config
+from resonator_daemon.config import example_config, load_config
 from resonator_daemon.errors import ConfigurationError, ExitCode
 from resonator_daemon.links.carriers.recording import RecordingTarget
 from resonator_daemon.links.carriers.serial import SerialTarget
@@ -21,21 +22,6 @@ MINIMAL = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
 SLOW_PLATE = plate_head("slow", (-1, -1), (1, 1), 1, reference_hz=1e9, frame_rate_hz=250, pilot_hz=10.01e6) + site(
     1, 0, 0, force=(9e6, -6e-6)
 )
-
-
-def loaded(tmp_path: Path, text: str) -> Config:
-    path = tmp_path / "board.toml"
-    path.write_text(text)
-    return load_config(path)
-
-
-def refusals(tmp_path: Path, text: str) -> list[str]:
-    """Return the messages without the path that each begins with."""
-    with pytest.raises(ConfigurationError) as caught:
-        loaded(tmp_path, text)
-    start = f"{tmp_path / 'board.toml'}:"
-    assert all(message.startswith(start) and "\n" not in message for message in caught.value.messages)
-    return [message.removeprefix(start) for message in caught.value.messages]
 
 
 def test_the_example_passes_and_means_what_it_says(tmp_path: Path) -> None:

@@ -3,29 +3,16 @@
 from pathlib import Path
 
 import pytest
+from config_files import loaded, refusals
 
-from resonator_daemon.config import Config, Listen, load_config
-from resonator_daemon.errors import ConfigurationError
+from resonator_daemon.config import Listen
 
 BASE = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
 
 
-def loaded(tmp_path: Path, text: str) -> Config:
-    path = tmp_path / "board.toml"
-    path.write_text(BASE + text)
-    return load_config(path)
-
-
-def refusal(tmp_path: Path, text: str) -> str:
-    with pytest.raises(ConfigurationError) as caught:
-        loaded(tmp_path, text)
-    (message,) = caught.value.messages
-    return message.removeprefix(f"{tmp_path / 'board.toml'}:")
-
-
 def test_nothing_is_recorded_or_served_unasked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/resonatord:/elsewhere")
-    config = loaded(tmp_path, "")
+    config = loaded(tmp_path, BASE)
     recording = config.recording
     assert recording.directory == Path("/var/lib/resonatord/recordings")
     assert (recording.autostart, recording.include_messages) == (False, False)
@@ -46,7 +33,7 @@ def test_nothing_is_recorded_or_served_unasked(tmp_path: Path, monkeypatch: pyte
     ],
 )
 def test_where_figures_can_be_had(tmp_path: Path, text: str, listen: Listen, loopback: bool) -> None:
-    config = loaded(tmp_path, f'[metrics]\nlisten = "{text}"\n')
+    config = loaded(tmp_path, f'{BASE}[metrics]\nlisten = "{text}"\n')
     assert config.metrics.listen == listen
     assert str(listen) == text
     assert [text in note and "127.0.0.1" in note for note in config.notes] == ([] if loopback else [True])
@@ -57,6 +44,6 @@ def test_where_figures_can_be_had(tmp_path: Path, text: str, listen: Listen, loo
                '"127.0.0.1:9464/metrics"', '"me@127.0.0.1:9464"', '"a b:1"', "9464", "true"]
 )  # fmt: skip
 def test_an_address_that_is_none(tmp_path: Path, listen: str) -> None:
-    message = refusal(tmp_path, f"[metrics]\nlisten = {listen}\n")
+    (message,) = refusals(tmp_path, f"{BASE}[metrics]\nlisten = {listen}\n")
     assert message.startswith("4: metrics.listen: got ")
     assert message.endswith('must be "ADDRESS:PORT" with a port from 1 to 65535, as "127.0.0.1:9464" or "[::1]:9464"')

@@ -4,21 +4,16 @@ from datetime import date
 from pathlib import Path
 
 import pytest
+from config_files import loaded
 from plates import with_counter
 
-from resonator_daemon.config import Config, Mqtt, load_config
+from resonator_daemon.config import Mqtt
 from resonator_daemon.config.text import config_of, load_plate_text, load_settings_text, plate_text, settings_text
 from resonator_daemon.links.carriers.recording import RecordingTarget
 from resonator_daemon.plate import Coupling, load_plate, shipped_plates
 
 ORIGIN = Path("run.mcap/plate.toml")
 LINK = RecordingTarget("run.mcap")
-
-
-def loaded(tmp_path: Path, text: str) -> Config:
-    path = tmp_path / "board.toml"
-    path.write_text(text)
-    return load_config(path)
 
 
 @pytest.mark.parametrize("name", shipped_plates())

@@ -3,12 +3,12 @@
 import os
 from pathlib import Path
 
+import config_files
 import pytest
 import trustme
 
-from resonator_daemon.config import Config, load_config
+from resonator_daemon.config import Config
 from resonator_daemon.config.broker_files import BrokerFile, UnusableFileError, read_password
-from resonator_daemon.errors import ConfigurationError
 
 BOARD = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n[mqtt]\n'
 FIRST = 4  # line of the first key
@@ -28,16 +28,12 @@ def _files(tmp_path: Path) -> None:
 
 
 def loaded(tmp_path: Path, table: str) -> Config:
-    path = tmp_path / "board.toml"
-    path.write_text(BOARD + table)
-    return load_config(path)
+    return config_files.loaded(tmp_path, BOARD + table)
 
 
 def refusals(tmp_path: Path, table: str) -> list[str]:
     """Return the messages without the file's path, with the line counted within the table."""
-    with pytest.raises(ConfigurationError) as caught:
-        loaded(tmp_path, table)
-    messages = [message.removeprefix(f"{tmp_path / 'board.toml'}:").partition(":") for message in caught.value.messages]
+    messages = [message.partition(":") for message in config_files.refusals(tmp_path, BOARD + table)]
     return [f"{int(line) - FIRST + 1}:{text}".replace(f"{tmp_path}/", "") for line, _, text in messages]
 
 

@@ -3,20 +3,14 @@
 from pathlib import Path
 
 import pytest
+from config_files import loaded
 from plates import with_counter
 
-from resonator_daemon.config import Config, load_config
 from resonator_daemon.config.changes import Changes, applied, changes
 from resonator_daemon.config.text import plate_text
 from resonator_daemon.plate import load_plate
 
 BASE = 'name = "left"\nplate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
-
-
-def loaded(folder: Path, text: str) -> Config:
-    path = folder / "board.toml"
-    path.write_text(text)
-    return load_config(path)
 
 
 def test_nothing_changed(tmp_path: Path) -> None:

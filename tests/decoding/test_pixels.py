@@ -1,4 +1,4 @@
-"""Tests of the pixel lattice and of the ways between its pixels and other places."""
+"""The pixel lattice over other grids."""
 
 import numpy as np
 import pytest
@@ -18,19 +18,3 @@ def test_other_grids_get_pixels_of_two_fifths_of_the_depth(pitch_m):
     low_m, high_m = lattice.centres_m.min(axis=0), lattice.centres_m.max(axis=0)
     np.testing.assert_allclose(low_m + high_m, 8 * pitch_m, atol=1e-12)
     assert (low_m <= -3.2e-3 + 1e-12).all()
-
-
-def test_interpolation_both_ways_keeps_linear_functions():
-    rng = np.random.default_rng(0)
-    places_m = rng.uniform(-3e-3, 3e-3, (300, 2))
-    lattice = PixelLattice.over(places_m, 1e-3)
-
-    def plane(where_m):
-        return 1.0 + 300.0 * where_m[:, 0] - 200.0 * where_m[:, 1]
-
-    np.testing.assert_allclose(lattice.to_places(places_m)(plane(lattice.centres_m)), plane(places_m), atol=1e-5)
-    onto = lattice.from_places(places_m)
-    mapped = onto.reached
-    np.testing.assert_allclose(onto(plane(places_m))[mapped], plane(lattice.centres_m)[mapped], atol=1e-5)
-    assert mapped[lattice.nearest(np.zeros((1, 2)))].all()
-    assert not mapped[0]

@@ -101,21 +101,6 @@ def test_a_patch_is_a_contact_from_six_standard_deviations_of_its_force(
     assert [event.event for event in events] == expected
 
 
-@pytest.mark.parametrize(("physics", "tolerance"), [(True, 0.01), (False, 0.02)], ids=["contact physics", "linear"])
-def test_net_force_moment_and_centre(rig: Rig, physics: bool, tolerance: float) -> None:
-    force, centre_m = np.array([0.2, -0.1, 1.0]), np.array([0.7e-3, -0.2e-3])
-    followed = follow(rig, [press(1.0, tuple(centre_m), shear_newton=(0.2, -0.1))] * 10, physics=physics)
-    patches = [frame.contacts[0].patch for frame in followed[2:]]
-    found = np.mean([patch.force_newton for patch in patches], axis=0)
-    np.testing.assert_allclose(found, force, atol=tolerance)
-    assert (np.abs(found - force) < 3.0 * np.mean([patch.force_std_newton for patch in patches], axis=0)).all()
-    np.testing.assert_allclose(np.mean([patch.centroid_m for patch in patches], axis=0), centre_m, atol=3e-5)
-    x, y = centre_m
-    moment = np.array([y * force[2], -x * force[2], x * force[1] - y * force[0]])
-    np.testing.assert_allclose(np.mean([patch.moment_newton_m for patch in patches], axis=0), moment, atol=3e-5)
-    assert not patches[0].at_border
-
-
 def test_two_contacts_at_once(rig: Rig) -> None:
     centres_mm, forces = ((-2.3, 0.2), (2.3, -0.3)), (1.0, 0.5)
     both = sum(press(force, (x * 1e-3, y * 1e-3)) for (x, y), force in zip(centres_mm, forces, strict=True))

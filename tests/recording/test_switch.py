@@ -41,9 +41,8 @@ from resonator_daemon.session.link_events import (
     StateAnnounced,
     TimersRun,
 )
-from simulators.emulator import Emulator, EmulatorOptions
+from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
-from simulators.faults.script import Script
 
 SCHEMA = {"title": "Count", "type": "object", "properties": {"count": {"type": "integer"}}}
 ORIGIN = Origin(PLATE, "tcp://board:1")
@@ -123,34 +122,6 @@ def test_a_recording_begun_while_frames_come_is_replayed_with_their_numbers(tmp_
     assert summary is not None
     assert summary == (path, 1, path.stat().st_size, len(events), 0, summary.seconds, None)
     assert 1.0 < summary.seconds < DEADLINE_S
-
-
-def inject(emulator: Emulator, fault: str) -> None:
-    """Inject a fault now, whatever time it is on a busy computer."""
-    now_s = emulator._elapsed_s(emulator._now_ticks())
-    emulator._script = Script(parse_faults(f"{fault}_at_s={now_s:.3f}"), seed=1)
-
-
-@pytest.mark.parametrize("fault", ["unplug_for_s=0.3,unplug", "reboot"])
-def test_a_recording_goes_on_through_a_hang_up(tmp_path: Path, fault: str) -> None:
-    options, link = pseudo_terminal(tmp_path / "board")
-    path = tmp_path / "run.mcap"
-    with emulated(options) as emulator, listening(link) as (it, switch):
-        it.wait_for_frames(500)
-        switch.start(path, Origin(PLATE, str(link)))
-        began_with = frames(it.arrivals)[-1].index
-        inject(emulator, fault)
-        it.wait_for(lambda arrivals: any(gap.first_index > began_with for gap in gaps(arrivals)))
-        wait_for_frames(it, 300)
-        switch.stop()
-        it.take_the_rest()
-    arrivals = check_replay(it.arrivals, path)
-    assert gaps(arrivals)
-    states = [arrival.state for arrival in arrivals if isinstance(arrival, LinkChange)]
-    live = [arrival.state for arrival in it.arrivals if isinstance(arrival, LinkChange)]
-    assert states[0] == "online"
-    assert "lost" in states[1:-1]
-    assert states[:-1] == live[1 - len(states) :]
 
 
 def test_one_recording_runs_at_a_time_and_no_file_is_overwritten(tmp_path: Path) -> None:

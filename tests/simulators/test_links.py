@@ -125,19 +125,3 @@ def test_a_listener_that_hangs_up_refuses_until_it_is_back_on_its_port(tcp: TcpL
     with connect(tcp) as client:
         tcp.write(b"again")
         assert client.recv(5) == b"again"
-
-
-def test_a_terminal_that_is_renamed_hangs_up_and_is_back_under_its_new_name(pty: tuple[PtyLink, Path]) -> None:
-    link, path = pty
-    host_fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
-    link.rename("board.1")
-    with suppress(OSError):
-        assert os.read(host_fd, 1) == b""
-    os.close(host_fd)
-    assert os.listdir(path.parent) == ["board.1"]
-    assert link.address == f"serial:{path.with_name('board.1')}?baud=4000000"
-    link.hang_up()
-    link.rename("board")  # while it is unplugged: for its return
-    assert os.listdir(path.parent) == []
-    link.plug_in()
-    assert os.listdir(path.parent) == ["board"]
