@@ -67,6 +67,8 @@ class Action(StrEnum):
     WOULD_UPDATE = "would_update"
     UNCHANGED = "unchanged"
     KEPT = "kept"  # somebody changed it
+    REMOVED = "removed"
+    WOULD_REMOVE = "would_remove"
     READ_ONLY = "read_only"  # completion and manual, which services do without
 
 
@@ -131,11 +133,74 @@ def install(prefix: Path | None, made: Mapping[str, str], *, dry_run: bool) -> I
     hidden = _hidden(program)
     if hidden and prefix is None and not dry_run:
         raise InstallError(hidden)
-    running = _may_run_commands(prefix, dry_run)
+    running = _may_run_commands(prefix, dry_run, "install")
     placed = [_judge(path, content, dry_run) for path, content in _contents(prefix or Path("/"), program, made)]
     placed = [_write(file) for file in placed]
     commands = [(command, run_command(command) if running else None) for command in _due(prefix is None)]
     return Installation(program, hidden, placed, commands, running)
+
+
+def uninstall(prefix: Path | None, made: Mapping[str, str], *, dry_run: bool) -> Installation:
+    """Stop the services, and remove what `install` put in place and nobody has changed; return what was done.
+
+    Configurations, recordings, states and the user stay.
+
+    Parameters
+    ----------
+    prefix, made, dry_run
+        As of `install`.
+
+    Raises
+    ------
+    InstallError
+        It may not or cannot remove a file, or there is no systemd.
+    """
+    running = _may_run_commands(prefix, dry_run, "uninstall")
+    root = prefix or Path("/")
+    places = [root / place.lstrip("/") for place in (*_PLACES.values(), *made)]
+    pages = [place for place in places if place.parent.name == "man1"]
+    older = {page for folder in {page.parent for page in pages} for page in folder.glob("resonatord*.1")}
+    commands = [(command, run_command(command) if running else None) for command in _due_before(prefix is None)]
+    action = Action.WOULD_REMOVE if dry_run else Action.REMOVED
+    found = [_judge_removal(path, action) for path in dict.fromkeys((*places, *sorted(older)))]
+    placed = [_remove(file) for file in found if file is not None]
+    commands += [(command, run_command(command) if running else None) for command in _due_after(prefix is None)]
+    return Installation(Path(sys.executable).with_name("resonatord"), None, placed, commands, running)
+
+
+def _judge_removal(path: Path, action: Action) -> Placed | None:
+    try:
+        there = path.read_bytes().decode(errors="replace")
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise InstallError(f"{path}: {error.strerror}") from error
+    return Placed(path, there, action if there == sealed(_SEAL.sub("", there)) else Action.KEPT)
+
+
+def _remove(file: Placed) -> Placed:
+    if file.action is Action.REMOVED:
+        try:
+            file.path.unlink()
+        except OSError as error:
+            raise InstallError(f"{file.path} cannot be removed: {error.strerror}") from error
+    return file
+
+
+def _due_before(here: bool) -> list[tuple[str, ...]]:
+    """Return the commands that stop the services of the present system, and disable those that start with it."""
+    if not here or not SYSTEMD_RUNNING.exists():
+        return []
+    wanted = Path("/etc/systemd/system").glob("*.wants/resonatord*@*.service")
+    enabled = tuple(sorted({path.name for path in wanted}))
+    stop = ("systemctl", "stop", "resonatord@*.service", "resonatord-decode@*.service")
+    return [*([("systemctl", "disable", *enabled)] if enabled else []), stop]
+
+
+def _due_after(here: bool) -> list[tuple[str, ...]]:
+    """Return the commands that register the removal on the present system."""
+    reloads = (("systemctl", "daemon-reload"), SYSTEMD_RUNNING), (("udevadm", "control", "--reload"), UDEV_RUNNING)
+    return [command for command, needed in reloads if here and needed.exists()]
 
 
 def _hidden(program: Path) -> str | None:
@@ -150,13 +215,13 @@ def _hidden(program: Path) -> str | None:
     )
 
 
-def _may_run_commands(prefix: Path | None, dry_run: bool) -> bool:
+def _may_run_commands(prefix: Path | None, dry_run: bool, verb: str) -> bool:
     if prefix is not None or dry_run:
         return False
     if shutil.which("systemctl") is None:
         raise InstallError("no systemctl on PATH: this computer has no systemd; see docs/how-to/install.md for others")
     if os.geteuid() != 0:
-        raise InstallError(f"only root may write to /etc: sudo {sys.argv[0]} install, or look first with --dry-run")
+        raise InstallError(f"only root may write to /etc: sudo {sys.argv[0]} {verb}, or look first with --dry-run")
     return True
 
 

@@ -78,6 +78,23 @@ def test_a_changed_file_is_kept_and_an_old_one_is_not(tmp_path: Path, capsys: py
     assert (changed.read_text(), old.read_text()) == (as_changed, as_new)
 
 
+def test_uninstall_removes_what_was_installed_and_nothing_else(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    installed(tmp_path, capsys)
+    own, older = tmp_path / "etc/resonatord/left.toml", tmp_path / SHARE / "man/man1/resonatord-fly.1"
+    own.write_text("mine")
+    older.write_text(module.sealed(".TH RESONATORD-FLY 1\n"))
+    (tmp_path / UNIT).write_text("changed")
+    for dry, action in ((["--dry-run"], "would_remove"), ([], "removed"), ([], None)):
+        assert main(["uninstall", "--prefix", str(tmp_path), "--json", *dry]) == ExitCode.DONE
+        reported = json.loads(capsys.readouterr().out)
+        actions = {str(Path(file["path"]).relative_to(tmp_path)): file["action"] for file in reported["files"]}
+        expected = dict.fromkeys((PLACES | {str(older.relative_to(tmp_path))}) - {UNIT}, action) if action else {}
+        assert (reported["verb"], reported["commands"], actions) == ("uninstall", [], expected | {UNIT: "kept"})
+    assert files_in(tmp_path) == {UNIT, "etc/resonatord/left.toml"}
+
+
 def test_a_file_of_others_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     theirs = tmp_path / UNIT
     theirs.parent.mkdir(parents=True)
