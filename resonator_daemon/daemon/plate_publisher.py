@@ -1,6 +1,6 @@
 """MQTT endpoint of one plate: its topics below its name, and its commands."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Final
 from urllib.parse import quote
@@ -118,6 +118,7 @@ class PlatePublisher:
             on_connected=daemon_state.connected,
             conflict=lambda: daemon_state.conflict,
             never_retained=self._never_retained(),
+            cleared_at_first=self._cleared_at_first(),
             stream_wait_max_s=FRESH_S,
         )
         self._publisher.retain(full_topic(broker.prefix, name, SCHEMA_PATH), asyncapi.encoded(), JSON)
@@ -169,6 +170,11 @@ class PlatePublisher:
             written = [topic for topic in written if topic not in _OF_DECODERS]
         paths = [topic.path for topic in written] + [topic.slow_path for topic in written if topic.slow_hz is not None]
         return [f"{self._base}/{path}" for path in paths]
+
+    def _cleared_at_first(self) -> Sequence[str]:
+        """Return filters of topics at further rates, also those of earlier runs, and of what decoders publish."""
+        rates = [f"{topic.path}/+" for topic in TOPICS.values() if topic.slow_hz is not None]
+        return [f"{self._base}/{path}" for path in (*rates, *(topic.path for topic in _OF_DECODERS))]
 
     def _answer(self, answer: Outgoing) -> None:
         if self._publisher is not None:

@@ -297,6 +297,9 @@ class BrokerConnection:
             self._subscribing[number] = (topic_filter, refused)
         return refused
 
+    def unsubscribe(self, topic_filters: Sequence[str]) -> None:
+        self._client.unsubscribe(list(topic_filters))
+
     def _open(self) -> None:
         """Connect the socket, TLS included; in a thread."""
         if self._broker.username is not None:

@@ -103,6 +103,8 @@ class Publisher:
         Returns whether another publisher uses the same topics: what it overwrites is not restored.
     never_retained
         Topics that this publisher alone writes, without a retained message: those of others are removed.
+    cleared_at_first
+        Filters of topics without a retained message; what others retain there is removed on the first connection alone.
     stream_wait_max_s
         How long a measured message may wait for the socket, in seconds; older ones are skipped.
     times
@@ -122,6 +124,7 @@ class Publisher:
         on_denied: Callable[[str, str], None] = ignore,
         conflict: Callable[[], bool] = lambda: False,
         never_retained: Collection[str] = (),
+        cleared_at_first: Sequence[str] = (),
         stream_wait_max_s: float = math.inf,
         times: ConnectionTimes | None = None,
     ) -> None:
@@ -139,7 +142,11 @@ class Publisher:
         self._account = Account()
         self._outbox = Outbox(self._account, spool_directory, stream_wait_max_s, boot_id=boot_id)
         self._never_retained = never_retained
-        self._retained = RetainedTopics(self._outbox.republish, self._outbox.clear_retained, conflict, never_retained)
+        self._cleared_at_first = cleared_at_first
+        self._is_cleared = not cleared_at_first
+        self._retained = RetainedTopics(
+            self._outbox.republish, self._outbox.clear_retained, conflict, (*never_retained, *cleared_at_first)
+        )
         self._streams: dict[tuple[str, str], _Stream] = {}  # by base and path
         self._denied: set[str] = set()  # filters whose refusal was logged
         self._defects: set[tuple[str, type[Exception]]] = set()  # filters, and kinds of errors that were logged
@@ -362,10 +369,23 @@ class Publisher:
         self._on_connected(self._connections)
         self._outbox.republish(self._outbox.retained_topics)
         try:
+            if not self._is_cleared:
+                await self._receive_retained(client)
             await asyncio.wait([client.lost])
         finally:
             self._client = None
             self._outbox.disconnected()
+
+    async def _receive_retained(self, client: BrokerConnection) -> None:
+        """Receive what is retained on topics that are cleared; meanwhile events wait, as they have this subscriber."""
+        self._outbox.events.pause()
+        try:
+            refused = [client.subscribe(topic_filter, no_local=True) for topic_filter in self._cleared_at_first]
+            await asyncio.wait(refused, timeout=self._times.progress_s)
+            client.unsubscribe(self._cleared_at_first)
+            self._is_cleared = True
+        finally:
+            self._outbox.events.resume()
 
     def _received(self, message: Incoming) -> None:
         self._retained.receive(message)
@@ -381,6 +401,8 @@ class Publisher:
 
     def _denied_by_broker(self, topic_filter: str, reason: str) -> None:
         """Log a denied subscription once, not with each new connection."""
+        if topic_filter in self._cleared_at_first:
+            return
         if topic_filter not in self._denied:
             self._denied.add(topic_filter)
             log.warning("broker denies %s (%s): no messages are received there", topic_filter, reason)

@@ -8,6 +8,8 @@ from collections.abc import Callable, Collection
 from functools import partial
 from typing import Final
 
+from paho.mqtt.client import topic_matches_sub
+
 from resonator_daemon.publishing.mqtt_messages import Incoming
 
 RESTORE_EVERY_S: Final = 1.0
@@ -33,7 +35,7 @@ class RetainedTopics:
     conflict
         Returns whether another daemon publishes under the same name; then nothing is done, as both would do so.
     never_retained
-        Topics without a retained message.
+        Filters of topics without a retained message.
     """
 
     def __init__(
@@ -46,7 +48,7 @@ class RetainedTopics:
         self._republish = republish
         self._clear = clear
         self._conflict = conflict
-        self._never_retained = frozenset(never_retained)
+        self._never_retained = never_retained
         self._loop = asyncio.get_running_loop()
         self._own: defaultdict[str, deque[bytes]] = defaultdict(partial(deque, maxlen=_OWN_MAX))
         self._affected: set[str] = set()
@@ -62,7 +64,7 @@ class RetainedTopics:
 
     def receive(self, message: Incoming) -> None:
         """Handle a message of any sender; on a retained topic, one that the broker had retained is older than ours."""
-        if message.topic in self._never_retained:
+        if self._is_never_retained(message.topic):
             if not (message.retained and message.payload):
                 return
         elif message.retained or message.topic not in self._own or message.payload in self._own[message.topic]:
@@ -88,16 +90,23 @@ class RetainedTopics:
         self._unlogged |= topics
         if self._log_timer is None:
             self._log_timer = self._loop.call_at(max(self._next_log_s, now_s + FIRST_LOG_S), self._log)
-        self._republish(topics - self._never_retained)
-        self._clear(topics & self._never_retained)
+        cleared = set(filter(self._is_never_retained, topics))
+        self._republish(topics - cleared)
+        self._clear(cleared)
+
+    def _is_never_retained(self, topic: str) -> bool:
+        return topic not in self._own and any(
+            topic_matches_sub(topic_filter, topic) for topic_filter in self._never_retained
+        )
 
     def _log(self) -> None:
         """Name all topics that were repaired since the last line."""
         topics, self._unlogged, self._log_timer = self._unlogged, set(), None
         self._next_log_s = self._loop.time() + LOG_EVERY_S
+        cleared = set(filter(self._is_never_retained, topics))
         for done, which in (
-            ("overwrites or clears retained topics, which are restored", topics - self._never_retained),
-            ("retains messages on topics of streams, which are cleared", topics & self._never_retained),
+            ("overwrites or clears retained topics, which are restored", topics - cleared),
+            ("retains messages on topics of streams, which are cleared", cleared),
         ):
             if which:
                 log.warning("another client %s: %s", done, ", ".join(sorted(which)))

@@ -2,10 +2,11 @@
 
 import json
 import time
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import aiomqtt
-from mqtt_helpers import LEFT, Messages, publishing, until
+from mqtt_helpers import LEFT, Messages, happen, heard_events, publishing, until
 from observer import observe
 from paho.mqtt.enums import MQTTProtocolVersion
 
@@ -37,6 +38,24 @@ async def test_what_another_retains_on_streams_is_cleared_live_and_left_from_bef
             assert late.raw(FORCES) == late.raw(HEALTH) == []
     (line,) = [record.getMessage() for record in caplog.records if FORCES in record.getMessage()]
     assert HEALTH in line
+
+
+async def test_what_is_retained_on_topics_of_further_rates_is_cleared_at_first(mosquitto, tmp_path: Path) -> None:
+    rates = [f"{LEFT}/{path}" for path in ("forces/5hz", "contacts/7hz", "contacts/event")]
+    async with publishing("mqtt://127.0.0.1:9", spool_directory=tmp_path) as left:
+        await happen(left, range(3))
+    async with client(mosquitto.url) as other:
+        for topic in (*rates, f"{LEFT}/else/5hz"):
+            await other.publish(topic, b"junk", qos=1, retain=True)
+        filters = (f"{LEFT}/forces/+", f"{LEFT}/contacts/+")
+        async with publishing(mosquitto.url, spool_directory=tmp_path, cleared_at_first=filters) as left:
+            await until(lambda: left.account.resent >= 2)  # no subscriber is there for the events
+            async with observe(mosquitto.url, f"{LEFT}/#") as late:
+                assert [event["seq"] for event in await heard_events(late, 2)] == [0, 1, 2]
+                await other.publish(f"{LEFT}/marker", b"", qos=1)  # comes after what is retained
+                await late.until_count(f"{LEFT}/marker", 1)
+                assert not any(b"junk" in late.raw(topic) for topic in rates)
+                assert late.raw(f"{LEFT}/else/5hz") == [b"junk"]
 
 
 async def test_retained_topics_that_another_overwrites_or_clears_are_restored(mosquitto, caplog) -> None:
