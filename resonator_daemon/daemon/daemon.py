@@ -24,6 +24,7 @@ from resonator_daemon.daemon.recording_commands import RecordingCommands, as_jso
 from resonator_daemon.errors import ConfigurationError, IncompatibleBoardError, UserError
 from resonator_daemon.host.journal import tag_log
 from resonator_daemon.host.places import runtime_directory
+from resonator_daemon.host.state_log import StateLog
 from resonator_daemon.host.systemd import ServiceManager
 from resonator_daemon.monitoring.ages import Ages
 from resonator_daemon.monitoring.daemon_state import DaemonSnapshot, DaemonState
@@ -142,6 +143,7 @@ class Service:
         self._step_ns = round(1e9 * self._pipeline.sensor.step_s)
         self._tasks = asyncio.TaskGroup()
         self._monitor = HealthMonitor()
+        self._state_logs = {STATE_DAEMON: StateLog("daemon", log), STATE_SENSOR: StateLog("sensor", log)}
         self._daemon = DaemonState(self._daemon_boot_id, self._publish_daemon_state, self._plate_publisher.republish)
         self._version = version("resonatord")  # asked for once: it is in a file
         self._manager = ServiceManager()
@@ -339,6 +341,9 @@ class Service:
         return self._decoder
 
     def _publish(self, topic: Topic[Any], message: Message | Encoded) -> None:
+        if (state_log := self._state_logs.get(topic)) is not None and isinstance(message, State):
+            reason = Reason(message.reason_code or ReasonCode.UNSPECIFIED, message.reason)
+            state_log.write(message.state, reason)
         self._plate_publisher.publish(topic, message)
         self._recorded.record(topic, message)
 
@@ -380,6 +385,9 @@ class Service:
             if self._liveness.healthy(self._pipeline.frames, state, self._reader.turns):
                 self._manager.alive()
             self._manager.status(self._sentence())
+            self._reader.flush_log()
+            for state_log in self._state_logs.values():
+                state_log.flush()
             await asyncio.sleep(min(_WATCH_S, self._manager.watchdog_s or _WATCH_S))
 
     def _sentence(self) -> str:

@@ -1,7 +1,6 @@
 """The daemon's own state: what it is doing, how often it connected to the broker, and whether another has its name."""
 
 import json
-import logging
 import time
 from collections.abc import Callable
 from typing import Final, NamedTuple
@@ -16,8 +15,6 @@ _DIGITS_MAX: Final = 19  # of a time in ns
 _OTHERS_MAX: Final = 4  # that are named; nobody runs more under one name, but anyone may claim to
 
 _REMEDY: Final = "stop one of them, or, if they read different boards, give each a name of its own"
-
-log = logging.getLogger(__name__)
 
 
 class DaemonSnapshot(NamedTuple):
@@ -130,7 +127,6 @@ class DaemonState:
             return
         if state == Condition.OFFLINE:
             if boot_id in self._others:
-                log.warning("the other daemon of this name (boot id %s) is gone", boot_id)
                 del self._others[boot_id]
             if boot_id != self._daemon_boot_id:
                 self._republish()
@@ -139,9 +135,6 @@ class DaemonState:
             self._others[boot_id] = _utc_ns(content.get("connected_t_ns"))
         elif boot_id != self._daemon_boot_id and len(self._others) < _OTHERS_MAX:
             self._others[boot_id] = _utc_ns(content.get("connected_t_ns"))
-            log.warning(
-                "another daemon (boot id %s) publishes under this name on %s: %s", boot_id, message.topic, _REMEDY
-            )
             self._announce(self.snapshot)
 
 

@@ -134,6 +134,7 @@ class BoardReader:
     def pop_arrivals(self) -> list[Arrival]:
         """Return what has arrived since the last call, in order."""
         arrivals = self._queue.pop_all()
+        self._log.flush()
         for arrival in arrivals:
             if isinstance(arrival, LinkChange | Outage):
                 self._log.write(arrival)
@@ -143,6 +144,10 @@ class BoardReader:
                 for done in waiting:
                     done(arrival.refused)
         return arrivals
+
+    def flush_log(self) -> None:
+        """Write the sum of frequent changes of the link's state if it is due; `pop_arrivals` does so, too."""
+        self._log.flush()
 
     def blink(self, done: Callable[[str | None], None]) -> None:
         """Ask the board to blink while it counts on; from any thread.

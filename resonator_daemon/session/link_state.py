@@ -5,7 +5,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from resonator_daemon.conditions import Condition
-from resonator_daemon.reasons import Reason
+from resonator_daemon.host.state_log import StateLog
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.frames import Arrival, LinkChange, Outage
 from resonator_daemon.session.link_reasons import OPENING, all_of
@@ -88,19 +89,21 @@ class LinkLog:
     """Writes announcements to the log, in the consumer's thread: the reader must not wait for a log."""
 
     def __init__(self) -> None:
-        self._last: LinkChange | None = None
+        self._states = StateLog("link", log)
+        self._last: tuple[Condition, ReasonCode | None] | None = None
 
     def write(self, event: LinkChange | Outage) -> None:
         if isinstance(event, Outage):
-            seconds = (event.end_utc_ns - event.start_utc_ns) * 1e-9
-            log.info("outage of %.3f s is over, %d frames lost: %s", seconds, event.frames_lost, event.reason.text)
+            if not self._states.sums_up:
+                seconds = (event.end_utc_ns - event.start_utc_ns) * 1e-9
+                log.info("outage of %.3f s is over, %d frames lost: %s", seconds, event.frames_lost, event.reason.text)
             return
-        last, self._last = self._last, event
-        before = last.reason.text if last is not None and event.state is last.state else None
-        doubt = before is not None and event.state is Condition.ONLINE and len(event.reason.text) > len(before)
-        if before is None or doubt:
-            well = event.state in (Condition.STARTING, Condition.ONLINE) and not doubt
-            level = logging.INFO if well else logging.WARNING
-            code, text = event.reason
-            fields = {"resonatord_link_state": event.state, "resonatord_reason_code": code}
-            log.log(level, "link %s (%s): %s", event.state, code, text, extra=fields)
+        # While a link is looked for, its reason may be another one at each attempt.
+        state = event.state, event.reason.code if event.state is Condition.ONLINE else None
+        if state != self._last:
+            self._last = state
+            self._states.write(event.state, event.reason)
+
+    def flush(self) -> None:
+        """Write the sum of frequent changes if it is due."""
+        self._states.flush()

@@ -1,6 +1,7 @@
 """The whole daemon between an emulated board and a real broker, heard by a plain subscriber."""
 
 import asyncio
+import logging
 import threading
 import time
 from collections import Counter
@@ -67,7 +68,10 @@ async def test_a_touch_becomes_messages_on_either_broker(tmp_path: Path, broker:
     assert (info["plate"], info["serial_number"], len(info["sites"])) == ("quartz16", "EMU-0001", 16)
 
 
-async def test_states_for_one_who_comes_late_and_a_farewell(bench: Bench, mosquitto: Mosquitto) -> None:
+async def test_states_for_one_who_comes_late_and_a_farewell(
+    bench: Bench, mosquitto: Mosquitto, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
     async with bench.emulated(scenario="still"):
         async with bench.running(bench.service()), observe(mosquitto.url) as first:
             await first.until_last("resonator/hand/state/sensor", state="online")
@@ -80,6 +84,10 @@ async def test_states_for_one_who_comes_late_and_a_farewell(bench: Bench, mosqui
         assert daemon["daemon_boot_id"] == link["daemon_boot_id"]
         async with observe(mosquitto.url) as after:
             await after.until_last("resonator/hand/state/daemon", state="offline", reason_code="stopped")
+    for subject, code in (("daemon", "measuring"), ("link", "board_counts"), ("sensor", "measuring")):
+        lines = [vars(record) for record in caplog.records if hasattr(record, f"resonatord_{subject}_state")]
+        assert (lines[-1][f"resonatord_{subject}_state"], lines[-1]["resonatord_reason_code"]) == ("online", code)
+        assert lines[-1]["levelno"] == logging.INFO
 
 
 async def test_a_pulled_cable_is_survived_and_said(bench: Bench, mosquitto: Mosquitto) -> None:
