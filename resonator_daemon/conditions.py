@@ -31,7 +31,7 @@ class Word(StrEnum):
 class Condition(Word):
     """The words of the states of daemon, link, sensor and decoder."""
 
-    OFFLINE = "offline", "not running: stopped, or gone without a word (last will)"
+    OFFLINE = "offline", "not running: stopped, or ended without notice (last will)"
     STARTING = "starting", "on the way to online; nothing is wrong yet"
     ONLINE = "online", "working"
     WAITING = "waiting", "what it needs (port, board, network, frames) is not there; tried again for ever"

@@ -187,7 +187,7 @@ class LoadProcedure:
             return
         step = self._steps[0]
         warm = f"bring the plate to {step.kelvin:g} K, then " if step.at_temperature else ""
-        replace = " in place of the last mass, without releasing it" if step.continues else ""
+        replace = " instead of the last mass, without releasing it" if step.continues else ""
         yield Prompt("place", step, f"{warm}place {step.load}{replace}")
 
     def _await_load(self, reading: LoadReading, step: Step) -> Iterator[Prompt]:

@@ -48,12 +48,14 @@ def make_parser(words: Sequence[str] = ()) -> argparse.ArgumentParser:
     """Return the parser of the command that `words` begin with, or of all commands where they name none."""
     parser = _Parser(
         prog="resonatord",
-        description="Acquisition daemon for a quartz-resonator tactile plate: counts to forces, sites, contacts and "
-        "surface traction, published over MQTT.",
-        epilog="Exit codes: 0 done, or stopped where a command runs until it is stopped; 1 the run failed (touches or "
-        "frames lost) or was interrupted; 2 usage, or a recording that is not there; 69 a link, board or broker that "
-        "is not there or cannot be used; 78 configuration, an output that is there already or cannot be made, or a "
-        "limit of fewer than 64 open files. "
+        description="Acquisition daemon for a quartz-resonator tactile plate: forces, sites, contacts and surface "
+        "traction, published over MQTT.",
+        epilog="Exit codes: 0 done, or stopped by Ctrl-C if the command runs until stopped. "
+        "1 the run failed (touches or frames lost) or was interrupted. "
+        "2 wrong usage, or a missing recording. "
+        "69 a link, board or broker is missing or unsuitable. "
+        "78 the configuration is invalid, an output exists already or cannot be created, or fewer than 64 open files "
+        "are allowed. "
         "Start with: resonatord demo",
     )
     hidden = argparse.SUPPRESS  # no argument of a command

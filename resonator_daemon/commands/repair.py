@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
 def _summary(path: Path, copy: Path, done: "Repaired") -> str:
     if done.was_whole:
-        return f"{path} is whole: nothing to repair"
+        return f"{path} is complete: nothing to repair"
     wrong = []
     if not done.ended:
         cut = f", and its last {done.cut_bytes} bytes are left out" if done.cut_bytes else ""

@@ -1,4 +1,4 @@
-"""Replay a recording, from its bytes to messages, or compare cases with what they expect.
+"""Replay a recording, from its bytes to messages, or check regression fixtures.
 
 Example: resonatord replay run.mcap --speed 4
 """
@@ -25,9 +25,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--url", metavar="URL", help=f"the broker (default: that of --config, or {_DEFAULT_URL})")
     where.add_argument("--to", type=Path, metavar="FILE.jsonl", help="a line a message instead; - is stdout")
-    where.add_argument("--save-case", type=Path, metavar="DIR", help="make a case for --check in a new directory")
     where.add_argument(
-        "--check", type=Path, nargs="+", metavar="DIR", help="replay cases, and compare with what they expect"
+        "--save-case", type=Path, metavar="DIR", help="save a regression fixture for --check in a new directory"
+    )
+    where.add_argument(
+        "--check",
+        type=Path,
+        nargs="+",
+        metavar="DIR",
+        help="replay regression fixtures and compare with their expected messages",
     )
     parser.add_argument("--name", help="to publish under (default: the recorded one)")
     pace = parser.add_mutually_exclusive_group()
@@ -64,7 +70,7 @@ def _replay(arguments: argparse.Namespace) -> ExitCode:
     config = load_config(arguments.config) if arguments.config is not None else None
     begun_s = time.monotonic()
     if arguments.save_case is not None:
-        with interruptible("no case is made"):
+        with interruptible("no fixture is saved"):
             case = save_case(path, arguments.save_case)
         result: dict[str, Any] = {"case": str(arguments.save_case), **case.summary}
         wrong = what_is_wrong(case.differences, case.damage)

@@ -150,7 +150,7 @@ class CommandHandlers:
             page = await self._parts.stored_events(request.daemon_boot_id, request.after_seq, EVENTS_BYTES_MAX)
         except UnknownRunError:
             raise CommandRefusedError(
-                "unknown_boot", "no such run of the daemon is on record", "ask without daemon_boot_id"
+                "unknown_boot", "no such run of the daemon is stored", "retry without daemon_boot_id"
             ) from None
         except SpoolError as error:
             raise CommandRefusedError("storage_failed", as_json_text(error), "see the daemon's log") from None
@@ -160,8 +160,8 @@ class CommandHandlers:
     async def _tare(self, _request: Tare) -> TareAnswer:
         sensor = self._adjustable_sensor()
         if reason := await self._parts.apply(control_requests.Tare()):
-            raise CommandRefusedError("not_untouched", reason, "take everything off the plate and ask again")
-        return TareAnswer(message="the present readings count as untouched", common_mode=sensor.common_mode)
+            raise CommandRefusedError("not_untouched", reason, "take everything off the plate and retry")
+        return TareAnswer(message="the present readings are the new zero", common_mode=sensor.common_mode)
 
     async def _set_window(self, request: SetWindow) -> SetWindowAnswer:
         self._adjustable_sensor()

@@ -354,7 +354,11 @@ class Service:
         """Publish the state of the daemon where its reason is another one than before."""
         link = self._pipeline.link
         measuring = link is not None and link.state == Condition.ONLINE
-        now = Reason(ReasonCode.MEASURING, "measuring") if measuring else Reason(ReasonCode.NO_BOARD, "no board counts")
+        now = (
+            Reason(ReasonCode.MEASURING, "measuring")
+            if measuring
+            else Reason(ReasonCode.NO_BOARD, "no board sends frames")
+        )
         reason = all_of(filter(None, (self._in_use.remark, now)))
         if reason != self._reason:
             self._reason = reason

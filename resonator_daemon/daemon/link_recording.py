@@ -166,7 +166,7 @@ class _LinkRecording:
             now_s = time.monotonic()
             if self._first_frame_s is None:
                 if now_s - begun_s > options.open_s:
-                    raise NoBoardError(f"no board counts after {options.open_s:g} s: {self._link}")
+                    raise NoBoardError(f"no board sends frames after {options.open_s:g} s: {self._link}")
             elif options.seconds is not None and now_s - self._first_frame_s >= options.seconds:
                 return
             if now_s - printed_s >= options.progress_s:

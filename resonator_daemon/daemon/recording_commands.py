@@ -31,7 +31,7 @@ from resonator_daemon.recording.switch import (
 log = logging.getLogger(__name__)
 
 _MINUTE_NS: Final = 60 * 10**9
-_DIRECTORY_HINT: Final = "see directory in [recording] of the daemon's configuration, and the room on that disk"
+_DIRECTORY_HINT: Final = "see directory in [recording] of the daemon's configuration, and the free space of that disk"
 
 
 class RecordingCommands:

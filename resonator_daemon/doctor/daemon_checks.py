@@ -76,7 +76,7 @@ def check_status(status: Mapping[str, Any], where: str) -> Iterator[Finding]:
 
 def _sensor(sensor: Mapping[str, Any], *, online: bool) -> Finding:
     state = sensor.get("state")
-    remedy = _REMEDIES.get(state, "stop the daemon and ask again: then the tones are looked at")
+    remedy = _REMEDIES.get(state, "stop the daemon and retry: then each tone is examined")
     words = f"{state}: {sensor.get('reason')}"
     if not online:
         return SENSOR.not_checked("no frames come")

@@ -26,8 +26,8 @@ _OLDEST_UTC_S: Final = datetime(2025, 1, 1, tzinfo=UTC).timestamp()  # no comput
 _TIMEX_BYTES: Final = 208  # struct timex of 64-bit Linux; this much is enough for all others
 _TIME_ERROR: Final = 5  # what adjtimex returns of a clock that is not synchronised
 
-STATE: Final = Check("disk.state", Area.SOFTWARE, "room for state")
-RECORDINGS: Final = Check("disk.recordings", Area.SOFTWARE, "room for recordings")
+STATE: Final = Check("disk.state", Area.SOFTWARE, "space for state")
+RECORDINGS: Final = Check("disk.recordings", Area.SOFTWARE, "space for recordings")
 BUDGET: Final = Check("disk.budget", Area.SOFTWARE, "budget of recordings")
 
 _STATE_MB: Final = 50.0
@@ -76,7 +76,7 @@ def _judge(check: Check, directory: Path, needed_mb: float, consequence: str) ->
     if room.free_mb >= needed_mb:
         return check.ok(figures, Amount(room.free_mb, needed_mb, "MB"))
     return check.fault(
-        f"{figures}: {consequence}", "make room, or name another disk", Amount(room.free_mb, needed_mb, "MB")
+        f"{figures}: {consequence}", "free space on it, or choose another disk", Amount(room.free_mb, needed_mb, "MB")
     )
 
 

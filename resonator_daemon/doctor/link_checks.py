@@ -26,7 +26,7 @@ ROUND_TRIP: Final = Check("link.round_trip", Area.WIRING, "round trip to the boa
 RESET: Final = Check("board.reset", Area.WIRING, "last reset of the board")
 
 FRAMES: Final = Check("board.frames", Area.SENSOR, "frames of the board")
-COUNTS: Final = Check("board.counts", Area.SENSOR, "board counts")
+COUNTS: Final = Check("board.counts", Area.SENSOR, "board sends frames")
 STEADY: Final = Check("link.steady", Area.WIRING, "link stays")
 ERRORS: Final = Check("link.errors", Area.WIRING, "errors on the cable")
 OVERFLOW: Final = Check("link.overflow", Area.WIRING, "frames that the board dropped")
@@ -118,7 +118,7 @@ def _overflow(capture: Capture) -> Finding:
     dropped = capture.after.lost.board_overflow - capture.before.lost.board_overflow
     frames = _all_frames(capture)
     remedy = (
-        "the link takes less than the board counts: raise the baud rate on both ends, use a quicker port, or lower "
+        "the link carries less than the board sends: raise the baud rate on both ends, use a quicker port, or lower "
         "counter.frame_rate_hz of the plate"
     )
     rate_hz = frames / capture.seconds
@@ -178,7 +178,7 @@ def _fits(probed: ProbeResult, plate: Plate) -> Finding:
     problems = incompatibilities(probed.described.description, plate)
     if problems:
         return FITS.fault(all_of(problems).text, "connect the right board, or name the right plate file")
-    return FITS.ok(f"the board counts what plate {plate.name} needs")
+    return FITS.ok(f"the board measures what plate {plate.name} needs")
 
 
 def _unit(probed: ProbeResult, plate: Plate) -> Finding:

@@ -66,7 +66,7 @@ def _absent(path: Path, name: str, host: Host) -> Finding | None:
         stolen = "; brltty is installed, and takes some adapters away" if _brltty_rules(host) else ""
         return EXISTS.fault(
             f"there is no {name}; {instead}{stolen}",
-            "plug the board in, check cable and power, or correct `link` (resonatord ports lists what is there)",
+            "plug the board in, check cable and power, or correct `link` (resonatord ports lists them)",
         )
     if not stat.S_ISCHR(os.stat(path).st_mode):
         return EXISTS.fault(f"{name} is no serial port but a file", "correct `link`; resonatord ports lists the ports")

@@ -98,7 +98,7 @@ def _forces(shift: Floats, plate: Plate) -> Floats:
 def _at_rest(
     touched: np.ndarray[tuple[int], np.dtype[np.bool_]], shift: Floats, plate: Plate, expected: ExpectedTones
 ) -> Finding:
-    remedy = "take everything off the plate, and ask again"
+    remedy = "take everything off the plate and retry"
     readings = len(touched)
     if touched.all():
         return AT_REST.fault("a site is pressed all the time", remedy)
@@ -179,7 +179,7 @@ def _tones(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Findin
             Amount(float(len(uncounted)), 0.0, "tones"),
         )
     if not alive.any():
-        return TONES.not_checked("no channel counts them")
+        return TONES.not_checked("no channel detects them")
     worst = int(np.argmax(off / expected.band))
     return TONES.ok(
         f"{'the only one is' if len(off) == 1 else f'all {len(off)} are'} in band: at most {1e6 * off[worst]:.1f} ppm "
@@ -238,7 +238,7 @@ def _worse(one: Finding, other: Finding) -> Finding:
 def _cross_talk(pair_noise: Floats) -> Finding:
     """Two channels that count by themselves differ by their noise; one that receives the other's tone does not."""
     if not np.isfinite(pair_noise).any():
-        return CROSS_TALK.not_checked("no two channels count the same tone")
+        return CROSS_TALK.not_checked("no two channels detect the same tone")
     mean = known_mean(pair_noise, axis=0)
     if np.nanmax(mean) < 1.0 / _ALIKE_WARNING:
         return CROSS_TALK.not_checked(
@@ -280,7 +280,7 @@ def _drift(times_s: Floats, shift: Floats, std: Floats) -> Finding:
     return DRIFT.judged(
         graded(float(sure[worst]), _DRIFT_PER_S, math.inf),
         evidence,
-        "let plate and board warm up, keep draughts and hands away, and ask again",
+        "let plate and board warm up, keep draughts and hands away, and retry",
         Amount(1e9 * float(sure[worst]), 1e9 * _DRIFT_PER_S, "ppb/s"),
     )
 

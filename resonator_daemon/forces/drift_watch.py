@@ -20,7 +20,7 @@ class DriftWatch:
     """Detector that compares the common mode with that of ten seconds ago.
 
     The baseline is a random walk of 1e-8 in a second (relative frequency); a plate whose common mode moves by more than
-    five standard deviations of that is warmed or cooled, or its reference wanders. What is followed so fast lags
+    five standard deviations of that is warmed or cooled, or its reference drifts. What is followed so fast lags
     behind, and what is held under a touch is soon off by more than is stated. A common mode that does not change is one
     that is held: it carries no information, and the time until it is measured again is granted to the walk.
     """

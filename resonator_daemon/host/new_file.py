@@ -119,7 +119,7 @@ def part_of(path: Path) -> Path:
 
 def part_is_there(part: Path) -> NoNewFileError:
     """Return the error for an existing `.part` name."""
-    return NoNewFileError(f"{part} is there: it is being written, or what wrote it was killed; remove it in that case")
+    return NoNewFileError(f"{part} exists: another process writes it, or was killed; remove it if it was killed")
 
 
 def check_new(path: Path) -> None:
@@ -133,7 +133,7 @@ def check_new(path: Path) -> None:
     if path.is_dir():
         raise NoNewFileError(f"{path} is a directory, name a file in it")
     if os.path.lexists(path) and not takes_a_stream(path):
-        raise NoNewFileError(f"{path} is there already, and nothing is overwritten; name another file")
+        raise NoNewFileError(f"{path} exists already, and nothing is overwritten; choose another file")
 
 
 @contextmanager

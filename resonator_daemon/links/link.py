@@ -60,7 +60,7 @@ class Link(Protocol):
 
 
 def write_timeout() -> LinkLostError:
-    return LinkLostError(ReasonCode.WRITE_TIMEOUT, f"the board took no bytes for {WRITE_TIMEOUT_S:g} s")
+    return LinkLostError(ReasonCode.WRITE_TIMEOUT, f"the board accepted no bytes for {WRITE_TIMEOUT_S:g} s")
 
 
 class FileDescriptorLink:

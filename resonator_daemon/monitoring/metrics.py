@@ -120,7 +120,7 @@ class _Families:
             "resonatord_packets_ignored", "Packets that led to nothing", "cause", health.packets_ignored
         )
         yield self._counters("resonatord_link_bytes", "Bytes from the board by what became of them", "fate", fates)
-        yield self._gauge("resonatord_link_waiting_bytes", "Bytes of a packet that is not whole yet", bytes_waiting)
+        yield self._gauge("resonatord_link_waiting_bytes", "Bytes of an incomplete packet", bytes_waiting)
         yield self._counter("resonatord_link_connections", "Openings of the link", health.connections)
         yield self._counter("resonatord_host_overruns", "Times the port's driver lost bytes", health.host_overruns)
         if math.isfinite(health.clock_drift_ppm):

@@ -54,7 +54,7 @@ async def _ask(path: Path) -> Answer | None:
     except TimeoutError:
         return Answer(path, None, f"runs and gives no answer within {ANSWER_S:g} s: is it stopped, or overloaded?")
     except PermissionError:
-        return Answer(path, None, f"this user may not ask it; {_who_may(path)}")
+        return Answer(path, None, f"this user may not access it; {_who_may(path)}")
     except OSError as error:
         return Answer(path, None, meaning_of(error))
     try:
@@ -95,5 +95,5 @@ def _who_may(path: Path) -> str:
     except KeyError:
         group = str(group_id)
     except OSError:
-        return "ask as the user that the daemon runs as"
+        return "retry as the user that the daemon runs as"
     return f"users of the group {group} may: `sudo usermod -aG {group} $USER`, then log in again"

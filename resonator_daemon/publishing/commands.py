@@ -211,7 +211,7 @@ class Commands:
         await asyncio.wait({work}, timeout=self._deferred_s)
         if not work.done():
             late = f"not done within {self._deferred_s:g} s, and may still be done"
-            self._refuse(command, "timeout", late, "ask for health or state before sending it again")
+            self._refuse(command, "timeout", late, "read health or state before sending it again")
             await asyncio.wait({work})
             if not work.cancelled() and (error := work.exception()) is not None:
                 log.warning("command %s, too late for an answer: %s", command.verb, error)

@@ -239,7 +239,7 @@ class DecodedSummary(Measured):
     )
     reason_code: ReasonCode | None = optional(
         _REASON_CODE
-        + "; `ok` may have one, too: lost signals, matrices that are being prepared, a fit in place of a map"
+        + "; `ok` may have one, too: lost signals, matrices that are being prepared, a fit instead of a map"
     )
     reason: str | None = optional(_REASON)
     patches: tuple[Patch, ...] = Field(description="the contacts, in the order of `contacts`")

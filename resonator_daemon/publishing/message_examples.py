@@ -146,7 +146,7 @@ _COMMAND_VALUES: Final[dict[str, Any]] = {
     "SetRateAnswer.topic": "forces/50hz",
     "SetRateAnswer.rate_hz": 50,
     "SetRateAnswer.until_t_ns": 1789000060000000000,
-    "TareAnswer.message": "the present readings count as untouched",
+    "TareAnswer.message": "the present readings are the new zero",
     "file": "/var/lib/resonatord/recordings/left-index-20261122T101500.250Z-drop.mcap",
     "RecordingInfo.file": None,
     "StopRecordingAnswer.recording": {
@@ -161,7 +161,7 @@ _COMMAND_VALUES: Final[dict[str, Any]] = {
     "Refusal.verb": "tare",
     "Problem.code": "not_untouched",
     "Problem.message": "sites are touched",
-    "Problem.hint": "take everything off the plate and ask again",
+    "Problem.hint": "take everything off the plate and retry",
 }
 
 ModelT = TypeVar("ModelT", bound=BaseModel)

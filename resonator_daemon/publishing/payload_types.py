@@ -124,7 +124,7 @@ class Lost(Message):
     damaged: int = optional_number("frames that arrived with a wrong checksum")
     board_overflow: int = optional_number("frames that the board discarded")
     host_overrun: int = optional_number(
-        "frames lost by the driver of the host's serial port, which had no room for their bytes"
+        "frames lost by the driver of the host's serial port, which had no space for their bytes"
     )
     queue_overflow: int = optional_number("frames that the daemon discarded before measuring")
     publish_dropped: int = optional_number(

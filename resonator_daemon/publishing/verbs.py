@@ -65,7 +65,7 @@ ErrorCode = Literal[
 ERRORS: Final[dict[ErrorCode, str]] = {
     "unknown_verb": "there is no such command",
     "not_permitted": "it changes something, and the configuration does not allow it",
-    "payload": "no such JSON object as the verb takes, an empty payload, or more than 16 KiB",
+    "payload": "not a JSON object of this command, an empty payload, or more than 16 KiB",
     "response_topic": "a topic with wildcards, or a daemon's own outside `rsp/`: answers would pass for its messages",
     "correlation": "correlation data of more than 1024 bytes, which the answer does not repeat",
     "too_many": "more than 20 at once, or 10 a second; most of those get no answer at all",
@@ -165,7 +165,7 @@ class SnapshotAnswer(Answer):
 
     verb: Literal["snapshot"] = "snapshot"
     messages: dict[str, SerializeAsAny[Message]] = Field(description="by topic; none of those that had no message yet")
-    omitted: tuple[str, ...] = Field(description="topics whose messages would make the answer too long: ask for fewer")
+    omitted: tuple[str, ...] = Field(description="topics whose messages would make the answer too long: request fewer")
 
 
 class Events(Request):

@@ -15,7 +15,7 @@ class ResponseCompensation(Word):
     """Whether hysteresis and creep of the sites are taken out."""
 
     ON = "on", "hysteresis and creep are taken out"
-    OFF = "off", "they were not calibrated; `systematic_newton` holds their usual size"
+    OFF = "off", "they were not calibrated; `systematic_newton` includes their typical size"
 
 
 class ContactChange(Word):

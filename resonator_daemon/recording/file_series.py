@@ -147,7 +147,7 @@ class DiskSpace:
         if free_bytes < keep_bytes * (_AGAIN if again else 1.0):
             raise NoRoomError(
                 f"{directory} has {free_bytes / 1e6:.0f} MB left, and {keep_bytes / 1e6:.0f} MB are kept free "
-                "(min_free_mb in [recording]); make room on that disk"
+                "(min_free_mb in [recording]); free space on that disk"
             )
 
     def begin(self) -> None:

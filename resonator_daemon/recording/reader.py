@@ -152,7 +152,7 @@ class Origin:
 
 def damage_in_words(damage: str, done: str) -> str:
     """Return a sentence for the damage of a file, what was done with what came before it, and the remedy."""
-    return f"the file is {damage}; all before that was {done}; resonatord repair FILE copies all that is whole"
+    return f"the file is {damage}; all before that was {done}; resonatord repair FILE copies all complete parts"
 
 
 @dataclass(eq=False)

@@ -216,7 +216,7 @@ def _made(path: Path) -> BufferedWriter:
     try:
         return path.open("xb")
     except FileExistsError as error:
-        remedy = "name a file in it" if path.is_dir() else "and nothing is overwritten; name another file"
-        raise NoNewFileError(f"{path} is {'a directory' if path.is_dir() else 'there already'}, {remedy}") from error
+        remedy = "choose a file in it" if path.is_dir() else "and nothing is overwritten; choose another file"
+        raise NoNewFileError(f"{path} {'is a directory' if path.is_dir() else 'exists already'}, {remedy}") from error
     except OSError as error:
         raise NoNewFileError(f"{path} cannot be written: {meaning_of(error)}") from error

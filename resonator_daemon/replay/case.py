@@ -157,7 +157,7 @@ def save_case(recording: Path, directory: Path) -> Outcome:
 
 def _check_free(directory: Path) -> None:
     if os.path.lexists(directory):
-        raise NoNewFileError(f"{directory} is there already, and nothing is overwritten; name another directory")
+        raise NoNewFileError(f"{directory} exists already, and nothing is overwritten; choose another directory")
 
 
 def write_expected(outcome: Outcome, directory: Path) -> None:
@@ -223,7 +223,7 @@ def read_expected(directory: Path) -> Expected:
         head = next(lines)
         if head["format"] != FORMAT:
             raise ConfigurationError(
-                f"{path} has format {head['format']!r}, this version reads {FORMAT}; save the case again"
+                f"{path} has format {head['format']!r}, this version reads {FORMAT}; save the fixture again"
             )
         checked = _Head.model_validate(head)
         summary = {key: value for key, value in head.items() if key not in ("format", "sha256")}
@@ -231,11 +231,11 @@ def read_expected(directory: Path) -> Expected:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "line"
-        raise ConfigurationError(f"{path} cannot be read ({key}: {first['msg']}); save the case again") from error
+        raise ConfigurationError(f"{path} cannot be read ({key}: {first['msg']}); save the fixture again") from error
     except OSError as error:
-        raise ConfigurationError(f"{path}: {meaning_of(error)}; cases are made by replay --save-case") from error
+        raise ConfigurationError(f"{path}: {meaning_of(error)}; replay --save-case makes fixtures") from error
     except (ValueError, EOFError, KeyError, TypeError, StopIteration, RecursionError) as error:
-        raise ConfigurationError(f"{path} cannot be read ({error}); save the case again") from error
+        raise ConfigurationError(f"{path} cannot be read ({error}); save the fixture again") from error
 
 
 def _objects(path: Path) -> Iterator[dict[str, Any]]:

@@ -149,7 +149,7 @@ def check_cases(directories: Sequence[Path], *, as_json: bool) -> ExitCode:
             if not as_json:
                 sys.stdout.write(_text(verdict))
     except KeyboardInterrupt:
-        words = f"{len(verdicts)} of {len(set(directories))} cases checked, {_bad(verdicts)} differ"
+        words = f"{len(verdicts)} of {len(set(directories))} fixtures checked, {_bad(verdicts)} differ"
         so_far = {"cases": [verdict.as_json() for verdict in verdicts]}
         raise InterruptedCommandError(f"interrupted: {words}", so_far) from None
     bad = _bad(verdicts)
@@ -157,7 +157,7 @@ def check_cases(directories: Sequence[Path], *, as_json: bool) -> ExitCode:
         cases = [verdict.as_json() for verdict in verdicts]
         sys.stdout.write(json.dumps({"verb": "replay", "ok": not bad, "cases": cases}) + "\n")
     else:
-        sys.stderr.write(f"{len(verdicts)} cases, {bad} differ\n")
+        sys.stderr.write(f"{len(verdicts)} fixtures, {bad} differ\n")
     return ExitCode.FAILED if bad else ExitCode.DONE
 
 

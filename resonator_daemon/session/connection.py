@@ -384,7 +384,7 @@ class Connection:
             return  # the answer of a board that was asked to go on
         given = event.configuration.gate_ticks
         if given != self._gate_ticks:
-            words = f"the board counts gates of {given} ticks, {self._gate_ticks} were asked for"
+            words = f"the board acquires gates of {given} ticks instead of {self._gate_ticks}"
             raise BoardRefusedError(Reason(ReasonCode.WRONG_GATE, words))
         continues = self._numbering.continues(self.described.boot_id, self._receiver.newest_ticks)
         self._numbering.started(self._now.monotonic_ns)

@@ -103,7 +103,7 @@ def test_a_series_goes_on_without_release(tmp_path: Path) -> None:
         ("untouched", 0), ("place", 1), ("captured", 1), ("place", 2), ("captured", 2), ("place", 3), ("captured", 3),
         ("remove", 3),
     ]  # fmt: skip
-    assert news[3].text == "place 300 g on site 7 in place of the last mass, without releasing it"
+    assert news[3].text == "place 300 g on site 7 instead of the last mass, without releasing it"
     force = [
         procedure.force_newton(6, procedure.loadings[number].shift, procedure.untouched.common_mode[-1])
         for number in (1, 2, 3)

@@ -120,7 +120,7 @@ def test_the_plates_own_file_is_changed_and_no_other(tmp_path: Path) -> None:
     config = config_of(tmp_path, "mine.toml")
     assert PlateFile.of(config, None).output == tmp_path / "mine.toml"
     assert PlateFile.of(config, tmp_path / "mine.toml").output == tmp_path / "mine.toml"
-    with pytest.raises(NoNewFileError, match=r"other\.toml is there already"):
+    with pytest.raises(NoNewFileError, match=r"other\.toml exists already"):
         PlateFile.of(config, tmp_path / "other.toml")
     with pytest.raises(NoNewFileError, match="no directory that can be written to"):
         PlateFile.of(config, tmp_path / "nowhere" / "mine.toml")

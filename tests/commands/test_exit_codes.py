@@ -84,7 +84,7 @@ def test_an_output_that_is_there_is_not_overwritten(
     (tmp_path / "board.toml").write_text('plate = "quartz16"\nlink = "tcp://127.0.0.1:9"\n')
     (tmp_path / "there").write_bytes(b"mine")
     assert exit_code(*shlex.split(line)) == 78
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
     assert (tmp_path / "there").read_bytes() == b"mine"
 
 

@@ -67,7 +67,7 @@ def test_a_second_of_a_board_is_recorded(tmp_path: Path) -> None:
     assert sum(len(event.data) for event in events if isinstance(event, Received)) == report["bytes_received"]
     # Nothing is overwritten, and a program is told so as well.
     assert again.returncode == 78
-    assert again.stderr == f"resonatord: {output} is there already, and nothing is overwritten; name another file\n"
+    assert again.stderr == f"resonatord: {output} exists already, and nothing is overwritten; choose another file\n"
     assert json.loads(again.stdout)["error"]["code"] == "output"
 
 
@@ -124,7 +124,7 @@ def test_a_board_that_sends_no_frame_is_not_waited_for_without_end(tmp_path: Pat
     faults = parse_faults("silence_at_s=0,silence_for_s=60")
     with (
         emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
-        pytest.raises(NoBoardError, match=r"no board counts after 0\.8 s: "),
+        pytest.raises(NoBoardError, match=r"no board sends frames after 0\.8 s: "),
     ):
         record(config(tmp_path, f"serial:{port}?baud=4000000"), RecordOptions(tmp_path / "run.mcap", open_s=0.8))
 

@@ -71,7 +71,7 @@ async def test_a_daemon_that_does_not_follow_contacts_has_no_events(bench: Bench
 
 async def test_tare(bench: Bench) -> None:
     said = await bench.ask("tare")
-    assert said == {"message": "the present readings count as untouched", "common_mode": [1e-6, None, None, None]}
+    assert said == {"message": "the present readings are the new zero", "common_mode": [1e-6, None, None, None]}
     bench.daemon.touched = "site 7 is touched"
     refused = await bench.refusal("tare")
     assert (refused.code, refused.message) == ("not_untouched", "site 7 is touched")

@@ -129,7 +129,7 @@ def test_nothing_is_overwritten(form: str, tmp_path: Path, capsys: pytest.Captur
     (tmp_path / name).write_text("mine")
     assert export(recording("touches"), *output(tmp_path, form)) == 78
     assert (
-        f"{tmp_path / name} is there already, and nothing is overwritten; name another file" in capsys.readouterr().err
+        f"{tmp_path / name} exists already, and nothing is overwritten; choose another file" in capsys.readouterr().err
     )
     assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
 

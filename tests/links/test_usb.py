@@ -138,7 +138,7 @@ def test_a_board_that_stalls_without_end_is_given_up(board: BoardEnd[UsbLink], h
 def test_a_board_that_takes_no_bytes(board: BoardEnd[UsbLink], host: UsbHost) -> None:
     host.run(f"open_link({LINK!r})")
     board.answers.clear()
-    assert loss(host, "while True: link.write(bytes(60000))") == "the board took no bytes for 1 s"
+    assert loss(host, "while True: link.write(bytes(60000))") == "the board accepted no bytes for 1 s"
 
 
 def test_a_board_that_does_not_begin(board: BoardEnd[UsbLink], host: UsbHost) -> None:

@@ -109,7 +109,7 @@ def test_a_difference_is_printed_and_ends_with_a_failure(tmp_path: Path, capsys:
     assert said.out.startswith("DIFFERS refused: 1 differences\n        state/link at ")
     assert 's: state: expected "online", got "refused"\n' in said.out
     assert "ok      overload: " in said.out
-    assert said.err.endswith("2 cases, 1 differ\n")
+    assert said.err.endswith("2 fixtures, 1 differ\n")
     assert check_cases([case], as_json=True) is ExitCode.FAILED
     told = json.loads(capsys.readouterr().out)
     assert (told["ok"], told["cases"][0]["differences"]) == (False, 1)
@@ -164,5 +164,5 @@ def test_a_case_that_is_interrupted_leaves_nothing(
     monkeypatch.setattr("resonator_daemon.replay.case.write_expected", interrupted)
     recording = CORPUS / "refused" / "recording.mcap"
     assert main(["replay", str(recording), "--save-case", str(tmp_path / "case")]) == 1
-    assert capsys.readouterr().err == "resonatord: interrupted: no case is made\n"
+    assert capsys.readouterr().err == "resonatord: interrupted: no fixture is saved\n"
     assert list(tmp_path.iterdir()) == []

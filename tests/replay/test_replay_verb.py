@@ -60,7 +60,7 @@ def test_all_messages_go_to_a_file(tmp_path: Path, capsys: pytest.CaptureFixture
     assert lines(output)[-1]["payload"]["daemon_boot_id"] == "0123456789abcdef"
     assert replay(TOUCHES, "--to", output) == 78
     assert capsys.readouterr().err == (
-        f"resonatord: {output} is there already, and nothing is overwritten; name another file\n"
+        f"resonatord: {output} exists already, and nothing is overwritten; choose another file\n"
     )
 
 
@@ -137,7 +137,7 @@ def test_a_damaged_file_is_played_up_to_there(case: str, capsys: pytest.CaptureF
     assert replay(CORPUS / case / "recording.mcap", "--to", "-") == 1
     said = capsys.readouterr()
     assert said.out.count('"topic":"forces"') >= 30
-    assert said.err.splitlines()[-1].endswith("; resonatord repair FILE copies all that is whole")
+    assert said.err.splitlines()[-1].endswith("; resonatord repair FILE copies all complete parts")
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_number(parser, "--pitch-mm", 0.1, 1000, "from site to site of the grid")
     tones = parser.add_argument_group("tones")
     add_number(tones, "--f0-mhz", 0.1, 1000, "the ladder begins one step below (default: 10)")
-    add_number(tones, "--sensitivity-ppm-per-newton", -1e5, 1e5, "K of a usual site, signed (default: -6.3)")
+    add_number(tones, "--sensitivity-ppm-per-newton", -1e5, 1e5, "K of a typical site, signed (default: -6.3)")
     add_number(tones, "--sensitivity-spread", 0, 0.8, "largest relative difference from that (default: 0.3)")
     add_number(tones, "--tolerance-ppm", 0, 1e4, "how far a tone may lie from its code (default: 20)")
     add_number(tones, "--pull-ppm", 0, 1e4, "how far a corner may pull a tone (default: 25)")
