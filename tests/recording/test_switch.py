@@ -140,7 +140,7 @@ def test_one_recording_runs_at_a_time_and_no_file_is_overwritten(tmp_path: Path)
     assert before_ns <= now.since_utc_ns <= time.time_ns()
     switch.stop()
     assert switch.current is None
-    with pytest.raises(UserError, match=r"one\.mcap is exists already, and nothing is overwritten"):
+    with pytest.raises(UserError, match=r"one\.mcap exists already, and nothing is overwritten"):
         switch.start(tmp_path / "one.mcap", ORIGIN)
     assert switch.current is None
 
