@@ -69,13 +69,3 @@ def test_following_is_as_good_as_fits_of_single_frames(
         found = fitter.fit(signals, noise, starts)
         assert list(found) == list(starts)
         assert_alike(found.values(), fit_partial_slip(discs, signals, noise, list(starts.values())))
-
-
-def test_noise_that_changes_from_frame_to_frame(discs: DiscModel) -> None:
-    rng, fitter, (scene,) = np.random.default_rng(1), SlipFitter(discs), sliding(1)[0]
-    for factor in (1.0, 1.0, 3.0, 0.5):
-        noise = factor * noise_std(scene.signals, 20.0) * np.exp(0.3 * rng.standard_normal((3, 1024)))
-        signals = scene.signals + noise * rng.standard_normal(noise.shape)
-        starts = [start(scene, Friction(0.5, 0.02))]
-        found = fitter.fit(signals, noise, dict(enumerate(starts)))
-        assert_alike(found.values(), fit_partial_slip(discs, signals, noise, starts))

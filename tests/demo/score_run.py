@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from example_messages import example
+from example_messages import example, header
 from numpy.typing import NDArray
 
 from resonator_daemon.demo.score import Accuracy, PlateScore
@@ -30,15 +30,7 @@ MS = 1_000_000
 FRAME_NS = MS
 TICKS = 1000  # in a gate
 PITCH_M = 4e-4
-HEADER: dict[str, Any] = {
-    "seq": 0,
-    "name": "left-index",
-    "daemon_boot_id": "9f3c",
-    "board_boot_id": "51aa",
-    "t_ns": T0_NS,
-    "t_uncertainty_ns": 0,
-    "lost": Lost(),
-}
+HEADER = header(seq=0, t_ns=T0_NS)
 FAR_NS = T0_NS + 10**12
 
 

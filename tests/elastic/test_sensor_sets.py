@@ -72,25 +72,6 @@ def test_signals_are_dimensionless_and_per_twice_the_shear_modulus(nu: float):
     )
 
 
-@pytest.mark.parametrize("components", [("p_n",), ("zz", "xy"), BEST, COMPONENTS])
-def test_singular_values_are_the_extent_of_what_unit_loads_cause(components: tuple[str, ...]):
-    sensors = sensor_set(*components, nu=0.3)
-    rng = np.random.default_rng(3)
-    for wx, wy in np.transpose(random_frequencies(5)):
-        matrix, values = sensors.matrix(wx, wy), sensors.singular_values(wx, wy)
-        gram = np.linalg.eigvalsh(matrix.conj().T @ matrix)[::-1]
-        np.testing.assert_allclose(values**2, np.maximum(gram, 0.0), atol=1e-14 * gram[0])
-        loads = rng.standard_normal((2000, 3)) + 1j * rng.standard_normal((2000, 3))
-        caused = np.linalg.norm(loads @ matrix.T, axis=1) / np.linalg.norm(loads, axis=1)
-        assert values[2] * (1 - 1e-9) <= caused.min()
-        assert values[0] * 0.9 < caused.max() <= values[0] * (1 + 1e-9)
-        assert sensors.rank(wx, wy) == min(len(components), 3)
-        if len(components) < 3:
-            assert math.isinf(sensors.condition(wx, wy))
-        else:
-            assert sensors.condition(wx, wy) == pytest.approx(values[0] / values[2])
-
-
 def test_condition_of_the_best_set():
     """Across omega a factor of one; along it and z the block [[j, -1], [-(1 - t), j t]], of determinant one."""
     sensors = sensor_set(*BEST)

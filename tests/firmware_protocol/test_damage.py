@@ -109,27 +109,6 @@ def test_no_damaged_packet_is_accepted_and_the_next_one_is_found(corrupt: Corrup
     assert damaged >= 40_000
 
 
-AWKWARD_FRAME = FRAMES[1]
-NEXT = encode_packet(0x90, 9, b"next", boot_id=7)
-
-
-@pytest.mark.parametrize("frame", [FRAMES[0], AWKWARD_FRAME], ids=["random", "full of sync words"])
-def test_the_next_packet_is_found_after_damage_at_every_byte(frame: bytes) -> None:
-    expected = Packet(0x90, 9, 0, 7, b"next")
-    for at in range(FRAME_BYTES):
-        damages = [frame[:at] + frame[at + 1 :], frame[:at] + bytes((frame[at] ^ 0xFF,)) + frame[at + 1 :]]
-        damages += [frame[:at] + inserted + frame[at:] for inserted in (b"\xa5", b"\x5a", SYNC, b"\x00")]
-        damages += [frame[:at], frame[at + 1 :]]
-        for damaged in damages:
-            if damaged in (b"", frame) or frame in damaged:
-                continue
-            # Behind a frame that lacks bytes, more than its promise must come before it is given up.
-            found = PacketDecoder(from_board=True).feed(damaged + NEXT + frame)
-            assert expected in found, (at, damaged)
-            assert isinstance(found[0], Damage)
-            assert found[0].size_bytes == len(damaged)
-
-
 def test_packets_behind_a_promise_that_is_not_kept_are_late_and_not_lost() -> None:
     long_head = encode_packet(0x91, 1, bytes(8944), boot_id=7)[:100]
     decoder = PacketDecoder(from_board=True)

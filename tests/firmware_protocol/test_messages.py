@@ -1,7 +1,6 @@
-"""Field lists: round trips, unknown fields, and what is malformed."""
+"""Field lists: absent fields and texts; the vectors have round trips and what is malformed."""
 
 import pytest
-from hypothesis import strategies as st
 
 from firmware_protocol.messages import (
     BoardLog,
@@ -12,10 +11,6 @@ from firmware_protocol.messages import (
     decode_message,
     encode_message,
 )
-
-numbers = st.integers(0, 2**64 - 1)
-# What steers a terminal or a line of a log is replaced, see below.
-short_text = st.text(st.characters(exclude_categories=("Cc", "Cf", "Cs", "Zl", "Zp")), max_size=60)
 
 
 def test_fields_that_may_be_absent_have_the_meanings_of_the_page() -> None:

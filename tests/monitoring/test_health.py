@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import status_samples
+from example_messages import header
 
 from resonator_daemon.monitoring import health
 from resonator_daemon.monitoring.health import HealthMonitor
@@ -19,15 +20,7 @@ MESSAGES = status_samples.health().messages
 LATENCY = {"forces": LatencyInfo(bounds_ms=(1.0, 2.0), counts=(7, 3, 1))}
 RECORDING = status_samples.RECORDING
 COMMANDS = {"done": 2, "denied": 1}
-HEADER = {
-    "name": "hand",
-    "seq": 0,
-    "daemon_boot_id": "9f3c",
-    "board_boot_id": None,
-    "t_ns": 1,
-    "t_uncertainty_ns": 0,
-    "lost": Lost(damaged=9),
-}
+HEADER = header(lost=Lost(damaged=9))
 
 
 class Process:

@@ -80,17 +80,6 @@ def test_pulling_the_plug_ends_the_host_and_its_return_has_the_same_name(pty: tu
         assert port.read(5) == b"again"
 
 
-def test_a_second_client_is_turned_away_and_the_first_stays(tcp: TcpLink) -> None:
-    with connect(tcp) as first, ExitStack() as stack:
-        host, port = tcp.address.removeprefix("tcp://").rsplit(":", 1)
-        second = stack.enter_context(socket.create_connection((host, int(port)), timeout=WAIT_S))
-        assert select.select(tcp.read_fds, [], [], WAIT_S)[0]
-        tcp.read()
-        assert second.recv(1) == b""
-        tcp.write(b"on")
-        assert first.recv(2) == b"on"
-
-
 def test_a_client_that_vanished_gives_way_to_another() -> None:
     now = [100.0]
     link = TcpLink("127.0.0.1", 0, clock=lambda: now[0])

@@ -20,7 +20,6 @@ from resonator_daemon.tones.frequency_estimators import (
     oscillator_std,
     pi_counter_std,
     pi_frequency_hz,
-    stamp_std_ticks,
 )
 
 
@@ -89,11 +88,6 @@ def test_frequency_is_that_of_a_least_squares_line(steps, stride):
 def jittered(rng, stamps, jitter_ticks, interval=1000.37):
     times = interval * np.arange(stamps) + rng.normal(0, jitter_ticks, stamps) + rng.random()
     return np.floor(times).astype(np.int64).tolist()
-
-
-def test_stamp_noise_from_second_differences():
-    sums = sums_of(jittered(np.random.default_rng(5), 20_000, 0.6))
-    assert stamp_std_ticks(sums) == pytest.approx(np.sqrt(0.6**2 + 1 / 12), rel=0.02)
 
 
 @given(steps=st.lists(st.integers(90, 110), min_size=4, max_size=40), stride=st.integers(1, 1000), data=st.data())
