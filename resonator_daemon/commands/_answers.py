@@ -1,6 +1,5 @@
 """Commands to a running daemon over MQTT, and its answers as text or JSON."""
 
-import asyncio
 import json
 import sys
 from collections.abc import Callable, Mapping
@@ -38,6 +37,8 @@ async def send_command(
     UserError
         There is no broker, no such daemon or no answer.
     """
+    import asyncio
+
     from resonator_daemon.publishing.daemon_search import find_daemon
     from resonator_daemon.publishing.requests import reach, request
 

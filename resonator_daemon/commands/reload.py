@@ -7,7 +7,6 @@ Example: resonatord reload left-index
 """
 
 import argparse
-import asyncio
 import os
 import signal
 import sys
@@ -40,6 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     """Print each key that changed; FAILED where the file cannot be used."""
+    import asyncio
+
     config = asyncio.run(_reload(arguments.name))
     problems, changes = config.get("problems", ()), config.get("changes", ())
     if arguments.json:
@@ -58,6 +59,8 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
 async def _reload(name: str) -> dict[str, Any]:
     """Return `config` of the status after the daemon has read its file again."""
+    import asyncio
+
     before = await _ask(name)
     pid, reloads = before["pid"], before["config"].get("reloads", 0)
     try:
