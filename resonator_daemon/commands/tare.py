@@ -9,10 +9,11 @@ Example: resonatord tare left-index.toml
 import argparse
 import logging
 from collections.abc import Mapping
+from pathlib import Path
 
 from resonator_daemon.commands._answers import print_answer, send_command
 from resonator_daemon.commands._argument_types import add_config, number
-from resonator_daemon.errors import ExitCode
+from resonator_daemon.errors import ConfigurationError, ExitCode
 from resonator_daemon.host.printable import print_note
 
 
@@ -31,9 +32,21 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.config import load_client
 
     def waiting(refusal: Mapping[str, object]) -> None:
-        print_note(f"{refusal.get('message')}; waiting up to {arguments.wait:g} s for untouched readings")
+        needed = _needed(arguments.config)
+        print_note(f"{refusal.get('message')}; waiting up to {arguments.wait:g} s for an untouched reading{needed}")
 
     logging.getLogger().setLevel(logging.WARNING)  # connections are not logged here
     client = load_client(arguments.config)
     answer = asyncio.run(send_command(client, "tare", {}, wait_s=arguments.wait, on_wait=waiting))
     return print_answer(answer, "not tared", as_json=arguments.json, only="message")
+
+
+def _needed(config_path: Path) -> str:
+    """Return how long a reading takes, by the daemon's configuration; empty for a file of the client alone."""
+    from resonator_daemon.config import load_config
+
+    try:
+        window_ms = load_config(config_path).measurement.window_ms
+    except ConfigurationError:
+        return ""
+    return f", which takes {window_ms:g} ms once frames come"
