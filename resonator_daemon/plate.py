@@ -106,7 +106,7 @@ CounterType = Literal["single-tone", "channelised"]
 
 
 class Counter(Table):
-    """What the board counts, and against which clock."""
+    """Kind, clock and frame rate of the board's counter."""
 
     kind: CounterType
     reference_hz: Annotated[Hertz, Field(default_factory=lambda seen: _default(seen, 1e9, 250e6))]

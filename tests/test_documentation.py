@@ -1,5 +1,6 @@
 """The pages of docs/ and the mentions of them: each link leads somewhere, and the index has each page."""
 
+import ast
 import re
 import runpy
 import subprocess
@@ -52,3 +53,82 @@ def test_every_page_is_in_the_index() -> None:
 def test_the_page_of_the_command_line_is_that_of_the_parser() -> None:
     page = runpy.run_path(str(ROOT / "docs" / "site" / "command_line.py"))
     assert page["PAGE"].read_text() == page["text"](), "python docs/site/command_line.py writes it"
+
+
+WORDS_PER_SENTENCE = 35
+ABBREVIATION = r"(?<!\beq\.)(?<!\beqs\.)(?<!\bFig\.)(?<!\bProc\.)(?<!\bTrans\.)"
+REPLACED = {  # pattern -> the word to write; inline code and links are left out
+    r"anew": "again",
+    r"beside": "next to, besides",
+    r"whoever": "any client that",
+    r"(?:a|the|no|each|this|any|which|that) board counts(?! (?:edges|ticks))": "acquires, sends frames",
+    r"lies of (?:a|the) board": "protocol violations",
+    r"copy for people": "decimated topic",
+    r"in the middle": "median, middle",
+    r"ever (?:more|longer|less)": "increasingly",
+    r"(?:replay|save|check|compare|golden|corpus) (?:a |the )?cases?|cases? (?:checked|differs?)": "regression fixture",
+    r"misfits?|strangers?": "incompatible, unknown; residual or outlier of a fit",
+    r"obey(?:s|ed|ing)?": "apply",
+    r"hears?|heard|hearing|overhears?": "receive, detect",
+    r"tells?|told|says?|said|speaks?|spoken": "report, publish",
+    r"learn(?:s|t|ed)|taught|teach(?:es)?": "estimate",
+    r"forgets?|forgot(?:ten)?": "discard",
+    r"mends?|mended|salvag(?:e|ed|es)": "repair, recovery",
+    r"hasten(?:s|ed)?": "set low latency",
+    r"untold|warm contact|playback|intake|port inquiry": "unmodelled, contact thermal, replay, receiver, probe",
+    r"without a word|is none of its business|has news": "without notice",
+    r"befall?s?|befell": "happen to",
+    r"(?:is|are|was) there already": "exists already",
+    r"in place of": "instead of",
+}
+
+
+def sentences(page: Path) -> list[tuple[int, str]]:
+    """Return line and text of each sentence of a page, without code, tables, headings and comments."""
+    text = re.sub(r"^ *```.*?^ *```", lambda code: "\n" * code[0].count("\n"), page.read_text(), flags=re.M | re.S)
+    text = re.sub(r"`[^`\n]*`", "code", re.sub(r"\]\([^)]*\)", "]", text))
+    found, start, paragraph = [], 0, ""
+    for number, line in enumerate([*text.split("\n"), ""], 1):
+        item, other = re.match(r" *(?:[-*]|\d+\.) ", line), re.match(r" *(?:$|[|#]|<!--)", line)
+        if paragraph and (item or other):
+            parts = re.split(ABBREVIATION + r"(?<=[.!?])[)*\"]* +", paragraph)
+            found += [(start, part) for part in parts]
+            paragraph = ""
+        if not other and (paragraph or item or not line.startswith("    ")):
+            start = start if paragraph else number
+            paragraph += " " + line[item.end() if item else 0 :].strip()
+    return found
+
+
+def test_no_sentence_of_a_page_is_too_long() -> None:
+    pages = [page for page in PAGES if ROOT / "docs" in page.parents]
+    lengths = [
+        (len(re.findall(r"[^\W\d_][\w'-]*", text)), f"{page.relative_to(ROOT)}:{line}", text)
+        for page in pages
+        for line, text in sentences(page)
+    ]
+    worst = sorted((row for row in lengths if row[0] > WORDS_PER_SENTENCE), reverse=True)[:10]
+    assert worst == [], "\n".join(f"{words} words, {place}: {text}" for words, place, text in worst)
+
+
+def texts_of(name: str) -> list[tuple[int, str]]:
+    """Return line and text of what a reader of pages, or a user of the daemon, reads in this file."""
+    path = ROOT / name
+    if name.endswith(".md"):
+        text = re.sub(r"\]\([^)]*\)", "]", prose(path))
+        return list(enumerate(re.sub(r"^ {4,}.*", "", text, flags=re.M).splitlines(), 1))
+    nodes = ast.walk(ast.parse(path.read_text()))
+    strings = [node for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)]
+    return [(node.lineno, node.value) for node in strings if " " in node.value and not node.value.count("\n")]
+
+
+def test_replaced_words_are_gone() -> None:
+    names = [name for name in FILES if re.match(r"README\.md|docs/.*\.md$|resonator_daemon/.*\.py$", name)]
+    assert [
+        f"{name}:{line}: {found[0]!r}; write: {word}"
+        for name in names
+        if (ROOT / name).exists()
+        for line, text in texts_of(name)
+        for pattern, word in REPLACED.items()
+        if (found := re.search(rf"(?<![\w-])(?:{pattern})(?![\w-])", re.sub(r"`[^`]*`", "", text), re.IGNORECASE))
+    ] == []

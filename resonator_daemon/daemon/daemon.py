@@ -250,7 +250,7 @@ class Service:
             log.error("nothing is recorded: %s", error)
 
     def _measuring_sensor(self) -> Sensor[Any] | None:
-        """Return the sensor while a board counts, None otherwise."""
+        """Return the sensor while a board sends frames, None otherwise."""
         link, sensor = self._pipeline.link, self._pipeline.sensor
         return sensor if sensor.ready and link is not None and link.state == Condition.ONLINE else None
 

@@ -42,7 +42,7 @@ _TURN_S: Final = 0.2
 
 
 class NoBoardError(UserError):
-    """No board counts on the link."""
+    """No board sends frames on the link."""
 
     exit_code = ExitCode.UNAVAILABLE
     code = "no_board"

@@ -60,5 +60,5 @@ class ForceSites:
 
 
 def known_coefficients(coefficients: Floats) -> Floats:
-    """Return coefficients (m, 3) with the crystal's default in place of each NaN."""
+    """Return coefficients (m, 3) with the crystal's default instead of each NaN."""
     return np.where(np.isnan(coefficients), DEFAULT_COEFFICIENTS, coefficients)

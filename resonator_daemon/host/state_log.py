@@ -34,7 +34,7 @@ _DOUBTS: Final = (  # in spite of a good state
 
 
 def needs_a_person(condition: Condition, code: ReasonCode) -> bool:
-    """Return whether somebody has to act; a sensor that waits for frames has a link that says why."""
+    """Return whether somebody has to act; a sensor that waits for frames has a link with the reason."""
     if condition is Condition.WAITING and code is ReasonCode.NO_FRAMES:
         return False
     return condition not in _NOTHING_WRONG or code in _DOUBTS

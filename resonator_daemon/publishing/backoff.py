@@ -1,4 +1,4 @@
-"""How long to wait before asking again: ever longer, and never all at the same time."""
+"""Exponential back-off with jitter between attempts to connect."""
 
 import random
 

@@ -54,7 +54,7 @@ def _serializer_of_fields(kind: type[Message]) -> SchemaSerializer:
 
 
 def _schema_of_mappings(schema: Any) -> Any:
-    """Return the schema of a model with a mapping in place of each model in it."""
+    """Return the schema of a model with a mapping instead of each model in it."""
     if isinstance(schema, list):
         return [_schema_of_mappings(part) for part in schema]
     if not isinstance(schema, dict):

@@ -13,7 +13,7 @@ _TEXT: Final = 1  # payload format indicator: UTF-8
 
 
 class PackedProperties(Properties):
-    """Properties in packed form, in place of the library's own; immutable."""
+    """Properties in packed form, instead of the library's own; immutable."""
 
     _packed: bytes
 

@@ -28,7 +28,7 @@ class ContactChange(Word):
 
 
 class CounterType(Word):
-    """What the board counts."""
+    """Kind of the board's counter."""
 
     SINGLE_TONE = "single-tone", "one captured tone per corner"
     CHANNELISED = "channelised", "one tone per site and corner"

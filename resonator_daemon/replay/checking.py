@@ -166,7 +166,7 @@ def _bad(verdicts: Sequence[Verdict]) -> int:
 
 
 def check_case(directory: Path, expected: Expected) -> Verdict:
-    """Replay a case and compare; a recording that cannot be replayed any more is a difference."""
+    """Replay a fixture and compare; a recording that cannot be replayed any more is a difference."""
     try:
         with open_replay(directory / RECORDING_FILE) as replaying:
             outcome = replay_whole(replaying, expected.every)

@@ -123,7 +123,7 @@ class Comparison:
 
     @property
     def pairs(self) -> list[tuple[Touch | None, Touch | None]]:
-        """Touches of both that correspond to each other; None beside one that the other recording does not have."""
+        """Touches of both that correspond to each other; None next to one that the other recording does not have."""
         first, second = self.a.touches, self.b.touches
         sites = ([touch.site for touch in first], [touch.site for touch in second])
         pairs: list[tuple[Touch | None, Touch | None]] = []

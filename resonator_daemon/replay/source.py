@@ -1,4 +1,4 @@
-"""What a recording is to be played with: what it carries itself, or a configuration in place of that."""
+"""What a recording is to be played with: what it carries itself, or a configuration instead of that."""
 
 import tomllib
 from collections.abc import Callable, Iterator

@@ -89,7 +89,7 @@ class Sensor(ABC, Generic[Reading]):
 
     @abstractmethod
     def tone_detector(self, frames: int, oscillator_hz: Floats) -> ToneDetector:
-        """Return a detector of readings over `frames`; the board counts each tone against `oscillator_hz` (t,)."""
+        """Return a detector of readings over `frames`; the board measures each tone against `oscillator_hz` (t,)."""
 
     @abstractmethod
     def connect(self, output: MessageOutput, make_decoding: "MakeSurfaceDecoding | None") -> None:

@@ -136,7 +136,7 @@ class Connection:
 
     @property
     def within_packet(self) -> bool:
-        """Whether the last bytes that were received end in the middle of a packet."""
+        """Whether the last bytes that were received end within a packet."""
         return self._session.waiting_bytes > 0
 
     def snapshot(self) -> ConnectionSnapshot | None:

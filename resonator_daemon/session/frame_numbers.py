@@ -74,7 +74,7 @@ class FrameNumbering:
         self._resuming = False
 
     def started(self, now_monotonic_ns: int) -> None:
-        """Begin a run: the board counts frames from 0."""
+        """Begin a run: the board numbers frames from 0."""
         self._started_ns = now_monotonic_ns
         self._next_sequence = 0
         self._discarded_bytes = 0

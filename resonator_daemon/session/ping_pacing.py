@@ -1,4 +1,4 @@
-"""When pings leave: often while they teach, else about once a second, and in step with nothing periodic."""
+"""Times of pings: frequent while the estimate improves, else about one per second, with jitter."""
 
 import math
 

@@ -1,11 +1,11 @@
 """Print what sensors under a skin resolve of loads on it.
 
-The sensors make a square lattice. The page shows what they resolve of normal and tangential load; bandwidth, symmetry
-and rank of the signals; what pitch and depth would do; a picture of the signals' power over the plane of spatial
-frequencies. The skin counts as an elastic half-space.
+The sensors are a square lattice under an elastic half-space. The output has the resolution of normal and tangential
+load, the bandwidth, symmetry and rank of the signals, and the effect of pitch and depth. It also draws the power of the
+signals over the plane of spatial frequencies.
 
-A feature of 1 mm is one stripe of a grating with 1 mm stripes and 1 mm gaps. It counts as resolved where a best linear
-estimate brings back at least half of it. docs/explanation/sensors.md explains more.
+A feature of 1 mm is one stripe of a grating with 1 mm stripes and 1 mm gaps. It is resolved if a best linear estimate
+recovers at least half of it. docs/explanation/sensors.md explains more.
 Example: resonatord plan sensors --set p_n,xz,yz --depth-mm 1 --pitch-mm 0.4 --snr-db 30
 """
 

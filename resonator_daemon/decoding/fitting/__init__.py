@@ -1,1 +1,1 @@
-"""Models of a single contact, fitted to the signals: stick and slip, shape, and one contact in place of a map."""
+"""Models of a single contact, fitted to the signals: stick and slip, shape, and one contact instead of a map."""

@@ -88,7 +88,7 @@ class EstimatePower:
 
 
 def frequencies(size: int) -> Floats:
-    """In the middle of `size` equal steps from 0 to half a wave per site, in rad per site."""
+    """At the midpoints of `size` equal steps from 0 to half a wave per site, in rad per site."""
     return (np.arange(size) + 0.5) * np.pi / size
 
 

@@ -1,4 +1,4 @@
-"""A recording in place of a board: its events are replayed, nothing is opened."""
+"""A recording instead of a board: its events are replayed, nothing is opened."""
 
 from dataclasses import dataclass
 from typing import Self
