@@ -65,7 +65,7 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """What the board counts and within which limits."""
+    """Kind and limits of the board's counter."""
 
     counter_kind: int
     channels: int

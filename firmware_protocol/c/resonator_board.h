@@ -61,7 +61,7 @@ struct resonator_identity {
     uint8_t reset_cause;
 };
 
-/* What the board counts and within which limits. */
+/* Kind and limits of the board's counter. */
 struct resonator_description {
     uint8_t counter_kind;
     uint16_t tones; /* single-tone: 1 */
