@@ -20,6 +20,7 @@ async def send_command(
     verb: str,
     payload: Mapping[str, Any],
     *,
+    named_by: str = "mqtt.url",
     wait_s: float = 0.0,
     on_wait: Callable[[Mapping[str, Any]], None] = lambda refusal: None,
 ) -> dict[str, Any]:
@@ -27,6 +28,8 @@ async def send_command(
 
     Parameters
     ----------
+    named_by
+        Key or option that names the broker.
     wait_s
         For which it is sent again, twice a second, while the daemon is not ready or the plate not untouched.
     on_wait
@@ -42,7 +45,7 @@ async def send_command(
     from resonator_daemon.publishing.daemon_search import find_daemon
     from resonator_daemon.publishing.requests import reach, request
 
-    await reach(client.mqtt)
+    await reach(client.mqtt, named_by=named_by)
     name = await find_daemon(client)
     loop = asyncio.get_running_loop()
     until_s, waits = loop.time() + wait_s, False

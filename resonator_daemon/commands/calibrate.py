@@ -69,11 +69,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--valid-days", type=whole_number(1, 36_500), metavar="N", help="until the calibration expires (default: 365)"
     )
     result.add_argument("--output", type=Path, metavar="FILE", help="new plate file (default: change the plate's own)")
-    ends = result.add_mutually_exclusive_group()
-    ends.add_argument("--accept", action="store_true", help="accept a result without asking")
     result.add_argument(
         "--apply", action="store_true", help="accept, and have the configuration name the plate file of --output"
     )
+    ends = result.add_mutually_exclusive_group()
+    ends.add_argument("--accept", action="store_true", help="accept a result without asking")
     ends.add_argument("--accept-staged", action="store_true", help="accept the result of an earlier calibration")
     ends.add_argument("--abort", action="store_true", help="discard the result of an earlier calibration")
 

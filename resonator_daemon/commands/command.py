@@ -44,7 +44,9 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     verb = VERBS.get(arguments.verb)
     if verb is None:
         raise UsageError(f"VERB: got {arguments.verb!r}; {nearest(arguments.verb, list(VERBS))}")
-    answer = asyncio.run(send_command(_client(arguments), verb.name, _payload(verb.request, arguments.fields)))
+    client, payload = _client(arguments), _payload(verb.request, arguments.fields)
+    named_by = "--url" if arguments.config is None else "mqtt.url"
+    answer = asyncio.run(send_command(client, verb.name, payload, named_by=named_by))
     return print_answer(answer, f"{verb.name} not done", as_json=arguments.json)
 
 
