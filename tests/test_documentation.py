@@ -3,14 +3,20 @@
 import ast
 import re
 import runpy
+import shutil
 import subprocess
+import sys
+import zipfile
 from pathlib import Path
 
 import pytest
 
+from resonator_daemon.host import documentation
+
 ROOT = Path(__file__).parents[1]
 FILES = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
 PAGES = [ROOT / name for name in FILES if name.endswith(".md") and (ROOT / name).exists()]
+PAGE_IN_TEXT = re.compile(r"\bdocs/([\w-]+/[\w-]+\.md)\b")
 MENTION = re.compile(rb"\bdocs/[\w/.-]+\.(?:md|svg|py|toml)\b")
 
 
@@ -132,3 +138,20 @@ def test_replaced_words_are_gone() -> None:
         for pattern, word in REPLACED.items()
         if (found := re.search(rf"(?<![\w-])(?:{pattern})(?![\w-])", re.sub(r"`[^`]*`", "", text), re.IGNORECASE))
     ] == []
+
+
+def test_pages_that_hints_name_are_in_the_wheel(tmp_path: Path) -> None:
+    for name in FILES:
+        if (ROOT / name).is_file() and not name.startswith(("tests/", "benchmarks/")):
+            (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, tmp_path / name, follow_symlinks=False)
+    build = "from setuptools import build_meta; build_meta.build_wheel('dist')"
+    subprocess.run([sys.executable, "-c", build], cwd=tmp_path, check=True, capture_output=True)
+    (wheel,) = (tmp_path / "dist").glob("*.whl")
+    with zipfile.ZipFile(wheel) as content:
+        installed = {name.partition("/data/share/doc/resonatord/")[2] for name in content.namelist()}
+    sources = "\n".join(source.read_text() for source in (ROOT / "resonator_daemon").rglob("*.py"))
+    named = set(re.findall(r"""\bpage\(["']([\w/.-]+)["']\)""", sources)) | set(PAGE_IN_TEXT.findall(sources))
+    assert {"how-to/connect.md", "explanation/codes.md"} <= named
+    assert named - installed == set()
+    assert documentation.page("how-to/connect.md") == str(ROOT / "docs" / "how-to" / "connect.md")

@@ -75,34 +75,6 @@ def test_every_package_has_an_init_file() -> None:
     assert [package for package in packages if not (package / "__init__.py").is_file()] == []
 
 
-def pages() -> list[Path]:
-    hidden = {ROOT / "build", *(ROOT / part for part in (".venv", ".git"))}
-    return [page for page in ROOT.rglob("*.md") if not hidden.intersection(page.parents)]
-
-
-def anchors(page: Path) -> set[str]:
-    """Return what a heading is called behind a #, as a forge makes it."""
-    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
-    headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
-
-
-def test_every_link_of_a_page_leads_somewhere() -> None:
-    linked = [
-        (page, *target.partition("#")[::2])
-        for page in pages()
-        for target in re.findall(r"\]\(([^()\s]+)\)", page.read_text())
-        if not re.match(r"[a-z]+:", target)
-    ]
-    dead = [
-        f"{page.relative_to(ROOT)}: {path}#{anchor}"
-        for page, path, anchor in linked
-        if not (place := page.parent / path if path else page).exists() or (anchor and anchor not in anchors(place))
-    ]
-    assert dead == []
-    assert len(linked) > 100
-
-
 def test_top_level_holds_nothing_else() -> None:
     ignored = [*(ROOT / ".gitignore").read_text().replace("/\n", "\n").split(), ".*"]
     entries = {entry.name for entry in ROOT.iterdir()}

@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 from resonator_daemon import commands
 from resonator_daemon.commands._output import print_error, print_json
 from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError
+from resonator_daemon.host.documentation import with_pages
 from resonator_daemon.host.journal import set_up_logging
 from resonator_daemon.host.printable import coloured
 from resonator_daemon.host.system_limits import check_open_files, reason_of
@@ -116,7 +117,20 @@ class _PrintVersion(argparse.Action):
         parser.exit()
 
 
+class _Formatter(argparse.HelpFormatter):
+    """Formatter of help whose pages of the documentation are paths on this computer."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return super()._fill_text(with_pages(text), width, indent)
+
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        return super()._split_lines(with_pages(text), width)
+
+
 class _Parser(argparse.ArgumentParser):
+    def __init__(self, **options: Any) -> None:
+        super().__init__(formatter_class=_Formatter, **options)
+
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse, with an error where the command does not have an argument: argparse prints the usage of all."""
         words = list(args or ())

@@ -19,9 +19,10 @@ def made_files() -> dict[str, str]:
     from resonator_daemon.commands._completion import completions
     from resonator_daemon.commands._manual import manual
     from resonator_daemon.config import example_config
+    from resonator_daemon.host.documentation import with_pages
     from resonator_daemon.host.install import EXAMPLE
 
-    return {EXAMPLE: example_config(), **dict(completions()), **dict(manual())}
+    return {EXAMPLE: with_pages(example_config()), **dict(completions()), **dict(manual())}
 
 
 def report(verb: str, done: "Installation", prefix: Path | None, *, dry_run: bool, as_json: bool) -> ExitCode:

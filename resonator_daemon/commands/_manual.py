@@ -7,6 +7,7 @@ from importlib.metadata import version
 from typing import Final
 
 from resonator_daemon.commands._command_line import make_parser, parsers
+from resonator_daemon.host.documentation import with_pages
 
 PLACE: Final = "/usr/local/share/man/man1"
 
@@ -52,5 +53,5 @@ def _entries(parser: argparse.ArgumentParser, action: argparse.Action) -> Iterat
 
 def _text(text: str) -> str:
     """Return a line of text with the signs escaped that roff takes as commands."""
-    escaped = text.replace("\\", "\\e").replace("-", "\\-").replace('"', "\\(dq").replace("`", "\\(ga")
+    escaped = with_pages(text).replace("\\", "\\e").replace("-", "\\-").replace('"', "\\(dq").replace("`", "\\(ga")
     return f"\\&{escaped}" if escaped.startswith((".", "'")) else escaped

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from resonator_daemon.commands._output import print_error, print_json
 from resonator_daemon.errors import ExitCode
+from resonator_daemon.host.documentation import page
 from resonator_daemon.host.printable import print_note
 
 if TYPE_CHECKING:
@@ -58,5 +59,5 @@ def _lines(place: "FoundPort") -> Iterator[str]:
     if place.held_by:
         yield f"    held by {' and '.join(str(holder) for holder in place.held_by)}"
     if not place.permitted:
-        yield "    may not be opened by this user; see docs/how-to/connect.md"
+        yield f"    may not be opened by this user; see {page('how-to/connect.md')}"
     yield f'    link = "{place.link}"'

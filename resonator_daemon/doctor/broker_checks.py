@@ -13,6 +13,7 @@ from paho.mqtt.enums import MQTTProtocolVersion
 from resonator_daemon.config import Mqtt
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, excused, not_checked
 from resonator_daemon.doctor.host import Host, Load
+from resonator_daemon.host.documentation import page
 from resonator_daemon.host.system_limits import meaning_of, reason_of
 from resonator_daemon.publishing import connection_errors
 from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes
@@ -159,7 +160,7 @@ async def _measure(broker: Mqtt, times: ConnectionTimes | None) -> tuple[_Probe,
 def _findings(probe: _Probe, last_text: str, busy: str) -> Iterator[Finding]:
     if not probe.accepted.is_set():
         silent = connection_errors.SILENT in last_text
-        remedy = "correct the keys of [mqtt], or the broker's accounts; docs/how-to/secure-the-broker.md"
+        remedy = f"correct the keys of [mqtt], or the broker's accounts; {page('how-to/secure-the-broker.md')}"
         if silent:
             remedy = (
                 "see that mqtt.url names the broker's host and port, and that the broker is not stopped; restart it"

@@ -14,6 +14,7 @@ from resonator_daemon.doctor import link_checks, sensor_checks
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, graded, not_checked
 from resonator_daemon.doctor.link_checks import ERRORS_FAULT
 from resonator_daemon.errors import UserError
+from resonator_daemon.host.documentation import page
 from resonator_daemon.links.table import parse_link
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.monitoring.status_client import Answer, ask_all
@@ -65,7 +66,9 @@ def check_status(status: Mapping[str, Any], where: str) -> Iterator[Finding]:
         yield LINK.ok(f"online {link.get('reason', '')}".strip())
         yield from _losses(_table(status, "health"), _table(link, "last_outage"))
     else:
-        yield LINK.fault(f"{link.get('state')}: {link.get('reason')}", "see the reason and docs/how-to/connect.md")
+        yield LINK.fault(
+            f"{link.get('state')}: {link.get('reason')}", f"see the reason and {page('how-to/connect.md')}"
+        )
     yield _sensor(_table(status, "sensor"), online=link.get("state") == Condition.ONLINE)
     broker = _table(status, "broker")
     if broker.get("connected"):

@@ -7,6 +7,7 @@ from typing import Final
 from firmware_protocol.messages import ResetCause
 from resonator_daemon.doctor.capture import OPEN_S, Capture
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, excused, graded, not_checked
+from resonator_daemon.host.documentation import page
 from resonator_daemon.plate import Plate
 from resonator_daemon.reasons import ReasonCode
 from resonator_daemon.session.clock import TOLERANCE_PPM
@@ -219,7 +220,8 @@ def _round_trip(probed: ProbeResult) -> Finding:
     return ROUND_TRIP.judged(
         graded(median_s, _ROUND_TRIP_S, math.inf),
         evidence,
-        "an adapter that collects bytes: shorten its latency timer (docs/how-to/connect.md); of TCP, check the network",
+        f"an adapter that collects bytes: shorten its latency timer ({page('how-to/connect.md')}); "
+        "of TCP, check the network",
         Amount(median_s * 1e3, _ROUND_TRIP_S * 1e3, "ms"),
     )
 

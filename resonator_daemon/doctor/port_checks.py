@@ -10,6 +10,7 @@ from typing import Final
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, not_checked
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.usb_checks import usb_device_of
+from resonator_daemon.host.documentation import page
 from resonator_daemon.links.port_holders import Holder, Holders, is_pseudo_terminal
 
 EXISTS: Final = Check("port.exists", Area.WIRING, "port")
@@ -23,7 +24,7 @@ _OF_A_PORT: Final = (PERMISSION, HOLDER, MODEM_MANAGER, BRLTTY, LATENCY_TIMER)
 _LATENCY_LIMIT_MS: Final = 1
 _IGNORED: Final = re.compile(r"^E:ID_MM_(PORT|DEVICE)_IGNORE=1$", re.MULTILINE)
 _RULES: Final = ("/etc/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.d")
-_RULES_FILE: Final = "the rules of docs/how-to/connect.md, or: resonatord install"
+_RULES_FILE: Final = f"the rules of {page('how-to/connect.md')}, or: resonatord install"
 
 
 def check_port(port: str, host: Host, holders: Holders) -> Iterator[Finding]:

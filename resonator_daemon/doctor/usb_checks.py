@@ -7,6 +7,7 @@ from typing import Final
 
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, not_checked
 from resonator_daemon.doctor.host import Host
+from resonator_daemon.host.documentation import page
 from resonator_daemon.links.target import UsbId
 
 DEVICE: Final = Check("usb.device", Area.WIRING, "USB device")
@@ -64,7 +65,7 @@ def check_usb_link(link: UsbId, host: Host, load_bit_per_s: float | None) -> Ite
     else:
         yield DEVICE.fault(
             f"{wanted} is there, and this user may not open {node}",
-            "a udev rule gives it to a group of this user: docs/how-to/connect.md, or: resonatord install",
+            f"a udev rule gives it to a group of this user: {page('how-to/connect.md')}, or: resonatord install",
         )
     yield from check_usb_device(found[0], host, load_bit_per_s)
 
@@ -95,7 +96,8 @@ def _autosuspend(device: Path, host: Host) -> Finding:
         return AUTOSUSPEND.ok("off")
     return AUTOSUSPEND.warning(
         f"on (power/control = {control}): the device may be put to sleep after {delay_ms or '?'} ms without traffic",
-        'a udev rule: TEST=="power/control", ATTR{power/control}="on" (docs/how-to/connect.md, or: resonatord install)',
+        'a udev rule: TEST=="power/control", ATTR{power/control}="on" '
+        f"({page('how-to/connect.md')}, or: resonatord install)",
     )
 
 

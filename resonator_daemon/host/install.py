@@ -15,6 +15,7 @@ from importlib import resources
 from pathlib import Path, PurePosixPath
 
 from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.host.documentation import page, with_pages
 from resonator_daemon.host.new_file import replace_file
 from resonator_daemon.host.system_limits import meaning_of, reason_of
 
@@ -55,7 +56,7 @@ class InstallError(UserError):
 
     exit_code = ExitCode.FAILED
     code = "install"
-    hint = "docs/how-to/install.md"
+    hint = page("how-to/install.md")
 
 
 class Action(StrEnum):
@@ -219,7 +220,9 @@ def _may_run_commands(prefix: Path | None, dry_run: bool, verb: str) -> bool:
     if prefix is not None or dry_run:
         return False
     if shutil.which("systemctl") is None:
-        raise InstallError("no systemctl on PATH: this computer has no systemd; see docs/how-to/install.md for others")
+        raise InstallError(
+            f"no systemctl on PATH: this computer has no systemd; see {page('how-to/install.md')} for others"
+        )
     if os.geteuid() != 0:
         raise InstallError(f"only root may write to /etc: sudo {sys.argv[0]} {verb}, or look first with --dry-run")
     return True
@@ -235,7 +238,7 @@ def _contents(root: Path, program: Path, made: Mapping[str, str]) -> list[tuple[
 def started_by(text: str, program: Path) -> str:
     """Return the text of a unit that starts a program, its path escaped as units have it."""
     escaped = str(program).replace("\\", "\\\\").replace("%", "%%").replace(" ", "\\x20")  # systemd.service(5)
-    return text.replace(f"ExecStart={_PROGRAM_IN_UNITS}", f"ExecStart={escaped}")
+    return with_pages(text.replace(f"ExecStart={_PROGRAM_IN_UNITS}", f"ExecStart={escaped}"))
 
 
 def sealed(text: str) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Self
 from urllib.parse import parse_qsl
 
+from resonator_daemon.host.documentation import page
 from resonator_daemon.links.link import Link
 from resonator_daemon.links.port_holders import Holder
 from resonator_daemon.toml_files.reading import nearest
@@ -108,7 +109,7 @@ class LinkTarget(ABC):
     @property
     def remedy(self) -> str:
         """What a person does about a link that does not open."""
-        return "see with `resonatord ports` which ports there are, and who holds them; docs/how-to/connect.md"
+        return f"see with `resonatord ports` which ports there are, and who holds them; {page('how-to/connect.md')}"
 
 
 def options_of(query: str, allowed: Sequence[str]) -> dict[str, str]:

@@ -33,6 +33,7 @@ _FINDINGS_MAX: Final = 5
 _SHOWN_LENGTH_MAX: Final = 80
 _TEXT_LENGTH_MAX: Final = 1000
 _WORD: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
+_SCHEMA = "see the topic schema, which has each command with its fields"
 
 log = logging.getLogger(__name__)
 
@@ -265,14 +266,10 @@ def _request(verb: Verb, payload: bytes) -> Request:
         raise CommandRefusedError(
             "payload",
             "; ".join(_sentence(verb, found) for found in findings),
-            "see docs/reference/mqtt-commands.md and the topic schema",
+            _SCHEMA,
         ) from None
     except ValueError as error:
-        hint = (
-            "see docs/reference/mqtt-commands.md and the topic schema"
-            if payload
-            else "send {} for a command without fields"
-        )
+        hint = _SCHEMA if payload else "send {} for a command without fields"
         raise CommandRefusedError("payload", str(error), hint) from None
 
 

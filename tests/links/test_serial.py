@@ -19,6 +19,7 @@ from typing import Any
 import pytest
 import serial
 
+from resonator_daemon.host.documentation import page
 from resonator_daemon.links.carriers import serial as serial_link
 from resonator_daemon.links.carriers.serial import SerialTarget, open_serial
 from resonator_daemon.links.link import LinkUnavailableError
@@ -234,8 +235,13 @@ def test_a_file_that_is_no_terminal_is_said_to_be_no_serial_port(tmp_path: Path,
     [
         (errno.EACCES, DENIED, "dialout", "join its group: sudo usermod -aG dialout $USER, then log in again"),
         (errno.EPERM, DENIED, "dialout", "join its group: sudo usermod -aG dialout $USER, then log in again"),
-        (errno.EACCES, DENIED, "root", "give it to a group of this user with a udev rule (docs/how-to/connect.md)"),
-        (errno.EACCES, DENIED, None, "give it to a group of this user with a udev rule (docs/how-to/connect.md)"),
+        (
+            errno.EACCES,
+            DENIED,
+            "root",
+            f"a udev rule ({page('how-to/connect.md')})",
+        ),
+        (errno.EACCES, DENIED, None, f"a udev rule ({page('how-to/connect.md')})"),
         (errno.EMFILE, "port_unusable", None, os.strerror(errno.EMFILE)),
         (errno.ENXIO, "no_such_port", None, f"({os.strerror(errno.ENXIO)}); plug it in"),
     ],

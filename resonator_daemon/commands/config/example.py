@@ -16,8 +16,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.config import example_config
+    from resonator_daemon.host.documentation import with_pages
 
-    text = example_config()
+    text = with_pages(example_config())
     if arguments.json:
         print_json({"verb": "config example", "example": text})
     else:

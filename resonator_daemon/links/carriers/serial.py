@@ -16,6 +16,7 @@ import serial
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
+from resonator_daemon.host.documentation import page
 from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.link import FileDescriptorLink, LinkUnavailableError
 from resonator_daemon.links.port_holders import is_pseudo_terminal, port_holders
@@ -232,7 +233,7 @@ def _way_in(path: str) -> str:
     except (KeyError, OSError):  # a group without a name, as in a container; a port that has just gone
         group = None
     if group in (None, "root"):
-        return "give it to a group of this user with a udev rule (docs/how-to/connect.md)"
+        return f"give it to a group of this user with a udev rule ({page('how-to/connect.md')})"
     return f"join its group: sudo usermod -aG {group} $USER, then log in again"
 
 

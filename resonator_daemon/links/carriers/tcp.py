@@ -9,6 +9,7 @@ import time
 from dataclasses import dataclass
 from typing import Final, Self
 
+from resonator_daemon.host.documentation import page
 from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.host_lookup import resolve_host
 from resonator_daemon.links.link import FileDescriptorLink, LinkUnavailableError
@@ -59,7 +60,7 @@ class TcpTarget(LinkTarget):
         return (
             f"see that what should listen at {self.host} port {self.port} is switched on and in the network "
             f"(ping {self.host}), that address and port are right, and that no firewall is in between; "
-            "docs/how-to/connect.md"
+            + page("how-to/connect.md")
         )
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Self
 from urllib.parse import quote
 
+from resonator_daemon.host.documentation import page
 from resonator_daemon.links.link import Link
 from resonator_daemon.links.port_holders import port_holders
 from resonator_daemon.links.target import FoundPort, LinkTarget, UsbId, options_of
@@ -66,9 +67,8 @@ class UsbTarget(LinkTarget):
 
     @property
     def remedy(self) -> str:
-        return (
-            "unplug the board and plug it in again, and see with `resonatord ports` whether it is there; "
-            "docs/how-to/connect.md"
+        return "unplug the board and plug it in again, and see with `resonatord ports` whether it is there; " + page(
+            "how-to/connect.md"
         )
 
     @classmethod
