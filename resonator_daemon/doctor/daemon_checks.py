@@ -115,7 +115,7 @@ def _losses(health: Mapping[str, Any], last_outage: Mapping[str, Any]) -> Iterat
         hit = max(hit - int(last_outage.get("frames_lost", 0)), 0)
     frames = int(present.get("frames", 0)) + hit
     evidence = (
-        f"{hit} of {frames} frames damaged or lost, outages aside, since the daemon has received this board "
+        f"{hit} of {frames} frames damaged or lost outside outages, since the later start of daemon and board "
         f"(limit {ERRORS_FAULT:g})"
     )
     if frames < _FRAMES_MIN:
