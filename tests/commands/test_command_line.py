@@ -10,9 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from brokers import Mosquitto
 from command_line import exit_code
-from observer import observe
 
 from resonator_daemon.commands._command_line import command_names
 from resonator_daemon.config import load_config
@@ -123,14 +121,6 @@ def test_every_mistake_at_once_and_78(config_path: Path, resonatord: Resonatord)
     assert in_a_process("run", "--config", str(config_path)).returncode == 78
 
 
-def test_a_missing_file_is_one_line_and_78(tmp_path: Path, resonatord: Resonatord) -> None:
-    for arguments in (("run", "--config"), ("check",)):
-        run = resonatord(*arguments, str(tmp_path / "none.toml"))
-        assert run.returncode == 78
-        assert len(run.stderr.splitlines()) == 1
-        assert "none.toml: no such file" in run.stderr
-
-
 @pytest.mark.parametrize(
     "arguments", [("--help",), ("plan", "--help"), ("repair", "-h"), ("emulate", "--scenario-schema"), ("schema",)]
 )
@@ -170,20 +160,6 @@ def test_emulate_says_its_link_first_and_its_accounts_last(tmp_path: Path) -> No
     assert emulator.returncode == 0
     assert json.loads(report)["frames_made"] == 0
     assert not port.is_symlink()
-
-
-async def test_run_starts_with_nothing_there_and_stops_on_sigterm(config_path: Path, mosquitto: Mosquitto) -> None:
-    config_path.write_text(config_path.read_text().replace("mqtt://127.0.0.1:1883", mosquitto.url))
-    daemon = subprocess.Popen([*COMMAND, "run", "--config", str(config_path)], stderr=subprocess.PIPE, text=True)
-    async with observe(mosquitto.url) as heard:
-        link = await heard.until_last("resonator/left-index/state/link", state="waiting")
-        await heard.until_last("resonator/left-index/state/daemon", state="online", reason_code="no_board")
-        daemon.send_signal(signal.SIGTERM)
-        await heard.until_last("resonator/left-index/state/daemon", state="offline", reason_code="stopped")
-    _, stderr = daemon.communicate(timeout=30)
-    assert daemon.returncode == 0
-    assert "Traceback" not in stderr
-    assert link["reason"].startswith("no port /dev/serial/by-id/usb-RD_board_0042-if00; ")
 
 
 @pytest.mark.parametrize(

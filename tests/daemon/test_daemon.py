@@ -118,28 +118,6 @@ async def test_a_pulled_cable_is_survived_and_said(bench: Bench, mosquitto: Mosq
     assert sum(grown.values()) * 1e-3 - 0.05 <= gap_s <= sum(grown.values()) * 1e-3 + 0.05 + skipped_s
 
 
-async def test_the_broker_may_come_late_and_die(tmp_path: Path) -> None:
-    broker = Mosquitto(tmp_path)
-    bench = Bench(tmp_path, broker.url)
-    async with bench.emulated(scenario="still"), bench.running(bench.service()) as service:
-        await asyncio.to_thread(wait_for_frames, service, 200)
-        for _ in range(2):
-            await broker.start()
-            async with observe(broker.url) as heard:
-                await heard.until_last("resonator/hand/state/link", state="online")
-                await heard.until_last("resonator/hand/state/daemon", state="online")
-                await heard.until_count("resonator/hand/forces", 20)
-            await broker.kill()
-        await asyncio.to_thread(wait_for_frames, service, service.link_counters.frames + 200)
-        assert service.link_counters.lost.total == 0
-    account = service.message_account
-    dropped = sum(account.dropped.values())
-    known = account.acknowledged + account.written + dropped + account.unknown_at_disconnect
-    assert account.enqueued == known + account.waiting
-    assert account.waiting == 0
-    assert account.dropped["no_connection"] > 0
-
-
 def wait_for_frames(service: Service, count: int) -> None:
     deadline = time.monotonic() + 30
     while service.link_counters.frames < count and time.monotonic() < deadline:

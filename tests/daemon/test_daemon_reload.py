@@ -43,22 +43,6 @@ async def test_windows_and_commands_are_taken_live_and_a_bad_file_is_told(tmp_pa
             await heard.until_last("resonator/hand/info", step_s=0.005)
 
 
-async def test_a_broken_file_at_the_start_is_told_on_mqtt_and_the_last_good_one_is_used(
-    tmp_path: Path, mosquitto: Mosquitto
-) -> None:
-    bench = Bench(tmp_path, mosquitto.url)
-    bench.service()  # which keeps a copy
-    path = bench.folder / "board.toml"
-    path.write_text(path.read_text().replace("plate", "plaet"))
-    async with observe(mosquitto.url) as heard, bench.emulated():
-        service = Service(ConfigStore(path, bench.folder / "last-good"))
-        async with bench.running(service):
-            await heard.until_count("resonator/hand/forces", 10)
-            state = heard.payloads("resonator/hand/state/daemon")[-1]
-    assert (state["state"], state["reason_code"]) == ("online", "bad_configuration")
-    assert "plate: missing" in state["reason"]
-
-
 async def test_continuous_recording_begins_with_the_first_byte_and_is_switched_by_a_reload(
     tmp_path: Path, mosquitto: Mosquitto
 ) -> None:

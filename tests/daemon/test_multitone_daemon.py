@@ -1,7 +1,5 @@
 """The whole daemon between an emulated comb of force sites and a real broker: contacts with places, forces, tare."""
 
-import asyncio
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -12,8 +10,6 @@ from observer import Observer, observe
 from scenarios import IDEAL, touch_text
 from service_bench import Bench, events
 
-from resonator_daemon.commands import main
-from resonator_daemon.errors import ExitCode
 from resonator_daemon.plate import load_plate
 
 pytestmark = pytest.mark.undisturbed
@@ -25,12 +21,6 @@ SITES = {site.id: site.position_mm for site in load_plate("comb16").sites}
 @pytest.fixture
 def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
     return Bench(tmp_path, mosquitto.url)
-
-
-async def tared(bench: Bench, capsys: pytest.CaptureFixture[str]) -> tuple[ExitCode, dict[str, Any]]:
-    code = await asyncio.to_thread(main, ["tare", "--config", str(bench.folder / "board.toml"), "--json"])
-    answer: dict[str, Any] = json.loads(capsys.readouterr().out)
-    return code, answer
 
 
 def forces(heard: Observer) -> list[dict[str, Any]]:
@@ -75,32 +65,3 @@ async def test_a_touch_between_sites_becomes_a_contact_with_place_and_force(benc
             assert site["force_newton"] == pytest.approx(2.0 * share, abs=0.05)
     assert sensor["compensation"]["baseline"] == "followed"
     assert sensor["compensation"]["plate_kelvin"] is not None
-
-
-async def test_tare_is_refused_while_touched_and_done_while_untouched(
-    bench: Bench, mosquitto: Mosquitto, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scenario = bench.scenario(IDEAL + touch_text(0.8, 2.0, 4.0, position_mm=[1.5, -1.0]))
-    async with (
-        bench.emulated("comb16", scenario=scenario) as emulator,
-        observe(mosquitto.url) as heard,
-        bench.running(bench.service("comb16", emulator.link.address, allow=("tare",))),
-    ):
-        await heard.until(lambda: len(events(heard)) == 1)
-        code, answer = await tared(bench, capsys)
-        assert (code, answer["ok"]) == (ExitCode.FAILED, False)
-        assert answer["error"]["code"] == "not_untouched"
-        assert "touched" in answer["error"]["message"]
-        before = len(heard.payloads("resonator/hand/contacts"))
-        await heard.until(lambda: len(heard.payloads("resonator/hand/contacts")) >= before + 20)
-        said = [message["contacts"] for message in heard.payloads("resonator/hand/contacts")[before:]]
-        pressed_newton = [
-            contacts[0]["force_newton"][2] for contacts in said if contacts
-        ]  # none once frames have halted
-        assert pressed_newton[-1] == pytest.approx(2.0, abs=0.05)
-        await heard.until(lambda: len(events(heard)) == 2)
-        code, answer = await tared(bench, capsys)
-        assert (code, answer["ok"]) == (ExitCode.DONE, True)
-        assert len(answer["common_mode"]) == 4
-        after = len(forces(heard))
-        await heard.until(lambda: len(forces(heard)) >= after + 20 and forces(heard)[-1]["sites"] == [])

@@ -1,13 +1,10 @@
 """The whole daemon between an emulated skin and a real broker: from signals to tractions, contacts and events."""
 
-import os
-import signal
 from pathlib import Path
 from typing import Any
 
 import cbor2
 import numpy as np
-import psutil
 import pytest
 from brokers import Amqtt, Mosquitto
 from observer import Observer, observe
@@ -122,38 +119,3 @@ async def test_a_sheared_press_on_a_skin_becomes_a_contact_with_its_events(bench
     x_mm, y_mm = (np.mean([(site - 1) % 16 for site in near]) - 7.5) * 0.6, (np.mean(near) - 1) // 16 * 0.6 - 4.5
     assert abs(x_mm - 0.6) <= 0.5
     assert abs(y_mm + 0.3) <= 0.6
-
-
-async def test_a_decoder_that_is_killed_is_restarted_and_no_event_is_missing(
-    bench: Bench, mosquitto: Mosquitto
-) -> None:
-    plate = bench.folder / "small.toml"
-    plate.write_text(SMALL_SKIN)
-
-    def onsets() -> int:
-        return sum(event["event"] == "onset" for event in events(heard))
-
-    def decoder() -> dict[str, Any]:
-        health = heard.payloads("resonator/hand/health")
-        return dict(health[-1]["decoder"]) if health else {}
-
-    async with observe(mosquitto.url) as heard:
-        async with (
-            bench.emulated(str(plate), scenario=bench.scenario(SHEARED)) as emulator,
-            bench.running(bench.service(str(plate), emulator.link.address, decoding="contact_physics = false")),
-        ):
-            await heard.until(lambda: onsets() >= 1 and decoder().get("pid") is not None)
-            before, killed = onsets(), decoder()["pid"]
-            os.kill(killed, signal.SIGKILL)
-            await heard.until(lambda: decoder()["restarts"] == {"crashed": 1} and onsets() > before)
-        last = decoder()
-        assert last["pid"] != killed
-        assert not psutil.pid_exists(last["pid"])
-    assert [event["seq"] for event in events(heard)] == list(range(len(events(heard))))
-    by_contact: dict[int, list[str]] = {}
-    for event in events(heard):
-        by_contact.setdefault(event["contact"]["id"], []).append(event["event"])
-    *ended, _present = by_contact.values()
-    assert all((words[0], words[-1]) == ("onset", "release") for words in ended)
-    sequence = [message["seq"] for message in heard.payloads("resonator/hand/contacts")]
-    assert sequence == sorted(set(sequence))

@@ -152,20 +152,6 @@ def test_frames_of_a_board_come_in_order_and_without_a_gap(host: Host) -> None:
 
 
 @every_emulated_link
-def test_frames_come_in_order_and_without_a_gap(emulated: Bench) -> None:
-    link = emulated.host.open()
-    talk = Talk(link)
-    talk.start()
-    emulated.board.send(b"".join(emulated.board.session.frame(number, 0, RECORDS) for number in range(2000)))
-    while len(talk.frames) < 2000:
-        talk.exchange()
-    link.close()
-    assert [frame.sequence for frame in talk.frames] == list(range(2000))
-    assert {frame.payload for frame in talk.frames} == {RECORDS}
-    assert talk.session.bytes.discarded == 0
-
-
-@every_emulated_link
 def test_a_megabyte_comes_whole_while_requests_go_out(emulated: Bench) -> None:
     data = bytes(range(251)) * 4000  # of a period that no buffer's size divides
     link = emulated.host.open()

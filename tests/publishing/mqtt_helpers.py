@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from observer import Observer
+from observer import until as until
 from sample_messages import HEADER as HEADER
 from sample_messages import Messages as Messages
 
@@ -151,13 +152,6 @@ async def publishing(
     await running
     assert_exact(publisher)
     assert publisher.account.waiting == publisher.account.spooled
-
-
-async def until(predicate: Callable[[], bool]) -> None:
-    """Look again with each turn of the event loop, for 20 s at most."""
-    async with asyncio.timeout(20):
-        while not predicate():  # noqa: ASYNC110  there is no event for every condition
-            await asyncio.sleep(0.005)
 
 
 def assert_exact(publisher: Publisher) -> None:

@@ -3,7 +3,6 @@
 import struct
 from typing import Any
 
-import cbor2
 import numpy as np
 import pytest
 from example_messages import example
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic_core import PydanticSerializationError
 
 from resonator_daemon.publishing.codec import decode, encode, encode_fields
-from resonator_daemon.publishing.payloads import Contacts, Decoded, Forces, Grid, Lost, Measured, Signals
+from resonator_daemon.publishing.payloads import Contacts, Decoded, Forces, Lost, Measured, Signals
 
 # 40([[3, 2], 85(h'...')]): tag 40 is d8 28, array of 2 is 82, 85 is d8 55, 24 bytes are 58 18
 VALUES = (0.0, 1.0, -2.0, 0.5, float("inf"), 3.0)
@@ -38,18 +37,6 @@ SIGNALS = HEAD + NOISE + STATUS + b"\x67signals"  # keys may come in any order
 def signals(array: NDArray[Any]) -> Signals:
     head = HEADER | {"lost": Lost(damaged=2)}
     return Signals(**head, board_ticks=2**63, signals=array, noise_std=array, status="ok")
-
-
-def decoded(shape: tuple[int, ...]) -> Decoded:
-    array = np.arange(np.prod(shape), dtype=np.float64).reshape(shape)
-    return Decoded(
-        **HEADER,
-        board_ticks=None,
-        traction_pascal=array,
-        traction_std_pascal=array + 1,
-        displacement_m=array + 2,
-        grid=Grid(origin_m=(-0.0062, -0.0062), pitch_m=4e-4),
-    )
 
 
 def test_bytes_are_those_of_the_standards() -> None:
@@ -81,20 +68,6 @@ def test_any_array_comes_back_as_it_was(array: NDArray[Any]) -> None:
     read = decode(Signals, encode(signals(array)))
     np.testing.assert_array_equal(read.signals, array)
     np.testing.assert_array_equal(read.noise_std, array)
-
-
-@pytest.mark.parametrize("shape", [(3, 4, 5), (3, 7)])
-def test_decoded_keeps_its_axes_apart(shape: tuple[int, ...]) -> None:
-    message = decoded(shape)
-    read = decode(Decoded, encode(message))
-    np.testing.assert_array_equal(read.traction_pascal, message.traction_pascal)
-    np.testing.assert_array_equal(read.traction_std_pascal, message.traction_std_pascal)
-    np.testing.assert_array_equal(read.displacement_m, message.displacement_m)
-    assert read.grid == message.grid
-    plain = cbor2.loads(encode(message), tag_hook=lambda tag, immutable=False: tag.value)
-    assert plain["traction_pascal"][0] == shape
-    assert plain["t_ns"] == 1789000000000000000
-    assert plain["grid"] == {"origin_m": [-0.0062, -0.0062], "pitch_m": 4e-4}
 
 
 def test_arrays_of_one_message_have_one_shape() -> None:

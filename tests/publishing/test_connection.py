@@ -1,35 +1,17 @@
 """Connecting: version, socket options, and one line of log per change, whatever is wrong with the broker."""
 
 import asyncio
-import logging
 import socket
-from pathlib import Path
 
 import pytest
-from brokers import Mosquitto
-from mosquitto_passwords import password_line
-from mqtt_helpers import LEFT, QUICK, Messages, publishing, scripted_broker, until
+from mqtt_helpers import QUICK, publishing, scripted_broker, until
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing import topics
 from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection
 
 
 def said(caplog: pytest.LogCaptureFixture) -> list[str]:
     return [record.getMessage().partition(": ")[2] for record in caplog.records]
-
-
-def broker_attempts(monkeypatch: pytest.MonkeyPatch) -> list[object]:
-    """A list that grows with each socket that is opened."""
-    attempts: list[object] = []
-    connect = socket.create_connection
-
-    def counted(*arguments: object, **options: object) -> socket.socket:
-        attempts.append(arguments)
-        return connect(*arguments, **options)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(socket, "create_connection", counted)
-    return attempts
 
 
 async def test_the_version_is_asked_for_without_name_password_and_will_which_old_brokers_misread() -> None:
@@ -40,33 +22,6 @@ async def test_the_version_is_asked_for_without_name_password_and_will_which_old
     assert connect[0] == 0b1110_1110  # name, password, will: retained, QoS 1, present; clean start
     assert b"robot\x00\x06sesame" in connect
     assert b"resonator/left/state/daemon" in connect
-
-
-async def test_credentials_and_a_wrong_password(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    caplog.set_level(logging.INFO)
-    passwords = tmp_path / "passwords"
-    passwords.write_text(password_line("robot", "open sesame"))
-    broker = Mosquitto(tmp_path, "allow_anonymous false", f"password_file {passwords}")
-    await broker.start()
-    try:
-        with_password = broker.url.replace("//", "//robot:open%20sesame@")
-        async with publishing(with_password) as left:
-            await until(lambda: left.connected)
-        assert said(caplog) == ["connected, MQTT 5"]
-        caplog.clear()
-        async with publishing(broker.url.replace("//", "//robot:tell-nobody@"), times=QUICK) as left:
-            left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(1))
-            await until(lambda: bool(caplog.records))
-            attempts = broker_attempts(monkeypatch)
-            await until(lambda: len(attempts) > 4)
-            assert not left.connected
-        assert len(caplog.records) == 1
-        assert "Not authorized" in caplog.text
-        assert "tell-nobody" not in caplog.text
-    finally:
-        await broker.kill()
 
 
 async def test_a_broker_that_does_not_answer_is_given_up_and_tried_again(caplog: pytest.LogCaptureFixture) -> None:

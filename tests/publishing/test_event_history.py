@@ -13,7 +13,7 @@ from mqtt_helpers import EVENTS, Messages, happen, publishing, until
 from observer import observe
 from small_disk import small_disk
 
-from resonator_daemon.publishing import event_history, event_queue, spool
+from resonator_daemon.publishing import event_history, event_queue
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.event_history import UNWRITTEN_MAX, HistoryPage, UnknownRunError
 from resonator_daemon.publishing.spool import Spool, SpoolError
@@ -198,18 +198,6 @@ async def test_a_full_disk_leaves_the_newest_in_memory(
             assert caplog.text.count("events cannot be kept on disk") == 1
         async with publishing(NOBODY, spool_directory=disk, boot_id="b") as left:
             assert seqs(await left.stored_events("a", held[0] - 1, LARGE)) == held
-
-
-async def test_a_damaged_file_costs_what_was_in_it(tmp_path: Path) -> None:
-    async with publishing(NOBODY, spool_directory=tmp_path, boot_id="first") as left:
-        await happen(left, range(5))
-    (tmp_path / spool.FILE).write_bytes(b"no database" * 1000)
-    async with publishing(NOBODY, spool_directory=tmp_path, boot_id="second") as left:
-        await happen(left, range(5))
-        await until(lambda: (tmp_path / "events.damaged").exists() and left.account.spooled == 5)
-        with pytest.raises(UnknownRunError):
-            await left.stored_events("first", -1, LARGE)
-        assert seqs(await left.stored_events(None, -1, LARGE)) == list(range(5))
 
 
 async def test_a_file_that_was_removed_is_made_again_with_what_is_stored(

@@ -112,16 +112,6 @@ async def test_events_wait_for_the_first_subscriber(mosquitto, tmp_path: Path, l
         ]
 
 
-async def test_late_events_do_not_wait_for_subscribers_for_ever(
-    mosquitto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(event_queue, "SUBSCRIBERS_S", 0.0)
-    async with publishing(mosquitto.url, spool_directory=tmp_path) as left:
-        await happen(left, range(50))
-        await until(lambda: left.account.waiting == 0)
-        assert (left.account.acknowledged, left.account.resent) == (50, 0)
-
-
 async def test_events_on_their_way_when_the_connection_ends_are_sent_again(tmp_path: Path) -> None:
     async with scripted_broker() as (url, script), publishing(url, spool_directory=tmp_path) as left:
         script.answer = lambda number: 0 if number <= 3 else None

@@ -2,10 +2,7 @@
 
 import os
 import shutil
-import signal
 import sqlite3
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -15,17 +12,6 @@ from resonator_daemon.publishing import spool
 from resonator_daemon.publishing.spool import Progress, Spool, SpoolDamagedError, SpooledEvent, SpoolError
 
 START = Progress((-1, -1), (1, -1))
-WRITER = """
-import sys
-from pathlib import Path
-from resonator_daemon.publishing.spool import Progress, Spool, SpooledEvent
-spool = Spool(Path(sys.argv[1]))
-run, _ = spool.open()
-for number in range(100):
-    spool.append([SpooledEvent((run, number), "a/topic", b"%d" % number)], Progress((-1, -1), (run, -1)), 0)
-print("written", flush=True)
-sys.stdin.read()
-"""
 
 
 def events(*numbers: int, run: int = 1, size_bytes: int = 1) -> list[SpooledEvent]:
@@ -72,22 +58,6 @@ def test_beyond_the_bound_of_bytes_the_oldest_go(tmp_path: Path, monkeypatch: py
     assert numbers(kept.read(START, 10)) == [2, 3]
     kept.delete([(1, 2)])
     assert kept.append(events(4, size_bytes=40), START, 9) == 0
-    kept.close()
-
-
-def test_a_killed_process_leaves_all_it_wrote_and_nobody_else_holds_it_meanwhile(tmp_path: Path) -> None:
-    writer = subprocess.Popen(
-        [sys.executable, "-c", WRITER, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
-    assert writer.stdout is not None
-    assert writer.stdout.readline() == b"written\n"
-    kept = Spool(tmp_path)
-    with pytest.raises(SpoolError, match=r"another process holds .*events\.sqlite3"):
-        kept.open()
-    writer.send_signal(signal.SIGKILL)
-    writer.communicate()
-    assert kept.open() == (2, 100)
-    assert [event.payload for event in kept.read(START, 200)] == [b"%d" % number for number in range(100)]
     kept.close()
 
 

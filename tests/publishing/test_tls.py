@@ -139,7 +139,7 @@ def logged_once(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatc
     return check
 
 
-async def test_messages_go_both_ways_through_tls(
+async def test_messages_and_streams_go_both_ways_through_tls(
     tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level("INFO")
@@ -155,17 +155,7 @@ async def test_messages_go_both_ways_through_tls(
                 client.send("echo/1", payload, qos=1)
             await until(lambda: len(attempts.heard) == len(payloads))
             assert [message.payload for message in attempts.heard] == payloads
-    assert said(caplog) == ["connected, MQTT 5"]
-
-
-async def test_streams_that_are_written_together_come_whole_through_tls(
-    tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async with tls_mosquitto(tmp_path, files) as running:
-        broker = Mqtt(url=running.tls_url, ca_file=str(files.ca))
-        async with keeping_connected(broker, monkeypatch) as attempts:
-            await until(lambda: attempts.connected)
-            client = attempts.served[0]
+            attempts.heard.clear()
             payloads = [bytes([number]) * (10_000 * number) for number in range(60)]  # far more than a socket holds
             stream = StreamPackets("echo/1", pack(), perishable=True)
             packets = [stream.packet(payload, is_mqtt_5=True) for payload in payloads]
@@ -175,6 +165,7 @@ async def test_streams_that_are_written_together_come_whole_through_tls(
             await until(lambda: len(attempts.heard) == len(payloads))
             assert [message.payload for message in attempts.heard] == payloads
             assert client.messages_in_flight == 0
+    assert said(caplog) == ["connected, MQTT 5"]
 
 
 async def test_several_messages_in_one_record_all_arrive_at_once(files: Files, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -297,23 +288,16 @@ async def test_files_are_read_again_with_each_connection(
     assert [finding in line for finding, line in zip(findings, lines, strict=True)] == [True] * 5
 
 
-class Greeted:
-    """What a broker was greeted with."""
-
-    def __init__(self) -> None:
-        self.flags: list[tuple[int, str]] = []  # version of MQTT, and the name in it
-
-
 @asynccontextmanager
-async def greeted(answer: Callable[[int], bytes]) -> AsyncIterator[tuple[int, Greeted]]:
-    """Yields port and record of a broker whose answer depends on the version of MQTT."""
-    record = Greeted()
+async def greeted(answer: Callable[[int], bytes]) -> AsyncIterator[tuple[int, list[tuple[int, str]]]]:
+    """Yields the port of a broker whose answer depends on the version of MQTT, and the versions and names it got."""
+    record: list[tuple[int, str]] = []
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if not (packet := await reader.read(1000)):  # the attempt was given up before its CONNECT
             writer.close()
             return
-        record.flags.append((packet[8], "robot" if b"\x00\x05robot" in packet else TO_NOBODY))
+        record.append((packet[8], "robot" if b"\x00\x05robot" in packet else TO_NOBODY))
         writer.write(answer(packet[8]))
         writer.close()
 
@@ -326,11 +310,14 @@ async def test_a_broker_that_speaks_neither_version(to_5: bytes, logged_once: Lo
     async with greeted(lambda version: to_5 if version == 5 else b"\x20\x02\x00\x01") as (port, record):
         broker = Mqtt(url=f"mqtt://127.0.0.1:{port}")
         await logged_once(broker, "it supports neither MQTT 5 nor 3.1.1")
-    assert {version for version, _ in record.flags} == {4, 5}
+    assert {version for version, _ in record} == {4, 5}
 
 
-async def test_who_is_refused_asks_without_a_name_once_only(logged_once: LoggedOnce) -> None:
+async def test_who_is_refused_asks_without_a_name_once_only(
+    logged_once: LoggedOnce, caplog: pytest.LogCaptureFixture
+) -> None:
     async with greeted(lambda _: NOT_AUTHORIZED) as (port, record):
         broker = Mqtt(url=f"mqtt://robot:sesame@127.0.0.1:{port}")
         await logged_once(broker, "'robot' (Not authorized); see mqtt.username, mqtt.password_file")
-    assert [name for _, name in record.flags[:5]] == [TO_NOBODY, "robot", "robot", "robot", "robot"]
+    assert "sesame" not in caplog.text
+    assert [name for _, name in record[:5]] == [TO_NOBODY, "robot", "robot", "robot", "robot"]

@@ -102,21 +102,6 @@ async def test_two_that_follow_one_plate_report_each_other_until_one_has_gone(
     assert sum("host-2 follows this plate" in line for line in caplog.messages) == 1
 
 
-async def test_it_starts_without_a_broker_and_outlives_one(tmp_path: Path, mosquitto: Mosquitto) -> None:
-    await mosquitto.kill()
-    decoder = process(tmp_path, mosquitto.url, decoding=LINEAR)
-    async with running(decoder):
-        for seq in range(2):
-            await mosquitto.start()
-            async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand:
-                await heard.until(lambda heard=heard: bool(heard.raw(STATE)))
-                await hand.tell("hand", info())
-                await heard.until_last(STATE, state="waiting", reason="hand: no signals that could be decoded")
-                await send_until_decoded(hand, heard, seq)
-            await mosquitto.kill()
-        assert_exact(decoder)
-
-
 async def test_frames_of_many_plates_are_shared_and_none_is_decoded_twice(tmp_path: Path, mosquitto: Mosquitto) -> None:
     plates, frames = ("left", "right"), 40
     async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand:

@@ -98,10 +98,6 @@ class Followed:
         assert self.account.waiting == 0
 
 
-def as_sent(message: Message) -> bytes:
-    return encode(message)
-
-
 def without_number(event: bytes) -> dict[str, Any]:
     return json.loads(event) | {"seq": None}
 
@@ -112,7 +108,7 @@ async def test_results_are_those_of_the_daemons_own_stage(wanted: DecodingOption
     noise = frames[0].noise_std.astype(np.float64)
     expected: dict[str, list[bytes]] = {"decoded": [], "decoded/summary": [], "contacts": [], "contacts/event": []}
     settings = SurfaceSettings(SKIN, wanted, np.arange(100, 244), info().grid.pitch_m, "host-1")  # type: ignore[union-attr]
-    stream = SurfaceStream(settings, lambda topic, message: expected[topic.path].append(as_sent(message)), [].append)
+    stream = SurfaceStream(settings, lambda topic, message: expected[topic.path].append(encode(message)), [].append)
     for number, frame in enumerate([signals(0, NOTHING), *frames]):
         header = header_of(frame)
         request = SurfaceFrame(header, header["seq"], frame.signals.astype(np.float64), noise)
@@ -126,7 +122,7 @@ async def test_results_are_those_of_the_daemons_own_stage(wanted: DecodingOption
         await followed.prepare(info())
         for frame in frames:
             await followed.read(frame)
-    sent = {path: [as_sent(message) for message in followed.on(path)] for path in expected}
+    sent = {path: [encode(message) for message in followed.on(path)] for path in expected}
     for path in ("decoded", "decoded/summary", "contacts"):
         assert sent[path] == expected[path]
     assert [event.seq for event in followed.on("contacts/event")] == list(range(len(expected["contacts/event"])))

@@ -3,8 +3,10 @@
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+from plates import plate_head, site
 
 from resonator_daemon.plate import Plate, load_plate, shipped_plates
 from resonator_daemon.sensors import code_check
@@ -12,30 +14,14 @@ from resonator_daemon.sensors import code_check
 QUARTZ = load_plate("quartz16")
 
 
-def plate_text(ppm_apart: float, *, thermal: str = "", counter: str = "") -> str:
+def plate_text(ppm_apart: float, *, thermal: str = "", **counter: bool) -> str:
     """Three sites with ids 4, 9 and 12: 9 and 12 are so far apart, 4 is far from both."""
-    text = f"""
-format = 1
-name = "three"
-outline_mm = [[-10, -10], [10, -10], [10, 10], [-10, 10]]
-transducers_mm = [[-10, -10], [10, -10], [10, 10], [-10, 10]]
-force_max_newton = 10
-[counter]
-kind = "single-tone"
-{counter}
-{thermal}
-"""
-    for number, (site, f0_hz) in enumerate(((4, 9.99e6), (12, 9.98e6), (9, 9.98e6 * (1 - 1e-6 * ppm_apart)))):
-        text += f"""
-[[sites]]
-id = {site}
-position_mm = [{5 * number}, 0]
-[[sites.tones]]
-signal = "force"
-f0_hz = [{f0_hz}, {f0_hz}, {f0_hz}, {f0_hz}]
-sensitivity = [-6e-6, -6e-6, -6e-6, -6e-6]
-"""
-    return text
+    sites = ((4, 9.99e6), (12, 9.98e6), (9, 9.98e6 * (1 - 1e-6 * ppm_apart)))
+    return (
+        plate_head("three", (-10, -10), (10, 10), **counter)
+        + thermal
+        + "".join(site(number, 5 * index, 0, force=(f0_hz, -6e-6)) for index, (number, f0_hz) in enumerate(sites))
+    )
 
 
 def check(folder: Path, plate: str, *arguments: str, verb: str = "check") -> subprocess.CompletedProcess[str]:
@@ -62,11 +48,11 @@ def test_codes_that_overlap_are_refused_with_the_ids_and_what_is_needed(tmp_path
 
 
 def test_who_insists_is_let_pass(tmp_path: Path) -> None:
-    passed = check(tmp_path, plate_text(50.0, counter="codes_may_overlap = true"))
+    passed = check(tmp_path, plate_text(50.0, codes_may_overlap=True))
     assert (passed.returncode, "mistaken" in passed.stderr) == (0, False)
 
 
-def three(ppm_apart: float, tmp_path: Path, **parts: str) -> Plate:
+def three(ppm_apart: float, tmp_path: Path, **parts: Any) -> Plate:
     path = tmp_path / "plate.toml"
     path.write_text(plate_text(ppm_apart, **parts))
     return load_plate(str(path))
@@ -82,7 +68,7 @@ def test_the_step_that_is_needed_would_do(tmp_path: Path) -> None:
 
 def test_a_wider_span_of_temperatures_needs_more(tmp_path: Path) -> None:
     needed = [
-        code_check.overlaps(three(50.0, tmp_path, thermal=f"[thermal]\nrange_kelvin = [{low}, {high}]"))[0].needed_ppm
+        code_check.overlaps(three(50.0, tmp_path, thermal=f"[thermal]\nrange_kelvin = [{low}, {high}]\n"))[0].needed_ppm
         for low, high in ((298.0, 298.3), (278.15, 318.15), (298.15, 318.15))
     ]
     # Sites that differ by six standard deviations of 5e-8 per kelvin, 20 K away from 298.15 K at the most.
@@ -92,6 +78,6 @@ def test_a_wider_span_of_temperatures_needs_more(tmp_path: Path) -> None:
 
 def test_a_channelised_counter_tells_tones_apart_by_their_number() -> None:
     content = load_plate("comb16").model_dump(mode="json", exclude_none=True)
-    for site in content["sites"]:
-        site["tones"][0]["f0_hz"] = [1e7] * 4
+    for listed in content["sites"]:
+        listed["tones"][0]["f0_hz"] = [1e7] * 4
     assert code_check.overlaps(Plate.model_validate(content)) == ()

@@ -21,15 +21,6 @@ def distance_m(contact, place_m):
     return math.dist(contact.touch.position_m, place_m)
 
 
-def test_a_reading_comes_at_every_step_with_the_windows_end():
-    comb = SmallComb(window_frames=8, step_frames=4)
-    given = [comb.push() is not None for _ in range(12)]
-    assert given == [False, False, False, True] * 3
-    reading = comb.hold(frames=4)[0]
-    assert (reading.sequence, reading.board_ticks, reading.at_step) == (15, comb.board_ticks, True)
-    assert reading.window_s == pytest.approx(8 * GATE_S)
-
-
 def test_a_touch_between_sites_is_one_contact_with_its_place_and_force():
     comb = SmallComb().untouched()
     pressed = comb.hold(spread(2.0, *PLACE_M), 40)

@@ -8,10 +8,8 @@ from connection_bench import GATE_TICKS, IDENTITY, MS, Bench, SimulatedBoard, on
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.messages import BoardLog, ResetCause
 from firmware_protocol.packets import encode_packet
-from firmware_protocol.states import BoardState
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.session.frames import BoardLogLine, BoardOnline, Outage
-from simulators.faults.byte_faults import packets_in
 
 
 def test_frames_carry_the_middle_of_their_gate() -> None:
@@ -51,17 +49,6 @@ def test_a_board_that_is_deaf_and_mute_for_two_and_a_half_seconds_goes_on_in_its
     (gap,) = bench.gaps
     assert gap.loss.total == pytest.approx(2500, abs=1)
     bench.check_indices()
-
-
-def test_a_board_that_answers_no_ping_is_never_configured() -> None:
-    bench = Bench(SimulatedBoard())
-    bench.board.slip_answer = lambda answers: b"".join(
-        answer for answer in packets_in(answers) if answer[3] != MessageType.PONG
-    )
-    with pytest.raises(LinkLostError):
-        bench.run(4000)
-    assert bench.board.session.state is BoardState.IDLE
-    assert bench.board.session.counts.accepted > 0
 
 
 def test_a_board_that_was_only_late_is_online_again_with_its_outage_told() -> None:

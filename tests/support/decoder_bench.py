@@ -1,7 +1,7 @@
 """What the tests of decoder processes share: a small skin, its messages, and a stand-in for its daemon."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 import aiomqtt
 import example_messages
 import numpy as np
+from observer import until as until
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.config.decoder import load_decoder_config
@@ -92,13 +93,6 @@ def signals(seq: int, values: Floats | None = None, boot: str = BOOT, **change: 
 
 def incoming(topic: str, payload: bytes) -> Incoming:
     return Incoming(topic, payload, False, None, None)
-
-
-async def until(predicate: Callable[[], bool]) -> None:
-    """Look again with each turn of the event loop, for 20 s at most."""
-    async with asyncio.timeout(20):
-        while not predicate():  # noqa: ASYNC110  there is no event for every condition
-            await asyncio.sleep(0.005)
 
 
 class Daemon:

@@ -9,7 +9,7 @@ from asyncio.subprocess import Process
 from collections.abc import Iterable
 from pathlib import Path
 
-from decoder_bench import until
+from observer import until
 
 PROGRAM = str(Path(sys.executable).parent / "resonatord")
 ONLINE = "left-index: daemon online   link online   sensor online"

@@ -12,6 +12,13 @@ import aiomqtt
 DEADLINE_S = 30.0  # far beyond what any wait takes: it ends a test that hangs
 
 
+async def until(predicate: Callable[[], bool]) -> None:
+    """Look again with each turn of the event loop, for 20 s at most."""
+    async with asyncio.timeout(20):
+        while not predicate():  # noqa: ASYNC110  there is no event for every condition
+            await asyncio.sleep(0.005)
+
+
 class Observer:
     """Messages in the order of their arrival."""
 

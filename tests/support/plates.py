@@ -1,5 +1,6 @@
 """Plates of tests: shipped ones with other values, and plate files written out."""
 
+import json
 from typing import Any
 
 from resonator_daemon.plate import Plate
@@ -26,7 +27,7 @@ def plate_head(
     """Return the file of a rectangular plate, with a transducer in each corner, up to its [counter]."""
     (left, low), (right, high) = low_mm, high_mm
     corners = [[left, low], [right, low], [right, high], [left, high]]
-    values = "".join(f"{key} = {value!r}\n" for key, value in counter.items())
+    values = "".join(f"{key} = {json.dumps(value)}\n" for key, value in counter.items())
     return (
         f'format = 1\nname = "{name}"\noutline_mm = {corners}\ntransducers_mm = {corners}\n'
         f'force_max_newton = {force_max_newton}\n[counter]\nkind = "{kind}"\n{values}'

@@ -32,17 +32,8 @@ RECORDING = RecordingInfo(
     messages=42,
     messages_missing=43,
 )
-NOT_RECORDING = RecordingInfo(
-    file=None,
-    since_t_ns=None,
-    failure=None,
-    file_bytes=0,
-    files=0,
-    files_removed=0,
-    events_missing=0,
-    messages=0,
-    messages_missing=0,
-)
+NOTHING = {"file": None, "since_t_ns": None, "failure": None}
+NOT_RECORDING = RecordingInfo(**(dict.fromkeys(RECORDING.model_fields_set, 0) | NOTHING))
 
 
 def ago_ns(seconds: float) -> int:
