@@ -69,7 +69,7 @@ REPLACED = {  # pattern -> the word to write; inline code and links are left out
     r"whoever": "any client that",
     r"(?:a|the|no|each|this|any|which|that) board counts(?! (?:edges|ticks))": "acquires, sends frames",
     r"lies of (?:a|the) board": "protocol violations",
-    r"copy for people": "decimated topic",
+    r"cop(?:y|ies) for people": "decimated topic",
     r"in the middle": "median, middle",
     r"ever (?:more|longer|less)": "increasingly",
     r"(?:replay|save|check|compare|golden|corpus) (?:a |the )?cases?|cases? (?:checked|differs?)": "regression fixture",
@@ -122,7 +122,7 @@ def texts_of(name: str) -> list[tuple[int, str]]:
     path = ROOT / name
     if name.endswith(".md"):
         text = re.sub(r"\]\([^)]*\)", "]", prose(path))
-        return list(enumerate(re.sub(r"^ {4,}.*", "", text, flags=re.M).splitlines(), 1))
+        return [*enumerate(re.sub(r"^ {4,}.*", "", text, flags=re.M).splitlines(), 1), *sentences(path)]
     nodes = ast.walk(ast.parse(path.read_text()))
     strings = [node for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)]
     return [(node.lineno, node.value) for node in strings if " " in node.value and not node.value.count("\n")]
