@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from plates import site
 from pydantic import ValidationError
 
 from resonator_daemon.errors import ConfigurationError
@@ -62,23 +63,7 @@ order = [1, 3, 6]
 sensitivity = [3e-6, -2e-11, 4e-6]
 """
 
-SKIN_SITE = """\
-[[sites]]
-id = 1
-position_mm = [1, 0.5]
-[[sites.tones]]
-signal = "eps_yz"
-f0_hz = [3e6, 3e6, 3e6, 3e6]
-sensitivity = [3e-6, 3e-6, 3e-6, 3e-6]
-[[sites.tones]]
-signal = "p_n"
-f0_hz = [1e6, 1e6, 1e6, 1e6]
-sensitivity = [-1e-11, -1e-11, -1e-11, -1e-11]
-[[sites.tones]]
-signal = "eps_xz"
-f0_hz = [2e6, 2e6, 2e6, 2e6]
-sensitivity = [2e-6, 2e-6, 2e-6, 2e-6]
-"""
+SKIN_SITE = site(1, 1, 0.5, eps_yz=(3e6, 3e-6), p_n=(1e6, -1e-11), eps_xz=(2e6, 2e-6))
 
 
 def written(tmp_path: Path, text: str) -> str:

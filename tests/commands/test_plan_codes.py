@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import exit_code
+from plates import plate_head, site
 
 from resonator_daemon.commands import main
 from resonator_daemon.plate import load_plate
@@ -70,38 +71,12 @@ def test_the_numbers_of_quartz16_give_a_ladder_without_collisions(
 
 
 def test_a_plate_says_what_no_option_says(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    sites = "".join(
-        f"""
-[[sites]]
-id = {site_id}
-position_mm = [{x_mm}, 0]
-[[sites.tones]]
-signal = "force"
-f0_hz = [{f0_hz}, {f0_hz}, {f0_hz}, {f0_hz}]
-sensitivity = [4e-6, 4e-6, 4e-6, 4e-6]
-temperature_coefficients = [-5e-8, -5e-10, 1e-10]
-"""
-        for site_id, x_mm, f0_hz in ((4, -5, 4.99e6), (9, 5, 4.98e6))
-    )
-    square = "[[-9, -9], [9, -9], [9, 9], [-9, 9]]"
+    coefficients = "temperature_coefficients = [-5e-8, -5e-10, 1e-10]\n"
+    head = plate_head("known", (-9, -9), (9, 9), 5, reference_hz=250e6, frame_rate_hz=500, pilot_hz=5.005e6)
+    thermal = "[thermal]\nrange_kelvin = [295, 300]\ncoefficient_std = 1e-8\n"
+    sites = (site(number, x_mm, 0, force=(hz, 4e-6)) for number, x_mm, hz in ((4, -5, 4.99e6), (9, 5, 4.98e6)))
     path, new = tmp_path / "known.toml", tmp_path / "new.toml"
-    path.write_text(
-        f"""
-format = 1
-name = "known"
-outline_mm = {square}
-transducers_mm = {square}
-force_max_newton = 5
-[counter]
-kind = "single-tone"
-reference_hz = 250e6
-frame_rate_hz = 500
-pilot_hz = 5.005e6
-[thermal]
-range_kelvin = [295, 300]
-coefficient_std = 1e-8
-{sites}"""
-    )
+    path.write_text(head + thermal + "".join(one + coefficients for one in sites))
     code, found, _ = plan(capsys, "--plate", str(path), "--output", str(new))
     assert code == 0
     assert found["guard_band_ppm"]["force"] == pytest.approx(4 * 5)

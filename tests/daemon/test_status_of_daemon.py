@@ -3,14 +3,13 @@
 import asyncio
 import logging
 import os
-import socket
 import urllib.request
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from brokers import Mosquitto
+from brokers import Mosquitto, free_port
 from prometheus_client.parser import text_string_to_metric_families
 from service_bench import Bench
 
@@ -24,12 +23,6 @@ from simulators.faults import parse_faults
 DEADLINE_S = 30.0
 
 Samples = dict[tuple[str, frozenset[tuple[str, str]]], float]
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def service_with_metrics(bench: Bench, port: int) -> Service:

@@ -32,10 +32,10 @@ def two_touches(plate, captured, seed):
     return site, force, plate.f0_hz[tone] / (1 - k * np.take_along_axis(force, heard, axis=1) - error)
 
 
-def channels_of_the_second(count, seed, least=1, most=3):
+def channels_of_the_second(count, seed):
     rng = np.random.default_rng(seed)
     order = rng.permuted(np.tile(np.arange(4), (count, 1)), axis=1)
-    return order < rng.integers(least, most + 1, (count, 1))
+    return order < rng.integers(1, 4, (count, 1))
 
 
 @pytest.mark.parametrize("name", PLATES)
@@ -58,17 +58,6 @@ def test_two_touches_are_both_found_and_none_is_wrong(name):
             errors.append((found.force_newton - force[row, touch]) / stated)
     assert len(errors) >= 2 * 0.99 * count
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1.0, abs=0.05)
-
-
-@pytest.mark.parametrize("name", PLATES)
-def test_one_channel_that_hears_another_site_spoils_neither(name):
-    plate, count = PLATES[name], 800
-    captured = channels_of_the_second(count, 41, most=1)
-    site, _, frequency = two_touches(plate, captured, 42)
-    matches = match_all(matcher_of(plate), frequency)
-    named = [[force.site for force in match.forces] for match in matches.matches]
-    assert all(set(sites) <= set(of) for sites, of in zip(named, site.tolist(), strict=True))
-    assert np.mean([of[0] in sites for sites, of in zip(named, site.tolist(), strict=True)]) >= 0.99
 
 
 def test_one_channel_with_a_foreign_tone_is_left_out():

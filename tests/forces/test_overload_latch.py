@@ -1,35 +1,7 @@
 import math
 
-import numpy as np
-import pytest
-from brute_force_board import Ladder
-from drawn_touches import NOISE, matcher_of
-
 from resonator_daemon.forces.overload_latch import OverloadLatch
 from resonator_daemon.forces.site_identification import Match, SiteForce
-
-
-@pytest.mark.parametrize("pull", [0.0, 25e-6])
-def test_no_force_of_a_ramp_to_80_newton_looks_plausible_while_latched(pull):
-    plate = Ladder(pull=pull)
-    matcher = matcher_of(plate)
-    for site in range(0, 16, 3):
-        latch = OverloadLatch()
-        unlatched_plausible = 0
-        for force in np.concatenate([np.arange(0.5, 9.0, 0.5), np.arange(9.05, 11.0, 0.1), np.arange(11.0, 80.0, 0.5)]):
-            raw = matcher.match(plate.loaded_hz(site, force), *NOISE)
-            match = latch.apply(raw)
-            if force <= 9.95:
-                assert match.status == "ok"
-                assert match.forces[0].force_newton == pytest.approx(force, abs=1e-3)
-            elif force >= 10.05:
-                unlatched_plausible += raw.status == "ok"
-                assert match.status == "overload"
-                assert match.forces[0].site == site
-                assert math.isnan(match.forces[0].force_newton)
-        # Without a latch the ramp crosses the codes of the sites below, where there are any.
-        if pull == 0 and plate.code[site] < 16 and abs(plate.sensitivity[site, 0]) > 5.2e-6:
-            assert unlatched_plausible > 0
 
 
 def outcome(**statuses):

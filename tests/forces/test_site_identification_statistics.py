@@ -47,28 +47,3 @@ def test_on_codes_that_overlap_the_matcher_abstains_rather_than_err(kind, counte
     assert named > (0.3 if counter_std > 1e-6 else 0.9)
     if kind == "alike":
         assert np.mean(matches.status == "ambiguous") > 0.02
-
-
-UNEQUAL = np.array([0.65, 0.9, 1.1, 1.35])
-
-
-@pytest.mark.parametrize(
-    ("factors", "failing", "error_newton"),
-    [
-        (UNEQUAL, pytest.approx(0.44, abs=0.03), pytest.approx(3.1e-3, rel=0.05)),
-        (UNEQUAL * [1, -1, 1, -1], pytest.approx(0.85, abs=0.03), pytest.approx(0.75e-3, rel=0.05)),
-        (np.ones(4), pytest.approx(1e-3, abs=1e-3), pytest.approx(15.9e-3, rel=0.05)),
-    ],
-)
-def test_a_common_mode_that_is_not_modelled_fails_the_gate_unless_channels_are_alike(factors, failing, error_newton):
-    plate = Ladder()
-    plate.sensitivity = np.full((16, 1), -6.3e-6) * factors
-    noise = (np.full(4, 1e-8), 0.0, 1e-7)
-    _, force, frequency = draws(plate, 6_000, seed=6, newton=(0.2, 8.0), model_error=0.0, noise=noise)
-    matcher = matcher_of(plate, model_error=0.0)
-    ignored = match_all(matcher, frequency, (noise[0], 0.0, 0.0))
-    assert np.mean(ignored.status != "ok") == failing
-    modelled = match_all(matcher, frequency, noise)
-    ok = modelled.status == "ok"
-    assert np.mean(~ok) == pytest.approx(1e-3, abs=1e-3)
-    assert np.sqrt(np.mean((modelled.force_newton - force)[ok] ** 2)) == error_newton

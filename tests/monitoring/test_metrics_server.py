@@ -11,6 +11,7 @@ from contextlib import asynccontextmanager
 
 import pytest
 import status_samples
+from brokers import free_port
 
 from resonator_daemon.config import Listen
 from resonator_daemon.monitoring.metrics_server import TOGETHER, MetricsServer, MetricsTimes
@@ -21,9 +22,7 @@ DEADLINE_S = 20.0
 
 @pytest.fixture
 def address() -> Listen:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return Listen("127.0.0.1", probe.getsockname()[1])
+    return Listen("127.0.0.1", free_port())
 
 
 @asynccontextmanager

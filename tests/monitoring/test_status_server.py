@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 import status_samples
+from observer import until
 
 from resonator_daemon.monitoring.status import Status
 from resonator_daemon.monitoring.status_server import PATH_BYTES_MAX, StatusServer, StatusTimes
@@ -35,12 +36,6 @@ async def serving(
     finally:
         task.cancel()
         await asyncio.wait([task])
-
-
-async def until(happened: Callable[[], bool]) -> None:
-    async with asyncio.timeout(DEADLINE_S):
-        while not happened():  # noqa: ASYNC110 - of another process, or of a socket
-            await asyncio.sleep(0.001)
 
 
 def listens(path: Path) -> bool:

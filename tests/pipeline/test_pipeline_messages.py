@@ -14,9 +14,8 @@ from resonator_daemon.forces.contacts import Contact, ContactEvent, Touch
 from resonator_daemon.forces.readings import Compensation, ForceReading, SensorStatus
 from resonator_daemon.forces.site_identification import SiteForce
 from resonator_daemon.publishing.payloads import Condition, Lost
-from resonator_daemon.publishing.topics import HEALTH
 from resonator_daemon.reasons import Reason, ReasonCode
-from resonator_daemon.session.frames import BoardOnline, LinkChange, Outage
+from resonator_daemon.session.frames import BoardOnline, LinkChange
 
 # Ids that are no indices, and ticks that are no nanoseconds.
 FORCE_PLATE = plate_head("three", (0, 0), (20, 10), reference_hz=250e6, frame_rate_hz=1000) + "".join(
@@ -103,19 +102,6 @@ def test_forces_are_the_contracts_literal(messages: Messages) -> None:
     }
 
 
-def test_the_sensors_state_has_what_was_compensated(messages: Messages) -> None:
-    applied = reading().compensation
-    said = literal(messages.states.sensor_state(Condition.ONLINE, WHY, 1, 1, applied))
-    assert said["compensation"] == {
-        "baseline": "held",
-        "common_mode": [1e-6, None, 0.0, -1e-6],
-        "common_mode_std": 2e-7,
-        "plate_kelvin": 1.5,
-        "plate_kelvin_std": None,
-        "response": "off",
-    }
-
-
 @pytest.mark.parametrize(
     ("window_s", "middle"),
     [(0.01, 1_788_999_999_995_000_123), (0.001, 1_788_999_999_999_500_123), (1.0, 1_788_999_999_500_000_123)],
@@ -180,21 +166,6 @@ def test_an_event_tells_of_its_own_contact_with_its_peak(messages: Messages, wor
     assert said["contact"] == CONTACT | HISTORY | unknown | {"id": 3, "site": 70, "status": "no_signal"}
 
 
-def test_each_topic_counts_its_own_messages(messages: Messages) -> None:
-    made = [
-        messages.force.forces(reading(), GATE_MIDDLE),
-        messages.force.contacts(reading(), GATE_MIDDLE),
-        messages.force.forces(reading(), GATE_MIDDLE),
-        messages.states.link_state(ONLINE, None, 1),
-        messages.states.sensor_state(Condition.ONLINE, WHY, 1, 1, None),
-        messages.states.link_state(UNPLUGGED, None, 1),
-        messages.force.event(ContactEvent("onset", 1, contact(), None), reading(), GATE_MIDDLE),
-        messages.force.forces(reading(), GATE_MIDDLE),
-    ]
-    assert [message.seq for message in made] == [0, 0, 1, 0, 0, 1, 0, 2]
-    assert [messages.headers.of(HEALTH, 1)["seq"] for _ in range(2)] == [0, 1]
-
-
 def test_losses_and_the_boards_boot_are_those_of_the_moment(tmp_path: Path) -> None:
     losses = Losses()
     messages = Messages(configured(tmp_path, FORCE_PLATE), losses)
@@ -210,16 +181,6 @@ def test_losses_and_the_boards_boot_are_those_of_the_moment(tmp_path: Path) -> N
         {"damaged": 8},
     )
     assert second["board_boot_id"] == "51ab"
-
-
-def test_a_state_says_since_when_and_is_dated_when_it_was_said(messages: Messages) -> None:
-    said = literal(messages.states.link_state(UNPLUGGED, None, 1))
-    assert said["state"] == "lost"
-    assert (said["reason_code"], said["reason"]) == ("unplugged", "unplugged")
-    assert said["since_t_ns"] == "1788999990000000001"
-    assert said["t_ns"] == "1788999990000000002"
-    assert said["t_uncertainty_ns"] == 0
-    assert "board_ticks" not in said
 
 
 BOARD = BoardOnline(
@@ -304,15 +265,3 @@ def test_states_never_go_back_in_time(messages: Messages) -> None:
         (2_100, 2_000),
         (1_000, 1_000),
     ]
-
-
-def test_the_link_tells_its_last_outage_and_the_boards_boots(messages: Messages) -> None:
-    said = literal(messages.states.link_state(ONLINE, Outage(1, 3_000_000_000, 2900, GONE), 2))
-    assert said["boot_count"] == 2
-    assert said["last_outage"] == {
-        "start_t_ns": "1",
-        "end_t_ns": "3000000000",
-        "frames_lost": 2900,
-        "reason_code": "unplugged",
-        "reason": "unplugged",
-    }

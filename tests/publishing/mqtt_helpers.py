@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pytest
 from observer import Observer
 from observer import until as until
 from sample_messages import HEADER as HEADER
@@ -152,6 +153,11 @@ async def publishing(
     await running
     assert_exact(publisher)
     assert publisher.account.waiting == publisher.account.spooled
+
+
+def said(caplog: pytest.LogCaptureFixture) -> list[str]:
+    """Return the lines of the log without the broker that they begin with."""
+    return [record.getMessage().partition(": ")[2] for record in caplog.records]
 
 
 def assert_exact(publisher: Publisher) -> None:

@@ -4,14 +4,10 @@ import asyncio
 import socket
 
 import pytest
-from mqtt_helpers import QUICK, publishing, scripted_broker, until
+from mqtt_helpers import QUICK, publishing, said, scripted_broker, until
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection
-
-
-def said(caplog: pytest.LogCaptureFixture) -> list[str]:
-    return [record.getMessage().partition(": ")[2] for record in caplog.records]
 
 
 async def test_the_version_is_asked_for_without_name_password_and_will_which_old_brokers_misread() -> None:

@@ -6,7 +6,6 @@ import sqlite3
 from pathlib import Path
 
 import pytest
-from small_disk import small_disk
 
 from resonator_daemon.publishing import spool
 from resonator_daemon.publishing.spool import Progress, Spool, SpoolDamagedError, SpooledEvent, SpoolError
@@ -85,23 +84,6 @@ def test_a_damaged_file_is_set_aside(tmp_path: Path, damage: str) -> None:
     assert kept.open() == (1, 0)
     kept.append(events(1), START, 0)
     kept.close()
-
-
-def test_a_full_disk_changes_nothing_and_is_no_defect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(spool, "EVENTS_MAX", 300)
-    with small_disk(tmp_path, 512 * 1024) as (disk, fill, free):
-        kept = Spool(disk)
-        kept.open()
-        kept.append(events(0, 1), START, 0)
-        fill()
-        for _ in range(3):
-            with pytest.raises(SpoolError, match="disk is full"):
-                kept.append(events(*range(2, 202), size_bytes=1000), START, 0)
-        assert numbers(kept.read(START, 10)) == [0, 1]
-        free()
-        assert kept.append(events(*range(2, 202), size_bytes=1000), START, 99) == 0  # what failed counts nowhere
-        assert len(kept.read(START, 1000)) == 202
-        kept.close()
 
 
 @pytest.mark.parametrize("lost", ["directory", "database alone", "replaced"])

@@ -13,7 +13,7 @@ import pytest
 import trustme
 from brokers import Mosquitto
 from mosquitto_passwords import password_line
-from mqtt_helpers import QUICK, until
+from mqtt_helpers import QUICK, said, until
 from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.config import Mqtt
@@ -116,10 +116,6 @@ async def keeping_connected(broker: Mqtt, monkeypatch: pytest.MonkeyPatch) -> As
             unfinished = asyncio.all_tasks() - before  # an attempt that nobody waits for any more ends by itself
             if unfinished:
                 await asyncio.wait(unfinished, timeout=5)
-
-
-def said(caplog: pytest.LogCaptureFixture) -> list[str]:
-    return [record.getMessage().partition(": ")[2] for record in caplog.records]
 
 
 LoggedOnce = Callable[[Mqtt, str], Awaitable[None]]

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from brokers import Mosquitto
 from observer import Observer, observe
+from scenarios import IDEAL, touch_text
 from service_bench import Bench, events
 from system_parts import SMALL_SKIN
 
@@ -22,11 +23,7 @@ from simulators.faults import parse_faults
 
 pytestmark = pytest.mark.undisturbed
 
-IDEAL = "[plate]\nideal = true\n"
-TOUCHES = "".join(
-    f"[[touches]]\nstart_s = {start_s}\nsite = {site}\nforce_newton = 2.0\nhold_s = {hold_s}\n"
-    for start_s, site, hold_s in ((0.4, 7, 0.3), (1.2, 3, 0.6))
-)
+TOUCHES = touch_text(0.4, 2.0, 0.3, site=7) + touch_text(1.2, 2.0, 0.6, site=3)
 COMPARED = ("forces", "contacts", "contacts/event", "signals", "state/link", "state/sensor", "info")
 OF_THE_RUN = ("daemon_boot_id", "commands", "rates_hz")  # what the link has no part in
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from small_comb import GATE_S, GATE_TICKS, POSITION_M, SITES, SmallComb, spread
 
-from resonator_daemon.forces.site_response import SiteResponse
 from resonator_daemon.reasons import Reason, ReasonCode
 
 PLACE_M = (1.2e-3, -0.9e-3)  # between sites
@@ -144,44 +143,6 @@ def test_a_site_that_is_off_by_less_than_a_contact_leaves_the_others_to_tell(off
     (contact,) = comb.hold(spread(2.0, *FAR_M), 20, offset=off)[-1].contacts
     assert distance_m(contact, FAR_M) < 0.1e-3
     assert contact.touch.force_newton == pytest.approx(2.0, abs=0.02)
-
-
-def test_far_sites_tell_the_plates_drift_while_it_is_touched():
-    comb = SmallComb().untouched()
-    load = spread(2.0, *PLACE_M)
-    readings = [comb.push(load, kelvin=0.08 * GATE_S * number) for number in range(1000)]  # 0.4 K in 5 s
-    last = readings[-1]
-    (contact,) = last.contacts
-    # Not followed, 0.4 K would pass for some 20 mN on each site.
-    assert contact.touch.force_newton == pytest.approx(2.0, abs=5e-3)
-    assert distance_m(contact, PLACE_M) < 20e-6
-    assert last.compensation.baseline == "followed"
-    told = [force.site for force in last.sites]
-    assert max(told, key=lambda site: load[site]) == load.argmax()
-    assert len(told) < SITES
-
-
-PLAY_NEWTON = 0.1
-RESPONSE = SiteResponse(PLAY_NEWTON, 0.0, 20.0, 0.1 * PLAY_NEWTON, 0.0, 0.0)
-
-
-def pressed_and_let_go(comb, newton=6.0):
-    """Press a place whose sites have a play of 0.1 N, and let go; returns the readings after the end."""
-    z = np.zeros(SITES)
-    for part in [*np.linspace(0, 1, 100), *np.linspace(1, 0, 100)]:
-        load = spread(newton * part, *PLACE_M)
-        z = np.clip(z, load - PLAY_NEWTON, load + PLAY_NEWTON)
-        comb.push((load + z) / 2)
-    return comb.hold(z / 2, 60)
-
-
-def test_what_hysteresis_leaves_in_sites_is_no_touch_where_it_was_calibrated():
-    after = pressed_and_let_go(SmallComb(response=RESPONSE).untouched())
-    assert after[-1].compensation.response == "on"
-    assert all(reading.contacts == () for reading in after[20:])
-    left = pressed_and_let_go(SmallComb().untouched())
-    assert left[-1].compensation.response == "off"
-    assert left[-1].contacts or left[-1].sites or left[-1].status != "ok"  # 50 mN on each of some sites
 
 
 def test_a_restart_releases_contacts_and_learns_anew():

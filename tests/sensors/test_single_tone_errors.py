@@ -148,9 +148,6 @@ def test_a_held_baseline_grows_less_certain():
     assert again.sites[0].systematic_newton == pytest.approx(first.sites[0].systematic_newton, rel=0.01)
 
 
-PLAY_NEWTON = 0.1
-
-
 def test_a_plate_is_tared_only_while_it_is_untouched():
     bench = Bench(error=CLOCK_ERROR)
     assert "not detected" in bench.chain.tare()
