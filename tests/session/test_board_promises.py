@@ -70,7 +70,7 @@ def test_a_gate_that_was_not_asked_for_is_refused(monkeypatch: pytest.MonkeyPatc
 
     bench = Bench(SimulatedBoard())
     monkeypatch.setattr("firmware_protocol.device.encode_message", stubborn)
-    with pytest.raises(BoardRefusedError, match="gates of 2000000 ticks, 1000000 were asked for"):
+    with pytest.raises(BoardRefusedError, match="gates of 2000000 ticks instead of 1000000"):
         bench.run(200)
 
 
