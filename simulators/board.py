@@ -70,6 +70,8 @@ class Board:
         Deviations from the protocol.
     gate_ticks
         The only length of a gate that it offers; None: every one that the plate can be counted with.
+    ahead_ticks
+        How long before its end a frame may be counted, but for the gate that is open; None: as suits the plate.
 
     Attributes
     ----------
@@ -88,8 +90,10 @@ class Board:
         seed: int = 0,
         misbehaviour: Misbehaviour | None = None,
         gate_ticks: int | None = None,
+        ahead_ticks: int | None = None,
     ) -> None:
         self._plate = plate
+        self._ahead_ticks = ahead_ticks
         self.single_tone = plate.description.counter_kind == CounterKind.SINGLE_TONE
         self._lies = misbehaviour or Misbehaviour()
         description = replace(plate.description, queue_bytes=queue_limit_bytes, capabilities=int(Capability.LOCATE))
@@ -181,7 +185,10 @@ class Board:
         end_ticks -= run.gate_ticks
         board_ticks = end_ticks - self._boot_ticks
         scenario_ticks = end_ticks - (self.first_start_ticks or 0)
-        for frame in self._plate.count(board_ticks, scenario_ticks, run.gate_ticks, self._plate.block_frames):
+        frames = self._plate.block_frames
+        if self._ahead_ticks is not None:
+            frames = max(1, min(frames, self._ahead_ticks // run.gate_ticks))
+        for frame in self._plate.count(board_ticks, scenario_ticks, run.gate_ticks, frames):
             end_ticks += run.gate_ticks
             run.ahead.append(self._packed(frame, run.frames_packed, end_ticks))
             run.frames_packed += 1

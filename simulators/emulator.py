@@ -20,6 +20,7 @@ from firmware_protocol.messages import Identity, ResetCause
 from resonator_daemon.plate import FORCE_SIGNAL, Plate, load_plate
 from simulators.board import Board, MadeFrame
 from simulators.comb_plate import CombPlate
+from simulators.control import ControlSocket
 from simulators.faults import FaultPlan
 from simulators.faults.misbehaviour import Misbehaviour
 from simulators.faults.script import Action, Script
@@ -27,6 +28,7 @@ from simulators.links import Link, PtyLink, TcpLink
 from simulators.output import Output
 from simulators.physics import Physics
 from simulators.plate import EmulatedPlate
+from simulators.presses import Presses
 from simulators.quartz_plate import QuartzPlate
 from simulators.scenario import Scenario, load_scenario
 from simulators.scenario_file import default_scenario
@@ -40,6 +42,7 @@ CHANNELISED_QUEUE_BYTES = 16 * 1024 * 1024  # 1.1 s of 147 kB frames at 100 Hz
 CREDIT_BYTES = 512  # a dozen requests
 
 _SPEED_MAX = 100.0
+_PRESS_AHEAD_S = 5e-3  # counted ahead where clients press: the longer, the later a press shows, the shorter, the dearer
 _TRUTH_DELAY_NS = 10_000_000  # lines wait so long for others: a write costs as much as ten lines
 
 
@@ -51,7 +54,8 @@ class EmulatorOptions:
     pty: Path | None = None
     tcp: tuple[str, int] | None = None
     usb: bool = False
-    scenario: str | None = None  # None: the one that suits the plate
+    control: Path | None = None  # where clients may press the plate
+    scenario: str | None = None  # None: the one that suits the plate, or no touch where clients may press it
     truth: Path | None = None
     faults: FaultPlan = field(default_factory=FaultPlan)  # in addition to the scenario's
     counter: Literal["sums", "stamps"] = "sums"  # of a single-tone plate: sums by closed form, or of every stamp
@@ -81,8 +85,13 @@ def run(options: EmulatorOptions) -> None:
         needed = " ".join(f"{name}={value}" for name, value in emulator.environment.items())
         sys.stderr.write(f"start the daemon with {needed}\n")
     if options.json:
-        first = {"link": emulator.link.address, "plate": emulator.plate_name, "serial_number": SERIAL_NUMBER}
-        _write_line(sys.stdout, first | ({"environment": emulator.environment} if emulator.environment else {}))
+        first: dict[str, Any] = {"link": emulator.link.address, "plate": emulator.plate_name}
+        first["serial_number"] = SERIAL_NUMBER
+        if emulator.environment:
+            first["environment"] = emulator.environment
+        if options.control:
+            first["control"] = str(options.control)
+        _write_line(sys.stdout, first)
     emulator.run()
     report = emulator.report()
     frames = ", ".join(f"{report[f'frames_{what}']} {what}" for what in ("made", "sent", "dropped", "unsent"))
@@ -101,7 +110,11 @@ class Emulator:
         if not 0.0 < options.speed <= _SPEED_MAX:
             raise ValueError(f"speed must be above 0 and at most {_SPEED_MAX:g}, got {options.speed:g}")
         plate = _at_rate(load_plate(options.plate), options.frame_rate_hz)
-        scenario = load_scenario(options.scenario or default_scenario(plate), plate)
+        if options.control and FORCE_SIGNAL not in plate.signals:
+            raise ValueError(f"control: plate {plate.name} has a skin; presses are for plates with force sites")
+        presses = Presses(plate) if options.control else None
+        usual = "still" if options.control else default_scenario(plate)
+        scenario = load_scenario(options.scenario or usual, plate, presses)
         faults = scenario.faults.with_more(options.faults)
         if options.pty is None and any(event.what == "rename" for event in faults.events):
             raise ValueError("faults: rename: only a pseudo-terminal has a name to change; give pty, or leave it out")
@@ -115,6 +128,7 @@ class Emulator:
             options.counter,
             Misbehaviour(faults.misbehave),
             one_gate=options.frame_rate_hz is not None,
+            ahead_s=_PRESS_AHEAD_S if options.control else None,
         )
         self._tick_rate_hz = plate.counter.reference_hz * (1.0 + scenario.physics.reference_error)
         self._ticks_per_ns = self._tick_rate_hz * options.speed * 1e-9
@@ -128,6 +142,9 @@ class Emulator:
             stack.callback(os.close, self._wake_read_fd)
             stack.callback(os.close, self._wake_write_fd)
             self._truth = stack.enter_context(closing(TruthOutput(options.truth))) if options.truth else None
+            self._control: ControlSocket | None = None
+            if options.control is not None and presses is not None:
+                self._control = stack.enter_context(closing(ControlSocket(options.control, presses)))
             self.link = self._open_link(options)
             stack.callback(self.link.close)
             self._resources = stack.pop_all()
@@ -289,7 +306,11 @@ class Emulator:
         """Wait for what is due next, for the link or for `stop`; return whether the link has something to read."""
         link, output = self.link, self._output
         writers = [link.write_fd] if link.write_fd is not None and output.waits_for_room else []
-        readers = [self._wake_read_fd] if output.held else [self._wake_read_fd, *link.read_fds]
+        of_link = [] if output.held else link.read_fds
+        readers = [self._wake_read_fd, *of_link]
+        if self._control is not None:
+            readers += self._control.read_fds
+            writers += self._control.write_fds
         due_ns = math.inf
         if (frame_ticks := self._board.next_frame_ticks) is not None:
             due_ns = frame_ticks / self._ticks_per_ns
@@ -298,8 +319,10 @@ class Emulator:
         if link.write_fd is not None and (output_ns := output.next_ns) is not None:
             due_ns = min(due_ns, output_ns)
         wait_s = (self._origin_ns + due_ns - time.monotonic_ns()) * 1e-9
-        readable, _, _ = select.select(readers, writers, [], None if wait_s == math.inf else max(wait_s, 0.0))
-        return bool(readable) and readable != [self._wake_read_fd]
+        readable, writable, _ = select.select(readers, writers, [], None if wait_s == math.inf else max(wait_s, 0.0))
+        if self._control is not None:
+            self._control.serve({*readable, *writable})
+        return any(fd in of_link for fd in readable)
 
 
 def _draw_boot_id() -> int:
@@ -323,8 +346,9 @@ def _emulated_board(
     misbehaviour: Misbehaviour,
     *,
     one_gate: bool = False,
+    ahead_s: float | None = None,
 ) -> Board:
-    """Return a board on the plate; with `one_gate` it offers no other frame rate than the plate's."""
+    """Return a board on the plate, as `Board`; with `one_gate` it offers no other frame rate than the plate's."""
     single_tone = plate.counter.kind == "single-tone"
     emulated: EmulatedPlate
     if counter == "stamps" and not single_tone:
@@ -357,6 +381,7 @@ def _emulated_board(
         seed=seed,
         misbehaviour=misbehaviour,
         gate_ticks=gate_ticks,
+        ahead_ticks=None if ahead_s is None else round(ahead_s * plate.counter.reference_hz),
     )
 
 

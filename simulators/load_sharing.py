@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from resonator_daemon.plate import Plate
-from simulators.arrays import Bools, Floats, Integers
-from simulators.scenario import Pressing
+from simulators.arrays import Floats, Integers
+from simulators.pressing import Pressing
 
 _TOUCHED_NEWTON = 1e-6
 _UNDER_THE_FINGER = 0.5  # of the share of the site that bears most of a touch
@@ -20,13 +20,13 @@ class SiteLoads(NamedTuple):
     touch_id: Integers  # of the contact that presses hardest there; 0 where none does
 
 
-def site_loads(pressing: Pressing, plate: Plate, whole_plate: Bools) -> SiteLoads:
-    """Share the touches (n, k) of n moments among the sites; `whole_plate` (k,) touches press every site with all.
+def site_loads(pressing: Pressing, plate: Plate) -> SiteLoads:
+    """Share the touches (n, k) of n moments among the sites; those of the whole plate press every site with all.
 
     Loads of several touches add up. A touch warms the sites that bear at least half as much of it as the one that bears
     most.
     """
-    normal_newton = pressing.force_newton[..., 2]
+    normal_newton, whole_plate = pressing.force_newton[..., 2], pressing.whole_plate
     pressed = np.flatnonzero(normal_newton.any(axis=0))
     shape = len(normal_newton), len(plate.site_ids)
     if not len(pressed):

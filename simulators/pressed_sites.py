@@ -42,7 +42,7 @@ class PressedSites:
         """Go on by some gates, the first of which starts so many ticks after the scenario began."""
         times_s = gate_middles_s(scenario_ticks, gate_ticks, frames, self._tick_rate_hz)
         pressing = self._scenario.at(times_s)
-        loads = site_loads(pressing, self._plate, self._scenario.whole_plate)
+        loads = site_loads(pressing, self._plate)
         kelvin = self._scenario.environment_kelvin(times_s)
         sites = self._physics.advance(gate_ticks / self._tick_rate_hz, *loads, kelvin)
         shift = self._sensitivity * sites.sensitivity_factor * sites.felt_newton[..., np.newaxis]

@@ -1,7 +1,6 @@
 """Scenarios: what every touch of a plate does at any moment, and how warm it is around."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,31 +10,22 @@ from simulators.arrays import Floats
 from simulators.faults import FaultPlan
 from simulators.physics import Physics
 from simulators.plate import Contact
-from simulators.scenario_file import ScenarioFile, TimedKelvin, Touch, read_scenario
+from simulators.presses import Presses
+from simulators.pressing import Pressing, joined
+from simulators.scenario_file import ScenarioFile, TimedKelvin, Touch, reach_m, read_scenario, site_at
 
 FRICTION_COEFFICIENT = 0.5  # of every touch
 
 _EMPTY = ScenarioFile()  # its defaults
-_ON_SITE_M = 1e-9
 _ROUNDING = 1e-6  # relative: until a touch is surely over, whatever rounding does
 _SHORTEST_RAMP_S = 1e-9  # stands for an instant
 
 
-class Pressing(NamedTuple):
-    """What every touch of a scenario does at n moments.
-
-    Ids begin at 1, and each repetition of a touch has its own. One of the whole plate takes as many as there are sites:
-    site index s is pressed by contact id + s.
-    """
-
-    ids: npt.NDArray[np.int64]  # (n, touches)
-    force_newton: Floats  # (n, touches, 3): x, y, z; z presses
-    position_m: Floats  # (n, touches, 2); of the whole plate: the middle of its outline
-    contact_kelvin: Floats  # (n, touches); NaN where a touch has the plate's temperature
-
-
 class Scenario:
-    """The touches of a scenario on one plate; time counts from the first frame."""
+    """The touches of a scenario on one plate, besides those of clients; time counts from the first frame.
+
+    `presses` are what clients hold: it presses at all moments that are asked for while it is held.
+    """
 
     def __init__(
         self,
@@ -47,14 +37,16 @@ class Scenario:
         environment_kelvin: Sequence[TimedKelvin] = _EMPTY.environment_kelvin,
         seed: int = _EMPTY.seed,
         faults: FaultPlan = _EMPTY.faults,
+        presses: Presses | None = None,
     ) -> None:
         self.physics = physics
         self.seed = seed
         self.faults = faults
+        self._presses = presses
         self.positions_m = np.array([_start_m(touch, plate) for touch in touches]).reshape(-1, 2)
         self.whole_plate = np.array([touch.whole_plate for touch in touches], dtype=np.bool_)
         self.site_ids = tuple(
-            None if touch.whole_plate else _site_at(position_m, plate)
+            None if touch.whole_plate else site_at(position_m, plate)
             for touch, position_m in zip(touches, self.positions_m, strict=True)
         )
         self.peak_newton = np.array([touch.force_newton for touch in touches])
@@ -62,10 +54,8 @@ class Scenario:
         ends_m = np.array([touch.to_mm or (0.0, 0.0) for touch in touches]).reshape(-1, 2) * 1e-3
         self._path_m = np.where(slides[:, np.newaxis], ends_m - self.positions_m, 0.0)
         self._sites = list(zip(plate.site_ids.tolist(), map(tuple, plate.site_positions_m.tolist()), strict=True))
-        self._site_by_place = [
-            {tuple(place.tolist()): _site_at(place, plate) for place in (start, start + path)}
-            for start, path in zip(self.positions_m, self._path_m, strict=True)
-        ]
+        places_m = [*self.positions_m, *(self.positions_m + self._path_m)]
+        self._site_by_place = {tuple(place.tolist()): site_at(place, plate) for place in places_m}
         self._kelvin = np.array([np.nan if touch.kelvin is None else touch.kelvin for touch in touches])
         self._environment_s, self._environment_kelvin = np.array(environment_kelvin).T
         contacts = np.where(self.whole_plate, len(plate.site_ids), 1)
@@ -89,9 +79,9 @@ class Scenario:
             round_number = np.maximum(np.floor(since_s / self._period_s), 0.0)
             since_s = since_s - round_number * self._period_s
         force_newton = np.zeros((*since_s.shape, 3))
-        pressing = np.flatnonzero(((since_s > 0.0) & (since_s < self._duration_s)).any(axis=0))
-        if len(pressing):
-            force_newton[:, pressing] = self._force_newton(since_s[:, pressing], pressing)
+        active = np.flatnonzero(((since_s > 0.0) & (since_s < self._duration_s)).any(axis=0))
+        if len(active):
+            force_newton[:, active] = self._force_newton(since_s[:, active], active)
         position_m = np.broadcast_to(self.positions_m, (*since_s.shape, 2))
         kelvin = np.broadcast_to(np.nan, since_s.shape)
         if self._path_m.any():
@@ -99,7 +89,8 @@ class Scenario:
         if not np.isnan(self._kelvin).all():
             kelvin = np.where(force_newton[..., 2] > 0.0, self._kelvin, np.nan)
         ids = self._first_ids + round_number.astype(np.int64) * self._ids_per_round
-        return Pressing(ids, force_newton, position_m, kelvin)
+        pressing = Pressing(ids, force_newton, position_m, kelvin, self.whole_plate)
+        return pressing if self._presses is None else joined(pressing, self._presses.at(len(times_s)))
 
     def _force_newton(self, since_s: Floats, touch: npt.NDArray[np.intp]) -> Floats:
         """Return the force (n, k, 3) of touches (k,) at times (n, k) since their start."""
@@ -131,15 +122,18 @@ class Scenario:
         positions = pressing.position_m[pressed].tolist()
         for moment, touch, contact_id, force, position in zip(moments, touches, ids, forces, positions, strict=True):
             force_newton, position_m = tuple(force), tuple(position)
-            if self.whole_plate[touch]:
+            if pressing.whole_plate[touch]:
                 contacts[moment] += [
                     Contact(contact_id + site, site_id, site_m, force_newton)
                     for site, (site_id, site_m) in enumerate(self._sites)
                 ]
                 continue
-            site_id = self._site_by_place[touch].get(position_m)
-            contacts[moment].append(Contact(contact_id, site_id, position_m, force_newton))
+            contacts[moment].append(Contact(contact_id, self._site_id(position_m), position_m, force_newton))
         return contacts
+
+    def _site_id(self, position_m: tuple[float, float]) -> int | None:
+        site_id = self._site_by_place.get(position_m)
+        return site_id if site_id is not None or self._presses is None else self._presses.site_at(position_m)
 
     def environment_kelvin(self, times_s: Floats) -> Floats:
         """Return the temperature around the plate at times (n,)."""
@@ -149,7 +143,7 @@ class Scenario:
         return kelvin
 
 
-def load_scenario(name_or_path: str, plate: Plate) -> Scenario:
+def load_scenario(name_or_path: str, plate: Plate, presses: Presses | None = None) -> Scenario:
     """Load a shipped scenario by its name, or a scenario file by its path; raises as `read_scenario`."""
     file = read_scenario(name_or_path, plate)
     return Scenario(
@@ -160,18 +154,13 @@ def load_scenario(name_or_path: str, plate: Plate) -> Scenario:
         environment_kelvin=file.environment_kelvin,
         seed=file.seed,
         faults=file.faults,
+        presses=presses,
     )
 
 
-def _site_at(position_m: Floats, plate: Plate) -> int | None:
-    """Return the id of the site that is exactly there, None where none is."""
-    distance_m = np.hypot(*(plate.site_positions_m - position_m).T)
-    nearest = int(distance_m.argmin())
-    return int(plate.site_ids[nearest]) if distance_m[nearest] < _ON_SITE_M else None
-
-
 def _start_m(touch: Touch, plate: Plate) -> Floats:
-    position_m: Floats = (plate.outline_m.min(axis=0) + plate.outline_m.max(axis=0)) / 2.0
+    low_m, high_m = reach_m(plate)
+    position_m: Floats = (low_m + high_m) / 2.0
     if touch.site is not None:
         position_m = plate.site_positions_m[plate.site_ids.tolist().index(touch.site)]
     elif touch.position_mm is not None:

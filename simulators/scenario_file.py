@@ -10,10 +10,12 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import ErrorDetails
 
 from resonator_daemon.plate import FORCE_SIGNAL, Plate
+from simulators.arrays import Floats
 from simulators.faults import FaultEvent, FaultPlan
 from simulators.findings import message_of, nearest
 from simulators.physics import Physics
 
+_ON_SITE_M = 1e-9
 _SHIPPED = Path(__file__).with_name("scenarios")
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
@@ -120,6 +122,18 @@ def default_scenario(plate: Plate) -> str:
     return "touches" if set(range(1, TOUCHED_SITES + 1)) <= set(plate.site_ids.tolist()) else "still"
 
 
+def reach_m(plate: Plate) -> tuple[Floats, Floats]:
+    """Return the least and the largest x and y that can be touched."""
+    return plate.outline_m.min(axis=0), plate.outline_m.max(axis=0)
+
+
+def site_at(position_m: Floats, plate: Plate) -> int | None:
+    """Return the id of the site that is exactly there, None where none is."""
+    distance_m = np.hypot(*(plate.site_positions_m - position_m).T)
+    nearest = int(distance_m.argmin())
+    return int(plate.site_ids[nearest]) if distance_m[nearest] < _ON_SITE_M else None
+
+
 def read_scenario(name_or_path: str, plate: Plate) -> ScenarioFile:
     """Read a shipped scenario by its name, or a scenario file by its path.
 
@@ -168,7 +182,7 @@ def _given_keys(content: dict[str, Any]) -> set[str]:
 
 
 def _place_findings(key: str, touch: Touch, plate: Plate) -> Iterator[str]:
-    low_mm, high_mm = np.min(plate.outline_mm, axis=0), np.max(plate.outline_mm, axis=0)
+    low_mm, high_mm = (corner_m * 1e3 for corner_m in reach_m(plate))
     site_ids = plate.site_ids.tolist()
     if (touch.site is not None) + (touch.position_mm is not None) + touch.whole_plate != 1:
         yield f"{key}: give exactly one of site, position_mm and whole_plate = true"

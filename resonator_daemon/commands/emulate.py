@@ -23,7 +23,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     link.add_argument(
         "--usb", action="store_true", help="an emulated USB device, for programs that are started as it is printed"
     )
-    parser.add_argument("--scenario", metavar="NAME|FILE", help="what touches the plate (default: by plate)")
+    parser.add_argument(
+        "--scenario", metavar="NAME|FILE", help="what touches the plate (default: by plate; still with --control)"
+    )
+    parser.add_argument(
+        "--control", type=Path, metavar="PATH", help="local socket at which programs press the plate, in JSON lines"
+    )
     parser.add_argument(
         "--scenario-schema", action=_PrintScenarioSchema, nargs=0, help="print the JSON Schema of scenario files"
     )

@@ -17,7 +17,7 @@ NEAR, FAR = (QUARTZ.site_positions_m[SITES[site]] for site in (7, 9))
 
 def loads(*touches: Touch, times_s: npt.ArrayLike = (5.0,), plate: object = QUARTZ) -> SiteLoads:
     scenario = Scenario(touches, None, plate)
-    return site_loads(scenario.at(np.array(times_s)), plate, scenario.whole_plate)
+    return site_loads(scenario.at(np.array(times_s)), plate)
 
 
 def test_a_touch_between_sites_is_shared_by_distance_to_the_power_of_minus_4() -> None:
