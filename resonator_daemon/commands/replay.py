@@ -64,7 +64,8 @@ def _replay(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.config import load_config
     from resonator_daemon.host.new_file import interruptible
     from resonator_daemon.replay.case import save_case
-    from resonator_daemon.replay.run import ReplayOptions, replay, what_is_wrong
+    from resonator_daemon.replay.recorded_pipeline import what_is_wrong
+    from resonator_daemon.replay.run import ReplayOptions, replay
 
     path: Path = arguments.file
     config = load_config(arguments.config) if arguments.config is not None else None

@@ -17,8 +17,7 @@ from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.units import UNITS
 from resonator_daemon.replay.progress import Progress
-from resonator_daemon.replay.recorded_pipeline import Moment, RecordingReplay
-from resonator_daemon.replay.run import what_is_wrong
+from resonator_daemon.replay.recorded_pipeline import Moment, RecordingReplay, what_is_wrong
 from resonator_daemon.replay.source import open_replay
 from resonator_daemon.replay.span import Span, find_span
 

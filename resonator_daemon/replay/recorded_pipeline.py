@@ -12,7 +12,7 @@ from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.recording.event_replay import Replay
-from resonator_daemon.recording.reader import Mark, Recording
+from resonator_daemon.recording.reader import Mark, Recording, damage_in_words
 from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.frames import Arrival, BoardRefused, Frame, in_blocks
@@ -154,3 +154,13 @@ class RecordingReplay:
 
     def _publish(self, topic: Topic[Any], message: Any) -> None:
         self._messages.append(Published(topic, message))
+
+
+def what_is_wrong(differences: int, damage: str | None, done: str = "replayed") -> list[str]:
+    """Return a sentence for damage of the file, what came before which was `done`, and one for differences."""
+    wrong = []
+    if damage is not None:
+        wrong.append(damage_in_words(damage, done))
+    if differences:
+        wrong.append(f"the replay differs from what is recorded in {differences} places")
+    return wrong

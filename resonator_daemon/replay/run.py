@@ -17,11 +17,10 @@ from resonator_daemon.host.new_file import interruptible
 from resonator_daemon.host.printable import printable
 from resonator_daemon.publishing.payloads import Info
 from resonator_daemon.publishing.topics import Topic
-from resonator_daemon.recording.reader import damage_in_words
 from resonator_daemon.replay.broker import AtBroker
 from resonator_daemon.replay.outputs import Lines
 from resonator_daemon.replay.progress import Progress
-from resonator_daemon.replay.recorded_pipeline import Moment, Published, RecordingReplay
+from resonator_daemon.replay.recorded_pipeline import Moment, Published, RecordingReplay, what_is_wrong
 from resonator_daemon.replay.source import open_replay
 from resonator_daemon.replay.span import Span, find_span
 from resonator_daemon.session.host_time import HostTime
@@ -148,16 +147,6 @@ def replay(path: Path, options: ReplayOptions) -> tuple[dict[str, Any], list[str
     tally = Tally()
     with interruptible("what was written stays") if options.output is not None else _interruptible_at_broker(tally):
         return asyncio.run(_play_out(path, options, tally))
-
-
-def what_is_wrong(differences: int, damage: str | None, done: str = "replayed") -> list[str]:
-    """Return a sentence for damage of the file, what came before which was `done`, and one for differences."""
-    wrong = []
-    if damage is not None:
-        wrong.append(damage_in_words(damage, done))
-    if differences:
-        wrong.append(f"the replay differs from what is recorded in {differences} places")
-    return wrong
 
 
 @contextmanager

@@ -1,7 +1,6 @@
 """Commands of documentation pages, run as a user would run them, with a board and a broker of the test's own."""
 
 import asyncio
-import os
 import re
 import shlex
 import sys
@@ -28,9 +27,7 @@ class Shell:
     def __init__(self, folder: Path, broker: str) -> None:
         self._folder = folder
         self._broker = broker
-        self._environment = os.environ | {"XDG_STATE_HOME": f"{folder}/state", "XDG_RUNTIME_DIR": f"{folder}/run"}
         self._running: list[Process] = []
-        (folder / "run").mkdir()
 
     async def run_all(self, page: str, elsewhere: Iterable[str]) -> list[str]:
         """Run all commands of a page in their order but those with a part of `elsewhere`; return those parts."""
@@ -70,9 +67,7 @@ class Shell:
         return [str(name) for word, files in found for name in files or (word,)]
 
     async def start(self, *words: str) -> Process:
-        process = await asyncio.create_subprocess_exec(
-            *words, cwd=self._folder, env=self._environment, stdout=asyncio.subprocess.PIPE
-        )
+        process = await asyncio.create_subprocess_exec(*words, cwd=self._folder, stdout=asyncio.subprocess.PIPE)
         self._running.append(process)
         return process
 
