@@ -17,8 +17,6 @@ from scenarios import IDEAL, touch_text
 from service_bench import Bench
 from system_parts import SMALL_SKIN
 
-from resonator_daemon.plate import load_plate
-
 NY, NX, PITCH_M = 12, 16, 0.6e-3
 SKIN = SMALL_SKIN.replace("shape = [16, 16]", f"shape = [{NY}, {NX}]")
 PRESSED_NEWTON, SHEARED_NEWTON = 0.29, 0.07  # of 0.3 and up to 0.12
@@ -138,21 +136,3 @@ async def test_a_sheared_press_off_the_centre_keeps_every_sign(tmp_path: Path, m
     assert_net_loads_follow(sheared(heard.payloads("resonator/hand/contacts"), bench))
     assert_maps_follow(sheared(map(cbor2.loads, heard.raw("resonator/hand/decoded")), bench))
     assert_signals_follow(sheared(map(cbor2.loads, heard.raw("resonator/hand/signals")), bench))
-
-
-async def test_a_touched_site_has_its_position_and_a_press_is_positive(tmp_path: Path, mosquitto: Mosquitto) -> None:
-    bench = Bench(tmp_path, mosquitto.url)
-    plate = load_plate("quartz16")
-    (x_mm, y_mm) = plate.sites[6].position_mm
-    assert abs(x_mm) != abs(y_mm)
-    press = touch_text(0.5, 2.0, 1000.0, site=plate.sites[6].id)
-    async with observe(mosquitto.url) as heard, bench.measured(heard, bench.service(), scenario=bench.scenario(press)):
-        await heard.until(lambda: any(m["contacts"] for m in heard.payloads("resonator/hand/contacts")))
-        contact = heard.payloads("resonator/hand/contacts")[-1]["contacts"][0]
-        sites = heard.payloads("resonator/hand/info")[-1]["sites"]
-    (true,) = (line["contacts"][0] for line in bench.truth()[-1:])
-    assert true["force_newton"][2] > 0.0
-    assert contact["force_newton"][2] > 0.0
-    np.testing.assert_allclose(true["position_m"], [1e-3 * x_mm, 1e-3 * y_mm])
-    np.testing.assert_allclose(contact["position_m"], true["position_m"], atol=1e-9)
-    assert {"site": contact["site"], "position_m": contact["position_m"]} in sites

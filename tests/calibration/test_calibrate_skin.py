@@ -2,9 +2,7 @@
 
 import asyncio
 import json
-import sys
 import tomllib
-from asyncio.subprocess import PIPE
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -12,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from brokers import Mosquitto, free_port
+from command_line import exit_code
 from plates import plate_head, skin_grid, skin_table
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.commands import main
 from resonator_daemon.config import Mqtt
 from resonator_daemon.plate import load_plate
 from resonator_daemon.publishing.mqtt_messages import Outgoing
@@ -27,8 +25,6 @@ from simulators.half_space_fields import hertz_fields
 Printed = tuple[int | None, str, str]  # exit code, stdout and stderr
 Calibrate = Callable[..., Awaitable[Printed]]
 
-COMMAND = (sys.executable, "-m", "resonator_daemon", "calibrate", "skin")
-TIMEOUT_S = 60
 HEADER = {
     "name": "left-index",
     "daemon_boot_id": "9f3c",
@@ -54,22 +50,10 @@ def calibrate(capsys: pytest.CaptureFixture[str]) -> Calibrate:
     """`calibrate skin` in a thread of this process."""
 
     async def run(*arguments: str) -> Printed:
-        code = await asyncio.to_thread(main, ["calibrate", "skin", *arguments])
+        code = await asyncio.to_thread(exit_code, "calibrate", "skin", *arguments)
         return code, *capsys.readouterr()
 
     return run
-
-
-async def calibrate_in_a_process(*arguments: str) -> Printed:
-    process = await asyncio.create_subprocess_exec(*COMMAND, *arguments, stdout=PIPE, stderr=PIPE)
-    try:
-        async with asyncio.timeout(TIMEOUT_S):
-            printed, reported = await process.communicate()
-    finally:
-        if process.returncode is None:
-            process.kill()
-            await process.wait()
-    return process.returncode, printed.decode(), reported.decode()
 
 
 def pressed(frame: int, directory: Path) -> Floats:
@@ -106,10 +90,10 @@ async def plate(url: str, frames: list[Floats], name: str = "left", noise: float
     await asyncio.wait(tasks)
 
 
-async def test_lines_to_paste(mosquitto: Mosquitto, tmp_path: Path) -> None:
+async def test_lines_to_paste(mosquitto: Mosquitto, tmp_path: Path, calibrate: Calibrate) -> None:
     config = write_config(tmp_path, mosquitto.url)
     async with plate(mosquitto.url, [pressed(frame, tmp_path) for frame in range(20)]):
-        code, printed, reported = await calibrate_in_a_process("--config", config, "--seconds", "0.4")
+        code, printed, reported = await calibrate("--config", config, "--seconds", "0.4")
     assert code == 0, reported
     assert "Traceback" not in reported
     (tmp_path / "small.toml").write_text(PLATE.replace("[grid]", printed + "[grid]"))  # as the user would
@@ -156,4 +140,4 @@ async def test_what_cannot_work_is_said_at_once(tmp_path: Path, calibrate: Calib
     code, _, reported = await calibrate("--config", str(tmp_path / "none.toml"))
     assert code == 78
     assert "Traceback" not in reported
-    assert (await calibrate_in_a_process())[0] == 2
+    assert (await calibrate())[0] == 2

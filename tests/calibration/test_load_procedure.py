@@ -92,21 +92,3 @@ def test_a_step_that_is_never_done_ends_the_calibration_with_the_reason(tmp_path
     news, printed = refused(LoadProcedure(NOMINAL, steps, 4.0), kept, tmp_path)
     assert kinds(news)[-1] == ("remove", 1)
     assert "the last load was not taken away" in printed
-
-
-def test_a_series_goes_on_without_release(tmp_path: Path) -> None:
-    steps, touches = plan_steps(replace(WANTED, response=True, response_hold_s=1.0), NOMINAL), Touches()
-    touches.follow(steps)
-    procedure = LoadProcedure(NOMINAL, steps, 20.0)
-    news = list(lead(procedure, NOMINAL, frames(TRUE, touches, tmp_path)))
-    assert kinds(news) == [
-        ("untouched", 0), ("place", 1), ("captured", 1), ("place", 2), ("captured", 2), ("place", 3), ("captured", 3),
-        ("remove", 3),
-    ]  # fmt: skip
-    assert news[3].text == "place 300 g on site 7 instead of the last mass, without releasing it"
-    force = [
-        procedure.force_newton(6, procedure.loadings[number].shift, procedure.untouched.common_mode[-1])
-        for number in (1, 2, 3)
-    ]
-    assert np.ptp(force[0] - force[2]) < 2e-3
-    assert force[1].mean() - force[0].mean() == pytest.approx(0.2 * 9.80665, rel=0.3)

@@ -145,18 +145,6 @@ def test_a_step_below_the_guard_band_is_refused_with_the_pair_and_written_when_i
     assert found["trials"]["one_touch"]["undecided"] > 10
 
 
-def test_neighbours_get_codes_for_which_the_ladder_is_lengthened(capsys: pytest.CaptureFixture[str]) -> None:
-    code, found, _ = plan(capsys, "--grid", "2x2", "--pitch-mm", "5")
-    assert (code, found["neighbours_too_near"]) == (0, [])
-    assert sorted(site["code"] for site in found["sites"]) == [1, 3, 5, 7]
-    code, found, _ = plan(capsys, "--grid", "3x1", "--pitch-mm", "4", "--coupling", "1150@4,220@5")
-    codes = [site["code"] for site in found["sites"]]
-    assert code == 0
-    assert min(abs(codes[0] - codes[1]), abs(codes[1] - codes[2])) * found["step_ppm"] * 10 >= 11_500
-    code, found, _ = plan(capsys, "--grid", "2x2", "--pitch-mm", "5", "--band-ppm", "2000")
-    assert (code, len(found["neighbours_too_near"])) == (0, 3)
-
-
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [

@@ -2,8 +2,6 @@
 
 import asyncio
 import json
-import sys
-from asyncio.subprocess import PIPE
 from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Mapping
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
@@ -21,7 +19,6 @@ from resonator_daemon.publishing.payloads import Info
 from resonator_daemon.publishing.topics import INFO, STATE_DAEMON
 from resonator_daemon.publishing.verbs import Mark, MarkAnswer, SetRate, SetRateAnswer, Tare, TareAnswer
 
-TIMEOUT_S = 60
 LINK = "tcp://127.0.0.1:9"
 
 
@@ -44,14 +41,6 @@ def tare(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Ask:
         return code, *capsys.readouterr()
 
     return ask
-
-
-async def tare_in_a_process(config: str, *arguments: str) -> Printed:
-    command = (sys.executable, "-m", "resonator_daemon", "tare", "--config", config, *arguments)
-    process = await asyncio.create_subprocess_exec(*command, stdout=PIPE, stderr=PIPE)
-    async with asyncio.timeout(TIMEOUT_S):
-        printed, reported = await process.communicate()
-    return process.returncode, printed.decode(), reported.decode()
 
 
 @asynccontextmanager
@@ -77,11 +66,10 @@ def touched(_: Tare) -> TareAnswer:
     raise CommandRefusedError("not_untouched", "site 7 is touched", "release it")
 
 
-async def test_what_the_daemon_did_is_printed(mosquitto: Mosquitto, tmp_path: Path) -> None:
+async def test_what_the_daemon_did_is_printed(mosquitto: Mosquitto, tare: Ask) -> None:
     async with daemon(mosquitto.url, tared):
-        config = write_config(tmp_path, mosquitto.url)
-        assert await tare_in_a_process(config) == (0, "common mode taken as untouched\n", "")
-        code, printed, _ = await tare_in_a_process(config, "--json")
+        assert await tare(mosquitto.url) == (0, "common mode taken as untouched\n", "")
+        code, printed, _ = await tare(mosquitto.url, "--json")
     assert code == 0
     answer = json.loads(printed)
     del answer["id"]

@@ -5,9 +5,8 @@ import re
 from pathlib import Path
 from typing import Any
 
-import cbor2
-import numpy as np
 from brokers import Mosquitto
+from example_messages import as_rows
 from jsonschema import Draft7Validator
 from observer import Observer, observe
 from scenarios import touch_text
@@ -39,15 +38,6 @@ COMMANDS: list[tuple[str, dict[str, Any]]] = [
 ]
 
 
-def rows_of(payload: bytes) -> Any:
-    """Read CBOR with its typed arrays as nested rows."""
-
-    def read_tag(tag: cbor2.CBORTag, _immutable: bool = False) -> Any:
-        return np.frombuffer(tag.value, "<f4") if tag.tag == 85 else tag.value[1].reshape(tag.value[0]).tolist()
-
-    return cbor2.loads(payload, tag_hook=read_tag)
-
-
 def check_all(heard: Observer) -> set[str]:
     """Check each message by the document that the daemon has published; return the paths heard."""
     document = json.loads(heard.raw(f"{HAND}/schema")[0])
@@ -73,7 +63,7 @@ def check_all(heard: Observer) -> set[str]:
         path = message.topic.value.removeprefix(f"{HAND}/")
         validator, content_type = next(found for pattern, found in validators.items() if re.fullmatch(pattern, path))
         payload = bytes(message.payload)
-        validator.validate(json.loads(payload) if content_type == "application/json" else rows_of(payload))
+        validator.validate(json.loads(payload) if content_type == "application/json" else as_rows(payload))
         paths.add(re.sub(r"^(rsp/\w+)/.*", r"\1/+", path))
     return paths
 

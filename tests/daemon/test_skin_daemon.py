@@ -3,10 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-import cbor2
 import numpy as np
 import pytest
-from brokers import Amqtt, Mosquitto
+from brokers import Mosquitto
 from observer import Observer, observe
 from scenarios import touch_text
 from service_bench import Bench, events
@@ -23,55 +22,6 @@ def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
 
 def summaries(observer: Observer) -> list[dict[str, Any]]:
     return observer.payloads("resonator/hand/decoded/summary")
-
-
-def array_of(value: Any) -> np.ndarray:
-    """Read an RFC 8746 array by hand."""
-    assert value.tag == 40
-    shape, elements = value.value
-    assert elements.tag == 85
-    return np.frombuffer(elements.value, "<f4").reshape(shape)
-
-
-def is_firm(contacts: dict[str, Any]) -> bool:
-    return any(contact["force_newton"][2] > 0.7 for contact in contacts["contacts"])
-
-
-async def test_a_pressed_skin_becomes_traction(tmp_path: Path, broker: Mosquitto | Amqtt) -> None:
-    bench = Bench(tmp_path, broker.url)
-    async with (
-        bench.emulated("skin32") as emulator,
-        observe(broker.url) as heard,
-        bench.running(bench.service("skin32", emulator.link.address)) as service,
-    ):
-        await heard.until(lambda: len([1 for summary in summaries(heard) if summary["patches"]]) >= 20)
-        await heard.until(lambda: any(is_firm(contacts) for contacts in heard.payloads("resonator/hand/contacts")))
-        sensor = await heard.until_last("resonator/hand/state/sensor", state="online")
-        assert service.link_counters.lost.total == 0
-    assert sensor["reason"] == "all sites are read"
-    truth = {line["board_ticks"]: line["contacts"] for line in bench.truth()}
-    peak_seen = 0.0
-    for payload in heard.raw("resonator/hand/decoded"):
-        message = cbor2.loads(payload)
-        traction, std = array_of(message["traction_pascal"]), array_of(message["traction_std_pascal"])
-        assert traction.shape == std.shape == array_of(message["displacement_m"]).shape == (3, 32, 32)
-        assert np.isfinite(traction).all()
-        assert (std > 0).all()
-        contacts = truth.get(message["board_ticks"], [])
-        if contacts and contacts[0]["force_newton"][2] > 0.5:
-            x, y = contacts[0]["position_m"]
-            row, column = np.unravel_index(traction[2].argmax(), (32, 32))
-            origin_x, origin_y = message["grid"]["origin_m"]
-            pitch = message["grid"]["pitch_m"]
-            assert abs(origin_x + column * pitch - x) < 1.5e-3
-            assert abs(origin_y + row * pitch - y) < 1.5e-3
-            force = traction[2].sum() * pitch**2
-            assert force == pytest.approx(contacts[0]["force_newton"][2], rel=0.15)
-            peak_seen = max(peak_seen, force)
-    assert peak_seen > 0.5
-    signals = cbor2.loads(heard.raw("resonator/hand/signals")[-1])
-    assert array_of(signals["signals"]).shape == (3, 1024)
-    assert {(summary["decoder"], summary["status"]) for summary in summaries(heard)} == {("fourier", "ok")}
 
 
 async def test_a_sheared_press_on_a_skin_becomes_a_contact_with_its_events(bench: Bench, mosquitto: Mosquitto) -> None:

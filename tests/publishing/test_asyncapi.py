@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-import cbor2
 import numpy as np
 import pytest
+from example_messages import as_rows
 from jsonschema import Draft7Validator
 from sample_messages import Messages
 
@@ -64,18 +64,6 @@ def validator_of(name: str) -> Draft7Validator:
     schema = {"$ref": f"#/components/schemas/{name}", "components": DOCUMENT["components"]}
     Draft7Validator.check_schema(DOCUMENT["components"]["schemas"][name])
     return Draft7Validator(schema)
-
-
-def as_rows(payload: bytes) -> Any:
-    """Read CBOR with arrays as nested rows, by hand."""
-
-    def to_rows(tag: cbor2.CBORTag, _immutable: bool = False) -> Any:
-        if tag.tag == 85:
-            return np.frombuffer(tag.value, "<f4")
-        assert tag.tag == 40
-        return tag.value[1].reshape(tag.value[0]).tolist()
-
-    return cbor2.loads(payload, tag_hook=to_rows)
 
 
 def read(message: Message) -> Any:

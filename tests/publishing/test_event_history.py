@@ -218,16 +218,14 @@ async def test_a_file_that_was_removed_is_made_again_with_what_is_stored(
 
 
 async def test_where_another_process_holds_the_file_memory_has_this_run_alone(tmp_path: Path) -> None:
-    async with (
-        publishing(NOBODY, spool_directory=tmp_path, boot_id="first") as first,
-        publishing(NOBODY, spool_directory=tmp_path, boot_id="second") as second,
-    ):
+    async with publishing(NOBODY, spool_directory=tmp_path, boot_id="first") as first:
         await happen(first, range(3))
         await until(lambda: first.account.spooled == 3)
-        await happen(second, range(4))
-        assert seqs(await second.stored_events(None, -1, LARGE)) == [0, 1, 2, 3]
-        with pytest.raises(SpoolError, match="another process holds"):
-            await second.stored_events("first", -1, LARGE)
+        async with publishing(NOBODY, spool_directory=tmp_path, boot_id="second") as second:
+            await happen(second, range(4))
+            assert seqs(await second.stored_events(None, -1, LARGE)) == [0, 1, 2, 3]
+            with pytest.raises(SpoolError, match="another process holds"):
+                await second.stored_events("first", -1, LARGE)
 
 
 async def test_a_publisher_without_a_run_stores_nothing(tmp_path: Path) -> None:

@@ -207,22 +207,6 @@ async def test_streams_that_waited_too_long_are_dropped_and_counted_as_late(mosq
         await observer.until_last(f"{LEFT}/health", seq=1)
 
 
-async def test_a_slow_link_brings_events_and_the_newest_streams(mosquitto, tmp_path: Path) -> None:
-    async with relay(mosquitto.url, bytes_per_s=1_000_000) as way, observe(mosquitto.url) as observer:
-        async with publishing(way.url, spool_directory=tmp_path) as left:
-            await until(lambda: left.connected)
-            for number in range(2000):  # 50 MB where 1 MB/s passes
-                left.publish(LEFT, topics.DECODED, Messages.decoded(number))
-                if number % 100 == 0:
-                    left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
-                assert_exact(left)
-                await asyncio.sleep(0.001 if number % 10 == 0 else 0)
-            events = await heard_events(observer, 1900)
-        assert [event["seq"] for event in events] == list(range(0, 2000, 100))
-        assert left.account.dropped["queue_full"] > 100
-        assert left.account.unknown_at_disconnect <= 1  # the stream half written at the end
-
-
 async def test_accounts_are_exact_at_random_instants_while_connections_break(
     broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,15 +7,14 @@ import aiomqtt
 import pytest
 from brokers import Amqtt, Mosquitto, free_port
 from commanded import commanded
-from mqtt_helpers import Messages, scripted_broker, until
+from mqtt_helpers import scripted_broker, until
 from observer import observe
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing.commands import AT_ONCE, REFUSALS_AT_ONCE, Handler
+from resonator_daemon.publishing.commands import Handler
 from resonator_daemon.publishing.requests import BrokerUnreachableError, DeniedError, NoAnswerError, request
-from resonator_daemon.publishing.topics import CONTACT_EVENT
 from resonator_daemon.publishing.verbs import Mark, MarkAnswer
 
 BASE = "resonator/left"
@@ -112,24 +111,3 @@ async def test_only_the_daemons_word_counts_as_an_answer(mosquitto: Mosquitto) -
             await other.publish(topic, payload, qos=1)
         async with asyncio.timeout(20):
             assert await asking == {"verb": "mark", "ok": True}
-
-
-async def test_a_flood_of_commands_costs_no_event(mosquitto: Mosquitto) -> None:
-    async with (
-        commanded(mosquitto.url, HANDLERS, ALLOWED) as daemon,
-        observe(mosquitto.url, f"{BASE}/#") as observer,
-    ):
-        publisher, commands = daemon.publisher, daemon.commands
-        await until(lambda: publisher.connected)
-        host, port = mosquitto.url.removeprefix("mqtt://").split(":")
-        async with aiomqtt.Client(host, int(port), max_queued_outgoing_messages=0) as client:
-            for number in range(1000):
-                publisher.publish(daemon.base, CONTACT_EVENT, Messages.event(number))
-                await client.publish(f"{BASE}/cmd/mark", MARK)
-        await until(lambda: commands.counts.total() == 1000)
-        await observer.until_count(f"{BASE}/contacts/event", 1000)
-        await observer.until_count(f"{BASE}/rsp/mark", commands.counts["done"] + commands.counts["too_many"])
-        assert [event["seq"] for event in observer.payloads(f"{BASE}/contacts/event")] == list(range(1000))
-        assert sum(publisher.account.dropped.values()) == 0
-        assert AT_ONCE <= commands.counts["done"] < 1000 - REFUSALS_AT_ONCE
-        assert commands.counts["unanswered"] > 0

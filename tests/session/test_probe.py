@@ -92,11 +92,20 @@ class Answering:
     def close(self) -> None: ...
 
 
-@pytest.mark.parametrize(("says", "is_a_board"), [(None, False), (b"", False), (FRAME, True)])
-def test_who_sends_packets_but_no_identity_is_a_board(
-    says: bytes | None, is_a_board: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("says", "is_a_board", "why"),
+    [
+        (b"", False, "not a byte came"),
+        (b"login: ", False, "bytes came and no packet among them"),
+        (None, False, "only our own requests came back"),
+        (encode_packet(0x81, 1, b"", boot_id=5, major=2), True, r"uses protocol 2, this program uses 1\.0"),
+        (FRAME, True, "packets came"),
+    ],
+)
+def test_who_does_not_identify_itself_is_told_with_what_came(
+    says: bytes | None, is_a_board: bool, why: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(probe_module, "ANSWER_S", 0.05)
-    with pytest.raises(NoBoardError) as refused:
+    with pytest.raises(NoBoardError, match=why) as refused:
         probe(Answering(says))
     assert refused.value.is_a_board == is_a_board

@@ -2,6 +2,9 @@
 
 from typing import Any, TypeVar
 
+import cbor2
+import numpy as np
+
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Contact, Lost, Message, Patch, SiteForce
 
@@ -26,3 +29,15 @@ def example(kind: type[M], **changes: Any) -> M:
     """Return the example of a kind of message, or of a part of one."""
     fields = PARTS.get(kind) or EXAMPLES[kind.__name__]
     return kind(**fields | changes)
+
+
+def as_rows(payload: bytes) -> Any:
+    """Read CBOR with arrays as nested rows, by hand."""
+
+    def to_rows(tag: cbor2.CBORTag, _immutable: bool = False) -> Any:
+        if tag.tag == 85:
+            return np.frombuffer(tag.value, "<f4")
+        assert tag.tag == 40
+        return tag.value[1].reshape(tag.value[0]).tolist()
+
+    return cbor2.loads(payload, tag_hook=to_rows)

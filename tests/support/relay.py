@@ -1,4 +1,4 @@
-"""A TCP relay before a broker, which can cut connections and limit the rate towards the broker."""
+"""A TCP relay before a broker, which can cut connections and refuse MQTT 5."""
 
 import asyncio
 import socket
@@ -6,7 +6,6 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from urllib.parse import urlsplit
 
-_TICK_S = 0.05
 _READ_BYTES = 65536
 _UNSUPPORTED_VERSION = b"\x20\x03\x00\x84\x00"
 
@@ -14,17 +13,13 @@ _UNSUPPORTED_VERSION = b"\x20\x03\x00\x84\x00"
 class Relay:
     """Relay to the broker at a URL; `url` is its own."""
 
-    def __init__(self, broker_url: str, bytes_per_s: int | None, refuse_mqtt_5: bool) -> None:
+    def __init__(self, broker_url: str, refuse_mqtt_5: bool) -> None:
         self._port = urlsplit(broker_url).port
-        self._bytes_per_s = bytes_per_s
         self._refuse_mqtt_5 = refuse_mqtt_5
         self._pipes: set[asyncio.Task[None]] = set()
         self._writers: list[asyncio.StreamWriter] = []
         self._listener = socket.create_server(("127.0.0.1", 0))
-        if bytes_per_s is not None:  # a slow network holds less than a slow reader
-            self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
         self.url = f"mqtt://127.0.0.1:{self._listener.getsockname()[1]}"
-        self.connections = 0
 
     def cut(self) -> None:
         """End all connections without a word to either side."""
@@ -42,7 +37,6 @@ class Relay:
             await asyncio.wait(tuple(self._pipes))
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self.connections += 1
         first = b""
         if self._refuse_mqtt_5:
             first = await reader.readuntil(b"MQTT") + await reader.readexactly(1)
@@ -53,21 +47,16 @@ class Relay:
         from_broker, to_broker = await asyncio.open_connection("127.0.0.1", self._port)
         self._writers += [writer, to_broker]
         to_broker.write(first)
-        rate = self._bytes_per_s
-        for task in (
-            asyncio.create_task(self._pipe(reader, to_broker, rate)),
-            asyncio.create_task(self._pipe(from_broker, writer, None)),
-        ):
+        for one, other in ((reader, to_broker), (from_broker, writer)):
+            task = asyncio.create_task(self._pipe(one, other))
             self._pipes.add(task)
             task.add_done_callback(self._pipes.discard)
 
     @staticmethod
-    async def _pipe(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, bytes_per_s: int | None) -> None:
+    async def _pipe(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
-            while data := await reader.read(_READ_BYTES if bytes_per_s is None else round(bytes_per_s * _TICK_S)):
+            while data := await reader.read(_READ_BYTES):
                 writer.write(data)
-                if bytes_per_s is not None:
-                    await asyncio.sleep(_TICK_S)
         except ConnectionError:
             pass
         finally:
@@ -75,10 +64,8 @@ class Relay:
 
 
 @asynccontextmanager
-async def relay(
-    broker_url: str, *, bytes_per_s: int | None = None, refuse_mqtt_5: bool = False
-) -> AsyncIterator[Relay]:
-    made = Relay(broker_url, bytes_per_s, refuse_mqtt_5)
+async def relay(broker_url: str, *, refuse_mqtt_5: bool = False) -> AsyncIterator[Relay]:
+    made = Relay(broker_url, refuse_mqtt_5)
     server = await made.start()
     try:
         yield made
