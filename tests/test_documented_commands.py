@@ -93,7 +93,9 @@ async def test_the_guides_work_in_turn(shell: Shell, tmp_path: Path) -> None:
     await request("mark", "text=lifted")
     await asyncio.sleep(3)
     await request("stop_recording")
-    shutil.copy(recording, tmp_path / "run.mcap")
+    (tmp_path / "recordings").mkdir()
+    for name in ("run", "before", "after", "recordings/run"):
+        shutil.copy(recording, tmp_path / f"{name}.mcap")
     await shell.stop()
     left_out += await work_through("replay", "export")
     assert set(left_out) == set(ELSEWHERE)
