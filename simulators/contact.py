@@ -12,21 +12,19 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
 
 from simulators.arrays import Floats
 from simulators.half_space_fields import hertz_fields
 
-_KNOTS_PER_DEPTH = 10  # of the table over radii: the fields change over radii of about the depth
 
-
-def contact_radius_m(normal_force_newton: npt.ArrayLike, radius_m_at_1_newton: float) -> Floats:
+def contact_radius_m(normal_force_newton: npt.ArrayLike, radius_m_at_1_newton: npt.ArrayLike) -> Floats:
     """Radius of contact, growing with the cube root of force; 0 where nothing presses."""
-    return radius_m_at_1_newton * np.cbrt(np.maximum(normal_force_newton, 0.0))
+    radius: Floats = np.asarray(radius_m_at_1_newton) * np.cbrt(np.maximum(normal_force_newton, 0.0))
+    return radius
 
 
 def hertz_parts(
-    force_newton: npt.ArrayLike, radius_m_at_1_newton: float, friction_coefficient: float
+    force_newton: npt.ArrayLike, radius_m_at_1_newton: npt.ArrayLike, friction_coefficient: npt.ArrayLike
 ) -> tuple[Floats, Floats]:
     """Split a contact's load into two Hertz distributions: all of the disc, and the part that sticks.
 
@@ -36,9 +34,9 @@ def hertz_parts(
         Force x, y, z, shape (..., 3). Shear beyond friction is clipped to full sliding; where force z <= 0, nothing
         acts.
     radius_m_at_1_newton
-        Radius of contact at a force of 1 N.
+        Radius of contact at a force of 1 N, one or for each force (...).
     friction_coefficient
-        Of Coulomb's law, at least 0.
+        Of Coulomb's law, at least 0, likewise.
 
     Returns
     -------
@@ -47,15 +45,16 @@ def hertz_parts(
     forces_newton
         Force carried by the distribution of each radius, shape (..., 2, 3); their sum is the force that acts.
     """
-    if not radius_m_at_1_newton > 0.0:
-        raise ValueError(f"radius_m_at_1_newton is {radius_m_at_1_newton}, must be above 0")
-    if not friction_coefficient >= 0.0:
-        raise ValueError(f"friction_coefficient is {friction_coefficient}, must be at least 0")
+    if not np.all(np.asarray(radius_m_at_1_newton) > 0.0):
+        raise ValueError(f"radius_m_at_1_newton is {radius_m_at_1_newton!r}, must be above 0")
+    friction = np.asarray(friction_coefficient, dtype=np.float64)
+    if not np.all(friction >= 0.0):
+        raise ValueError(f"friction_coefficient is {friction_coefficient!r}, must be at least 0")
     force = np.asarray(force_newton, dtype=np.float64)
     if force.shape[-1:] != (3,):
         raise ValueError(f"force_newton has shape {force.shape}, must be (..., 3)")
     normal = np.maximum(force[..., 2], 0.0)
-    sliding = friction_coefficient * normal
+    sliding = friction * normal
     shear = np.hypot(force[..., 0], force[..., 1])
     held = np.maximum(sliding - shear, 0.0)  # what friction could carry in addition
     stick_ratio = np.cbrt(np.divide(held, sliding, out=np.zeros_like(held), where=sliding > 0.0))
@@ -146,75 +145,22 @@ def _share_up_to(x: Floats, y: Floats) -> Floats:
     return share
 
 
-class PressedSpot:
-    """Signals at fixed places below one contact, quick enough to be asked for in every frame.
+def pressed_signals(
+    positions_m: npt.ArrayLike,
+    depth_m: float,
+    youngs_modulus_pascal: float,
+    poisson_ratio: float,
+    centre_m: tuple[float, float],
+    radius_m_at_1_newton: float,
+    friction_coefficient: float,
+    force_newton: npt.ArrayLike,
+) -> Floats:
+    """Return the signals [p_n (Pa), eps_xz, eps_yz], (3, n), at places (n, 2) below a contact, without a table.
 
-    The fields of a Hertz distribution depend on its radius alone; they are computed once over a range of radii, then
-    interpolated by a cubic spline. A part's force scales them.
+    The force (3,) is taken as by `hertz_parts`.
     """
-
-    def __init__(
-        self,
-        positions_m: npt.ArrayLike,
-        depth_m: float,
-        youngs_modulus_pascal: float,
-        poisson_ratio: float,
-        centre_m: tuple[float, float],
-        radius_m_at_1_newton: float,
-        friction_coefficient: float,
-        force_max_newton: float,
-    ) -> None:
-        """Tabulate the fields at `positions_m` (n, 2), all at `depth_m`, for normal forces up to `force_max_newton`."""
-        if not force_max_newton > 0.0:
-            raise ValueError(f"force_max_newton is {force_max_newton}, must be above 0")
-        if not depth_m > 0.0:
-            raise ValueError(f"depth_m is {depth_m}, must be above 0: the fields are those below the surface")
-        self._radius_m_at_1_newton = radius_m_at_1_newton
-        self._friction_coefficient = friction_coefficient
-        self._force_max_newton = force_max_newton
-        radius_max_m = float(
-            hertz_parts((0.0, 0.0, force_max_newton), radius_m_at_1_newton, friction_coefficient)[0][0]
-        )
-        radii = np.linspace(0.0, radius_max_m, 4 + math.ceil(_KNOTS_PER_DEPTH * radius_max_m / depth_m))
-        offsets = np.asarray(positions_m, dtype=np.float64) - np.asarray(centre_m)
-        fields = hertz_fields(offsets, depth_m, radii, youngs_modulus_pascal, poisson_ratio)
-        # The fields are even in the radius, hence the slope of 0 at its lower end. Per knot: value and slope, so that
-        # two neighbours hold all that one interval needs.
-        spline = CubicSpline(radii, fields, bc_type=("clamped", "not-a-knot"))
-        self._knot_spacing_m = float(radii[1])
-        self._table = np.stack([fields, spline(radii, 1) * self._knot_spacing_m], axis=1)
-
-    def signals(self, force_newton: npt.ArrayLike) -> Floats:
-        """Signals [p_n (Pa), eps_xz, eps_yz] under forces x, y, z: (3,) -> (3, n), (t, 3) -> (t, 3, n).
-
-        Forces are taken as by `hertz_parts`. ValueError where one is not finite or presses beyond the table.
-        """
-        force = np.asarray(force_newton, dtype=np.float64)
-        if not np.all(np.isfinite(force)):
-            raise ValueError(f"force_newton is {force}, must be finite")
-        radii, parts = hertz_parts(force, self._radius_m_at_1_newton, self._friction_coefficient)
-        if np.any(force[..., 2] > self._force_max_newton):
-            raise ValueError(f"force z is {force[..., 2].max()} N, tabulated up to {self._force_max_newton} N")
-        place = radii / self._knot_spacing_m
-        knots = np.minimum(place.astype(np.intp), len(self._table) - 2)
-        weights = _hermite_weights(place - knots)[..., np.newaxis] * parts[..., np.newaxis, :]
-        signals = np.zeros((*force.shape[:-1], 3, self._table.shape[-1]))
-        for frame in np.ndindex(force.shape[:-1]):
-            row = signals[frame].reshape(-1)
-            for knot, weight in zip(knots[frame], weights[frame], strict=True):
-                row += weight.reshape(-1) @ self._table[knot : knot + 2].reshape(12, -1)
-        return signals
-
-
-def _hermite_weights(fraction: Floats) -> Floats:
-    """Cubic Hermite weights (..., 4) of value and slope at the lower, then at the upper end of a unit interval."""
-    rest = 1.0 - fraction
-    return np.stack(
-        [
-            rest**2 * (1.0 + 2.0 * fraction),
-            rest**2 * fraction,
-            fraction**2 * (1.0 + 2.0 * rest),
-            -(fraction**2) * rest,
-        ],
-        axis=-1,
-    )
+    radii, parts = hertz_parts(force_newton, radius_m_at_1_newton, friction_coefficient)
+    offsets = np.asarray(positions_m, dtype=np.float64) - np.asarray(centre_m)
+    fields = hertz_fields(offsets, depth_m, radii, youngs_modulus_pascal, poisson_ratio)
+    signals: Floats = np.einsum("pi,pisn->sn", parts, fields)
+    return signals

@@ -110,8 +110,6 @@ class Emulator:
         if not 0.0 < options.speed <= _SPEED_MAX:
             raise ValueError(f"speed must be above 0 and at most {_SPEED_MAX:g}, got {options.speed:g}")
         plate = _at_rate(load_plate(options.plate), options.frame_rate_hz)
-        if options.control and FORCE_SIGNAL not in plate.signals:
-            raise ValueError(f"control: plate {plate.name} has a skin; presses are for plates with force sites")
         presses = Presses(plate) if options.control else None
         usual = "still" if options.control else default_scenario(plate)
         scenario = load_scenario(options.scenario or usual, plate, presses)

@@ -57,15 +57,22 @@ def hertz_fields(
     z = depth_m
     fields = np.empty((len(radii), 3, 3, len(x)))
     for (p_n, eps_xz, eps_yz), radius in zip(fields.swapaxes(1, 2), radii, strict=True):
-        over_3, over_3_depth, over_5, over_5_depth = _potential_integrals(x**2 + y**2, z, float(radius))
+        over_3, over_3_depth, over_5, over_5_depth = potential_integrals(x**2 + y**2, z, float(radius))
         p_n[:] = -x * over_3, -y * over_3, -over_3_depth
         across = 3.0 * z * x * y * over_5
         isotropic = over_3_depth - z * over_3
         eps_xz[:] = 3.0 * z * x**2 * over_5 + isotropic, across, 3.0 * z * x * over_5_depth
         eps_yz[:] = across, 3.0 * z * y**2 * over_5 + isotropic, 3.0 * z * y * over_5_depth
-    fields[:, :, 0] *= (1.0 + poisson_ratio) / (3.0 * math.pi)
-    fields[:, :, 1:] *= -(1.0 + poisson_ratio) / (2.0 * math.pi * youngs_modulus_pascal)  # eps = sigma (1 + nu)/E
+    pressure_factor, strain_factor = signal_factors(youngs_modulus_pascal, poisson_ratio)
+    fields[:, :, 0] *= pressure_factor
+    fields[:, :, 1:] *= strain_factor
     return fields
+
+
+def signal_factors(youngs_modulus_pascal: float, poisson_ratio: float) -> tuple[float, float]:
+    """Return what the derivatives of the potential are multiplied by: of p_n (no unit), and of strains (1/Pa)."""
+    pressure_factor = (1.0 + poisson_ratio) / (3.0 * math.pi)
+    return pressure_factor, -(1.0 + poisson_ratio) / (2.0 * math.pi * youngs_modulus_pascal)  # eps = sigma (1 + nu)/E
 
 
 def _check(
@@ -83,7 +90,7 @@ def _check(
         raise ValueError(f"poisson_ratio is {poisson_ratio}, must be above -1 and at most 0.5")
 
 
-def _potential_integrals(
+def potential_integrals(
     distance_squared_m2: Floats, depth_m: float, radius_m: float
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Integrals of 1/R^3, Z/R^3, 1/R^5, Z/R^5 over complex depths Z = z + i a s, where R^2 = r^2 + Z^2, each (n,)."""

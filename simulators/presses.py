@@ -1,6 +1,7 @@
 """Touches that clients press and release while the emulator runs: requests are checked, what is held presses on."""
 
 import json
+import math
 from itertools import count
 from typing import Annotated, Any, NamedTuple
 
@@ -8,15 +9,17 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
-from resonator_daemon.plate import Plate
+from resonator_daemon.plate import FORCE_SIGNAL, Plate
 from simulators.arrays import Floats
 from simulators.findings import message_of
-from simulators.pressing import Pressing
+from simulators.pressing import FRICTION_COEFFICIENT, RADIUS_M_AT_1_NEWTON, Pressing
 from simulators.scenario_file import reach_m, site_at
 
 FIRST_ID = 1_000_001  # of a contact; those of scenarios begin at 1
 TOUCHES_MAX = 16  # of all clients
 FORCE_RANGE = 2.0  # times the plate's largest force, so that overload can be tried
+RADIUS_MIN_M, RADIUS_MAX_M = 1e-4, 8e-3  # of a contact with a skin
+FRICTION_MAX = 2.0
 
 _STILL_NEWTON = (0.0, 0.0, 0.0)
 
@@ -40,6 +43,8 @@ class PressRequest(BaseModel):
     press: Name
     position_m: tuple[Finite, Finite] | None = None
     force_newton: tuple[Finite, Finite, Finite] | None = None
+    radius_m: Finite | None = None  # None: as the force has it
+    friction_coefficient: Finite | None = None
 
 
 class ReleaseRequest(BaseModel):
@@ -56,6 +61,26 @@ class _Press(NamedTuple):
     id: int
     position_m: tuple[float, float]
     force_newton: tuple[float, float, float]
+    radius_m: float | None
+    friction_coefficient: float
+
+    @property
+    def radius_m_at_1_newton(self) -> float:
+        if self.radius_m is None or not self.force_newton[2]:
+            return RADIUS_M_AT_1_NEWTON
+        return float(self.radius_m / np.cbrt(self.force_newton[2]))
+
+    @property
+    def slides(self) -> bool:
+        """Whether friction cannot bear the tangential force."""
+        return math.hypot(*self.force_newton[:2]) >= self.friction_coefficient * self.force_newton[2] > 0.0
+
+    @property
+    def acting_newton(self) -> tuple[float, float, float]:
+        """What acts on a skin: friction bounds the tangential force."""
+        x, y, z = self.force_newton
+        share = self.friction_coefficient * z / math.hypot(x, y) if self.slides else 1.0
+        return x * share, y * share, z
 
 
 class Presses:
@@ -64,6 +89,7 @@ class Presses:
     def __init__(self, plate: Plate) -> None:
         self._plate = plate
         self._low_m, self._high_m = reach_m(plate)
+        self._has_skin = FORCE_SIGNAL not in plate.signals
         self._force_max_newton = FORCE_RANGE * plate.force_max_newton
         self._held: dict[tuple[int, str], _Press] = {}
         self._ids = count(FIRST_ID)
@@ -123,9 +149,33 @@ class Presses:
         self._check_force(force_newton)
         if now is None and len(self._held) >= TOUCHES_MAX:
             raise RefusedRequest("too_many_touches", f"{TOUCHES_MAX} touches are held; release one first")
-        self._held[key] = press = _Press(now.id if now else next(self._ids), position_m, force_newton)
+        radius_m, friction = self._contact(request, now)
+        self._held[key] = press = _Press(
+            now.id if now else next(self._ids), position_m, force_newton, radius_m, friction
+        )
         self._pressing = self._arrays()
-        return {"press": request.press, "contact_id": press.id}
+        answer: dict[str, Any] = {"press": request.press, "contact_id": press.id}
+        return answer | {"slides": press.slides} if self._has_skin else answer
+
+    def _contact(self, request: PressRequest, now: _Press | None) -> tuple[float | None, float]:
+        """Return radius, None where the force decides it, and friction coefficient of a touch."""
+        given = request.model_fields_set & {"radius_m", "friction_coefficient"}
+        if given and not self._has_skin:
+            raise RefusedRequest("no_skin", f"{', '.join(sorted(given))}: only for a plate with a skin; leave it out")
+        radius_m, friction = (now.radius_m, now.friction_coefficient) if now else (None, FRICTION_COEFFICIENT)
+        if "radius_m" in given:
+            radius_m = request.radius_m
+        if radius_m is not None and not RADIUS_MIN_M <= radius_m <= RADIUS_MAX_M:
+            raise RefusedRequest(
+                "radius_out_of_range", f"radius_m: got {radius_m}; must be {RADIUS_MIN_M:g} to {RADIUS_MAX_M:g}"
+            )
+        if request.friction_coefficient is not None:
+            friction = request.friction_coefficient
+        if not 0.0 <= friction <= FRICTION_MAX:
+            raise RefusedRequest(
+                "friction_out_of_range", f"friction_coefficient: got {friction}; must be 0 to {FRICTION_MAX:g}"
+            )
+        return radius_m, friction
 
     def _check_place(self, position_m: tuple[float, float]) -> None:
         low, high = self._low_m, self._high_m
@@ -148,10 +198,12 @@ class Presses:
         self._sites = {press.position_m: site_at(np.array(press.position_m), self._plate) for press in held}
         return Pressing(
             np.array([[press.id for press in held]], dtype=np.int64),
-            _rows([press.force_newton for press in held], 3),
+            _rows([press.acting_newton if self._has_skin else press.force_newton for press in held], 3),
             _rows([press.position_m for press in held], 2),
             np.full((1, len(held)), np.nan),
             np.zeros(len(held), dtype=np.bool_),
+            np.array([press.radius_m_at_1_newton for press in held]),
+            np.array([press.friction_coefficient for press in held]),
         )
 
 

@@ -6,6 +6,9 @@ import numpy as np
 
 from simulators.arrays import Bools, Floats, Integers
 
+RADIUS_M_AT_1_NEWTON = 2.5e-3  # of a contact with a skin that has no radius of its own
+FRICTION_COEFFICIENT = 0.5  # where no other one is given
+
 
 class Pressing(NamedTuple):
     """What each of k touches does at n moments.
@@ -19,6 +22,8 @@ class Pressing(NamedTuple):
     position_m: Floats  # (n, k, 2); of the whole plate: the middle of its outline
     contact_kelvin: Floats  # (n, k); NaN where a touch has the plate's temperature
     whole_plate: Bools  # (k,)
+    radius_m_at_1_newton: Floats  # (k,), of contact with a skin
+    friction_coefficient: Floats  # (k,), likewise
 
 
 def joined(first: Pressing, second: Pressing) -> Pressing:

@@ -11,10 +11,8 @@ from simulators.faults import FaultPlan
 from simulators.physics import Physics
 from simulators.plate import Contact
 from simulators.presses import Presses
-from simulators.pressing import Pressing, joined
+from simulators.pressing import FRICTION_COEFFICIENT, RADIUS_M_AT_1_NEWTON, Pressing, joined
 from simulators.scenario_file import ScenarioFile, TimedKelvin, Touch, reach_m, read_scenario, site_at
-
-FRICTION_COEFFICIENT = 0.5  # of every touch
 
 _EMPTY = ScenarioFile()  # its defaults
 _ROUNDING = 1e-6  # relative: until a touch is surely over, whatever rounding does
@@ -49,6 +47,8 @@ class Scenario:
             None if touch.whole_plate else site_at(position_m, plate)
             for touch, position_m in zip(touches, self.positions_m, strict=True)
         )
+        self._radius_m = np.full(len(touches), RADIUS_M_AT_1_NEWTON)
+        self._friction = np.full(len(touches), FRICTION_COEFFICIENT)
         self.peak_newton = np.array([touch.force_newton for touch in touches])
         slides = np.array([touch.to_mm is not None for touch in touches], dtype=np.bool_)
         ends_m = np.array([touch.to_mm or (0.0, 0.0) for touch in touches]).reshape(-1, 2) * 1e-3
@@ -89,7 +89,7 @@ class Scenario:
         if not np.isnan(self._kelvin).all():
             kelvin = np.where(force_newton[..., 2] > 0.0, self._kelvin, np.nan)
         ids = self._first_ids + round_number.astype(np.int64) * self._ids_per_round
-        pressing = Pressing(ids, force_newton, position_m, kelvin, self.whole_plate)
+        pressing = Pressing(ids, force_newton, position_m, kelvin, self.whole_plate, self._radius_m, self._friction)
         return pressing if self._presses is None else joined(pressing, self._presses.at(len(times_s)))
 
     def _force_newton(self, since_s: Floats, touch: npt.NDArray[np.intp]) -> Floats:

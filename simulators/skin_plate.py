@@ -8,7 +8,7 @@ from firmware_protocol.layouts import CHANNEL_COUNT
 from firmware_protocol.messages import CounterKind, Description
 from resonator_daemon.plate import Plate, Skin
 from simulators.arrays import Floats, Singles
-from simulators.contact import PressedSpot, hertz_parts
+from simulators.contact import contact_radius_m, hertz_parts, pressed_signals
 from simulators.normal_noise import normal_noise
 from simulators.plate import (
     REFERENCE_ERROR,
@@ -18,10 +18,12 @@ from simulators.plate import (
     corner_levels_db,
     gate_middles_s,
 )
-from simulators.scenario import FRICTION_COEFFICIENT, Scenario
+from simulators.pressed_surface import PressedSurface
+from simulators.presses import FORCE_RANGE, RADIUS_MAX_M
+from simulators.pressing import FRICTION_COEFFICIENT, RADIUS_M_AT_1_NEWTON, Pressing
+from simulators.scenario import Scenario
 from simulators.tone_records import ToneRecords, even_oscillators
 
-RADIUS_M_AT_1_NEWTON = 2.5e-3
 SIGNAL_TO_NOISE_DB = 30.0  # at 1 N without shear, rms over array and signals, corners combined
 GAIN_ERROR = 0.01
 
@@ -71,10 +73,7 @@ class SkinPlate:
         gain = 1.0 + self._random.normal(0.0, GAIN_ERROR, count)
         self._sensitivity = _alike(tones.sensitivity.T * gain)
         self._still_hz = self._f0_hz - self._oscillator_hz
-        self._spots = [
-            _spot(plate, skin, (float(x), float(y)), float(peak))
-            for (x, y), peak in zip(scenario.positions_m, scenario.peak_newton, strict=True)
-        ]
+        self._surface = _surface(plate, skin, scenario)
         level_db = corner_levels_db(plate.site_positions_m[tones.site_index], plate.transducers_m, self._random).T
         self._own_gate_s = 1.0 / plate.counter.frame_rate_hz
         self._own_sigma_hz = self._noise_hz(plate, skin, level_db)
@@ -92,17 +91,29 @@ class SkinPlate:
         if (gate_s := gate_ticks / self._reference_hz) != self._gate_s:
             self._set_gate(gate_s)
         pressing = self._scenario.at(gate_middles_s(scenario_ticks, gate_ticks, frames, self._tick_rate_hz))
-        contacts: list[list[Contact]] = [[] for _ in range(frames)]
-        signals = np.zeros((frames, 3, int(self._where[1].max()) + 1))
-        for touch in np.flatnonzero(pressing.force_newton[..., 2].any(axis=0)).tolist():
-            force_newton = pressing.force_newton[:, touch]
-            signals += self._spots[touch].signals(force_newton)
-            for frame in np.flatnonzero(force_newton[:, 2]).tolist():
-                contacts[frame].append(self._contact(touch, int(pressing.ids[frame, touch]), force_newton[frame]))
-        return [
-            CountedFrame(self._count_gate(signals[frame] if contacts[frame] else None), contacts[frame])
-            for frame in range(frames)
-        ]
+        radii_m, parts_newton = hertz_parts(
+            pressing.force_newton, pressing.radius_m_at_1_newton, pressing.friction_coefficient
+        )
+        signals: list[Floats | None] = [None] * frames
+        for frame, touch in np.argwhere(pressing.force_newton[..., 2] > 0.0).tolist():
+            x, y = pressing.position_m[frame, touch].tolist()
+            of_touch = self._surface.signals((x, y), radii_m[frame, touch], parts_newton[frame, touch])
+            before = signals[frame]
+            signals[frame] = of_touch if before is None else before + of_touch
+        contacts = self._contacts(pressing, radii_m)
+        return [CountedFrame(self._count_gate(signals[frame]), contacts[frame]) for frame in range(frames)]
+
+    def _contacts(self, pressing: Pressing, radii_m: Floats) -> list[list[Contact]]:
+        """Return what touches at each moment, with radii (frames, touches, 2) of contact and stick."""
+        contacts = self._scenario.contacts(pressing)
+        for frame, found in enumerate(contacts):
+            touches = np.flatnonzero(pressing.force_newton[frame, :, 2])
+            radii, frictions = radii_m[frame, touches].tolist(), pressing.friction_coefficient[touches].tolist()
+            contacts[frame] = [
+                contact._replace(radius_m=radius_m, stick_radius_m=stick_radius_m, friction_coefficient=friction)
+                for contact, (radius_m, stick_radius_m), friction in zip(found, radii, frictions, strict=True)
+            ]
+        return contacts
 
     def _set_gate(self, gate_s: float) -> None:
         # White phase noise: the slope of a gate is off by length^(-3/2).
@@ -130,25 +141,22 @@ class SkinPlate:
         """Return the standard deviation (channels, tones) of a tone's frequency in a gate of the plate's own length."""
         to_triple = np.array([1.5 / skin.youngs_modulus_pascal, 1.0, 1.0])
         centre = plate.site_positions_m.mean(axis=0)
-        triple = _spot(plate, skin, (centre[0], centre[1]), 1.0).signals((0.0, 0.0, 1.0)) * to_triple[:, np.newaxis]
+        signals = pressed_signals(
+            plate.site_positions_m,
+            skin.depth_m,
+            skin.youngs_modulus_pascal,
+            skin.poisson_ratio,
+            (centre[0], centre[1]),
+            RADIUS_M_AT_1_NEWTON,
+            FRICTION_COEFFICIENT,
+            (0.0, 0.0, 1.0),
+        )
+        triple = signals * to_triple[:, np.newaxis]
         triple_std = math.sqrt((triple**2).mean()) * 10.0 ** (-SIGNAL_TO_NOISE_DB / 20.0)
         tone_std_hz = plate.tones.f0_hz.T * np.abs(plate.tones.sensitivity.T) * triple_std / to_triple[self._where[0]]
         power = 10.0 ** (level_db / 10.0)
         sigma_hz: Floats = tone_std_hz / np.sqrt(power / power.sum(axis=0))
         return sigma_hz
-
-    def _contact(self, touch: int, contact_id: int, force: Floats) -> Contact:
-        radius_m, stick_radius_m = hertz_parts(force, RADIUS_M_AT_1_NEWTON, FRICTION_COEFFICIENT)[0].tolist()
-        x, y = self._scenario.positions_m[touch].tolist()
-        return Contact(
-            contact_id,
-            self._scenario.site_ids[touch],
-            (x, y),
-            tuple(force.tolist()),
-            radius_m,
-            stick_radius_m,
-            FRICTION_COEFFICIENT,
-        )
 
 
 def _alike(channels: Floats) -> Floats:
@@ -156,14 +164,15 @@ def _alike(channels: Floats) -> Floats:
     return channels[:1] if (channels == channels[0]).all() else channels
 
 
-def _spot(plate: Plate, skin: Skin, centre_m: tuple[float, float], force_max_newton: float) -> PressedSpot:
-    return PressedSpot(
+def _surface(plate: Plate, skin: Skin, scenario: Scenario) -> PressedSurface:
+    """Return the surface of a skin, for contacts anywhere within the outline."""
+    places = np.concatenate([plate.outline_m, plate.site_positions_m])
+    force_max_newton = max([FORCE_RANGE * plate.force_max_newton, *scenario.peak_newton])
+    return PressedSurface(
         plate.site_positions_m,
         skin.depth_m,
         skin.youngs_modulus_pascal,
         skin.poisson_ratio,
-        centre_m,
-        RADIUS_M_AT_1_NEWTON,
-        FRICTION_COEFFICIENT,
-        force_max_newton,
+        float(np.hypot(*np.ptp(places, axis=0))),
+        max(RADIUS_MAX_M, float(contact_radius_m(force_max_newton, RADIUS_M_AT_1_NEWTON))),
     )

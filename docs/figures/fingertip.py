@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from resonator_daemon.decoding import ContactDecoder, OpenPlaneDecoder
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.plate import load_plate
-from simulators.contact import PressedSpot, hertz_parts, point_tractions
-from simulators.skin_plate import GAIN_ERROR, RADIUS_M_AT_1_NEWTON, SIGNAL_TO_NOISE_DB
+from simulators.contact import hertz_parts, point_tractions, pressed_signals
+from simulators.pressing import RADIUS_M_AT_1_NEWTON
+from simulators.skin_plate import GAIN_ERROR, SIGNAL_TO_NOISE_DB
 
 Floats = NDArray[np.float64]
 
@@ -40,7 +41,7 @@ def fingertip(folder: Path) -> None:
     if plate.skin is None:
         raise ValueError("plate fingertip400 has no [skin]")
     skin, sites = plate.skin, plate.site_positions_m
-    spot = PressedSpot(
+    exact = pressed_signals(
         sites,
         skin.depth_m,
         skin.youngs_modulus_pascal,
@@ -48,9 +49,8 @@ def fingertip(folder: Path) -> None:
         CENTRE_M,
         RADIUS_M_AT_1_NEWTON,
         FRICTION,
-        FORCE_NEWTON[2],
-    )
-    exact = spot.signals(FORCE_NEWTON) * np.array([[1.5 / skin.youngs_modulus_pascal], [1.0], [1.0]])
+        FORCE_NEWTON,
+    ) * np.array([[1.5 / skin.youngs_modulus_pascal], [1.0], [1.0]])
     rng = np.random.default_rng(1)
     noise_std = float(np.sqrt(np.mean(exact**2))) * 10.0 ** (-SIGNAL_TO_NOISE_DB / 20.0)
     gains = rng.normal(1.0, GAIN_ERROR, exact.shape)  # that the decoders are not told

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulators.contact import contact_radius_m, pixel_tractions, point_tractions
-from simulators.scenario import FRICTION_COEFFICIENT
-from simulators.skin_plate import RADIUS_M_AT_1_NEWTON
+from simulators.pressing import FRICTION_COEFFICIENT, RADIUS_M_AT_1_NEWTON
 
 
 class TruthLine(NamedTuple):

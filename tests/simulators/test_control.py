@@ -19,12 +19,13 @@ from simulators.comb_plate import CombPlate
 from simulators.control import CLIENTS_MAX, LINE_BYTES_MAX
 from simulators.emulator import Emulator, EmulatorOptions
 from simulators.physics import Physics
-from simulators.plate import EmulatedPlate
+from simulators.plate import Contact, EmulatedPlate
 from simulators.presses import FIRST_ID, TOUCHES_MAX, Presses
 from simulators.quartz_plate import QuartzPlate
 from simulators.scenario import Scenario
+from simulators.skin_plate import SkinPlate
 
-QUARTZ, COMB = load_plate("quartz16"), load_plate("comb16")
+QUARTZ, COMB, SKIN = load_plate("quartz16"), load_plate("comb16"), load_plate("skin32")
 TAIL_BYTES = 4096  # more than a line of the truth
 IDEAL = Physics(ideal=True)
 PLACE, OTHER = [0.0012, -0.0031], [-0.0005, 0.002]  # the other is that of site 7
@@ -105,6 +106,51 @@ def test_a_press_acts_on_sites_as_a_touch_of_a_scenario_does(
     still = kind(plate, Scenario((), None, plate, physics=IDEAL), 3)
     still.count(0, 10**6, 10**6, 8)
     assert [frame.contacts for frame in by_client.count(0, 9 * 10**6, 10**6, 2)] == [[], []]
+
+
+def test_under_a_skin_a_press_has_radius_and_friction_and_slips_in_part() -> None:
+    presses = Presses(SKIN)
+    plate = SkinPlate(SKIN, Scenario((), None, SKIN, presses=presses), 3)
+
+    def contact() -> Contact:
+        ((found,),) = (frame.contacts for frame in plate.count(0, 10**6, 2_500_000, 1))
+        return found
+
+    shear = 0.875 * 0.5 * 0.512
+    press = PRESS | {"force_newton": [0.0, shear, 0.512]}
+    assert ask(presses, press) == {"ok": True, "press": "a", "contact_id": FIRST_ID, "slides": False}
+    by_the_force = contact()
+    assert by_the_force.force_newton == (0.0, shear, 0.512)
+    assert by_the_force.radius_m == pytest.approx(2.5e-3 * 0.8)
+    assert by_the_force.stick_radius_m == pytest.approx(2.5e-3 * 0.8 * 0.5)  # (1 - 0.875)^(1/3)
+    assert by_the_force.friction_coefficient == 0.5
+    assert ask(presses, {"press": "a", "radius_m": 1.5e-3, "friction_coefficient": 0.4})["slides"]
+    given = contact()
+    assert given.radius_m == pytest.approx(1.5e-3)
+    assert given.stick_radius_m == 0.0
+    assert given.force_newton == pytest.approx((0.0, 0.4 * 0.512, 0.512))  # friction bears no more
+    ask(presses, {"press": "a", "radius_m": None, "friction_coefficient": 0.5})
+    assert contact() == by_the_force
+    touch = steady(0.512, position_mm=(1.2, -3.1), shear={"peak_ratio": 0.875, "direction_deg": 90.0}, hold_s=2.0)
+    by_scenario = SkinPlate(SKIN, Scenario((touch,), None, SKIN), 3)
+    by_client = SkinPlate(SKIN, Scenario((), None, SKIN, presses=presses), 3)
+    middle_ticks = round(250e6 * (1.0 + 1.5e-6)) - 1_250_000  # the shear is largest in the middle of the hold
+    expected, found = (each.count(0, middle_ticks, 2_500_000, 1)[0] for each in (by_scenario, by_client))
+    assert found.channels == expected.channels
+
+
+@pytest.mark.parametrize(
+    ("given", "code"),
+    [
+        ({"radius_m": 0.0}, "radius_out_of_range"),
+        ({"radius_m": 9e-3}, "radius_out_of_range"),
+        ({"friction_coefficient": -0.1}, "friction_out_of_range"),
+        ({"friction_coefficient": 2.1}, "friction_out_of_range"),
+    ],
+)
+def test_radius_and_friction_have_limits_and_belong_to_skins(given: dict[str, float], code: str) -> None:
+    assert code_of(ask(Presses(SKIN), PRESS | given)) == code
+    assert code_of(ask(Presses(QUARTZ), PRESS | given)) == "no_skin"
 
 
 def test_keys_that_are_not_given_stay_and_touches_belong_to_their_clients() -> None:

@@ -6,7 +6,7 @@ from tone_fields import counted_fields
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.plate import load_plate
-from simulators.contact import PressedSpot
+from simulators.contact import pressed_signals
 from simulators.scenario import Scenario, Touch
 from simulators.skin_plate import SkinPlate
 
@@ -34,8 +34,8 @@ def test_signal_to_noise_ratio_is_30_db_in_the_triple_at_1_newton(still: dict[st
     combined_hz = (offset_hz * weight).sum(axis=1) / weight.sum(axis=0)
     relative = combined_hz / PLATE.tones.f0_hz[:, 0] / PLATE.tones.sensitivity[:, 0]
     triple_std = relative.std(axis=0, ddof=1) * TO_TRIPLE[PLATE.tones.signal_index]
-    spot = PressedSpot(PLATE.site_positions_m, 1e-3, 2e5, 0.5, (0.0, 0.0), 2.5e-3, 0.5, 1.0)
-    signal = spot.signals((0.0, 0.0, 1.0)) * TO_TRIPLE[:, np.newaxis]
+    signal = pressed_signals(PLATE.site_positions_m, 1e-3, 2e5, 0.5, (0.0, 0.0), 2.5e-3, 0.5, (0.0, 0.0, 1.0))
+    signal *= TO_TRIPLE[:, np.newaxis]
     for row in range(3):  # equally noisy rows
         noise = np.sqrt((triple_std[PLATE.tones.signal_index == row] ** 2).mean())
         assert 20 * np.log10(np.sqrt((signal**2).mean()) / noise) == pytest.approx(30.0, abs=0.2)

@@ -1,0 +1,134 @@
+"""Signals below contacts at any place, in every frame: closed-form fields of Hertz loads, tabulated and superposed.
+
+The fields of a Hertz load need four integrals of its potential (`half_space_fields`), which depend on distance and
+radius alone. A table over both thus serves every place. Between knots it is interpolated by cubic polynomials, with
+the slopes of a spline. Contacts add up, and so do the two Hertz loads of partial slip.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+from scipy.sparse import csr_array
+
+from simulators.arrays import Floats
+from simulators.half_space_fields import potential_integrals, signal_factors
+
+_KNOTS_PER_DEPTH = 10  # in distance and radius: the fields change over about the depth
+_PLACES_KEPT = 64  # of contacts that stay where they are
+
+
+class _Below(NamedTuple):
+    """Sites as a contact at one place has them."""
+
+    offset_m: Floats  # (2, n), x and y from the contact
+    interpolation: csr_array  # (n, 2 d): values and slopes at d distances to values at the sites
+
+
+class PressedSurface:
+    """Signals of sites at one depth below contacts on the surface."""
+
+    def __init__(
+        self,
+        positions_m: npt.ArrayLike,
+        depth_m: float,
+        youngs_modulus_pascal: float,
+        poisson_ratio: float,
+        distance_max_m: float,
+        radius_max_m: float,
+    ) -> None:
+        """Tabulate fields for sites (n, 2) that are at most so far from a contact, which is at most so large."""
+        self._positions_m = np.asarray(positions_m, dtype=np.float64)
+        self._depth_m = depth_m
+        self._pressure_factor, self._strain_factor = signal_factors(youngs_modulus_pascal, poisson_ratio)
+        distances_m, radii_m = _knots(distance_max_m, depth_m), _knots(radius_max_m, depth_m)
+        self._spacing_m = float(distances_m[1]), float(radii_m[1])
+        self._ends_m = distance_max_m, radius_max_m
+        # All integrals are even in distance and radius, hence slopes of 0 at the lower ends.
+        values = np.stack([potential_integrals(distances_m**2, depth_m, float(radius)) for radius in radii_m])
+        by_distance = CubicSpline(distances_m, values, axis=2, bc_type=("clamped", "not-a-knot"))
+        fields = np.concatenate([values, by_distance(distances_m, 1) * self._spacing_m[0]], axis=-1)
+        by_radius = CubicSpline(radii_m, fields, bc_type=("clamped", "not-a-knot"))
+        # Radius, value and slope over it, integral, values and then slopes over distance.
+        self._table = np.stack([fields, by_radius(radii_m, 1) * self._spacing_m[1]], axis=1)
+        self._below = lru_cache(_PLACES_KEPT)(self._seen_from)
+
+    def signals(self, centre_m: tuple[float, float], radii_m: Floats, forces_newton: Floats) -> Floats:
+        """Return the signals of the sites below one contact.
+
+        Parameters
+        ----------
+        centre_m
+            Its centre.
+        radii_m, forces_newton
+            Of the Hertz loads that it consists of, (p,) and (p, 3), as from `hertz_parts`.
+
+        Returns
+        -------
+        p_n in pascals, eps_xz and eps_yz, shape (3, n).
+
+        Raises
+        ------
+        ValueError
+            A radius or a distance beyond the table.
+        """
+        if not radii_m.max() <= self._ends_m[1] * (1.0 + 1e-9):
+            raise ValueError(f"radius {radii_m.max():g} m, tabulated up to {self._ends_m[1]:g} m")
+        (x, y), interpolation = self._below(centre_m)
+        force_newton, z = forces_newton.sum(axis=0), self._depth_m
+        shear_newton = float(np.hypot(force_newton[0], force_newton[1]))
+        along_x, along_y = force_newton[:2] / shear_newton if shear_newton else (1.0, 0.0)
+        shear_newtons = forces_newton[:, 0] * along_x + forces_newton[:, 1] * along_y  # all have the same direction
+        integrals = self._integrals(radii_m)
+        over_3, over_3_depth, over_5, _ = np.tensordot(shear_newtons, integrals, axes=1)
+        _, normal_3_depth, _, normal_5_depth = np.tensordot(forces_newton[:, 2], integrals, axes=1)
+        profiles = np.stack([over_3, normal_3_depth, over_5, normal_5_depth, over_3_depth - z * over_3])
+        shear_3, normal_3, shear_5, normal_5, isotropic = (interpolation @ profiles.T).T
+        along = along_x * x + along_y * y
+        outward = 3.0 * z * (along * shear_5 + normal_5)
+        signals = np.empty((3, len(x)))
+        signals[0] = -self._pressure_factor * (along * shear_3 + normal_3)
+        signals[1] = self._strain_factor * (x * outward + along_x * isotropic)
+        signals[2] = self._strain_factor * (y * outward + along_y * isotropic)
+        return signals
+
+    def _integrals(self, radii_m: Floats) -> Floats:
+        """Return the integrals (p, 4, 2 d) of loads of these radii: values at d distances, then slopes."""
+        place = radii_m / self._spacing_m[1]
+        knot = np.minimum(place.astype(np.intp), len(self._table) - 2)
+        weights = _hermite_weights(place - knot)
+        near = self._table[knot[:, np.newaxis] + np.arange(2)].reshape(len(knot), 4, -1)
+        interpolated: Floats = (weights.T[:, np.newaxis] @ near).reshape(-1, *self._table.shape[2:])
+        return interpolated
+
+    def _seen_from(self, centre_m: tuple[float, float]) -> _Below:
+        offset_m = np.ascontiguousarray((self._positions_m - np.asarray(centre_m)).T)
+        distance_m = np.hypot(*offset_m)
+        if not distance_m.max() <= self._ends_m[0] * (1.0 + 1e-9):
+            raise ValueError(f"a site is {distance_m.max():g} m away, tabulated up to {self._ends_m[0]:g} m")
+        place = distance_m / self._spacing_m[0]
+        knots = self._table.shape[-1] // 2
+        knot = np.minimum(place.astype(np.intp), knots - 2)
+        columns = np.stack([knot, knots + knot, knot + 1, knots + knot + 1], axis=1)
+        weights, rows = _hermite_weights(place - knot).T, np.arange(len(knot) + 1) * 4
+        return _Below(offset_m, csr_array((weights.ravel(), columns.ravel(), rows), shape=(len(knot), 2 * knots)))
+
+
+def _knots(end_m: float, depth_m: float) -> Floats:
+    return np.linspace(0.0, end_m, 4 + math.ceil(_KNOTS_PER_DEPTH * end_m / depth_m))
+
+
+def _hermite_weights(fraction: Floats) -> Floats:
+    """Cubic Hermite weights (4, n) of value and slope at the lower, then at the upper end of a unit interval."""
+    rest = 1.0 - fraction
+    return np.stack(
+        [
+            rest**2 * (1.0 + 2.0 * fraction),
+            rest**2 * fraction,
+            fraction**2 * (1.0 + 2.0 * rest),
+            -(fraction**2) * rest,
+        ]
+    )
