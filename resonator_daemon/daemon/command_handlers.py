@@ -205,4 +205,5 @@ def _events_answer(boot_id: str, page: HistoryPage) -> EventsAnswer:
         complete=page.complete,
         oldest_seq=page.oldest_seq,
         newest_seq=page.newest_seq,
+        next_daemon_boot_id=page.next_boot_id,
     )

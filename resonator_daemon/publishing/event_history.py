@@ -43,12 +43,15 @@ class HistoryPage(NamedTuple):
         Whether all events of the run after the asked one are stored, on this page or beyond it.
     oldest_seq, newest_seq
         Of the oldest stored event of the run, and of the newest that happened in it; None where there is none.
+    next_boot_id
+        Of the next stored run of the daemon; None for the present one.
     """
 
     payloads: tuple[bytes, ...]
     complete: bool
     oldest_seq: int | None
     newest_seq: int | None
+    next_boot_id: str | None = None
 
 
 class _Stored(NamedTuple):
@@ -58,6 +61,7 @@ class _Stored(NamedTuple):
     events: int
     oldest_seq: int | None
     newest_seq: int
+    next_boot_id: str | None
 
 
 class EventHistory:
@@ -137,7 +141,7 @@ class EventHistory:
         stored = await self._read(boot_id, after_seq, min(memory, default=None), bytes_max, needed=not present)
         if stored is None and not present:
             raise UnknownRunError(boot_id)
-        payloads, count, oldest_seq, newest_on_disk = stored or _Stored([], 0, None, -1)
+        payloads, count, oldest_seq, newest_on_disk, next_on_disk = stored or _Stored([], 0, None, -1, None)
         newest_seq = max(newest_seq, newest_on_disk)
         if oldest_seq is None:
             oldest_seq = min(memory, default=None)
@@ -151,7 +155,8 @@ class EventHistory:
                     break
                 payloads.append(payload)
         complete = count + len(missed) >= newest_seq - after_seq
-        return HistoryPage(tuple(payloads), complete, oldest_seq, newest_seq if newest_seq >= 0 else None)
+        next_boot_id = None if present else next_on_disk or self._boot_id
+        return HistoryPage(tuple(payloads), complete, oldest_seq, newest_seq if newest_seq >= 0 else None, next_boot_id)
 
     async def _read(
         self, boot_id: str, after_seq: int, before_seq: int | None, bytes_max: int, *, needed: bool
@@ -189,9 +194,11 @@ def _read(
     database: sqlite3.Connection, boot_id: str, after_seq: int, before_seq: int | None, bytes_max: int
 ) -> _Stored | None:
     """Return what is stored of a run after one event and before another; None where the run is unknown."""
-    run = database.execute("SELECT newest_seq FROM runs WHERE boot = ?", (boot_id,)).fetchone()
+    run = database.execute("SELECT id, newest_seq FROM runs WHERE boot = ?", (boot_id,)).fetchone()
     if run is None:
         return None
+    run_id, newest_seq = run
+    next_run = database.execute("SELECT boot FROM runs WHERE id > ? ORDER BY id LIMIT 1", (run_id,)).fetchone()
     since_ns, end_seq = time.time_ns() - AGE_MAX_NS, 2**62 if before_seq is None else before_seq
     (oldest_seq,) = database.execute(f"SELECT min(seq) {_OF_RUN} < ?", (boot_id, since_ns, end_seq)).fetchone()
     between = (boot_id, since_ns, after_seq, end_seq)
@@ -203,4 +210,4 @@ def _read(
         if payloads and size_bytes > bytes_max:
             break
         payloads.append(payload)
-    return _Stored(payloads, count, oldest_seq, run[0])
+    return _Stored(payloads, count, oldest_seq, newest_seq, next_run[0] if next_run else None)

@@ -136,6 +136,7 @@ _COMMAND_VALUES: Final[dict[str, Any]] = {
     "EventsAnswer.complete": True,
     "EventsAnswer.oldest_seq": 0,
     "EventsAnswer.newest_seq": 1234,
+    "EventsAnswer.next_daemon_boot_id": None,
     "StartRecording.label": "drop",
     "Mark.text": "new fingertip",
     "SetWindow.window_ms": 20.0,

@@ -186,6 +186,7 @@ class EventsAnswer(Answer):
     complete: bool = Field(description="false: some of those after `after_seq` are no longer stored")
     oldest_seq: int | None = Field(description="of the oldest that is stored of this run; null where none is")
     newest_seq: int | None = Field(description="of the newest that happened in this run; null where none did")
+    next_daemon_boot_id: str | None = Field(description="of the next run that is stored; null for the present run")
 
 
 class Tare(Request):

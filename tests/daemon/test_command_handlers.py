@@ -57,6 +57,7 @@ async def test_stored_events(bench: Bench) -> None:
         events = said.pop("events")
         assert [event["seq"] for event in events] == [8, 9]
         assert events[0] == json.loads(messages()["contacts/event"].model_dump_json()) | {"seq": 8}
+        assert said.pop("next_daemon_boot_id") is None
         assert said == {"daemon_boot_id": "9f3c", "complete": True, "oldest_seq": 7, "newest_seq": 9}
     assert not (await bench.ask("events"))["complete"]
     assert (await bench.refusal("events", daemon_boot_id="other")).code == "unknown_boot"

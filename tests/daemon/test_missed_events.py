@@ -47,6 +47,7 @@ async def test_a_client_closes_its_gap(tmp_path: Path, mosquitto: Mosquitto) -> 
             of_first = [event for event in events(other) if event["daemon_boot_id"] == first.daemon_boot_id]
             assert [*have, *map(as_published, rest["events"])] == of_first
             assert (rest["complete"], rest["newest_seq"]) == (True, of_first[-1]["seq"])
+            assert rest["next_daemon_boot_id"] == second.daemon_boot_id
             present = await missed(bench)
             assert (rest["daemon_boot_id"], present["daemon_boot_id"]) == (first.daemon_boot_id, second.daemon_boot_id)
             assert {event["daemon_boot_id"] for event in present["events"]} == {second.daemon_boot_id}

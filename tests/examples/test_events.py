@@ -5,6 +5,7 @@ import sys
 from asyncio.subprocess import DEVNULL, PIPE, Process
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from itertools import pairwise
 
 import aiomqtt
 from brokers import Amqtt, Mosquitto
@@ -41,8 +42,14 @@ class Store:
             raise CommandRefusedError("unknown_boot", "no such run")
         run = self.runs[boot_id]
         events = tuple(run[request.after_seq + 1 :][:PAGE])
-        newest_seq = len(run) - 1 if run else None
-        return EventsAnswer(daemon_boot_id=boot_id, events=events, complete=True, oldest_seq=0, newest_seq=newest_seq)
+        return EventsAnswer(
+            daemon_boot_id=boot_id,
+            events=events,
+            complete=True,
+            oldest_seq=0,
+            newest_seq=len(run) - 1 if run else None,
+            next_daemon_boot_id=dict(pairwise(self.runs)).get(boot_id),
+        )
 
 
 @asynccontextmanager
@@ -92,5 +99,6 @@ async def test_each_event_is_printed_once(broker: Mosquitto | Amqtt) -> None:
         assert await printed(program, 5) == [("first", seq) for seq in range(7, 12)]
         store.happen("first")
         store.happen("second")
-        await publish(store.happen("second"))
-        assert await printed(program, 3) == [("first", 12), ("second", 0), ("second", 1)]
+        store.happen("third")
+        await publish(store.happen("third"))
+        assert await printed(program, 4) == [("first", 12), ("second", 0), ("third", 0), ("third", 1)]

@@ -68,13 +68,13 @@ async def test_a_client_gets_exactly_what_it_missed(broker: Any, tmp_path: Path)
         await happen(left, range(10, 25))  # while the client is away
         await until(lambda: left.account.waiting == 0)
         page = await left.stored_events(None, have[-1]["seq"], LARGE)
-        assert page[1:] == (True, 0, 24)
+        assert page[1:] == (True, 0, 24, None)
         missed = [json.loads(payload) for payload in page.payloads]
         assert [event["seq"] for event in have + missed] == list(range(25))
         assert all(event["replayed"] for event in missed)
         assert missed[0] | {"replayed": False} == json.loads(encode(Messages.event(10)))
         for boot_id, after_seq in (("a", 24), (None, 10**15)):
-            assert await left.stored_events(boot_id, after_seq, LARGE) == ((), True, 0, 24)
+            assert await left.stored_events(boot_id, after_seq, LARGE) == ((), True, 0, 24, None)
 
 
 async def test_pages_join_without_a_gap(tmp_path: Path) -> None:
@@ -85,7 +85,7 @@ async def test_pages_join_without_a_gap(tmp_path: Path) -> None:
         while seqs(pages[-1])[-1] < 99:
             pages.append(await left.stored_events(None, seqs(pages[-1])[-1], 30 * size_bytes + 29))
     assert [number for page in pages for number in seqs(page)] == list(range(100))
-    assert all(page[1:] == (True, 0, 99) for page in pages)
+    assert all(page[1:] == (True, 0, 99, None) for page in pages)
     assert all(sum(map(len, page.payloads)) <= 30 * size_bytes + 29 for page in pages)
     assert len(pages) == 4
 
@@ -108,8 +108,8 @@ async def test_a_run_that_was_killed_is_still_there(mosquitto: Any, tmp_path: Pa
     async with publishing(NOBODY, spool_directory=directory, boot_id="present") as left:
         await happen(left, range(3))
         page = await left.stored_events("killed", 16, LARGE)
-        assert (seqs(page), *page[1:]) == ([17, 18, 19], True, 0, 19)
-        assert await left.stored_events("without events", -1, LARGE) == ((), True, None, None)
+        assert (seqs(page), *page[1:]) == ([17, 18, 19], True, 0, 19, "without events")
+        assert await left.stored_events("without events", -1, LARGE) == ((), True, None, None, "present")
         assert seqs(await left.stored_events("present", -1, LARGE)) == [0, 1, 2]
         with pytest.raises(UnknownRunError):
             await left.stored_events("never", -1, LARGE)
@@ -136,14 +136,14 @@ async def test_beyond_the_bound_of_events_the_oldest_go_of_whatever_run(
         await happen(left, range(12))
     async with publishing(NOBODY, spool_directory=tmp_path, boot_id="third") as left:
         first = await left.stored_events("first", -1, LARGE)
-        assert (seqs(first), *first[1:]) == (list(range(7, 15)), False, 7, 14)
+        assert (seqs(first), *first[1:]) == (list(range(7, 15)), False, 7, 14, "second")
         assert (await left.stored_events("first", 6, LARGE)).complete
-        assert (await left.stored_events("second", -1, LARGE))[1:] == (True, 0, 11)
+        assert (await left.stored_events("second", -1, LARGE))[1:] == (True, 0, 11, "third")
     async with publishing(NOBODY, spool_directory=tmp_path, boot_id="fourth") as left:
         await happen(left, range(30))
         assert (await left.stored_events(None, -1, LARGE)).newest_seq == 29
     async with publishing(NOBODY, spool_directory=tmp_path, boot_id="fifth") as left:
-        assert await left.stored_events("first", 3, LARGE) == ((), False, None, 14)
+        assert await left.stored_events("first", 3, LARGE) == ((), False, None, 14, "second")
         assert seqs(await left.stored_events("fourth", -1, LARGE)) == list(range(10, 30))
 
 
@@ -152,7 +152,7 @@ async def test_beyond_the_bound_of_age_they_go(tmp_path: Path, monkeypatch: pyte
         await happen(left, range(15))
     monkeypatch.setattr(event_history, "AGE_MAX_NS", 0)
     async with publishing(NOBODY, spool_directory=tmp_path, boot_id="second") as left:
-        assert await left.stored_events("first", -1, LARGE) == ((), False, None, 14)
+        assert await left.stored_events("first", -1, LARGE) == ((), False, None, 14, "second")
         await happen(left, range(1))
     assert stored(tmp_path) <= {0}
 
@@ -183,7 +183,7 @@ async def test_a_full_disk_leaves_the_newest_in_memory(
             await happen(left, range(100, 200))
             await until(lambda: "events cannot be kept on disk" in caplog.text)
             page = await left.stored_events(None, 50, LARGE)
-            assert (seqs(page), *page[1:]) == (list(range(51, 200)), True, 0, 199)
+            assert (seqs(page), *page[1:]) == (list(range(51, 200)), True, 0, 199, None)
             for start in range(200, 2000, 200):
                 await happen(left, range(start, start + 200))
                 await until(lambda: left.account.waiting == 0)
@@ -212,9 +212,9 @@ async def test_a_file_that_was_removed_is_made_again_with_what_is_stored(
         await until(lambda: stored(directory) == set(range(5)) and left.account.spooled == 10)
         shutil.rmtree(directory)
         await until(lambda: stored(directory) == set(range(5)))
-        for boot_id in ("first", "second"):
+        for boot_id, next_boot_id in (("first", "second"), ("second", None)):
             page = await left.stored_events(boot_id, 1, LARGE)
-            assert (seqs(page), *page[1:]) == ([2, 3, 4], True, 0, 4)
+            assert (seqs(page), *page[1:]) == ([2, 3, 4], True, 0, 4, next_boot_id)
 
 
 async def test_where_another_process_holds_the_file_memory_has_this_run_alone(tmp_path: Path) -> None:

@@ -29,26 +29,27 @@ class Follower:
                 print(f"later again: {error}", file=sys.stderr)
 
     async def catch_up(self):
-        present = (await self.ask(None)).daemon_boot_id
-        if self.boot_id not in (None, present):  # the daemon was started again
-            await self.print_rest_of(self.boot_id)
-            self.seq = -1
-        self.boot_id = present
-        await self.print_rest_of(present)
+        if self.boot_id is None:
+            self.boot_id = (await self.ask(None)).daemon_boot_id
+        while (next_id := await self.print_rest_of(self.boot_id)) is not None:  # the daemon was started again
+            self.boot_id, self.seq = next_id, -1
 
     async def print_rest_of(self, boot_id):
+        """Print the events of a run after the last printed one, and return the next run."""
         more = True
         while more:
             try:
                 answer = await self.ask(boot_id)
-            except resonatord.RefusedError as error:  # this run is no longer stored
+            except resonatord.RefusedError as error:
                 print(f"events of run {boot_id} after {self.seq} are missing: {error.code}", file=sys.stderr)
-                return
+                present = (await self.ask(None)).daemon_boot_id
+                return present if present != boot_id else None
             if not answer.complete:
                 print(f"events of run {boot_id} after {self.seq} are missing", file=sys.stderr)
             for event in answer.events:
                 self.print(event)
             more = answer.events and self.seq < answer.newest_seq
+        return answer.next_daemon_boot_id
 
     async def ask(self, boot_id):
         return await resonatord.command(url, name, "events", after_seq=self.seq, daemon_boot_id=boot_id)
