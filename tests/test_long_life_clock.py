@@ -40,16 +40,6 @@ class WallClock:
         self._ahead_ns = 0 if utc_ns is None else utc_ns - self._real()
 
 
-def service(bench: Bench) -> Service:
-    config = bench.folder / "board.toml"
-    config.write_text(
-        f'name = "hand"\nplate = "quartz16"\nlink = "serial:{bench.port}?baud=4000000"\n'
-        f'[mqtt]\nurl = "{bench.broker_url}"\n'
-        f'[recording]\nautostart = true\nfile_max_minutes = 0.005\ndirectory = "{bench.folder / "recordings"}"\n'
-    )
-    return Service(ConfigStore(config, bench.folder / "last-good"))
-
-
 async def newer_than(observer: Observer, path: str, utc_ns: int) -> dict[str, Any]:
     """Wait for a message of what was measured, or made, within the hour that then began."""
     topic = f"resonator/hand/{path}"
@@ -66,12 +56,13 @@ async def test_jumps_of_the_wall_clock_are_jumps_of_time_stamps_and_nothing_else
     tmp_path: Path, mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench, clock = Bench(tmp_path, mosquitto.url), WallClock(monkeypatch)
+    store = ConfigStore(bench.recording_config("file_max_minutes = 0.005"), tmp_path / "last-good")
     present_ns = time.time_ns()
     clock.set(EPOCH_NS)
     async with (
         observe(mosquitto.url, "resonator/hand/#") as observer,
         bench.emulated(scenario=bench.scenario(PRESSED)),
-        bench.running(service(bench)) as running,
+        bench.running(Service(store)) as running,
     ):
         files = []
         for utc_ns in (EPOCH_NS, present_ns, LATE_2038_NS, YEAR_2105_NS, present_ns, EPOCH_NS):

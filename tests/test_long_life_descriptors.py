@@ -37,12 +37,7 @@ ODD = {"LC_ALL": "C", "TZ": "XYZ-13:45"}
 
 @asynccontextmanager
 async def daemon(bench: Bench, log: Path) -> AsyncIterator[psutil.Process]:
-    config = bench.folder / "board.toml"
-    config.write_text(
-        f'name = "hand"\nplate = "quartz16"\nlink = "serial:{bench.port}?baud=4000000"\n'
-        f'[mqtt]\nurl = "{bench.broker_url}"\n'
-        f'[recording]\nautostart = true\nfile_max_minutes = 0.01\ndirectory = "{bench.folder / "recordings"}"\n'
-    )
+    config = bench.recording_config("file_max_minutes = 0.01")
     command = [sys.executable, "-c", RUN, "run", "--config", str(config)]
     with log.open("wb") as stderr:
         process = subprocess.Popen(command, stderr=stderr, env=os.environ | ODD)

@@ -39,12 +39,7 @@ async def test_a_disk_that_takes_nothing(
     bench = Bench(tmp_path, mosquitto.url)
     with small_disk(tmp_path, 1 << 20) as (disk, fill, free):
         monkeypatch.setenv("XDG_STATE_HOME", str(disk))
-        config = tmp_path / "board.toml"
-        config.write_text(
-            f'name = "hand"\nplate = "quartz16"\nlink = "serial:{bench.port}?baud=4000000"\n'
-            f'[mqtt]\nurl = "{mosquitto.url}"\n'
-            f'[recording]\nautostart = true\nmin_free_mb = 0\ndirectory = "{disk / "recordings"}"\n'
-        )
+        config = bench.recording_config("min_free_mb = 0", disk / "recordings")
         spoil: Callable[[], None] = fill if how == "full" else lambda: remount(disk, "ro")
         mend: Callable[[], None] = free if how == "full" else lambda: remount(disk, "rw")
         spoil()

@@ -6,16 +6,9 @@ import pytest
 from emulated_loads import NOMINAL
 
 from resonator_daemon.calibration.steps import LoadRequest, plan_steps
-from resonator_daemon.errors import ExitCode, UsageError
+from resonator_daemon.errors import UsageError
 
 USUAL = LoadRequest(sites=(7, 1))
-
-
-def refused(wanted: LoadRequest) -> str:
-    with pytest.raises(UsageError) as refusal:
-        plan_steps(wanted, NOMINAL)
-    assert refusal.value.exit_code is ExitCode.USAGE
-    return "\n".join(refusal.value.messages)
 
 
 def test_each_mass_on_each_site_in_the_order_asked_for() -> None:
@@ -61,4 +54,6 @@ def test_a_sweep_comes_last_with_the_heaviest_mass() -> None:
     ],
 )
 def test_what_cannot_be_asked_for_is_refused_with_value_and_limit(wanted: dict[str, object], printed: str) -> None:
-    assert printed in refused(replace(USUAL, **wanted))
+    with pytest.raises(UsageError) as refusal:
+        plan_steps(replace(USUAL, **wanted), NOMINAL)
+    assert printed in "\n".join(refusal.value.messages)

@@ -40,10 +40,6 @@ def resonatord(capsys: pytest.CaptureFixture[str]) -> Resonatord:
     return run
 
 
-def in_a_process(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=60, check=False)
-
-
 @pytest.fixture
 def config_path(tmp_path: Path, resonatord: Resonatord) -> Path:
     path = tmp_path / "board.toml"
@@ -118,7 +114,7 @@ def test_every_mistake_at_once_and_78(config_path: Path, resonatord: Resonatord)
     assert "did you mean prefix?" in run.stderr
     assert "quartz16" in run.stderr
     assert len(run.stderr.splitlines()) == 3
-    assert in_a_process("run", "--config", str(config_path)).returncode == 78
+    assert resonatord("run", "--config", str(config_path)).returncode == 78
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Final, NoReturn
 
 import pytest
 from brokers import Mosquitto
@@ -20,11 +20,6 @@ COMMAND: Final = (sys.executable, "-m", "resonator_daemon")
 def interrupt(*_: object, **__: object) -> NoReturn:
     signal.raise_signal(signal.SIGINT)
     raise AssertionError
-
-
-def error_of(reported: dict[str, Any]) -> dict[str, str]:
-    error: dict[str, str] = reported["error"]
-    return error
 
 
 @pytest.mark.parametrize(
@@ -91,7 +86,7 @@ async def test_a_replay_to_a_broker_says_what_it_published(mosquitto: Mosquitto)
     assert replay.returncode == 1
     (line,) = stdout.splitlines()
     reported = json.loads(line)
-    assert (reported["verb"], reported["ok"], error_of(reported)["code"]) == ("replay", False, "interrupted")
+    assert (reported["verb"], reported["ok"], reported["error"]["code"]) == ("replay", False, "interrupted")
     count = sum(reported["messages"].values())
     assert reported["messages"]["forces"] >= 1
     assert stderr.startswith(f"resonatord: interrupted: {count} messages were played out, ")

@@ -8,16 +8,11 @@ from command_line import exit_code
 from resonator_daemon.commands import main
 
 
-def plan_sensors(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    """Return exit code, stdout and stderr."""
-    code = main(["plan", "sensors", *arguments])
-    return code, *capsys.readouterr()
-
-
 def test_json_is_one_object_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
     asked = ("--set", "xx,yy,zz", "--depth-mm", "2", "--pitch-mm", "1", "--poisson-ratio", "0.3")
-    code, printed, reported = plan_sensors(capsys, "--json", *asked)
-    assert (code, reported) == (0, "")
+    assert main(["plan", "sensors", "--json", *asked]) == 0
+    printed, reported = capsys.readouterr()
+    assert reported == ""
     found = json.loads(printed)
     assert found["components"] == ["xx", "yy", "zz"]
     assert (found["depth_m"], found["pitch_m"], found["poisson_ratio"]) == (0.002, 0.001, 0.3)

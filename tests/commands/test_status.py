@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import status_samples
+from status_samples import listens
 
 from resonator_daemon.commands import main
 from resonator_daemon.host import places
@@ -36,11 +37,6 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         monkeypatch.setattr(module, "runtime_directories", lambda: (home,))
     monkeypatch.setenv("COLUMNS", "200")
     return home
-
-
-def listens(path: Path) -> bool:
-    with socket.socket(socket.AF_UNIX) as asking:
-        return asking.connect_ex(str(path)) == 0
 
 
 @asynccontextmanager

@@ -54,10 +54,6 @@ def terminal() -> Iterator[tuple[int, int]]:
             continue  # the test did
 
 
-def link_on(descriptor: int) -> FileDescriptorLink:
-    return FileDescriptorLink(descriptor, lambda: os.close(descriptor))
-
-
 def test_the_last_bytes_come_before_the_end_of_the_stream(pair: Pair) -> None:
     pair.far.sendall(b"last words")
     pair.far.close()
@@ -112,7 +108,7 @@ def test_write_ends_where_a_descriptor_claims_to_be_writable_and_never_is(
 def test_what_a_terminal_gives_in_pieces_comes_in_one_read(terminal: tuple[int, int]) -> None:
     master, slave = terminal
     data = bytes(range(251)) * 36  # 9 kB, of which a terminal gives 4 kB a call
-    link = link_on(slave)
+    link = FileDescriptorLink(slave, lambda: os.close(slave))
     most_bytes = 0
     for _ in range(20):  # now and then the kernel hands on a few bytes only, behind which there are more
         assert os.write(master, data) == len(data)

@@ -78,18 +78,6 @@ def locked_elsewhere(path: str, *, lock: bool = True) -> Iterator[subprocess.Pop
         yield holder
 
 
-def failing_ioctl(request: int, code: int) -> Callable[..., Any]:
-    """The real one, but for one request."""
-    real = fcntl.ioctl
-
-    def ioctl(descriptor: int, asked: int, *rest: Any) -> Any:
-        if asked == request:
-            raise OSError(code, os.strerror(code))
-        return real(descriptor, asked, *rest)
-
-    return ioctl
-
-
 def test_a_port_is_kept_from_programs_that_do_not_ask_while_it_is_open(port: Terminal) -> None:
     exclusive = array.array("i", [0])
     link = open_serial(SerialTarget(port.path, BAUD))
@@ -268,8 +256,15 @@ def test_why_a_port_cannot_be_opened_is_said_with_a_remedy(
 
 
 def test_a_rate_that_the_driver_refuses_is_said(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = fcntl.ioctl
+
+    def refusing(descriptor: int, asked: int, *rest: Any) -> Any:
+        if asked == TCSETS2:
+            raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
+        return real(descriptor, asked, *rest)
+
     with monkeypatch.context() as patched:
-        patched.setattr(fcntl, "ioctl", failing_ioctl(TCSETS2, errno.EINVAL))
+        patched.setattr(fcntl, "ioctl", refusing)
         reason = refusal(port.path, 2_345_678)
     assert reason.code == "port_unusable"
     assert reason.text.startswith(f"{port.path} cannot be set to 2345678 baud")

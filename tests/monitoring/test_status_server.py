@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 import status_samples
 from observer import until
+from status_samples import listens
 
 from resonator_daemon.monitoring.status import Status
 from resonator_daemon.monitoring.status_server import PATH_BYTES_MAX, StatusServer, StatusTimes
@@ -36,11 +37,6 @@ async def serving(
     finally:
         task.cancel()
         await asyncio.wait([task])
-
-
-def listens(path: Path) -> bool:
-    with socket.socket(socket.AF_UNIX) as asking:
-        return asking.connect_ex(str(path)) == 0
 
 
 async def ask(path: Path) -> bytes:

@@ -33,11 +33,6 @@ def with_tables(page: str) -> str:
     return EXAMPLE.sub(lambda found: f"{found[1]}{_wrapped(EXAMPLES[found[2]])}\n{found[3]}", page)
 
 
-def tabled(page: str) -> set[str]:
-    """Return the names of the models that have a table."""
-    return {name for found in KEYS.finditer(page) for name in found[3].split(", ")}
-
-
 def table_of_keys(names: list[str]) -> str:
     rows = ["| key | unit | meaning |", "| --- | --- | --- |"]
     for name in names:

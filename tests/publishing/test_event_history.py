@@ -42,8 +42,8 @@ def seqs(page: HistoryPage) -> list[int]:
     return [json.loads(payload)["seq"] for payload in page.payloads]
 
 
-def stored(directory: Path) -> set[int]:
-    """Return the numbers of the events in a copy of the file: it is held by one process alone."""
+def stored(directory: Path, column: str = "seq FROM history") -> set[Any]:
+    """Return the numbers of the events, or another column, in a copy of the file: it is held by one process alone."""
     copy = directory.parent / "copy"
     shutil.rmtree(copy, ignore_errors=True)
     copy.mkdir()
@@ -51,7 +51,7 @@ def stored(directory: Path) -> set[int]:
         (copy / path.name).write_bytes(path.read_bytes())
     found = Spool(copy)
     try:
-        return set(found.transact(lambda database: [row[0] for row in database.execute("SELECT seq FROM history")]))
+        return set(found.transact(lambda database: [row[0] for row in database.execute(f"SELECT {column}")]))
     except SpoolError:  # it was being written to
         return set()
     finally:
@@ -104,7 +104,7 @@ async def test_a_run_that_was_killed_is_still_there(mosquitto: Any, tmp_path: Pa
         writer.send_signal(signal.SIGKILL)
         writer.communicate()
     async with publishing(NOBODY, spool_directory=directory, boot_id="without events") as left:
-        await until(lambda: stored_runs(directory) == {"killed", "without events"})
+        await until(lambda: stored(directory, "boot FROM runs") == {"killed", "without events"})
     async with publishing(NOBODY, spool_directory=directory, boot_id="present") as left:
         await happen(left, range(3))
         page = await left.stored_events("killed", 16, LARGE)
@@ -113,17 +113,6 @@ async def test_a_run_that_was_killed_is_still_there(mosquitto: Any, tmp_path: Pa
         assert seqs(await left.stored_events("present", -1, LARGE)) == [0, 1, 2]
         with pytest.raises(UnknownRunError):
             await left.stored_events("never", -1, LARGE)
-
-
-def stored_runs(directory: Path) -> set[str]:
-    stored(directory)
-    copy = Spool(directory.parent / "copy")
-    try:
-        return set(copy.transact(lambda database: [row[0] for row in database.execute("SELECT boot FROM runs")]))
-    except SpoolError:
-        return set()
-    finally:
-        copy.close()
 
 
 async def test_beyond_the_bound_of_events_the_oldest_go_of_whatever_run(

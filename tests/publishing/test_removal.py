@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 import aiomqtt
 import pytest
-from brokers import Amqtt, Mosquitto, free_port
+from brokers import Amqtt, Mosquitto
 from mosquitto_passwords import password_line
 from mqtt_helpers import LEFT, Messages, publishing, until
 from observer import Observer, observe
@@ -16,7 +16,7 @@ from observer import Observer, observe
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing import topics
 from resonator_daemon.publishing.removal import NoPlateError, NotOfflineError, remove_plate
-from resonator_daemon.publishing.requests import BrokerUnreachableError, DeniedError
+from resonator_daemon.publishing.requests import DeniedError
 
 ONLINE = Messages.state("online", "measuring")
 OFFLINE = b'{"state": "offline", "reason": "stopped"}'
@@ -128,8 +128,3 @@ async def test_who_may_not_write_is_denied(tmp_path: Path) -> None:
         assert await remove_plate(Mqtt(url=boss), "left") == ("state/daemon",)
     finally:
         await broker.kill()
-
-
-async def test_without_a_broker_it_is_an_error() -> None:
-    with pytest.raises(BrokerUnreachableError):
-        await remove_plate(Mqtt(url=f"mqtt://127.0.0.1:{free_port()}"), "left")

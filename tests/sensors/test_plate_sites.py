@@ -15,10 +15,6 @@ from resonator_daemon.sensors.plate_sites import force_sites
 QUARTZ, COMB = load_plate("quartz16"), load_plate("comb16")
 
 
-def oscillator_hz(plate: str) -> np.ndarray:
-    return load_plate(plate).tones.f0_hz.mean(axis=1)
-
-
 def test_a_daemon_of_captured_tones_loads_no_scipy() -> None:
     code = (
         "import sys, resonator_daemon.daemon.daemon; from resonator_daemon.plate import load_plate;"
@@ -29,8 +25,8 @@ def test_a_daemon_of_captured_tones_loads_no_scipy() -> None:
 
 
 def test_windows_and_steps_are_counted_in_gates() -> None:
-    sensor = sensor_of(load_plate("comb16"), Measurement(window_ms=40, step_ms=15))
-    processing = sensor.make_processing(oscillator_hz("comb16"))
+    sensor = sensor_of(COMB, Measurement(window_ms=40, step_ms=15))
+    processing = sensor.make_processing(COMB.tones.f0_hz.mean(axis=1))
     shape = (4, 16)
     zeros, sigma_code = np.zeros(shape, dtype=np.int32), np.full(shape, 76, dtype=np.uint8)
     given = [

@@ -50,14 +50,6 @@ def test_a_lost_part_leaves_its_tones_unknown_and_keeps_the_frame() -> None:
     assert (first.parts_seen, first.parts) == (7, 8)
 
 
-def test_the_last_part_lost_before_a_lost_link() -> None:
-    assembler = FrameAssembler(TONES)
-    assembler.add(all_parts(1)[:-1])
-    (frame,) = assembler.flush()
-    assert not known_tones(frame.tones)[3, 3:].any()
-    assert assembler.flush() == []
-
-
 def test_flagged_tones_are_unknown() -> None:
     assembler = FrameAssembler(TONES)
     for flag in ToneFlag:

@@ -60,6 +60,16 @@ class Bench:
         config.write_text("\n".join(lines) + "\n")
         return Service(ConfigStore(config, self.folder / "last-good"))
 
+    def recording_config(self, keys: str, directory: Path | None = None) -> Path:
+        """Write the configuration of a daemon that records from its start, with these keys of [recording]."""
+        config = self.folder / "board.toml"
+        config.write_text(
+            f'name = "hand"\nplate = "quartz16"\nlink = "serial:{self.port}?baud=4000000"\n'
+            f'[mqtt]\nurl = "{self.broker_url}"\n[recording]\nautostart = true\n{keys}\n'
+            f'directory = "{directory or self.folder / "recordings"}"\n'
+        )
+        return config
+
     @asynccontextmanager
     async def running(self, service: Service) -> AsyncIterator[Service]:
         task = asyncio.create_task(service.run())

@@ -1,5 +1,7 @@
 """A daemon's status as tests of its socket, its metrics and its pages need one."""
 
+import socket
+from pathlib import Path
 from typing import Any
 
 from example_messages import NOW_NS, header
@@ -134,3 +136,8 @@ def status(**changed: Any) -> Status:
 
 def outage() -> OutageInfo:
     return OutageInfo(start_t_ns=ago_ns(90), end_t_ns=ago_ns(88.5), frames_lost=1500, reason="unplugged")
+
+
+def listens(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX) as asking:
+        return asking.connect_ex(str(path)) == 0
