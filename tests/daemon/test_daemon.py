@@ -3,7 +3,6 @@
 import asyncio
 import logging
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -29,10 +28,6 @@ def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
     return Bench(tmp_path, mosquitto.url)
 
 
-def mean_newton(window: list[dict[str, Any]]) -> float:
-    return float(sum(contact["force_newton"][2] for line in window for contact in line["contacts"]) / len(window))
-
-
 async def test_a_touch_becomes_messages_on_either_broker(tmp_path: Path, broker: Mosquitto | Amqtt) -> None:
     bench = Bench(tmp_path, broker.url)
     scenario = bench.scenario(IDEAL + touched(0.3))
@@ -53,7 +48,7 @@ async def test_a_touch_becomes_messages_on_either_broker(tmp_path: Path, broker:
     # Compared with the truth averaged over the same window, reading by reading.
     errors = []
     for message, window in bench.windows(heard.payloads("resonator/hand/forces")):
-        true = mean_newton(window)
+        true = sum(contact["force_newton"][2] for line in window for contact in line["contacts"]) / len(window)
         middle_ns = (int(window[0]["t_ns"]) - 1_000_000 + int(window[-1]["t_ns"])) / 2
         assert abs(int(message["t_ns"]) - middle_ns) <= message["t_uncertainty_ns"] + 100_000
         errors += [site["force_newton"] - true for site in message["sites"] if true > 0.1]

@@ -68,14 +68,6 @@ def check_all(heard: Observer) -> set[str]:
     return paths
 
 
-async def send_all(heard: Observer, url: str) -> None:
-    """Send commands with a response topic, then one without and one that is refused."""
-    for verb, payload in COMMANDS:
-        await request(Mqtt(url=url), "hand", verb, payload)
-    await heard.client.publish(f"{HAND}/cmd/ping", "{}", qos=1)
-    await heard.until_count(f"{HAND}/rsp/ping", 1)
-
-
 async def test_a_daemon_of_force_sites_publishes_what_the_schema_says(tmp_path: Path, mosquitto: Mosquitto) -> None:
     bench = Bench(tmp_path, mosquitto.url)
     scenario = bench.scenario(PRESSED)
@@ -84,7 +76,10 @@ async def test_a_daemon_of_force_sites_publishes_what_the_schema_says(tmp_path: 
         async with bench.measured(heard, bench.service(allow=allow), scenario=scenario):
             await heard.until(lambda: {"onset", "release"} <= {event["event"] for event in events(heard)})
             await heard.until_count(f"{HAND}/health", 1)
-            await send_all(heard, mosquitto.url)
+            for verb, payload in COMMANDS:
+                await request(Mqtt(url=mosquitto.url), "hand", verb, payload)
+            await heard.client.publish(f"{HAND}/cmd/ping", "{}", qos=1)  # without a response topic
+            await heard.until_count(f"{HAND}/rsp/ping", 1)
         await heard.until_last(f"{HAND}/state/daemon", state="offline")
     measured = {"contacts/event", "forces", "forces/20hz", "forces/50hz", "contacts", "contacts/20hz"}
     commands = {f"cmd/{verb}" for verb in VERBS} | {f"rsp/{verb}/+" for verb in VERBS} | {"rsp/ping"}
