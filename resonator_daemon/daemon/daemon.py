@@ -163,15 +163,17 @@ class Service:
         gc.freeze()  # what was imported stays: a look through all of it would cost tens of milliseconds
         try:
             async with self._tasks:
-                helpers = [self._tasks.create_task(work, name=name) for name, work in self._helpers().items()]
+                helpers = {name: self._tasks.create_task(work, name=name) for name, work in self._helpers().items()}
                 self._publish_measuring()
                 if self._config.name is not None:
                     await self._keep_recording(self._begin_publishing(self._config.name))  # from the first byte on
                 self._reader.start()
                 await self._over
                 self._manager.stopping()
-                for helper in helpers:
+                for helper in helpers.values():
                     helper.cancel()
+                await asyncio.wait([helpers["decoding"]])
+                self._pipeline.sensor.end_contacts(Reason(ReasonCode.STOPPED, "the daemon stopped"))
                 self._report_health()  # the last word on what was counted
                 self._daemon.end()
                 await self._plate_publisher.close(wait_for_broker=self._fatal is not None)

@@ -145,7 +145,10 @@ class DecoderSupervisor(Generic[Origin]):
         self.skipped["measured_late"] += 1
 
     def interrupt(self, reason: Reason) -> None:
-        """Release all contacts, because frames have stopped arriving."""
+        """Release all contacts, because frames have stopped arriving; at once where there is no process."""
+        if self._connection is None:
+            self.release_contacts(reason)
+            return
         self._interruption = reason
         self._send_next()
 

@@ -263,7 +263,7 @@ class Publisher:
     async def close(
         self, farewell: tuple[str, Topic[State], State] | None = None, *, wait_for_broker: bool = False
     ) -> None:
-        """Publish a last message, wait up to 2 s until all messages are sent, and end `run`.
+        """Publish a last message after all others, wait up to 2 s until all are sent, and end `run`.
 
         Parameters
         ----------
@@ -272,15 +272,22 @@ class Publisher:
         wait_for_broker
             Also where there is no connection yet, because why the daemon ends is worth the time.
         """
+        end_s = asyncio.get_running_loop().time() + self._times.close_s
         if farewell is not None:
+            if self.connected:  # else events would be sent after it
+                await self._all_sent(end_s - self._times.close_s / 2)
             self.publish(*farewell)
         self._closed = True
         if self.connected or wait_for_broker:
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(self._times.close_s):
-                    await self._outbox.all_sent()
+            await self._all_sent(end_s)
         self._end()
         await self._ended.wait()
+
+    async def _all_sent(self, end_s: float) -> None:
+        """Wait until all messages are sent, at most until this time of the event loop."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout_at(end_s):
+                await self._outbox.all_sent()
 
     def _end(self) -> None:
         if not self._closing.done():

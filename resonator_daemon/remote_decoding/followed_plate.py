@@ -145,7 +145,9 @@ class FollowedPlate:
             self._plate.skipped += decoder.frames_skipped - without_noise + decoder.waiting
             self._plate.unusable += without_noise
             self._decoder = None
-        decoder.release_contacts(Reason(ReasonCode.PLATE_CHANGED, "the plate has changed"))
+            stopped = Reason(ReasonCode.STOPPED, "the decoder stopped")
+            other_plate = Reason(ReasonCode.PLATE_CHANGED, "the plate has changed")
+            decoder.release_contacts(other_plate if self._changed.is_set() else stopped)
         return decoder.last_contact_id
 
     def _receive_info(self, message: Incoming) -> None:

@@ -56,7 +56,7 @@ class SurfaceDecoding(Protocol[TakenOrigin]):
         """Count a frame that is not offered because it was measured too late."""
 
     def interrupt(self, reason: Reason) -> None:
-        """Release all contacts, because frames have stopped arriving; never waits."""
+        """Release all contacts, because frames have stopped arriving; never waits. After `run`: at once."""
 
     async def run(self) -> None:
         """Decode until cancelled, or until it turns out that the sites cannot be decoded."""

@@ -106,15 +106,17 @@ async def test_another_protocol_ends_the_daemon_with_both_versions_named(bench: 
 
 async def test_contacts_end_when_frames_have_stopped_coming(bench: Bench, mosquitto: Mosquitto) -> None:
     faults = parse_faults("unplug_at_s=1,unplug_for_s=2")
-    async with (
-        observe(mosquitto.url) as heard,
-        bench.measured(heard, bench.service(), scenario=bench.scenario(IDEAL + touched(10)), faults=faults),
-    ):
-        await heard.until(lambda: len(events(heard)) == 2)
-        assert heard.payloads("resonator/hand/state/link")[-1]["state"] != "online"
-        await heard.until(lambda: len(events(heard)) == 3)
-    first, lost, again = events(heard)
-    assert [event["event"] for event in (first, lost, again)] == ["onset", "release", "onset"]
-    assert lost["reason"] == "no frames for 0.5 s"
+    board = {"scenario": bench.scenario(IDEAL + touched(10)), "faults": faults}
+    async with observe(mosquitto.url) as heard:
+        async with bench.measured(heard, bench.service(), **board):
+            await heard.until(lambda: len(events(heard)) == 2)
+            assert heard.payloads("resonator/hand/state/link")[-1]["state"] != "online"
+            await heard.until(lambda: len(events(heard)) == 3)
+        await heard.until_last("resonator/hand/state/daemon", state="offline")
+        assert len(events(heard)) == 4  # the open contact is released first
+    first, lost, again, stopped = events(heard)
+    assert [event["event"] for event in (first, lost, again, stopped)] == ["onset", "release", "onset", "release"]
+    assert lost["reason_code"] == "no_frames"
     assert lost["contact"]["id"] == first["contact"]["id"] != again["contact"]["id"]
     assert again["contact"]["site"] == 7
+    assert (stopped["reason_code"], stopped["contact"]["id"]) == ("stopped", again["contact"]["id"])

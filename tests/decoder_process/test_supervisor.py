@@ -73,14 +73,16 @@ async def test_an_interruption_releases_contacts_for_its_reason_and_only_then() 
         client.supervisor.interrupt(Reason(ReasonCode.NO_FRAMES, "unplugged"))
         await until(lambda: len(client.events) == 2)
         await client.touch()
-    assert [(event.event, event.reason) for event in client.events] == [
+    client.supervisor.interrupt(Reason(ReasonCode.STOPPED, "after the end of the process"))
+    assert [(event.event, event.reason_code) for event in client.events] == [
         ("onset", None),
-        ("release", "unplugged"),
+        ("release", "no_frames"),
         ("onset", None),
+        ("release", "stopped"),
     ]
-    first, release, second = client.events
+    first, release, second, _ = client.events
     assert first.contact.id == release.contact.id < second.contact.id
-    assert [message.contacts for message in client.on("contacts") if message.seq == 5000] == [()]
+    assert [message.contacts for message in client.on("contacts") if message.seq == 5000] == [(), ()]
 
 
 async def test_a_process_that_is_killed_is_restarted_and_its_contacts_end() -> None:

@@ -165,7 +165,9 @@ async def test_another_skin_takes_effect_ends_the_contacts_and_counts_on() -> No
         for seq in range(3, 6):
             await followed.read(signals(seq))
     events = followed.on("contacts/event")
-    assert [(event.event, event.contact.id) for event in events] == [("onset", 1), ("release", 1), ("onset", 2)]
+    released = [(event.contact.id, event.reason_code) for event in events if event.event == "release"]
+    assert released == [(1, "plate_changed"), (2, "stopped")]
+    assert [event.contact.id for event in events] == [1, 1, 2, 2]
     assert events[0].contact.site < 1000 < events[2].contact.site
     assert events[1].reason == "the plate has changed"
     assert events[1].contact.since_t_ns == events[0].contact.since_t_ns  # the onset is not forgotten
