@@ -32,10 +32,10 @@ PRESSES = (
 
 
 def sheared_presses() -> str:
-    text = IDEAL.replace("[plate]", f"period_s = {1.5 * len(PRESSES)}\n[plate]")
+    text = IDEAL.replace("[plate]", f"period_s = {0.5 + 1.5 * len(PRESSES)}\n[plate]")
     for number, ((x, y), degrees) in enumerate(PRESSES):
         shear = f"{{peak_ratio = 0.8, direction_deg = {degrees}}}"
-        text += touch_text(0.2 + 1.5 * number, 0.3, 1.0, position_mm=[x, y], shear=shear)
+        text += touch_text(0.5 + 1.5 * number, 0.3, 1.0, position_mm=[x, y], shear=shear)
     return text
 
 
@@ -56,13 +56,13 @@ class Sheared(NamedTuple):
 def sheared(messages: Iterable[Any], bench: Bench) -> list[Sheared]:
     """Return those messages that are of one sheared contact; all presses are among them.
 
-    A reason with `ok` means that matrices are being prepared, and the map is a coarser one.
+    A reason code with `ok` means that matrices are being prepared, and the map is a coarser one.
     """
     truth = {line["board_ticks"]: line["contacts"] for line in bench.truth()}
     found = []
     for message in messages:
         contacts = truth.get(int(message["board_ticks"]), [])
-        regular = (message.get("status", "ok"), message.get("reason")) == ("ok", None)
+        regular = (message.get("status", "ok"), message.get("reason_code")) == ("ok", None)
         if regular and len(contacts) == 1:
             position_m, force_newton = contacts[0]["position_m"], contacts[0]["force_newton"]
             if force_newton[2] > PRESSED_NEWTON and np.hypot(*force_newton[:2]) > SHEARED_NEWTON:
@@ -120,7 +120,7 @@ async def test_a_sheared_press_off_the_centre_keeps_every_sign(tmp_path: Path, m
             tuple(np.sign(contact["position_m"]))
             for message in heard.payloads("resonator/hand/contacts")
             for contact in message["contacts"]
-            if "reason" not in message
+            if "reason_code" not in message
             and contact["force_newton"][2] > 0.9 * PRESSED_NEWTON
             and np.hypot(*contact["force_newton"][:2]) > 1.2 * SHEARED_NEWTON
         )
