@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 from emulation import emulated
 from scenarios import steady
-from wire_host import Host, opened
+from wire_host import Host, opened, truths
 
 from resonator_daemon.plate import Plate, load_plate
 from simulators.comb_plate import CombPlate
@@ -225,6 +226,21 @@ def test_a_client_presses_with_two_touches_releases_one_and_disconnects(tmp_path
         client.close()
         host.read_until(lambda: forces_at_last(tmp_path) == [])
     assert not control.exists()
+
+
+def test_the_example_of_the_page_presses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = Path(__file__).parents[2] / "docs" / "reference" / "emulator.md"
+    (example,) = re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
+    with pressed(tmp_path) as (_, host, control):
+        host.read_until(lambda: len(host.frames) >= 20)
+        exec(example.replace("/tmp/press", str(control)), {})
+        host.read_until(lambda: forces_at_last(tmp_path) == [])
+    first, refused, last = capsys.readouterr().out.splitlines()
+    assert first == "{'ok': True, 'press': 'thumb', 'contact_id': 1000001}"
+    assert refused == "outside_plate"
+    assert last == "{'ok': True, 'release': 'thumb', 'contact_id': 1000001}"
+    found = [line["contacts"][0]["force_newton"][2] for line in truths(tmp_path / "truth.jsonl") if line["contacts"]]
+    assert [force for force in dict.fromkeys(found) if force != 0.5] == [1.0, 1.5, 2.0]  # 0.5 N lasts for an instant
 
 
 def test_bad_lines_and_clients_end_nothing(tmp_path: Path) -> None:
