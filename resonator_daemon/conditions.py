@@ -35,7 +35,7 @@ class Condition(Word):
     STARTING = "starting", "on the way to online; nothing is wrong yet"
     ONLINE = "online", "working"
     WAITING = "waiting", "what it needs (port, board, network, frames) is not there; tried again for ever"
-    STALLED = "stalled", "the link is open and nothing usable comes"
+    STALLED = "stalled", "the link is open and nothing usable comes; of a skin also: its decoder ended"
     LOST = "lost", "was there and went away; tried again for ever"
     DRIFTING = "drifting", "the baseline moves faster than touches and temperature explain"
     PRESSED_AT_START = "pressed_at_start", "touched before the untouched plate was known; release it"

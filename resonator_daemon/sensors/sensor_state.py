@@ -33,21 +33,23 @@ class SensorState:
 
     def __init__(self, announce: Callable[[Condition, Reason, int, Compensation | None], None], well: str) -> None:
         self._announce = announce
-        self._good = self._well = Reason(ReasonCode.MEASURING, well)
+        self._well = Reason(ReasonCode.MEASURING, well)
+        self._good = Condition.ONLINE, self._well
         self._expiry: Reason | None = None
         self._drift = DriftWatch()
         self._current: tuple[Condition, Reason] | None = None
         self._candidate: tuple[Condition, Reason] | None = None
-        self._candidate_since_ns = self._since_utc_ns = 0
+        self._candidate_since_ns = self._since_utc_ns = self._last_utc_ns = 0
         self._compensation: Compensation | None = None
         self._repeat_at_ns = 0
 
-    def explain(self, note: Reason | None) -> None:
-        """Add to the reason of a sensor that is well, under the code of the addition; None takes it back."""
+    def explain(self, note: Reason | None, condition: Condition = Condition.ONLINE) -> None:
+        """Set the condition of a sensor whose frames show nothing wrong, and add to its reason; None takes it back."""
         before = self._best
-        self._good = joined(note, self._well) or self._well
+        self._good = condition, joined(note, self._well) or self._well
         if self._current == before:
-            self._become(self._best, self._since_utc_ns)
+            same = condition == before[0]
+            self._become(self._best, self._since_utc_ns if same else self._last_utc_ns)
 
     def calibration(self, expiry: str | None, utc_ns: int) -> None:
         """Set why the calibration no longer holds, None while it does. To be repeated: it comes with time."""
@@ -60,10 +62,12 @@ class SensorState:
     @property
     def _best(self) -> tuple[Condition, Reason]:
         """The state of a sensor whose frames show nothing wrong."""
-        return (Condition.UNCALIBRATED, self._expiry) if self._expiry else (Condition.ONLINE, self._good)
+        condition, _ = self._good
+        return (Condition.UNCALIBRATED, self._expiry) if self._expiry and condition == Condition.ONLINE else self._good
 
     def no_frames(self, reason: Reason, utc_ns: int) -> None:
         """Set the state to waiting: no frames come."""
+        self._last_utc_ns = utc_ns
         waiting = self._current is not None and self._current[0] is Condition.WAITING
         self._become((Condition.WAITING, reason), self._since_utc_ns if waiting else utc_ns)
 
@@ -76,7 +80,7 @@ class SensorState:
         compensation: Compensation | None = None,
     ) -> None:
         """Update with one reading's status and baseline; a first condition is announced at once."""
-        self._compensation = compensation
+        self._compensation, self._last_utc_ns = compensation, utc_ns
         plate_kelvin = compensation.plate_kelvin if compensation is not None else math.nan
         known = not all(map(math.isnan, common_mode))
         drift = self._drift.update(common_mode, plate_kelvin, utc_ns * 1e-9)
@@ -89,6 +93,8 @@ class SensorState:
         condition, _ = seen
         if self._current is not None and condition == self._current[0]:
             self._candidate = None
+            if seen == self._best:
+                self._become(seen, self._since_utc_ns)
             if compensation is not None and utc_ns >= self._repeat_at_ns:
                 self._repeat_at_ns = utc_ns + _REPEAT_NS
                 self._announce(*self._current, self._since_utc_ns, compensation)

@@ -10,7 +10,7 @@ from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.forces.readings import SkinReading
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.headers import MeasuredFields
-from resonator_daemon.publishing.payloads import ContactEvent, Lost, Message, Signals, Status
+from resonator_daemon.publishing.payloads import Condition, ContactEvent, Lost, Message, Signals, Status
 from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, SIGNALS, Topic
 from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.sensors.base import Sensor
@@ -26,6 +26,12 @@ from resonator_daemon.session.frames import BoardOnline, ChannelisedFrame, Frame
 from resonator_daemon.tones.tone_detector import MultitoneDetector, ToneDetector
 
 _SURFACE: Final = (DECODED, DECODED_SUMMARY, CONTACTS)
+_CONDITIONS: Final = {  # while nothing is decoded
+    ReasonCode.DECODER_STARTING: Condition.STARTING,
+    ReasonCode.DECODER_CRASHED: Condition.STALLED,
+    ReasonCode.DECODER_HUNG: Condition.STALLED,
+    ReasonCode.UNDECODABLE: Condition.REFUSED,
+}
 
 Origin = tuple[SkinReading, Instant]
 
@@ -91,6 +97,8 @@ class SkinSensor(Sensor[SkinReading]):
             plate.grid.pitch_m if plate.grid else None,
             uncertainty=decoding.uncertainty,
         )
+        if make_decoding is not None:
+            self.announce(Reason(ReasonCode.DECODER_STARTING, "decoder is being set up"))
         self._decoding = (make_decoding or SequentialDecoding)(settings, self)
 
     @property
@@ -182,7 +190,8 @@ class SkinSensor(Sensor[SkinReading]):
 
     def announce(self, note: Reason | None) -> None:
         """Report steps and failures of decoding in the state of the sensor."""
-        self._output.state.explain(note)
+        condition = _CONDITIONS.get(note.code, Condition.ONLINE) if note is not None else Condition.ONLINE
+        self._output.state.explain(note, condition)
 
     def lost(self, _origin: Origin) -> Lost:
         """Return the losses up to now."""

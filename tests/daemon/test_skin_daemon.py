@@ -1,5 +1,7 @@
 """The whole daemon between an emulated skin and a real broker: from signals to tractions, contacts and events."""
 
+import os
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +39,11 @@ async def test_a_sheared_press_on_a_skin_becomes_a_contact_with_its_events(bench
         await heard.until(lambda: {"onset", "incipient_slip", "release"} <= {event["event"] for event in events(heard)})
         await heard.until_last("resonator/hand/state/sensor", state="online", reason="all sites are read")
         assert service.link_counters.lost.total == 0
-    reasons = [message["reason"] for message in heard.payloads("resonator/hand/state/sensor")]
+        os.kill(heard.payloads("resonator/hand/health")[-1]["decoder"]["pid"], signal.SIGKILL)
+        await heard.until_last("resonator/hand/state/sensor", state="stalled", reason_code="decoder_crashed")
+    states = heard.payloads("resonator/hand/state/sensor")
+    assert {state["state"] for state in states if state["reason_code"] == "decoder_starting"} == {"starting"}
+    reasons = [message["reason"] for message in states]
     assert any("decoder is being set up: contact physics" in reason for reason in reasons)
     by_contact: dict[int, list[str]] = {}
     for event in events(heard):

@@ -150,6 +150,20 @@ def test_an_explanation_is_added_to_the_reason_of_a_well_sensor_and_taken_back()
     assert {(condition, since) for condition, _, since in sensor.said} == {(Condition.ONLINE, T0_NS)}
 
 
+def test_an_explanation_may_have_another_condition_that_begins_with_the_last_reading() -> None:
+    sensor = Sensor()
+    sensor.state.explain(stated("decoder starts"), Condition.STARTING)
+    sensor.read(0, "settling", common_mode=UNLEARNT)
+    sensor.read(5, "ok")
+    assert [condition for condition, _, _ in sensor.said] == [Condition.STARTING, Condition.STARTING]
+    assert sensor.codes[-1] == ReasonCode.CHANNELS_SILENT
+    for at_ms, condition in ((10, Condition.ONLINE), (20, Condition.STALLED), (30, Condition.STARTING)):
+        sensor.read(at_ms, "ok")
+        sensor.state.explain(stated("another"), condition)
+        assert sensor.read(at_ms + 5, "ok") == []
+        assert sensor.said[-1][::2] == (condition, T0_NS + at_ms * MS)
+
+
 def test_an_explanation_waits_until_the_sensor_is_well() -> None:
     sensor = Sensor()
     sensor.state.explain(stated("before anything was judged"))
