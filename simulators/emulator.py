@@ -143,7 +143,7 @@ class Emulator:
             self._control: ControlSocket | None = None
             if options.control is not None and presses is not None:
                 self._control = stack.enter_context(closing(ControlSocket(options.control, presses)))
-            self.link = self._open_link(options)
+            self.link = self._open_link(options, 10 * plate.frame_bytes * plate.counter.frame_rate_hz)
             stack.callback(self.link.close)
             self._resources = stack.pop_all()
         self._output = Output(self._board, self.link, faults, seed)
@@ -199,9 +199,9 @@ class Emulator:
             "faults": asdict(output.counts),
         }
 
-    def _open_link(self, options: EmulatorOptions) -> Link:
+    def _open_link(self, options: EmulatorOptions, bits_per_s: float) -> Link:
         if options.pty is not None:
-            self._pty = PtyLink(options.pty)
+            self._pty = PtyLink(options.pty, bits_per_s)
             return self._pty
         if options.tcp is not None:
             return TcpLink(*options.tcp)

@@ -1,5 +1,6 @@
 """Links of an emulated board: a pseudo-terminal behind a stable name, and a TCP listener. Nothing here ever blocks."""
 
+import math
 import os
 import select
 import socket
@@ -9,6 +10,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
+_BAUD = 4_000_000
+_SPARE = 1.25  # of the bits of frames, for other messages
 _READ_BYTES = 65536
 _VANISHED_S = 10.0  # of a client that sends nothing: it gives way to another (PROTOCOL.md, section 5)
 
@@ -46,6 +49,8 @@ class Link(Protocol):
 class PtyLink:
     """A pseudo-terminal; `path` is a symbolic link to the side that a host opens, for as long as it is plugged in.
 
+    Its address has a baud rate for that many bits a second, though a pseudo-terminal has none.
+
     Raises
     ------
     FileExistsError
@@ -54,8 +59,9 @@ class PtyLink:
         It cannot be made there.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, bits_per_s: float = 0.0) -> None:
         self._path = path
+        self._baud = max(_BAUD, math.ceil(_SPARE * bits_per_s / _BAUD) * _BAUD)
         self.read_fds: Sequence[int] = ()
         self.write_fd: int | None = None  # of the terminal's own end
         self._slave_fd = -1
@@ -63,7 +69,7 @@ class PtyLink:
 
     @property
     def address(self) -> str:
-        return f"serial:{self._path}?baud=4000000"
+        return f"serial:{self._path}?baud={self._baud}"
 
     def read(self) -> bytes:
         if self.write_fd is None:

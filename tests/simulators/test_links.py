@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 import serial
 
+from resonator_daemon.config import load_config
+from resonator_daemon.plate import load_plate
 from simulators.links import PtyLink, TcpLink
 
 WAIT_S = 5.0
@@ -114,3 +116,12 @@ def test_a_listener_that_hangs_up_refuses_until_it_is_back_on_its_port(tcp: TcpL
     with connect(tcp) as client:
         tcp.write(b"again")
         assert client.recv(5) == b"again"
+
+
+def test_the_address_of_a_terminal_has_a_rate_that_carries_the_plate(tmp_path: Path) -> None:
+    plate = load_plate("skin32")
+    link = PtyLink(tmp_path / "skin", 10 * plate.frame_bytes * plate.counter.frame_rate_hz)
+    configuration = tmp_path / "skin.toml"
+    configuration.write_text(f'plate = "skin32"\nlink = "{link.address}"\n')
+    assert load_config(configuration).link is not None
+    link.close()
