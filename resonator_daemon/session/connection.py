@@ -443,8 +443,11 @@ class Connection:
             if not self._state.online:
                 self._announce_online()
             loss = accepted.gap.loss if accepted.gap else FrameLoss()
-            if self._state.frame_received(accepted.previous, middle, loss.total):
-                self._counters.boots[-1].lost_in_outages += loss
+            in_outage = self._state.frame_received(accepted.previous, middle, loss.total)
+            if accepted.gap:
+                boot = self._counters.boots[-1]
+                in_outages = boot.lost_in_outages + loss if in_outage else boot.lost_in_outages
+                boot.lost_in_outages = in_outages.within(boot.lost)
 
     def _watch_silence(self, now_ns: int) -> None:
         silent_ns = now_ns - self._receiver.last_frame_ns

@@ -23,6 +23,14 @@ class FrameLoss:
     def __add__(self, other: "FrameLoss") -> "FrameLoss":
         return FrameLoss(*(getattr(self, cause.name) + getattr(other, cause.name) for cause in fields(self)))
 
+    def within(self, lost: "FrameLoss") -> "FrameLoss":
+        """Return this part of `lost` after losses were moved there to `board_overflow`; the sum stays."""
+        link_gap, damaged = (
+            max(0, min(pair)) for pair in ((self.link_gap, lost.link_gap), (self.damaged, lost.damaged))
+        )
+        moved = self.link_gap + self.damaged - link_gap - damaged
+        return replace(self, link_gap=link_gap, damaged=damaged, board_overflow=self.board_overflow + moved)
+
 
 @dataclass(slots=True)
 class BootCounters:

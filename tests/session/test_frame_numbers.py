@@ -68,6 +68,8 @@ def test_a_report_after_a_lost_one_corrects_the_causes_of_the_earlier_gap() -> N
     it.dropped_by_board(6)  # 4 before, and 2 now
     corrected = FrameLoss(link_gap=-3, damaged=-1, board_overflow=6)
     assert accept(it, 8) == (8, Gap(6, corrected))
+    in_outage = FrameLoss(link_gap=3, damaged=1)
+    assert in_outage.within(in_outage + corrected) == FrameLoss(board_overflow=4)
     assert accept(it, 11) == (11, Gap(9, FrameLoss(link_gap=2)))
     it.dropped_by_board(7)
     assert accept(it, 12) == (12, Gap(12, FrameLoss(link_gap=-1, board_overflow=1)))
