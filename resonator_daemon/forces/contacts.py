@@ -51,7 +51,8 @@ class Contact:
     """A touch from its onset on. An unknown force is NaN, with the cause in the touch's status and reason.
 
     `since_ticks` is the end of the window in which it set on, `duration_ticks` the time from there to the last reading
-    that gave its force.
+    that gave its force. `peak_noise_newton` is the noise of the peak; `peak_is_bound`: the contact was overloaded, and
+    its greatest force is at least `peak_newton`.
     """
 
     id: int
@@ -59,6 +60,8 @@ class Contact:
     peak_newton: float
     since_ticks: int
     duration_ticks: int
+    peak_noise_newton: float = math.nan
+    peak_is_bound: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,16 +152,26 @@ class ContactTracker:
             if not (touch.status == "overload" or newton >= ONSET_NEWTON):
                 return []
             self._last_id += 1
-            contact = Contact(self._last_id, touch, at_least, board_ticks, 0)
+            bound = touch.at_least_newton is not None
+            contact = Contact(self._last_id, touch, at_least, board_ticks, 0, touch.noise_newton, bound)
             self._open[contact.id] = contact
             return [ContactEvent("onset", board_ticks, contact, None)]
         before = self._open[number]
         if math.isnan(at_least):
             self._open[number] = replace(before, touch=touch)
             return []
-        peak_newton = max(before.peak_newton, at_least)
-        duration_ticks = board_ticks - before.since_ticks
-        self._open[number] = Contact(number, touch, peak_newton, before.since_ticks, duration_ticks)
+        peak_newton, noise_newton = before.peak_newton, before.peak_noise_newton
+        if at_least > peak_newton:
+            peak_newton, noise_newton = at_least, touch.noise_newton
+        self._open[number] = Contact(
+            number,
+            touch,
+            peak_newton,
+            before.since_ticks,
+            board_ticks - before.since_ticks,
+            noise_newton,
+            before.peak_is_bound or touch.at_least_newton is not None,
+        )
         if newton < RELEASE_NEWTON:
             return [self._release(number, board_ticks, _FELL)]
         return []

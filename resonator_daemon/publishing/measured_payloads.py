@@ -132,6 +132,9 @@ class EventContact(Contact):
         "contacts"
     )
     peak_newton: Float = Field(description="the greatest normal force of the contact so far")
+    peak_at_least_newton: Float | None = optional(
+        "only of a contact that was overloaded: the greatest force was at least this, as is `peak_newton`"
+    )
     since_t_ns: Int64 = Field(description="its onset, UTC")
     duration_s: Float = Field(description="from the onset to the last reading that gave its force")
 

@@ -84,13 +84,15 @@ class ForceMessages:
             self._since_utc_ns[contact.id] = since_utc_ns
         if event.event == "release":
             del self._since_utc_ns[contact.id]
+        peak_newton = rounded(contact.peak_newton, contact.peak_noise_newton)
         return ContactEvent(
             **self._output.header(CONTACT_EVENT, reading, gate_middle),
             event=event.event,
             **reason_fields(event.reason),
             contact=EventContact(
                 **self._contact(contact, gate_middle),
-                peak_newton=rounded(contact.peak_newton, contact.touch.noise_newton),
+                peak_newton=peak_newton,
+                peak_at_least_newton=peak_newton if contact.peak_is_bound else None,
                 since_t_ns=since_utc_ns,
                 duration_s=contact.duration_ticks / self._plate.counter.reference_hz,
             ),

@@ -66,7 +66,7 @@ class SurfaceMessages:
         self._grid = Grid(origin_m=(float(x), float(y)), pitch_m=pitch_m) if pitch_m is not None else None
         self._decoder_id = decoder_id
         self._uncertainty = uncertainty
-        self._since_utc_ns: dict[int, int] = {}  # onsets of the present contacts, by id
+        self._spans_ns: dict[int, tuple[int, int]] = {}  # onset and last reading of the present contacts, by id
 
     def decoded(self, header: MeasuredFields, frame: "DecodedFrame") -> Decoded:
         return Decoded(
@@ -96,6 +96,9 @@ class SurfaceMessages:
     def contacts(self, header: MeasuredFields, surface: "SurfaceReading", *, numbered: bool = True) -> Contacts:
         """Return the contacts; `numbered` as of `summary`."""
         frame = surface.decoded
+        for contact in surface.contacts:
+            if contact.id in self._spans_ns:
+                self._spans_ns[contact.id] = self._spans_ns[contact.id][0], header["t_ns"]
         return Contacts(
             **header,
             status=Status(str(frame.status)),
@@ -108,9 +111,10 @@ class SurfaceMessages:
 
     def event(self, header: MeasuredFields, event: "SkinEvent") -> ContactEvent:
         contact, middle_ns = event.contact, header["t_ns"]
-        since_ns = self._since_utc_ns.setdefault(contact.id, middle_ns)
-        if event.event == "release":
-            del self._since_utc_ns[contact.id]
+        since_ns, last_ns = self._spans_ns.pop(contact.id, (middle_ns, middle_ns))
+        if event.event != "release":
+            last_ns = middle_ns
+            self._spans_ns[contact.id] = since_ns, last_ns
         return ContactEvent(
             **header,
             event=event.event,
@@ -119,7 +123,7 @@ class SurfaceMessages:
                 **self._contact(contact, contact.id),
                 peak_newton=rounded(contact.peak_newton, float(contact.patch.force_std_newton[2])),
                 since_t_ns=since_ns,
-                duration_s=(middle_ns - since_ns) / _NS,
+                duration_s=(last_ns - since_ns) / _NS,
             ),
             decoder_id=self._decoder_id,
         )

@@ -111,6 +111,7 @@ def test_an_overload_opens_a_contact_with_a_lower_bound_only():
     assert tell(contacts, 1, force(9.0)) == []
     assert contacts.contacts[0].touch.at_least_newton is None
     assert contacts.contacts[0].peak_newton == 10.0
+    assert contacts.contacts[0].peak_is_bound
     assert tell(contacts, 2, over()) == []
 
 
