@@ -11,8 +11,8 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 from resonator_daemon import commands
-from resonator_daemon.commands._output import print_error, print_json
-from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError
+from resonator_daemon.commands._output import error_object, print_error, print_json
+from resonator_daemon.errors import ExitCode, InterruptedCommandError, UsageError, UserError
 from resonator_daemon.host.documentation import with_pages
 from resonator_daemon.host.journal import set_up_logging
 from resonator_daemon.host.printable import coloured
@@ -130,11 +130,13 @@ class _Formatter(argparse.HelpFormatter):
 class _Parser(argparse.ArgumentParser):
     def __init__(self, **options: Any) -> None:
         super().__init__(formatter_class=_Formatter, **options)
+        self._as_json = False
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse, with an error where the command does not have an argument: argparse prints the usage of all."""
         words = list(args or ())
         options = words[: words.index("--")] if "--" in words else words
+        self._as_json = "--json" in options
         if not self._subparsers:  # else the options are those of another command
             for option in options:  # first: argparse would take the value of an unknown option for an argument
                 self._check_option(option.partition("=")[0])
@@ -158,7 +160,9 @@ class _Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, f"got {value!r}; {nearest(str(value), list(action.choices))}")
 
     def error(self, message: str) -> NoReturn:
-        """Print the usage of the command and what is wrong; exit."""
+        """Print the usage of the command and what is wrong, with `--json` also as an object; exit."""
+        if self._as_json:
+            _print_failure(self.prog.partition(" ")[2], UsageError(message))
         self.print_usage(sys.stderr)
         self.exit(ExitCode.USAGE, f"{self.prog}: {coloured('error:', 'red', sys.stderr)} {message}\n")
 
@@ -186,6 +190,10 @@ def _discard_output() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def _print_failure(command: str, error: UserError) -> None:
+    print_json({**error.so_far, "verb": command, "ok": False, "error": error_object(error)})
+
+
 @contextmanager
 def _json_errors(command: str, *, as_json: bool) -> Iterator[None]:
     """Print an error as one JSON object to stdout, too, where `--json` asks for objects."""
@@ -196,6 +204,5 @@ def _json_errors(command: str, *, as_json: bool) -> Iterator[None]:
             raise InterruptedCommandError("interrupted") from None
     except UserError as error:
         if as_json:
-            described = {"code": error.code, "message": str(error), "hint": error.hint}
-            print_json({**error.so_far, "verb": command, "ok": False, "error": described})
+            _print_failure(command, error)
         raise

@@ -5,6 +5,7 @@ import json
 import sys
 from typing import Any
 
+from resonator_daemon.errors import UserError
 from resonator_daemon.host.journal import error_prefix
 from resonator_daemon.host.printable import coloured, printable
 
@@ -12,6 +13,11 @@ from resonator_daemon.host.printable import coloured, printable
 def print_json(value: object) -> None:
     """Print a value as one line of JSON."""
     sys.stdout.write(json.dumps(value) + "\n")
+
+
+def error_object(error: UserError) -> dict[str, str]:
+    """Return the value of `error` in the JSON object of a command that failed."""
+    return {"code": error.code, "message": str(error), "hint": error.hint}
 
 
 def print_page(page: Any) -> None:

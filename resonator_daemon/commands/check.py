@@ -6,7 +6,7 @@ Example: resonatord check left-index.toml
 import argparse
 
 from resonator_daemon.commands._argument_types import add_config
-from resonator_daemon.commands._output import print_error, print_json
+from resonator_daemon.commands._output import error_object, print_error, print_json
 from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.printable import print_note
 
@@ -20,7 +20,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.config.decoder import is_decoders_own, load_decoder_config
     from resonator_daemon.daemon.config_store import load_checked
 
-    findings: tuple[str, ...] = ()
+    found: UserError | None = None
     notes: tuple[str, ...] = ()
     try:
         if is_decoders_own(arguments.config):
@@ -28,10 +28,12 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         else:
             notes = load_checked(arguments.config).notes
     except UserError as error:
-        findings = error.messages
+        found = error
+    findings = found.messages if found is not None else ()
     if arguments.json:
         file = str(arguments.config)
-        print_json({"verb": "check", "file": file, "ok": not findings, "errors": findings, "notes": notes})
+        failed = {} if found is None else {"error": error_object(found)}
+        print_json({"verb": "check", "file": file, "ok": not findings, "errors": findings, "notes": notes, **failed})
     else:
         print_error(*findings)
         for line in notes:

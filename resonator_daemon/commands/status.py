@@ -10,14 +10,21 @@ import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
-from resonator_daemon.commands._output import print_error, print_json
-from resonator_daemon.errors import ExitCode
+from resonator_daemon.commands._output import error_object, print_error, print_json
+from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.printable import printable
 
 if TYPE_CHECKING:
     from resonator_daemon.monitoring.status_client import Answer
 
 _PERIOD_S: Final = 1.0
+
+
+class NoDaemonError(UserError):
+    """No daemon of this name runs on this computer."""
+
+    exit_code = ExitCode.FAILED
+    code = "no_daemon"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,13 +50,13 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
     answers = _ask(arguments.name)
     if arguments.json:
-        _print_json(answers)
+        _print_json(answers, arguments.name)
     elif answers:
         console = Console(highlight=False)
         columns = console.width if console.is_terminal else None  # else a line stays whole, as for grep
         console.print(status_page(answers, columns), soft_wrap=columns is None)
     if not answers:
-        print_error(_nobody(arguments.name))
+        print_error(str(_nobody(arguments.name)))
     return ExitCode.DONE if answers and not any(answer.problem for answer in answers) else ExitCode.FAILED
 
 
@@ -62,13 +69,13 @@ def _watch(name: str | None, *, as_json: bool) -> None:
 
     def page(columns: int | None) -> Text:
         answers = _ask(name)
-        return status_page(answers, columns) if answers else Text(_nobody(name))
+        return status_page(answers, columns) if answers else Text(str(_nobody(name)))
 
     console = Console(highlight=False)
     if as_json or not console.is_terminal or console.is_dumb_terminal:
         while True:
             if as_json:
-                _print_json(_ask(name))
+                _print_json(_ask(name), name)
             else:
                 console.print(page(None), Text(), soft_wrap=True)
             sys.stdout.flush()
@@ -89,7 +96,7 @@ def _ask(name: str | None) -> "list[Answer]":
     return asyncio.run(ask_all(name))
 
 
-def _print_json(answers: "list[Answer]") -> None:
+def _print_json(answers: "list[Answer]", name: str | None) -> None:
     print_json(
         {
             "verb": "status",
@@ -99,13 +106,14 @@ def _print_json(answers: "list[Answer]") -> None:
                 for answer in answers
                 if answer.problem is not None
             ],
+            **({} if answers else {"error": error_object(_nobody(name))}),
         }
     )
 
 
-def _nobody(name: str | None) -> str:
+def _nobody(name: str | None) -> NoDaemonError:
     from resonator_daemon.host.places import runtime_directories
 
     places = ", ".join(str(place) for place in runtime_directories())
     who = "no daemon" if name is None else f"no daemon called {printable(name)}"
-    return f"{who} runs on this computer, by what is in {places}; start one: resonatord run"
+    return NoDaemonError(f"{who} runs on this computer, by what is in {places}; start one: resonatord run")

@@ -108,6 +108,7 @@ def test_every_mistake_at_once_and_78(config_path: Path, resonatord: Resonatord)
         .replace("quartz16", "quarz16")
     )
     config_path.write_text(text)
+    assert json.loads(resonatord("check", str(config_path), "--json").stdout)["error"]["code"] == "config"
     run = resonatord("check", str(config_path))
     assert run.returncode == 78
     assert "did you mean window_ms?" in run.stderr

@@ -1,5 +1,6 @@
 """Exit codes that all commands share: wrong arguments, an output that is there, a reader that left, Ctrl-C."""
 
+import json
 import shlex
 import signal
 import subprocess
@@ -25,6 +26,8 @@ PROGRAM = (sys.executable, "-m", "resonator_daemon")
         "identify nope",
         "export run.mcap --output run.foo",
         "plan codes --grid nope --pitch-mm 5",
+        "plan codes",
+        "record left-index.toml",
     ],
 )
 def test_a_wrong_value_of_an_argument_is_a_matter_of_usage(
@@ -32,9 +35,9 @@ def test_a_wrong_value_of_an_argument_is_a_matter_of_usage(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "run.mcap").write_bytes(RECORDING.read_bytes())
-    assert exit_code(*shlex.split(line)) == 2
+    assert exit_code(*shlex.split(line), "--json") == 2
     printed = capsys.readouterr()
-    assert (printed.out, "Traceback" in printed.err) == ("", False)
+    assert (json.loads(printed.out)["error"]["code"], "Traceback" in printed.err) == ("usage", False)
 
 
 @pytest.mark.parametrize(
