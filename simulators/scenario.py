@@ -43,10 +43,6 @@ class Scenario:
         self._presses = presses
         self.positions_m = np.array([_start_m(touch, plate) for touch in touches]).reshape(-1, 2)
         self.whole_plate = np.array([touch.whole_plate for touch in touches], dtype=np.bool_)
-        self.site_ids = tuple(
-            None if touch.whole_plate else site_at(position_m, plate)
-            for touch, position_m in zip(touches, self.positions_m, strict=True)
-        )
         self._radius_m = np.full(len(touches), RADIUS_M_AT_1_NEWTON)
         self._friction = np.full(len(touches), FRICTION_COEFFICIENT)
         self.peak_newton = np.array([touch.force_newton for touch in touches])

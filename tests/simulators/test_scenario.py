@@ -83,7 +83,6 @@ def test_a_sliding_touch_goes_straight_to_its_end_while_it_is_held() -> None:
 def test_a_touch_of_the_whole_plate_is_a_contact_on_every_site() -> None:
     scenario = Scenario((held(site=7), held(whole_plate=True), held(site=8)), 2.0, QUARTZ)
     assert scenario.whole_plate.tolist() == [False, True, False]
-    assert scenario.site_ids == (7, None, 8)
     pressing = scenario.at(np.array([0.5, 2.5]))
     assert pressing.ids.tolist() == [[1, 2, 18], [19, 20, 36]]
     assert pressing.position_m[0, 1].tolist() == [0.0, 0.0]
