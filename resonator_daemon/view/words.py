@@ -41,7 +41,20 @@ def duration(seconds: float) -> str:
     return f"{minutes} min {left_s} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
 
 
+_NOT_FRAMES: Final = {
+    "skipped_late": "messages skipped as late",
+    "publish_dropped": "messages dropped before the broker",
+    "parts": "parts of frames missing",
+    "not_decoded": "frames not decoded",
+}
+
+
 def losses_in_words(counts: Mapping[str, int]) -> str:
-    """Return the causes that lost something with their counts."""
-    lost = [f"{cause.replace('_', ' ')} {count}" for cause, count in counts.items() if count]
-    return f"lost: {', '.join(lost)}" if lost else "nothing lost"
+    """Return how many frames were lost by which cause, and what else was left out."""
+    if not any(counts.values()):
+        return "nothing lost"
+    frames = [
+        f"{cause.replace('_', ' ')} {count}" for cause, count in counts.items() if count and cause not in _NOT_FRAMES
+    ]
+    others = [f"{counts[cause]} {what}" for cause, what in _NOT_FRAMES.items() if counts.get(cause)]
+    return "; ".join([f"frames lost: {', '.join(frames)}" if frames else "no frame lost", *others])

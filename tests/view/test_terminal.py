@@ -25,6 +25,7 @@ from view_messages import (
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.view.plate_view import PlateView, TrueContact, Truth
 from resonator_daemon.view.terminal import render, summary_line
+from resonator_daemon.view.words import losses_in_words
 
 SITES = {7: (-0.0005, 0.002), 13: (0.007, 0.0066)}
 PIXEL_M2 = 4e-4**2
@@ -175,3 +176,15 @@ def test_two_plates_fit_the_terminal(width: int, height: int, color_system: str 
     plain = page(*views, truth=truth, width=width, height=height)
     assert max(map(len, plain.splitlines())) <= width
     assert ("\x1b[38;" in text) == (color_system is not None)
+
+
+@pytest.mark.parametrize(
+    ("counts", "words"),
+    [
+        ({"link_gap": 0, "skipped_late": 0}, "nothing lost"),
+        ({"link_gap": 3, "damaged": 2}, "frames lost: link gap 3, damaged 2"),
+        ({"link_gap": 0, "skipped_late": 9}, "no frame lost; 9 messages skipped as late"),
+    ],
+)
+def test_messages_that_are_left_out_are_no_lost_frames(counts: dict[str, int], words: str) -> None:
+    assert losses_in_words(counts) == words
