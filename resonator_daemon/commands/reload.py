@@ -32,7 +32,9 @@ class NotReloadedError(UserError):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "name", metavar="NAME", help="that the daemon publishes under, or its configuration's file name without .toml"
+        "name",
+        metavar="NAME|FILE",
+        help="that the daemon publishes under; or its configuration, as left-index.toml or left-index",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

@@ -31,8 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "name",
         nargs="?",
-        metavar="NAME",
-        help="that a daemon publishes under, or its configuration's file name without .toml (default: all)",
+        metavar="NAME|FILE",
+        help="that a daemon publishes under; or its configuration, as left-index.toml or left-index (default: all)",
     )
     parser.add_argument("--watch", action="store_true", help="again each second, until interrupted")
     parser.add_argument("--json", action="store_true", help="print one JSON object; with --watch one a line")

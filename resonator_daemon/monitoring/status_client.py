@@ -34,10 +34,14 @@ class Answer:
 
 
 async def ask_all(wanted: str | None) -> list[Answer]:
-    """Ask all daemons at once; return those that run, or that of one name, in the order of their sockets."""
+    """Ask all daemons at once; return those that run, in the order of their sockets.
+
+    `wanted` limits them to those of one name, or of a configuration file, which ends in .toml.
+    """
+    names = {wanted, Path(wanted).stem} if wanted is not None and wanted.endswith(".toml") else {wanted}
     sockets = {path for directory in runtime_directories() for path in directory.glob(f"*/{SOCKET_NAME}")}
     answers = await asyncio.gather(*map(_ask, sorted(sockets)))
-    return [answer for answer in answers if answer is not None and (wanted is None or wanted in answer.names)]
+    return [answer for answer in answers if answer is not None and (wanted is None or names & answer.names)]
 
 
 async def _ask(path: Path) -> Answer | None:

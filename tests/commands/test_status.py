@@ -76,7 +76,7 @@ def test_nothing_runs_and_it_says_where_it_looked(home: Path, capsys: pytest.Cap
     assert (printed["daemons"], printed["problems"], printed["error"]["code"]) == ([], [], "no_daemon")
 
 
-@pytest.mark.parametrize("name", ["left-index", "hand"])
+@pytest.mark.parametrize("name", ["left-index", "hand", "etc/hand.toml"])
 async def test_one_of_many_by_its_name_or_its_files(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     async with daemons(status_samples.status(), status_samples.status(instance="foot", name="sole")):
         assert await run(name, "--json") == 0
