@@ -97,7 +97,11 @@ class ReasonCode(Word):
     SITES_SILENT = "sites_silent", "some sites are not detected; the others are used"
     TOO_FEW_CHANNELS = "too_few_channels", "a tone of a site on one channel alone, at least two are needed"
     TOO_FEW_TONES = "too_few_tones", "too few tones are known to estimate the common mode"
-    TONES_ALIKE = "tones_alike", "two tones are about equally strong: several sites are touched, or one in between"
+    TONES_ALIKE = (
+        "tones_alike",
+        "two tones are about equally strong: several sites are touched, or one in between; "
+        "also just when a site is touched or released",
+    )
     SECOND_TONE = "second_tone", "a tone besides the counted one is detected: a further site may be touched"
     CHANNEL_LEFT_OUT = "channel_left_out", "one channel detects another tone; the others agree on the site"
     SEVERAL_SITES = "several_sites", "channels detect different sites, all of which are named"

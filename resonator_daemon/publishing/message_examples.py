@@ -48,6 +48,7 @@ _VALUES: Final[dict[str, Any]] = {
     "position_covariance_m2": [4.2e-07, 0.0, 4.2e-07],
     "duration_s": 1.4,
     "ContactEvent.event": "release",
+    "ContactEvent.reason_code": "force_fell",
     "ContactEvent.reason": "below 0.01 N",
     "EventContact.force_newton": [None, None, 0.008],
     "DecodedSummary.decoder": "open-plane+contact",

@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, SerializeAsAny
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, SerializeAsAny
 from pydantic.fields import FieldInfo
 
 from resonator_daemon.config.tables import ChangingVerb
@@ -95,6 +95,14 @@ def _printable(text: str) -> str:
 RequestId = Annotated[str, Field(min_length=1, max_length=ID_LENGTH_MAX), AfterValidator(_printable)]
 
 
+def _whole(value: object) -> object:
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+WholeNumber = Annotated[int, BeforeValidator(_whole)]
+"""An integer as JSON Schema has it: 8.0 is one."""
+
+
 class Request(BaseModel):
     """Base of the commands; `{}` for one without fields."""
 
@@ -171,7 +179,7 @@ class SnapshotAnswer(Answer):
 class Events(Request):
     """Ask for the stored events of a run of the daemon; the next page is asked for with the last `seq` of this one."""
 
-    after_seq: int = Field(-1, ge=-1, le=2**53 - 1, description="`seq` of the last event that the client has")
+    after_seq: WholeNumber = Field(-1, ge=-1, le=2**53 - 1, description="`seq` of the last event that the client has")
     daemon_boot_id: Annotated[str, Field(min_length=1, max_length=64)] | None = Field(
         None, description="of an earlier run; the present one where not given"
     )
@@ -281,8 +289,8 @@ class SetRate(Request):
     """Publish a stream at a further rate, too, on a topic of its own, for a time that asking again extends."""
 
     topic: NamedStreamTopic
-    rate_hz: int = Field(ge=1, le=1000, description="at most so many messages a second")
-    lease_s: int = Field(60, ge=1, le=3600, description="how long from now")
+    rate_hz: WholeNumber = Field(ge=1, le=1000, description="at most so many messages a second")
+    lease_s: WholeNumber = Field(60, ge=1, le=3600, description="how long from now")
 
 
 class SetRateAnswer(Answer):

@@ -53,7 +53,7 @@ async def test_a_snapshot_is_bounded(bench: Bench, monkeypatch: pytest.MonkeyPat
 
 async def test_stored_events(bench: Bench) -> None:
     for boot_id in ({}, {"daemon_boot_id": "9f3c"}):
-        said = await bench.ask("events", after_seq=7, **boot_id)
+        said = await bench.ask("events", after_seq=7.0, **boot_id)
         events = said.pop("events")
         assert [event["seq"] for event in events] == [8, 9]
         assert events[0] == json.loads(messages()["contacts/event"].model_dump_json()) | {"seq": 8}
