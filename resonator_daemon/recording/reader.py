@@ -1,5 +1,6 @@
 """The file of a recording: an MCAP container with one message for each event on a link; read in order."""
 
+import fcntl
 import hashlib
 import json
 import logging
@@ -25,6 +26,8 @@ from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import WireEvent, decode
 
 log = logging.getLogger(__name__)
+
+STILL_WRITTEN: Final = "still being written"  # damage of a file whose end is to come
 
 PROFILE = "resonatord"
 FORMAT = "2"
@@ -152,7 +155,21 @@ class Origin:
 
 def damage_in_words(damage: str, done: str) -> str:
     """Return a sentence for the damage of a file, what was done with what came before it, and the remedy."""
+    if damage == STILL_WRITTEN:
+        return f"the file is {damage}; all that it has so far was {done}; repeat this when its recording has ended"
     return f"the file is {damage}; all before that was {done}; resonatord repair FILE copies all complete parts"
+
+
+def is_being_written(file: IO[bytes]) -> bool:
+    """Return whether a writer holds its lock on a file; False on a file system without locks."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    fcntl.flock(file, fcntl.LOCK_UN)
+    return False
 
 
 @dataclass(eq=False)
@@ -219,7 +236,8 @@ class Recording:
         except DAMAGE as error:
             at = self._file.tell()
             whole = self._file.seek(0, 2)
-            self.damage = "cut off" if at >= whole else f"damaged before byte {at} of {whole} ({meaning_of(error)})"
+            end = STILL_WRITTEN if is_being_written(self._file) else "cut off"
+            self.damage = end if at >= whole else f"damaged before byte {at} of {whole} ({meaning_of(error)})"
 
 
 def open_recording(path: str, plate: Plate | None = None) -> Recording:

@@ -1,6 +1,5 @@
 """Repair of recordings that were cut off or damaged: copies what is intact to a new file."""
 
-import fcntl
 import os
 import struct
 import zlib
@@ -47,6 +46,7 @@ from resonator_daemon.recording.reader import (
     SETTINGS_FILE,
     TOPIC,
     decode_mark,
+    is_being_written,
     open_recording,
 )
 from resonator_daemon.session.host_time import HostTime
@@ -222,11 +222,8 @@ def repair(path: Path, copy: Path) -> Repaired:
     except OSError as error:
         raise NotRepairableError(reason_of(error)) from error
     with file:
-        with suppress(PermissionError):  # a file system without locks
-            try:
-                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                raise RepairError(f"{path} is being written; stop that first") from error
+        if is_being_written(file):
+            raise RepairError(f"{path} is being written; stop that first")
         check_new(copy)
         new = NewFile(copy)
         try:

@@ -1,6 +1,8 @@
 """`resonatord compare`: what two recordings have in common, and in what they differ."""
 
+import fcntl
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +30,15 @@ def test_touches_losses_and_timing_are_those_of_each(tmp_path: Path, capsys: pyt
     assert "<svg" in figure.read_text()
 
 
-def test_what_one_lacks_stands_beside_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_one_lacks_stands_beside_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, found = compared(capsys, "touches", "cut-off")
     assert (code, found["ok"], found["b"]["damage"]) == (1, False, "cut off")
     sites = [(touch["a"] and touch["a"]["site"], touch["b"] and touch["b"]["site"]) for touch in found["touches"]]
     assert (sites[0], sites[-1]) == ((7, 7), (16, None))
+    written = shutil.copy(CORPUS / "cut-off" / "recording.mcap", tmp_path)
+    with open(written, "rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        assert compared(capsys, "touches", str(tmp_path))[1]["b"]["damage"] == "still being written"
     code, found = compared(capsys, "touches", "touches")
     assert (code, all(touch["a"] == touch["b"] for touch in found["touches"])) == (0, True)
 
