@@ -168,7 +168,10 @@ class PlatePublisher:
         written = [topic for topic in TOPICS.values() if not topic.retained and topic.qos == 0]
         if self._config.decoding.external:  # its messages would come back here, from the decoder
             written = [topic for topic in written if topic not in _OF_DECODERS]
-        paths = [topic.path for topic in written] + [topic.slow_path for topic in written if topic.slow_hz is not None]
+        paths = [topic.path for topic in written]
+        for topic in written:
+            if topic.slow_hz is not None:  # contacts/+ has the events
+                paths.append(topic.slow_path if topic is CONTACTS else f"{topic.path}/+")
         return [f"{self._base}/{path}" for path in paths]
 
     def _cleared_at_first(self) -> Sequence[str]:

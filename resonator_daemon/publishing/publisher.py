@@ -102,7 +102,7 @@ class Publisher:
     conflict
         Returns whether another publisher uses the same topics: what it overwrites is not restored.
     never_retained
-        Topics that this publisher alone writes, without a retained message: those of others are removed.
+        Filters of topics that this publisher alone writes, without a retained message: those of others are removed.
     cleared_at_first
         Filters of topics without a retained message; what others retain there is removed on the first connection alone.
     stream_wait_max_s
