@@ -124,11 +124,17 @@ class Connection:
             farewell = await self._read_packets()
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_DELIVERY_S):
-                    while self.reader.unread_bytes or self._delivery.undelivered(self):  # noqa: ASYNC110 - no event
-                        await asyncio.sleep(_DELIVERY_CHECK_S)
-            await self.reader.feed(farewell)
+                    await self._wait_for_amqtt()
+                    await self.reader.feed(farewell)
+                    await self._wait_for_amqtt()  # which else takes the end of the bytes for a lost connection
         finally:
             self.reader.feed_eof()
+
+    async def _wait_for_amqtt(self) -> None:
+        """Wait until amqtt has read all packets and passed on their messages."""
+        await asyncio.sleep(_DELIVERY_CHECK_S)
+        while self.reader.unread_bytes or self._delivery.undelivered(self):  # noqa: ASYNC110 - no event
+            await asyncio.sleep(_DELIVERY_CHECK_S)
 
     async def _read_packets(self) -> bytes:
         """Pass on packets until the client disconnects; return its DISCONNECT packet, empty where there was none."""
