@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import ModuleType
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 from resonator_daemon import commands
 from resonator_daemon.commands._output import error_object, print_error, print_json
@@ -17,6 +17,8 @@ from resonator_daemon.host.documentation import with_pages
 from resonator_daemon.host.journal import set_up_logging
 from resonator_daemon.host.printable import coloured
 from resonator_daemon.host.system_limits import check_open_files, reason_of
+
+_ONE_OF: Final = "one of the arguments "
 
 
 def run_command(words: Sequence[str]) -> int:
@@ -161,6 +163,9 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print the usage of the command and what is wrong, with `--json` also as an object; exit."""
+        if message.startswith(_ONE_OF):  # of argparse, which puts a space between the names
+            names = message.removeprefix(_ONE_OF).removesuffix(" is required").split()
+            message = f"give {' or '.join(sorted(names, key=lambda name: name.startswith('-')))}"
         if self._as_json:
             _print_failure(self.prog.partition(" ")[2], UsageError(message))
         self.print_usage(sys.stderr)
