@@ -152,30 +152,6 @@ async def test_one_who_never_reads_a_huge_answer_is_left(path: Path) -> None:
     assert json.loads(answer)["version"] == huge.version
 
 
-async def test_a_thousand_at_once_all_have_their_answer_and_few_are_made(path: Path) -> None:
-    made = 0
-
-    def make() -> Status:
-        nonlocal made
-        made += 1
-        return status_samples.status()
-
-    async with serving(path, make):
-        await until(lambda: listens(path))
-        loop = asyncio.get_running_loop()
-        started_s = loop.time()
-        crowd = asyncio.Semaphore(100)
-
-        async def one() -> bytes:
-            async with crowd:
-                return await ask(path)
-
-        answers = await asyncio.gather(*(one() for _ in range(1000)))
-        took_s = loop.time() - started_s
-    assert all(answer == answers[0] for answer in answers)
-    assert made <= 10 * took_s + 2
-
-
 @pytest.mark.parametrize("lost", ["directory", "socket", "lock"])
 async def test_a_socket_or_lock_that_is_removed_is_made_again_and_said_once(
     path: Path, caplog: pytest.LogCaptureFixture, lost: str
