@@ -203,7 +203,7 @@ class Commands:
             raise CommandRefusedError(
                 "not_permitted",
                 f"{command.verb} is not permitted",
-                f'add "{command.verb}" to allow in [commands] of the daemon\'s configuration, and send it SIGHUP',
+                f'add "{command.verb}" to allow in [commands] of its configuration, then: resonatord reload NAME',
             )
         return handler(_request(verb, command.payload))
 

@@ -35,7 +35,7 @@ class NoPlateError(UserError):
     code = "no_plate"
 
 
-async def remove_plate(broker: Mqtt, name: str, *, force: bool = False) -> tuple[str, ...]:
+async def remove_plate(broker: Mqtt, name: str, *, force: bool = False, named_by: str = "mqtt.url") -> tuple[str, ...]:
     """Clear all retained topics below `prefix/name/`, `state/daemon` last; return their paths.
 
     Parameters
@@ -43,6 +43,8 @@ async def remove_plate(broker: Mqtt, name: str, *, force: bool = False) -> tuple
     broker, name
     force
         Whether to clear also where `state/daemon` is not `offline`. It is an error if a daemon restores it.
+    named_by
+        Key or option that names the broker.
 
     Raises
     ------
@@ -55,7 +57,7 @@ async def remove_plate(broker: Mqtt, name: str, *, force: bool = False) -> tuple
     NotOfflineError
         The daemon is not offline; without `force` nothing was cleared.
     """
-    await reach(broker)
+    await reach(broker, named_by=named_by)
     loop = asyncio.get_running_loop()
     closing: asyncio.Future[None] = loop.create_future()
     done: asyncio.Future[None] = loop.create_future()

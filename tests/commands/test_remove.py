@@ -64,6 +64,7 @@ async def test_every_failure_has_its_code(mosquitto: Mosquitto, remove: Remove) 
         answer = json.loads(printed)
         assert (answer["verb"], answer["ok"]) == ("remove", False)
         assert reported == f"resonatord: {answer['error']['message']}\n"
+        assert "mqtt.url" not in reported
         codes.append((code, answer["error"]["code"]))
     assert codes == [(1, "not_offline"), (1, "no_plate"), (69, "no_broker")] + 3 * [(2, "usage")]
     code, printed, _ = await remove("left", *there, "--force", "--json")

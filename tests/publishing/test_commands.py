@@ -157,7 +157,7 @@ async def test_what_changes_something_needs_permission(bench: Bench) -> None:
     assert said["error"] == {
         "code": "not_permitted",
         "message": "mark is not permitted",
-        "hint": 'add "mark" to allow in [commands] of the daemon\'s configuration, and send it SIGHUP',
+        "hint": 'add "mark" to allow in [commands] of its configuration, then: resonatord reload NAME',
     }
     assert bench.asked == []
     (said,) = await bench.ask(incoming("ping"))  # changes nothing
