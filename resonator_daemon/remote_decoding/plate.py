@@ -205,7 +205,7 @@ def _read_info(payload: bytes) -> tuple[SkinPlate, float]:
     if DECODED.path in info.rates_hz:
         raise _UnusableInfoError(DECODED_BY_DAEMON.text, DECODED_BY_DAEMON.code)
     if not info.skin:
-        raise _UnusableInfoError("has no skin: there is nothing to decode")
+        raise _UnusableInfoError("has no skin to decode; waits for another plate of this name")
     positions_m = np.array([site.position_m for site in info.sites], np.float64).reshape(-1, 2)
     try:
         half_space = HalfSpace(info.skin.youngs_modulus_pascal, info.skin.poisson_ratio)

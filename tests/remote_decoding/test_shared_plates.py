@@ -90,7 +90,7 @@ async def test_it_is_online_while_signals_come_and_waits_afterwards(monkeypatch:
         shared.tell("left", info())
         shared.tell("right", info(skin=None))
         shared.send("left", signals(0))
-        problem = "right: has no skin: there is nothing to decode"
+        problem = "right: has no skin to decode; waits for another plate of this name"
         decoding = Reason(ReasonCode.DECODING, f"signals of 1 plates are decoded; {problem}")
         await until(lambda: shared.plates.condition() == ("online", decoding))
         silent = Reason(ReasonCode.NO_SIGNALS, f"{NOTHING[1].text}; {problem}")
