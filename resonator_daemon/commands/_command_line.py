@@ -131,7 +131,7 @@ class _Formatter(argparse.HelpFormatter):
 
 class _Parser(argparse.ArgumentParser):
     def __init__(self, **options: Any) -> None:
-        super().__init__(formatter_class=_Formatter, **options)
+        super().__init__(formatter_class=_Formatter, allow_abbrev=False, **options)
         self._as_json = False
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
@@ -149,10 +149,10 @@ class _Parser(argparse.ArgumentParser):
 
     def _check_option(self, option: str) -> None:
         known = list(self._option_string_actions)
-        if option.startswith("--") and " " not in option and not any(name.startswith(option) for name in known):
+        if option.startswith("--") and " " not in option and option not in known:
             from difflib import get_close_matches
 
-            near = get_close_matches(option, known, n=1)
+            near = [name for name in known if name.startswith(option)] or get_close_matches(option, known, n=1)
             self.error(f"no such option: {option}{f'; did you mean {near[0]}?' if near else ''}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
