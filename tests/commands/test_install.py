@@ -113,6 +113,7 @@ def test_bash_completes_commands_options_and_files(tmp_path: Path, capsys: pytes
         ("plan ''", "codes sensors"),
         ("doctor --sec", "--seconds"),
         ("bench latency --plate sk", "skin32"),
+        ("emulate --plate qu", "quartz16"),
         ("run le", "left.toml"),
     ):
         script = (
