@@ -35,8 +35,7 @@ def test_what_one_lacks_stands_beside_nothing(tmp_path: Path, capsys: pytest.Cap
     assert (code, found["ok"], found["b"]["damage"]) == (1, False, "cut off")
     sites = [(touch["a"] and touch["a"]["site"], touch["b"] and touch["b"]["site"]) for touch in found["touches"]]
     assert (sites[0], sites[-1]) == ((7, 7), (16, None))
-    written = shutil.copy(CORPUS / "cut-off" / "recording.mcap", tmp_path)
-    with open(written, "rb") as file:
+    with open(shutil.copy(CORPUS / "cut-off" / "recording.mcap", tmp_path), "rb") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         assert compared(capsys, "touches", str(tmp_path))[1]["b"]["damage"] == "still being written"
     code, found = compared(capsys, "touches", "touches")
