@@ -148,7 +148,7 @@ def test_a_step_below_the_guard_band_is_refused_with_the_pair_and_written_when_i
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        ((), "one of the arguments --sites --plate --grid is required"),
+        ((), "give --sites or --plate or --grid"),
         ((*GRID, "--force-max-newton", "10000", "--sensitivity-ppm-per-newton", "100"), "largest shift is 1.3e+06 ppm"),
         ((*GRID, "--coupling", "220@5,1150@4"), "is not HZ@MM,HZ@MM with the nearer distance first"),
         ((*GRID, "--band-ppm", "1000"), "--band-ppm 1000: pilot and largest force alone need 1082; widen the band"),

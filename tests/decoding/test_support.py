@@ -2,11 +2,7 @@
 
 import numpy as np
 
-from resonator_daemon.decoding.contact_physics.support_search import (
-    blobs,
-    load_support,
-    swept,
-)
+from resonator_daemon.decoding.contact_physics.support_search import blobs, load_support, swept
 
 
 def drawn(*rows):
