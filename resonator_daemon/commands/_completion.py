@@ -20,7 +20,7 @@ def completions() -> Iterator[tuple[str, str]]:
 
     root = make_parser()
     for _, parser in parsers(root):
-        parser.description = (parser.description or "").partition(". ")[0]  # beside each command in the shell
+        parser.description = (parser.description or "").partition(". ")[0]  # next to each command in the shell
         for action in parser._actions:  # noqa: SLF001 - argparse has no other way to list arguments
             if "--plate" in action.option_strings and action.choices is None:
                 action.complete = _plates_and_files()  # type: ignore[attr-defined]

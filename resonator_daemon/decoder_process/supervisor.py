@@ -281,7 +281,7 @@ class DecoderSupervisor(Generic[Origin]):
                 log.info("decoder is being set up: %s", step)
                 starting = Reason(ReasonCode.DECODER_STARTING, f"decoder is being set up: {step}")
                 self._client.announce(starting)
-                if self._ready_ns is not None:  # set up anew while it runs
+                if self._ready_ns is not None:  # set up again while it runs
                     self._ready_ns, self._until_ready = None, "not_ready"
                 self._expect_reply(SET_UP_MAX_S)
             case Undecodable(reason=reason):

@@ -41,7 +41,7 @@ ONLINE_AGAIN = {
 
 
 def unplugged(hit: int, in_outages: dict[str, int]) -> dict[str, Any]:
-    """Return the health after an outage of 3007 frames, with `hit` frames lost beside it."""
+    """Return the health after an outage of 3007 frames, with `hit` frames lost besides it."""
     lost = {"link_gap": 3000 + hit, "damaged": 7}
     return {"boots": [{"frames": 12_002, "lost": lost, "lost_in_outages": in_outages}]}
 

@@ -47,7 +47,7 @@ def _folder() -> tempfile.TemporaryDirectory[str]:
 
 @cache
 def driver(name: str, *sources: str, options: tuple[str, ...] = ()) -> Path:
-    """Build a driver of `c/tests` with these sources beside its own, once a process."""
+    """Build a driver of `c/tests` with these sources and its own, once a process."""
     own = str(C_FOLDER / "tests" / f"{name}.c")
     return build(Path(_folder().name) / name, own, *sources, options=(*SANITIZERS, *options))
 

@@ -38,7 +38,7 @@ def loaded_libraries(folder: Path, code: str) -> set[str]:
 
 
 def test_the_import_needs_no_library_and_force_sites_no_scipy(tmp_path: Path) -> None:
-    (tmp_path / "resonatord").mkdir()  # as a checkout beside which Python is started
+    (tmp_path / "resonatord").mkdir()  # as a checkout, in whose parent Python is started
     assert loaded_libraries(tmp_path, "assert resonatord.__version__") == set()
     used = loaded_libraries(tmp_path, f"resonatord.load_recording({str(recording('touches'))!r}).forces")
     assert used == {"numpy", "pydantic", "mcap"}

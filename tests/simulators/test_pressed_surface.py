@@ -1,4 +1,4 @@
-"""Tabulated signals below contacts anywhere, beside the closed form that the table is made of."""
+"""Tabulated signals below contacts anywhere, next to the closed form that the table is made of."""
 
 import numpy as np
 import pytest

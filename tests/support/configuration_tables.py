@@ -1,4 +1,4 @@
-"""Example and keys in docs/reference/configuration.md: `python tests/configuration_tables.py` writes them anew."""
+"""Example and keys in docs/reference/configuration.md: `python tests/configuration_tables.py` writes them."""
 
 import re
 from pathlib import Path
