@@ -61,8 +61,7 @@ async def test_both_say_so_until_one_has_gone(
             answers = [answer.get("daemon_boot_id") for answer in heard.payloads("resonator/hand/rsp/events")]
             assert sorted(answers, key=str) == sorted((*ids, None), key=str)
         await heard.until(lambda: said_by(heard, ids[0]) == "measuring")
-        state = heard.payloads(STATE)[-1]
-        assert (state["daemon_boot_id"], state["state"]) == (ids[0], "online")
+        await heard.until_last(STATE, daemon_boot_id=ids[0], state="online")  # after a will of the other, too
         for topic in ("info", "state/link", "state/sensor", "state/daemon"):
             full = f"resonator/hand/{topic}"
             await heard.until(lambda full=full: heard.payloads(full)[-1]["daemon_boot_id"] == ids[0])
