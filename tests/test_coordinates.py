@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import cbor2
 import numpy as np
-import pytest
 from brokers import Mosquitto
 from observer import Observer, observe
 from scenarios import IDEAL, touch_text
@@ -110,7 +109,6 @@ def pixel(x_m: float, y_m: float) -> tuple[int, int]:
     return round(x_m / PITCH_M + (NX - 1) / 2), round(y_m / PITCH_M + (NY - 1) / 2)
 
 
-@pytest.mark.undisturbed
 async def test_a_sheared_press_off_the_centre_keeps_every_sign(tmp_path: Path, mosquitto: Mosquitto) -> None:
     bench = Bench(tmp_path, mosquitto.url)
     plate = tmp_path / "oblong.toml"

@@ -2,10 +2,7 @@
 
 from pathlib import Path
 
-import pytest
 from hang_ups import hang_up
-
-pytestmark = pytest.mark.undisturbed
 
 
 def test_it_always_comes_back_and_leaks_nothing(tmp_path: Path) -> None:

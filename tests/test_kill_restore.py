@@ -2,11 +2,8 @@
 
 from pathlib import Path
 
-import pytest
 from kill_restore import kill_and_restore
 from system_parts import skin_system
-
-pytestmark = pytest.mark.undisturbed
 
 # Of the test alone: on a machine that runs other tests meanwhile, starting a process takes seconds.
 PATIENCE_S = 30.0

@@ -16,8 +16,6 @@ from resonator_daemon.daemon.daemon import Service
 from resonator_daemon.plate import load_plate
 from resonator_daemon.recording.reader import open_recording
 
-pytestmark = pytest.mark.undisturbed
-
 S = 1_000_000_000
 DAY_NS = 86_400 * S
 EPOCH_NS = 60 * S  # a computer without a clock of its own, a minute after it was switched on

@@ -74,7 +74,6 @@ def stop_late(reader: BoardReader, stop: Callable[[BoardReader], None] = BoardRe
     stop(reader)
 
 
-@pytest.mark.undisturbed
 def test_files_follow_each_other_and_have_what_was_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(BoardReader, "stop", stop_late)
     port, output = tmp_path / "board", tmp_path / "run.mcap"

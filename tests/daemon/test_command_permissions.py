@@ -17,8 +17,6 @@ from resonator_daemon.host.places import state_directory
 from resonator_daemon.publishing.requests import request
 from resonator_daemon.publishing.verbs import VERBS
 
-pytestmark = pytest.mark.undisturbed
-
 FORCES = "resonator/hand/forces"
 INFO = "resonator/hand/info"
 ALL = [verb.name for verb in VERBS.values() if verb.changes]

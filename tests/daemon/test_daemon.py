@@ -16,8 +16,6 @@ from resonator_daemon.errors import ConfigurationError, ExitCode, IncompatibleBo
 from resonator_daemon.plate import load_plate
 from simulators.faults import parse_faults
 
-pytestmark = pytest.mark.undisturbed
-
 
 def touched(hold_s: float, start_s: float = 0.4, **keys: float) -> str:
     return touch_text(start_s, 2.0, hold_s, site=7, **keys)

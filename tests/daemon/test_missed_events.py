@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-import pytest
 from brokers import Mosquitto
 from observer import observe
 from scenarios import IDEAL, touch_text
@@ -11,8 +10,6 @@ from service_bench import Bench, events
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.requests import request
-
-pytestmark = pytest.mark.undisturbed
 
 TOUCHES = "period_s = 0.5\n" + IDEAL + touch_text(0.1, 1.0, 0.2, site=7)
 

@@ -12,8 +12,6 @@ from service_bench import Bench, events
 
 from resonator_daemon.plate import load_plate
 
-pytestmark = pytest.mark.undisturbed
-
 PLACE_M = (1.5e-3, -1.0e-3)
 SITES = {site.id: site.position_mm for site in load_plate("comb16").sites}
 

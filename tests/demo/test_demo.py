@@ -7,9 +7,6 @@ import subprocess
 import sys
 
 import psutil
-import pytest
-
-pytestmark = pytest.mark.undisturbed
 
 COMMAND = (sys.executable, "-m", "resonator_daemon", "demo")
 FRAME_LOSSES = {"link_gap", "damaged", "board_overflow", "host_overrun", "queue_overflow"}

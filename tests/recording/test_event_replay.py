@@ -43,7 +43,6 @@ CORPUS = Path(__file__).parents[1] / "corpus"
 DEADLINE_S = 30.0  # far beyond what any of this takes: it ends a test that hangs
 
 
-@pytest.mark.undisturbed
 def test_a_board_with_faults_is_replayed_to_the_bit(tmp_path: Path) -> None:
     port, path = tmp_path / "board", tmp_path / "run.mcap"
     link = SerialTarget(str(port), 4000000)

@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import pytest
 from brokers import Mosquitto
 from observer import Observer, observe
 from scenarios import IDEAL, touch_text
@@ -20,8 +19,6 @@ from resonator_daemon.publishing.topics import TOPICS
 from resonator_daemon.replay.outputs import payload_json
 from resonator_daemon.replay.source import open_replay
 from simulators.faults import parse_faults
-
-pytestmark = pytest.mark.undisturbed
 
 TOUCHES = touch_text(0.4, 2.0, 0.3, site=7) + touch_text(1.2, 2.0, 0.6, site=3)
 COMPARED = ("forces", "contacts", "contacts/event", "signals", "state/link", "state/sensor", "info")

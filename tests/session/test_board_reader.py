@@ -28,8 +28,6 @@ from resonator_daemon.session.link_events import Received, TimersRun, WireEvent
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
-pytestmark = pytest.mark.undisturbed
-
 SKIN = load_plate("skin32")
 
 

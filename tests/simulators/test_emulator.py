@@ -14,7 +14,6 @@ from firmware_protocol.host import FramePart
 from simulators.emulator import EmulatorOptions
 
 
-@pytest.mark.undisturbed
 def test_quartz16_sends_its_frames_in_time_and_tells_the_truth_beside_them(tmp_path: Path) -> None:
     path, truth_path = tmp_path / "board", tmp_path / "truth.jsonl"
     fds = len(os.listdir("/proc/self/fd"))

@@ -8,7 +8,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import pytest
 from emulation import emulated
 from wire_host import Host, opened, truths, wait_for
 
@@ -106,7 +105,6 @@ def test_a_brown_out_cuts_a_frame_and_the_board_says_why_it_began_anew(tmp_path:
     assert host.session.bytes.discarded == 102
 
 
-@pytest.mark.undisturbed
 def test_another_board_is_there_for_a_while_and_the_own_one_returns_newly_booted(tmp_path: Path) -> None:
     path = tmp_path / "board"
     boards = []

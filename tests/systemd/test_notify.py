@@ -15,8 +15,6 @@ from emulation import emulated
 from resonator_daemon.errors import ExitCode
 from simulators.emulator import EmulatorOptions
 
-pytestmark = pytest.mark.undisturbed
-
 START = "import sys; from resonator_daemon.commands import main; sys.exit(main())"
 # The reader's thread stops for good in the midst of a stream, and three seconds without frames are too long: a busy
 # computer makes it wait for less.
