@@ -1,12 +1,12 @@
 """Messages as clouds of points in the plate's plane, which viewers show in colours of any of their fields."""
 
+from collections.abc import Iterable
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.exporting.columns import AXES, with_axis
-from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.payloads import Decoded, Forces, Message, Signals
 
 Points = NDArray[np.void]
@@ -21,13 +21,15 @@ class Clouds:
 
     Parameters
     ----------
-    plate
-        Has the sites' places.
+    site_ids
+        Numbers of the sites, (n,).
+    site_positions_m
+        x and y of each in metres, (n, 2).
     """
 
-    def __init__(self, plate: Plate) -> None:
-        self._positions_m = plate.site_positions_m
-        self._row_of_site = {int(site): row for row, site in enumerate(plate.site_ids)}
+    def __init__(self, site_ids: Iterable[int], site_positions_m: NDArray[np.float64]) -> None:
+        self._positions_m = site_positions_m
+        self._row_of_site = {int(site): row for row, site in enumerate(site_ids)}
 
     def points(self, message: Message) -> Points | None:
         """Return the cloud of a message: of forces those sites on which something presses; None of kinds without."""

@@ -25,7 +25,7 @@ class McapOutput(Output):
     channel_metadata : dict
         Metadata of each channel.
     prefix : str
-        Goes before the name of each channel.
+        Left out of the names of channels in `rows`.
     """
 
     profile: ClassVar[str] = ""
@@ -47,10 +47,10 @@ class McapOutput(Output):
             if schema not in self._schemas:
                 self._schemas[schema] = self._writer.register_schema(schema, self.schema_encoding, definition.encode())
             self._channels[channel] = self._writer.register_channel(
-                self.prefix + channel, self.message_encoding, self._schemas[schema], dict(self.channel_metadata)
+                channel, self.message_encoding, self._schemas[schema], dict(self.channel_metadata)
             )
         self._writer.add_message(self._channels[channel], log_ns, data, publish_ns)
-        self.rows[channel] += 1
+        self.rows[channel.removeprefix(self.prefix)] += 1
 
     def finish(self) -> None:
         self._writer.finish()

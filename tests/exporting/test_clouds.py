@@ -17,7 +17,8 @@ def test_a_map_has_its_pixels_at_their_places() -> None:
         displacement_m=2 * traction,
         grid=Grid(origin_m=(-0.01, 0.02), pitch_m=0.5e-3),
     )
-    points = Clouds(played("skin").config.plate).points(message)
+    plate = played("skin").config.plate
+    points = Clouds(plate.site_ids, plate.site_positions_m).points(message)
     assert points is not None
     assert points.dtype.names == ("x", "y", "z", *NAMES)
     row, column = 2, 3

@@ -9,8 +9,9 @@ import pytest
 from export_bench import cloud_points, played, write
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from resonator_daemon.exporting.formats.ros2 import ros_name
+from resonator_daemon.exporting.ros2_types import make_typestore, ros_name
 
 
 def written(case: str, path: Path) -> dict[str, list[Any]]:
@@ -66,6 +67,14 @@ def test_contacts_and_their_sum(case: str, tmp_path: Path) -> None:
     ]
     for cloud, message in zip(found["/left_index/forces/cloud"], played(case).messages("forces"), strict=True):
         np.testing.assert_array_equal(points(cloud)["force_newton"], [force.force_newton for force in message.sites])
+    for one, message in zip(found["/left_index/forces"], played(case).messages("forces"), strict=True):
+        assert (one.window_s, one.status, one.reason) == (message.window_s, message.status, message.reason or "")
+        for report, force in zip(one.sites, message.sites, strict=True):
+            assert (report.site, report.status) == (force.site, force.status)
+            np.testing.assert_array_equal(
+                [report.force_newton, report.noise_newton, report.systematic_newton],
+                np.array([force.force_newton, force.noise_newton, force.systematic_newton], float),
+            )
 
 
 def test_a_skin_has_maps_and_vectors(tmp_path: Path) -> None:
@@ -80,11 +89,30 @@ def test_a_skin_has_maps_and_vectors(tmp_path: Path) -> None:
         assert [force.x, force.y, force.z, torque.x, torque.y, torque.z] == pytest.approx(sums.tolist())
         touched += len(message.contacts)
     assert touched > 5
+    contacts = [(m.t_ns, contact) for m in played("skin").messages("contacts") for contact in m.contacts]
+    for one, (t_ns, contact) in zip(found["/left_index/contacts/wrench"], contacts, strict=True):
+        arm = [*contact.position_m, 0.0]
+        expected = np.array(contact.moment_newton_m) - np.cross(arm, contact.force_newton)
+        assert (stamp_ns(one), one.header.frame_id) == (t_ns, "left_index_contact_0")
+        assert [one.wrench.force.x, one.wrench.force.y, one.wrench.force.z] == list(contact.force_newton)
+        torque = one.wrench.torque
+        assert [torque.x, torque.y, torque.z] == pytest.approx(expected.tolist())
+    for tree, (_, contact) in zip(found["/tf"], contacts, strict=True):
+        (transform,) = tree.transforms
+        assert (transform.header.frame_id, transform.child_frame_id) == ("left_index", "left_index_contact_0")
+        translation, rotation = transform.transform.translation, transform.transform.rotation
+        assert (translation.x, translation.y, translation.z) == (*contact.position_m, 0.0)
+        assert (rotation.x, rotation.y, rotation.z, rotation.w) == (0.0, 0.0, 0.0, 1.0)
+    for one, message in zip(
+        found["/left_index/decoded/summary"], played("skin").messages("decoded/summary"), strict=True
+    ):
+        assert (one.decoder, one.chi2, one.border_contact) == (message.decoder, message.chi2, message.border_contact)
+        assert [patch.area_m2 for patch in one.patches] == [patch.area_m2 for patch in message.patches]
     assert len(found["/left_index/signals/cloud"]) == len(played("skin").messages("signals"))
 
 
 def test_states_are_diagnostics(tmp_path: Path) -> None:
-    found = written("refused", tmp_path / "ros.mcap")["/left_index/diagnostics"]
+    found = written("refused", tmp_path / "ros.mcap")["/diagnostics"]
     states = [m for moment in played("refused").moments for t, m in moment.messages if t.path.startswith("state/")]
     levels = {"online": 0, "starting": 0, "refused": 2}
     for one, state in zip(found, states, strict=True):
@@ -99,3 +127,16 @@ def test_states_are_diagnostics(tmp_path: Path) -> None:
 )
 def test_names_are_such_that_ros_takes_them(name: str, expected: str) -> None:
     assert ros_name(name) == expected
+
+
+def test_the_package_of_ros_has_the_types_of_the_product() -> None:
+    package = Path("docs/examples/ros2/resonator_msgs")
+    types: dict[str, Any] = {}
+    for path in (package / "msg").iterdir():
+        types |= get_types_from_msg(path.read_text(), f"resonator_msgs/msg/{path.stem}")
+        assert f"msg/{path.name}\n" in (package / "CMakeLists.txt").read_text()
+    product, parsed = make_typestore(), get_typestore(Stores.ROS2_JAZZY)
+    parsed.register(types)
+    assert types.keys() == {kind for kind in product.fielddefs if kind.startswith("resonator_msgs/")}
+    for kind in types:
+        assert parsed.hash_rihs01(kind) == product.hash_rihs01(kind)

@@ -64,7 +64,7 @@ class Format(McapOutput):
         config = self._recorded.config
         for name, text in ((PLATE_FILE, plate_text(config.plate)), (SETTINGS_FILE, settings_text(config))):
             self._writer.add_attachment(0, 0, name, "application/toml", text.encode())
-        self._clouds = Clouds(config.plate)
+        self._clouds = Clouds(config.plate.site_ids, config.plate.site_positions_m)
 
     def add(self, moment: Moment) -> None:
         if moment.mark is not None:

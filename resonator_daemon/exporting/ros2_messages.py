@@ -1,0 +1,279 @@
+"""Messages of a plate as messages of ROS 2, for files and for the bridge alike; no ROS is needed."""
+
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from typing import Any, Final, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.exporting.clouds import Clouds, Points
+from resonator_daemon.exporting.mcap_output import cloud_fields, severity, state_text
+from resonator_daemon.exporting.ros2_types import (
+    CLOUD,
+    CONTACT,
+    CONTACTS,
+    DIAGNOSTICS,
+    EVENT,
+    FORCES,
+    PATCH,
+    SITE_FORCE,
+    SUMMARY,
+    TRANSFORMS,
+    WRENCH,
+    Nodetype,
+    make_typestore,
+    ros_name,
+)
+from resonator_daemon.publishing.payloads import (
+    Contact,
+    ContactEvent,
+    Contacts,
+    DecodedSummary,
+    Forces,
+    Message,
+    State,
+)
+
+DIAGNOSTICS_TOPIC: Final = "/diagnostics"
+
+_TOPICS: Final = {
+    "contacts": (
+        ("contacts", CONTACTS),
+        ("wrench", WRENCH),
+        ("contacts/wrench", WRENCH),
+        ("/tf", TRANSFORMS),
+    ),
+    "contacts/event": (("contacts/event", EVENT),),
+    "forces": (("forces", FORCES), ("forces/cloud", CLOUD)),
+    "signals": (("signals/cloud", CLOUD),),
+    "decoded": (("decoded/cloud", CLOUD),),
+    "decoded/summary": (("decoded/summary", SUMMARY),),
+}
+_DATATYPES: Final = {"<u2": 4, "<f4": 7, "<f8": 8}  # UINT16, FLOAT32, FLOAT64 of sensor_msgs/PointField
+_NO_ROTATION: Final = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+
+
+class Translated(NamedTuple):
+    """One message of ROS: topic, type as `geometry_msgs/msg/WrenchStamped`, and what makes it."""
+
+    topic: str
+    kind: str
+    make: Callable[[], Any]
+
+
+class Translation:
+    """Makes messages of ROS of those of one plate.
+
+    Coordinates are the plate's: x to the right, y downwards, z into the plate; metres. Frames are the plate, with its
+    name, and one at each contact, with parallel axes: `NAME_contact_0` and so on, numbered from the lowest free number.
+
+    Parameters
+    ----------
+    name
+        Name that the plate is published under.
+    site_ids, site_positions_m
+        (n,), and x, y of each (n, 2) in metres.
+    namespace
+        Before the names of topics: empty, or as `/hand`.
+    """
+
+    def __init__(
+        self, name: str, site_ids: NDArray[Any], site_positions_m: NDArray[np.float64], namespace: str = ""
+    ) -> None:
+        self.frame_id = ros_name(name)
+        self._hardware_id = name
+        self._base = f"{namespace}/{self.frame_id}"
+        self._clouds = Clouds(site_ids, site_positions_m)
+        self._numbers: dict[int | None, int] = {}  # of the frames, by id of the contact
+        self.store = make_typestore()
+        self._types = self.store.types
+        self._converters: dict[str, tuple[tuple[str, Callable[[Any], Any]], ...]] = {}
+
+    def topics(self, paths: Iterable[str]) -> dict[str, str]:
+        """Return the topics that come of these topics below the plate, with their types."""
+        return {self._topic(name): kind for path in paths for name, kind in _TOPICS.get(path, ())}
+
+    def messages(self, path: str, message: Message) -> Iterator[Translated]:
+        """Yield what a message becomes; nothing of kinds that ROS has no use for."""
+        match message:
+            case Contacts():
+                frames = self._frames(message.contacts)
+                yield self._translated(path, CONTACTS, partial(self._contacts, message, frames))
+                yield self._translated("wrench", WRENCH, partial(self._sum, message))
+                for contact, frame in zip(message.contacts, frames, strict=True):
+                    make = partial(self._wrench_at, message.t_ns, contact, frame)
+                    yield self._translated(f"{path}/wrench", WRENCH, make)
+                if frames:
+                    yield self._translated("/tf", TRANSFORMS, partial(self._transforms, message, frames))
+            case ContactEvent():
+                yield self._translated(path, EVENT, partial(self._event, message))
+            case Forces():
+                yield self._translated(path, FORCES, partial(self._forces, message))
+                yield self._translated(f"{path}/cloud", CLOUD, partial(self._cloud, message))
+            case DecodedSummary():
+                yield self._translated(path, SUMMARY, partial(self._summary, message))
+            case State():
+                make = partial(self.diagnostics, message.t_ns, [self.diagnostic_status(path, message)])
+                yield Translated(DIAGNOSTICS_TOPIC, DIAGNOSTICS, make)
+            case _ if path in _TOPICS:
+                yield self._translated(f"{path}/cloud", CLOUD, partial(self._cloud, message))
+
+    def encode(self, translated: Translated) -> bytes:
+        """Return a message in CDR, with its encapsulation header."""
+        return bytes(self.store.serialize_cdr(translated.make(), translated.kind))
+
+    def diagnostic_status(self, path: str, state: State) -> Any:
+        """Return one state as diagnostics show it."""
+        known = {"state": state.state, "reason_code": state.reason_code, "since_t_ns": state.since_t_ns}
+        return self.make_status(path, severity(state.state), state_text(state), known)
+
+    def make_status(self, path: str, level: int, text: str, values: dict[str, Any]) -> Any:
+        """Return a status of this plate; `path` names its part."""
+        make = self._types["diagnostic_msgs/msg/KeyValue"]
+        return self._types["diagnostic_msgs/msg/DiagnosticStatus"](
+            level=level,
+            name=f"{self.frame_id}: {path}",
+            message=text,
+            hardware_id=self._hardware_id,
+            values=[make(key=key, value="" if value is None else str(value)) for key, value in values.items()],
+        )
+
+    def diagnostics(self, t_ns: int, statuses: list[Any]) -> Any:
+        """Return several statuses as one message."""
+        return self._types[DIAGNOSTICS](header=self._header(t_ns, ""), status=statuses)
+
+    def _translated(self, name: str, kind: str, make: Callable[[], Any]) -> Translated:
+        return Translated(self._topic(name), kind, make)
+
+    def _topic(self, name: str) -> str:
+        return name if name.startswith("/") else f"{self._base}/{name}"
+
+    def _frames(self, contacts: Iterable[Contact]) -> list[str]:
+        """Return the frame of each contact; a contact keeps its number."""
+        contacts = list(contacts)
+        present = {contact.id for contact in contacts}
+        self._numbers = {of: number for of, number in self._numbers.items() if of is not None and of in present}
+        numbers: list[int] = []
+        for contact in contacts:
+            taken = {*self._numbers.values(), *numbers}
+            number = self._numbers.get(contact.id)
+            if number is None:
+                number = next(free for free in range(len(taken) + 1) if free not in taken)
+            if contact.id is not None:
+                self._numbers[contact.id] = number
+            numbers.append(number)
+        return [f"{self.frame_id}_contact_{number}" for number in numbers]
+
+    def _header(self, t_ns: int, frame_id: str | None = None) -> Any:
+        frame_id = self.frame_id if frame_id is None else frame_id
+        return self._types["std_msgs/msg/Header"](stamp=self._time(t_ns), frame_id=frame_id)
+
+    def _time(self, t_ns: int) -> Any:
+        sec, nanosec = divmod(t_ns, 10**9)
+        return self._types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
+
+    def _filled(self, kind: str, payload: Message, **given: Any) -> Any:
+        """Return a message of `resonator_msgs`, whose fields have the names of the payload's keys."""
+        if kind not in self._converters:
+            fields = self.store.fielddefs[kind][1]
+            self._converters[kind] = tuple((name, _converter(field)) for name, field in fields if name not in given)
+        values = {name: convert(getattr(payload, name)) for name, convert in self._converters[kind]}
+        return self._types[kind](**values, **given)
+
+    def _contacts(self, message: Contacts, frames: list[str]) -> Any:
+        contacts = [
+            self._filled(CONTACT, one, frame_id=frame) for one, frame in zip(message.contacts, frames, strict=True)
+        ]
+        return self._filled(CONTACTS, message, header=self._header(message.t_ns), contacts=contacts)
+
+    def _event(self, message: ContactEvent) -> Any:
+        contact, number = message.contact, self._numbers.get(message.contact.id)
+        frame = "" if number is None else f"{self.frame_id}_contact_{number}"
+        return self._filled(
+            EVENT,
+            message,
+            header=self._header(message.t_ns),
+            contact=self._filled(CONTACT, contact, frame_id=frame),
+            peak_newton=contact.peak_newton,
+            since=self._time(contact.since_t_ns),
+            duration_s=contact.duration_s,
+        )
+
+    def _forces(self, message: Forces) -> Any:
+        sites = [self._filled(SITE_FORCE, force) for force in message.sites]
+        return self._filled(FORCES, message, header=self._header(message.t_ns), sites=sites)
+
+    def _summary(self, message: DecodedSummary) -> Any:
+        patches = [self._filled(PATCH, patch) for patch in message.patches]
+        return self._filled(SUMMARY, message, header=self._header(message.t_ns), patches=patches)
+
+    def _sum(self, message: Contacts) -> Any:
+        """Return the sum of all contacts about the origin; NaN where that of one is not known."""
+        total = sum((_about_origin(contact) for contact in message.contacts), np.zeros((2, 3)))
+        return self._wrench(self._header(message.t_ns), total)
+
+    def _wrench_at(self, t_ns: int, contact: Contact, frame: str) -> Any:
+        """Return the wrench of a contact about its own position."""
+        force, moment = _about_origin(contact)
+        moment = moment - np.cross([*contact.position_m, 0.0], force)
+        return self._wrench(self._header(t_ns, frame), (force, moment))
+
+    def _wrench(self, header: Any, parts: Iterable[NDArray[np.float64]]) -> Any:
+        make = self._types["geometry_msgs/msg/Vector3"]
+        force, torque = (make(*part.tolist()) for part in parts)
+        return self._types[WRENCH](
+            header=header, wrench=self._types["geometry_msgs/msg/Wrench"](force=force, torque=torque)
+        )
+
+    def _transforms(self, message: Contacts, frames: list[str]) -> Any:
+        types, header = self._types, self._header(message.t_ns)
+        rotation = types["geometry_msgs/msg/Quaternion"](**_NO_ROTATION)
+        return types[TRANSFORMS](
+            transforms=[
+                types["geometry_msgs/msg/TransformStamped"](
+                    header=header,
+                    child_frame_id=frame,
+                    transform=types["geometry_msgs/msg/Transform"](
+                        translation=types["geometry_msgs/msg/Vector3"](*contact.position_m, 0.0), rotation=rotation
+                    ),
+                )
+                for contact, frame in zip(message.contacts, frames, strict=True)
+            ]
+        )
+
+    def _cloud(self, message: Any) -> Any:
+        points = cast(Points, self._clouds.points(message))  # kinds of the table have one
+        make = self._types["sensor_msgs/msg/PointField"]
+        return self._types[CLOUD](
+            header=self._header(message.t_ns),
+            height=1,
+            width=len(points),
+            fields=[make(count=1, **field) for field in cloud_fields(points, _DATATYPES, "datatype")],
+            is_bigendian=False,
+            point_step=points.dtype.itemsize,
+            row_step=points.nbytes,
+            data=np.frombuffer(points.tobytes(), np.uint8),
+            is_dense=not any(np.isnan(points[name]).any() for name in points.dtype.names or ()),
+        )
+
+
+def _about_origin(contact: Contact) -> NDArray[np.float64]:
+    """Return force and moment about the plate's origin, (2, 3); of a force site those of its normal force."""
+    if contact.moment_newton_m is not None:
+        return np.array([contact.force_newton, contact.moment_newton_m], float)
+    (x, y), normal_newton = contact.position_m, contact.force_newton[2]
+    return np.array([(0.0, 0.0, normal_newton), (y * normal_newton, -x * normal_newton, 0.0)])
+
+
+def _converter(field: Any) -> Callable[[Any], Any]:
+    """Return what makes a value of a field; where there is none NaN, an empty text, or 0."""
+    node, what = field
+    if node is Nodetype.ARRAY:
+        count = what[1]
+        return lambda value: np.full(count, np.nan) if value is None else np.array(value, float)
+    if what[0] == "string":
+        return lambda value: "" if value is None else str(value)
+    if what[0] == "float64":
+        return lambda value: np.nan if value is None else value
+    return lambda value: value or 0
