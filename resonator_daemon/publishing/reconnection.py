@@ -49,6 +49,7 @@ async def keep_connected(
     closing: asyncio.Future[None],
     *,
     report: Report = _log_line,
+    on_failure: Callable[[Exception], None] = lambda _: None,
     times: ConnectionTimes | None = None,
 ) -> None:
     """Run one session after the other until `closing` is done.
@@ -62,6 +63,8 @@ async def keep_connected(
     closing
     report
         Called with level and text of a log line when the connection changes, once per change.
+    on_failure
+        Called with the error of each attempt that fails, and of each connection that is lost.
     times
     """
     loop = asyncio.get_running_loop()
@@ -94,6 +97,7 @@ async def keep_connected(
             await session(Attempt(version, attempts == 1, accepted))
         except (BrokerError, OSError) as caught:
             error = connection_errors.of_answer(caught, broker)
+            on_failure(error)
             refused = isinstance(error, connection_errors.RefusalError)
             if refused:
                 longest_pause_s = times.refused_pause_s

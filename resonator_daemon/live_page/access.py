@@ -1,0 +1,123 @@
+"""Who may open the live page: checks of host, origin and token of each request, and headers of each answer."""
+
+import hmac
+import json
+import secrets
+from collections import OrderedDict
+from collections.abc import Awaitable, Callable
+from ipaddress import ip_address
+from typing import Final
+from urllib.parse import urlsplit
+
+from aiohttp import hdrs, web
+
+from resonator_daemon.config.mqtt import is_this_computer
+
+COOKIE: Final = "resonatord_view"
+LOGIN: Final = "/login"
+TOKEN_CHARACTERS_MIN: Final = 16
+
+_SESSIONS_MAX: Final = 1000
+_HEADERS: Final = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
+    "connect-src 'self'; worker-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'self'; "
+    "frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-cache",
+}
+_FORM: Final = """<!doctype html><html lang="en"><meta charset="utf-8">
+<meta name="viewport" content="width=device-width">
+<title>resonatord</title><h1>resonatord</h1><p>{}</p>
+<form method="post" action="/login"><label>Token <input name="token" type="password" autocomplete="current-password"
+required autofocus></label> <button>Open</button></form></html>"""
+
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+class Access:
+    """Rules for the requests of one server.
+
+    Parameters
+    ----------
+    host
+        The address that the server listens on.
+    token
+        That browsers have to send once, and programs as `Authorization: Bearer`; None: everybody may open the page who
+        reaches it.
+    tls
+        Whether cookies are sent over TLS only.
+    """
+
+    def __init__(self, host: str, token: str | None, *, tls: bool) -> None:
+        self._loopback = is_this_computer(host)
+        self._token = None if token is None else token.encode()
+        self._tls = tls
+        self._sessions: OrderedDict[str, None] = OrderedDict()
+
+    def protect(self, app: web.Application) -> None:
+        """Apply the rules to all routes, and add the one that takes the token."""
+
+        @web.middleware
+        async def check(request: web.Request, handler: Handler) -> web.StreamResponse:
+            return self._refusal(request) or await handler(request)
+
+        async def add_headers(_request: web.Request, response: web.StreamResponse) -> None:
+            response.headers.update(_HEADERS)
+
+        app.middlewares.append(check)
+        app.on_response_prepare.append(add_headers)
+        if self._token is not None:
+            app.router.add_post(LOGIN, self._log_in)
+
+    def _refusal(self, request: web.Request) -> web.Response | None:
+        """Return the answer to a request that is not allowed, None if it is."""
+        if self._loopback and not _names_this_computer(request.host):
+            # A page of another site whose name leads here: DNS rebinding.
+            return _refused(403, "wrong_host", "open this page by the address that `resonatord view` printed")
+        origin = request.headers.get(hdrs.ORIGIN)
+        if origin is not None and urlsplit(origin).netloc.lower() != request.host.lower():
+            return _refused(403, "wrong_origin", "another site's page may not use this server")
+        if self._token is None or request.path == LOGIN or self._knows(request):
+            return None
+        if "text/html" in request.headers.get(hdrs.ACCEPT, ""):
+            return _form(401, "This page needs the token of the person who runs it.")
+        return _refused(401, "no_token", "send the token as `Authorization: Bearer TOKEN`")
+
+    def _knows(self, request: web.Request) -> bool:
+        kind, _, token = request.headers.get(hdrs.AUTHORIZATION, "").partition(" ")
+        return request.cookies.get(COOKIE) in self._sessions or (kind == "Bearer" and self._is_token(token))
+
+    def _is_token(self, token: str) -> bool:
+        return self._token is not None and hmac.compare_digest(token.strip().encode(), self._token)
+
+    async def _log_in(self, request: web.Request) -> web.StreamResponse:
+        token = (await request.post()).get("token")
+        if not isinstance(token, str) or not self._is_token(token):
+            return _form(401, "This is not the token. Try again.")
+        session = secrets.token_urlsafe(32)
+        self._sessions[session] = None
+        if len(self._sessions) > _SESSIONS_MAX:
+            self._sessions.popitem(last=False)
+        response = web.Response(status=303, headers={hdrs.LOCATION: "/"})
+        response.set_cookie(COOKIE, session, httponly=True, samesite="Strict", secure=self._tls)
+        return response
+
+
+def _names_this_computer(host: str) -> bool:
+    name = urlsplit(f"//{host}").hostname or ""
+    try:
+        return ip_address(name).is_loopback
+    except ValueError:
+        return name == "localhost"
+
+
+def _refused(status: int, code: str, message: str) -> web.Response:
+    body = json.dumps({"error": {"code": code, "message": message}})
+    return web.Response(status=status, text=body, content_type="application/json")
+
+
+def _form(status: int, sentence: str) -> web.Response:
+    return web.Response(status=status, text=_FORM.format(sentence), content_type="text/html")

@@ -1,0 +1,126 @@
+"""Relay of what plates publish: payloads as they come from the broker, streams only of plates that somebody watches."""
+
+import asyncio
+import logging
+from collections.abc import Callable, Collection
+from typing import Any, Final
+
+from paho.mqtt.enums import MQTTProtocolVersion
+
+from resonator_daemon.config import Mqtt
+from resonator_daemon.publishing.broker_connection import BrokerConnection
+from resonator_daemon.publishing.connection_errors import RefusalError
+from resonator_daemon.publishing.mqtt_messages import Incoming
+from resonator_daemon.publishing.reconnection import connection_session, keep_connected
+from resonator_daemon.publishing.subscriber import EVERY_PLATE, topic_filters
+from resonator_daemon.publishing.topics import TOPICS, full_topic, split_topic
+
+CONNECTING, CONNECTED, DENIED = "connecting", "connected", "denied"
+NO_BROKER, REFUSED, LOST = "no_broker", "broker_refuses", "connection_lost"
+STREAMS: Final = frozenset(path for path, topic in TOPICS.items() if topic.qos == 0)
+
+log = logging.getLogger(__name__)
+
+OnMessage = Callable[[str, str, bytes], None]
+OnStatus = Callable[[dict[str, Any]], None]
+
+
+class BrokerRelay:
+    """Subscriber that decodes nothing, across restarts of the broker, as long as `run` lasts.
+
+    States, info and events have a connection of their own, so that a broker never drops them behind streams.
+
+    Parameters
+    ----------
+    broker
+        Where to subscribe.
+    on_message
+        Called with plate, path below it and payload of each message; the payload is empty where a retained topic was
+        cleared.
+    on_status
+        Called with the object `broker` of the page when the connection changes.
+    """
+
+    def __init__(self, broker: Mqtt, on_message: OnMessage, on_status: OnStatus) -> None:
+        self._broker = broker
+        self._on_message = on_message
+        self._on_status = on_status
+        self._watched: frozenset[tuple[str, str]] = frozenset()  # plate and path
+        self._streams: BrokerConnection | None = None  # while connected
+        self._connected = False
+        self._closing: asyncio.Future[None] | None = None
+
+    async def run(self) -> None:
+        """Relay until `close`."""
+        self._closing = closing = asyncio.get_running_loop().create_future()
+        await asyncio.gather(
+            keep_connected(
+                self._broker,
+                connection_session(self._make_connection, self._serve_states, closing),
+                closing,
+                on_failure=self._failed,
+            ),
+            keep_connected(
+                self._broker,
+                connection_session(self._make_connection, self._serve_streams, closing),
+                closing,
+                report=lambda _level, text: log.debug("streams: %s", text),
+            ),
+        )
+
+    def close(self) -> None:
+        """End `run`."""
+        if self._closing is not None and not self._closing.done():
+            self._closing.set_result(None)
+
+    def watch(self, topics: Collection[tuple[str, str]]) -> None:
+        """Receive streams of these plates and paths, and no others."""
+        watched = frozenset(topics)
+        before, self._watched = self._watched, watched
+        if self._streams is not None and self._streams.connected:
+            if gone := before - watched:
+                self._streams.unsubscribe([self._full(*topic) for topic in sorted(gone)])
+            for topic in sorted(watched - before):
+                self._streams.subscribe(self._full(*topic), qos=0)
+
+    def _full(self, plate: str, path: str) -> str:
+        return full_topic(self._broker.prefix, plate, path)
+
+    def _make_connection(self, version: MQTTProtocolVersion) -> BrokerConnection:
+        return BrokerConnection(self._broker, version, on_message=self._receive, on_denied=self._denied)
+
+    async def _serve_states(self, connection: BrokerConnection, _at_once: bool) -> None:
+        topics = [topic for topic in TOPICS.values() if topic.qos]
+        filters = topic_filters(self._broker.prefix, topics, plate=EVERY_PLATE, full_rate=True)
+        for topic_filter, qos in filters.items():
+            connection.subscribe(topic_filter, qos)
+        self._connected = True
+        self._set_status(True, CONNECTED, "")
+        await asyncio.wait([connection.lost])
+
+    async def _serve_streams(self, connection: BrokerConnection, _at_once: bool) -> None:
+        self._streams = connection
+        try:
+            for topic in sorted(self._watched):
+                connection.subscribe(self._full(*topic), qos=0)
+            await asyncio.wait([connection.lost])
+        finally:
+            self._streams = None
+
+    def _receive(self, message: Incoming) -> None:
+        plate, path = split_topic(self._broker.prefix, message.topic)
+        if path in STREAMS and (plate, path) not in self._watched:  # of a subscription that has just ended
+            return
+        if path in TOPICS:  # amqtt delivers retained messages of other topics, too
+            self._on_message(plate, path, message.payload)
+
+    def _failed(self, error: Exception) -> None:
+        was_connected, self._connected = self._connected, False
+        code = REFUSED if isinstance(error, RefusalError) else LOST if was_connected else NO_BROKER
+        self._set_status(False, code, str(error))
+
+    def _denied(self, topic_filter: str, reason: str) -> None:
+        self._set_status(True, DENIED, f"the broker denies {topic_filter}: {reason}; see its access rules")
+
+    def _set_status(self, connected: bool, code: str, reason: str) -> None:
+        self._on_status({"connected": connected, "reason_code": code, "reason": reason})

@@ -1,0 +1,130 @@
+"""Requests of the page: one JSON object a message, checked; what cannot be read is refused with a code."""
+
+import json
+from typing import Annotated, Any, Final, Literal, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from resonator_daemon.live_page.broker_relay import STREAMS
+
+Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+Source = Literal["live", "a", "b"]
+PlateName = Annotated[str, Field(min_length=1, max_length=200, strict=True)]
+
+
+class RefusedRequest(Exception):  # noqa: N818  # an answer to the page, no error of the server
+    """A request that changes nothing: `code` for programs, the message for people."""
+
+    def __init__(self, code: str, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class Content(BaseModel):
+    """The value of a request's key."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Watch(Content):
+    """Send streams of this plate, instead of those of the one before."""
+
+    source: Source = "live"
+    plate: PlateName
+    topics: frozenset[str] = STREAMS
+
+
+class Command(Content):
+    """Send a command to the daemon of a plate."""
+
+    plate: PlateName
+    verb: str
+    arguments: dict[str, Any] = {}
+
+
+class Press(Content):
+    """Press an emulated plate; keys but these are the control socket's."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    plate: PlateName
+    name: str
+
+
+class Release(Content):
+    """End a touch of an emulated plate."""
+
+    plate: PlateName
+    name: str
+
+
+class Play(Content):
+    """Play a recording, or pause it."""
+
+    source: Source
+    playing: bool
+    speed: Annotated[Finite, Field(ge=0.05, le=20.0)] | None = None
+
+
+class Seek(Content):
+    """Go on at another time of a recording, in seconds from its beginning."""
+
+    source: Source
+    t_s: Finite
+
+
+KINDS: Final[dict[str, type[Content]]] = {
+    "watch": Watch,
+    "command": Command,
+    "press": Press,
+    "release": Release,
+    "play": Play,
+    "seek": Seek,
+}
+
+
+class Request(NamedTuple):
+    """A request, and the number that its answer carries; None: it is answered only if it is refused."""
+
+    number: int | str | None
+    content: Content
+
+
+def read_number(text: str) -> int | str | None:
+    """Return the `id` of a request that may be malformed."""
+    try:
+        number = json.loads(text).get("id")
+    except (ValueError, RecursionError, AttributeError):
+        return None
+    return number if isinstance(number, int | str) else None
+
+
+def read_request(text: str) -> Request:
+    """Read a request.
+
+    Raises
+    ------
+    RefusedRequest
+        It is malformed.
+    """
+    try:
+        whole = json.loads(text)
+    except (ValueError, RecursionError):
+        raise RefusedRequest("not_json", "a request is a text message with a JSON object") from None
+    found = [key for key in whole if key != "id"] if isinstance(whole, dict) else []
+    if len(found) != 1 or found[0] not in KINDS:
+        raise RefusedRequest("no_verb", f"a request has `id` and one of {', '.join(KINDS)}")
+    try:
+        content = KINDS[found[0]].model_validate(whole[found[0]])
+    except ValidationError as error:
+        raise _refused(error) from None
+    if isinstance(content, Watch) and (unknown := content.topics - STREAMS):
+        raise RefusedRequest("bad_value", f"topics: {sorted(unknown)[0]!r}; must be of {', '.join(sorted(STREAMS))}")
+    return Request(read_number(text), content)
+
+
+def _refused(error: ValidationError) -> RefusedRequest:
+    first = error.errors(include_url=False)[0]
+    key = ".".join(map(str, first["loc"]))
+    codes = {"extra_forbidden": "unknown_key", "missing": "missing_key", "finite_number": "not_finite"}
+    return RefusedRequest(codes.get(first["type"], "bad_value"), f"{key}: {first['msg']}")
