@@ -1,0 +1,187 @@
+// Contacts as numbers: force, position, moments, slip margin, beside the ground truth; events; force over a minute.
+
+import { UNKNOWN, clockTime, fixed, make, metres, plusMinus, setRows, setText, words } from "./text.js";
+import { onTheme, theme } from "./colours.js";
+
+const CARDS = 6;
+const INCIPIENT = 0.3; // of the slip margin: the daemon then publishes incipient_slip
+const EVENT_NAMES = {
+  onset: "touched",
+  release: "released",
+  incipient_slip: "begins to slip",
+  gross_slip: "slips",
+};
+
+export class ContactsPanel {
+  constructor(root) {
+    this.root = root;
+    this.cards = root.querySelector(".cards");
+    this.more = root.querySelector(".more");
+    this.template = root.querySelector("template");
+    this.events = root.querySelector(".events");
+    this.chartRoot = root.querySelector(".chart");
+    this.eventVersion = -1;
+    this.history = null;
+    this.historyVersion = -1;
+    onTheme(() => this.#makeChart());
+    new ResizeObserver(() => this.chart?.setSize(this.#size())).observe(this.chartRoot);
+  }
+
+  describe(model) {
+    const message = model.newest("contacts");
+    const contacts = message?.contacts ?? [];
+    const truths = [...(model.truthAt(message?.time ?? Infinity)?.contacts ?? [])];
+    while (this.cards.children.length > Math.min(CARDS, contacts.length)) this.cards.lastChild.remove();
+    contacts.slice(0, CARDS).forEach((contact, index) => {
+      const card = this.cards.children[index] ?? this.cards.appendChild(this.template.content.firstElementChild.cloneNode(true));
+      this.#fill(card, contact, takeNearest(truths, contact.position));
+    });
+    const idle = message ? "Nothing touches the plate." : "No contacts were published yet.";
+    setText(this.more, contacts.length > CARDS ? `and ${contacts.length - CARDS} more` : contacts.length ? "" : idle);
+    this.#describeEvents(model);
+    this.#drawChart(model);
+  }
+
+  #fill(card, contact, truth) {
+    const { force, noise, systematic, position, covariance, moment, momentStd } = contact;
+    const hasShear = Number.isFinite(force[0]) && Number.isFinite(force[1]);
+    const std = Math.hypot(noise[2], systematic || 0);
+    const normal = Number.isFinite(contact.atLeast) ? `> ${fixed(contact.atLeast, 1)} N` : plusMinus(force[2], std, "N");
+    setText(card.querySelector("h4"), `Contact ${contact.id ?? UNKNOWN}, site ${contact.site ?? UNKNOWN}`);
+    setText(card.querySelector(".status"), contact.status === "ok" ? "" : words(contact.status) + (contact.reasonCode ? `: ${words(contact.reasonCode)}` : ""));
+    setText(card.querySelector(".normal"), normal);
+    const difference = truth ? force[2] - truth.force[2] : NaN;
+    setText(card.querySelector(".true"), truth ? `true ${fixed(truth.force[2], 3)} N, off by ${fixed(1e3 * difference, 0)} mN` : "");
+    drawVector(card.querySelector("svg"), force, truth);
+    const rows = [];
+    if (hasShear) {
+      rows.push(["Force x", plusMinus(force[0], noise[0], "N")], ["Force y", plusMinus(force[1], noise[1], "N")]);
+      if (truth) rows.push(["true x, y", `${fixed(truth.force[0], 3)}, ${fixed(truth.force[1], 3)} N`, "truth"]);
+    }
+    rows.push(["Position", `${fixed(1e3 * position[0], 2)}, ${fixed(1e3 * position[1], 2)} mm ± ${metres(Math.sqrt(Math.max(covariance[0], covariance[2])))}`]);
+    if (truth) rows.push(["true position", `${fixed(1e3 * truth.position[0], 2)}, ${fixed(1e3 * truth.position[1], 2)} mm`, "truth"]);
+    if (moment) {
+      rows.push(["Moment x, y, z", `${moment.map((value) => fixed(1e3 * value, 3)).join(", ")} mN m`]);
+      rows.push(["± moment", `${momentStd.map((value) => fixed(1e3 * value, 3)).join(", ")} mN m`]);
+    }
+    if (contact.hasSlip) rows.push(["Friction coefficient", plusMinus(contact.friction, contact.frictionStd, "")]);
+    setRows(card.querySelector("dl"), rows);
+    this.#fillGauge(card.querySelector(".gauge"), contact);
+  }
+
+  #fillGauge(gauge, { hasSlip, slipMargin, slipMarginStd, slipReason }) {
+    gauge.hidden = !hasSlip;
+    if (!hasSlip) return;
+    const known = Number.isFinite(slipMargin);
+    const bar = gauge.querySelector(".bar");
+    const shown = Math.max(0, Math.min(1, known ? slipMargin : 0));
+    bar.firstElementChild.style.width = `${100 * shown}%`;
+    const word = !known ? `not known${slipReason ? `: ${words(slipReason)}` : ""}` : slipMargin <= 0 ? "slips" : slipMargin < INCIPIENT ? "begins to slip" : "holds";
+    gauge.dataset.kind = !known ? "off" : slipMargin < INCIPIENT ? "bad" : "good";
+    setText(gauge.querySelector("output"), known ? `${plusMinus(slipMargin, slipMarginStd, "")}, ${word}` : word);
+    if (known) bar.setAttribute("aria-valuenow", shown.toFixed(2));
+    else bar.removeAttribute("aria-valuenow");
+    bar.setAttribute("aria-valuetext", known ? `${fixed(slipMargin, 2)}, ${word}` : word);
+  }
+
+  #describeEvents(model) {
+    if (this.eventVersion === model.eventVersion && this.model === model) return;
+    this.eventVersion = model.eventVersion;
+    this.model = model;
+    const items = model.events.slice(0, 12).map((event) => {
+      const item = make("li");
+      const { id, site, peak, duration } = event.contact;
+      const end = event.event === "release" ? `, peak ${fixed(peak, 2)} N, ${fixed(duration, 1)} s` : "";
+      const reason = event.event === "release" && event.reason ? ` (${event.reason})` : "";
+      item.append(make("time", "", clockTime(event.time)), " ", make("b", event.event, `Contact ${id ?? UNKNOWN} ${EVENT_NAMES[event.event] ?? words(event.event)}`));
+      item.append(`, site ${site ?? UNKNOWN}${end}${reason}`);
+      return item;
+    });
+    this.events.replaceChildren(...(items.length ? items : [make("li", "", "No events yet.")]));
+  }
+
+  #size() {
+    return { width: Math.max(120, this.chartRoot.clientWidth), height: 170 };
+  }
+
+  #makeChart() {
+    this.chart?.destroy();
+    const axis = { stroke: theme.muted, grid: { stroke: theme.line, width: 1 }, ticks: { stroke: theme.line, width: 1 }, font: "12px system-ui" };
+    const line = (label, stroke, more = {}) => ({ label, stroke, width: 2, points: { show: false }, ...more });
+    this.chart = new uPlot(
+      {
+        ...this.#size(),
+        cursor: { drag: { x: false, y: false } },
+        legend: { show: false },
+        scales: { x: { time: false, range: [-60, 0] }, y: { range: (_, low, high) => [Math.min(0, low ?? 0), Math.max(0.1, 1.1 * (high ?? 0))] } },
+        axes: [
+          { ...axis, values: (_, ticks) => ticks.map((tick) => (tick ? `${tick} s` : "now")) },
+          { ...axis, size: 50, values: (_, ticks) => ticks.map((tick) => `${tick} N`) },
+        ],
+        series: [
+          {},
+          line("", "transparent"),
+          line("", "transparent"),
+          line("true", theme.truth, { dash: [3, 4] }),
+          line("tangential", theme.warn, { dash: [9, 4] }),
+          line("normal", theme.accent),
+        ],
+        bands: [{ series: [1, 2], fill: `color-mix(in srgb, ${theme.accent} 25%, transparent)` }],
+      },
+      this.#data([]),
+      this.chartRoot,
+    );
+  }
+
+  #data(rows) {
+    return [0, 1, 2, 3, 4, 5].map((index) => rows[index] ?? []);
+  }
+
+  #drawChart(model) {
+    const { history } = model;
+    if (!this.chart) this.#makeChart();
+    if (history === this.history && history.version === this.historyVersion) return;
+    this.history = history;
+    this.historyVersion = history.version;
+    const { length } = history;
+    const last = history.rows[0][length - 1];
+    const [times, normal, std, shear, truth] = history.rows.map((row) => row.subarray(0, length));
+    this.columns ??= Array.from({ length: 6 }, () => new Array());
+    const [ages, high, low, applied, tangential, force] = this.columns;
+    for (const column of this.columns) column.length = length;
+    for (let at = 0; at < length; at++) {
+      const isKnown = normal[at] === normal[at];
+      ages[at] = times[at] - last;
+      high[at] = isKnown ? normal[at] + std[at] : null;
+      low[at] = isKnown ? normal[at] - std[at] : null;
+      applied[at] = truth[at] === truth[at] ? truth[at] : null;
+      tangential[at] = shear[at] === shear[at] ? shear[at] : null;
+      force[at] = isKnown ? normal[at] : null;
+    }
+    this.chart.setData(this.columns);
+    setText(this.root.querySelector(".chart-summary"), length ? `normal force now ${fixed(normal[length - 1], 2)} N` : "");
+  }
+}
+
+/** Remove and return the true touch nearest to a position; null where there is none. */
+function takeNearest(truths, position) {
+  let best = -1;
+  let least = Infinity;
+  truths.forEach((truth, index) => {
+    const away = Math.hypot(truth.position[0] - position[0], truth.position[1] - position[1]);
+    if (away < least) (least = away), (best = index);
+  });
+  return best < 0 ? null : truths.splice(best, 1)[0];
+}
+
+/** The force vector seen from the touched side (arrow) and from the side (bar), as lines of an SVG. */
+function drawVector(svg, force, truth) {
+  const scale = 20 / Math.max(0.2, Math.hypot(force[0] || 0, force[1] || 0), Math.hypot(truth?.force[0] || 0, truth?.force[1] || 0));
+  for (const [name, vector] of [["estimate", force], ["applied", truth?.force ?? [NaN, NaN]]]) {
+    const line = svg.querySelector(`.${name}`);
+    const isKnown = Number.isFinite(vector[0]) && Number.isFinite(vector[1]);
+    line.setAttribute("x2", isKnown ? 24 + scale * vector[0] : 24);
+    line.setAttribute("y2", isKnown ? 24 + scale * vector[1] : 24);
+  }
+  svg.toggleAttribute("hidden", !Number.isFinite(force[0]));
+}

@@ -1,0 +1,145 @@
+// Starts the page: one connection, the plates that publish, a view for each source, and the drawing loop.
+
+import { startTheme } from "./colours.js";
+import { Connection } from "./connection.js";
+import { readTruth } from "./payloads.js";
+import { PlateModel } from "./plate_model.js";
+import { make, setText } from "./text.js";
+import { View } from "./view.js";
+
+const TEXT_PERIOD_MS = 125;
+const LIVE = { source: "live", url: "" };
+
+class App {
+  constructor() {
+    this.models = new Map();
+    this.views = [];
+    this.hello = { sources: [], commands: [], press: [] };
+    this.page = { clients: 1, skipped: 0 };
+    this.broker = { connected: true };
+    this.link = { state: "connecting", retryMs: 0 };
+    this.draws = 0;
+    const address = new URL("ws", location.href);
+    address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+    address.hash = "";
+    this.connection = new Connection(address.href, {
+      payload: (source, plate, path, bytes) => this.model(source, plate).receive(path, bytes, performance.now()),
+      message: (key, content) => this.#receive(key, content),
+      state: (state, retryMs) => this.#setLink(state, retryMs),
+    });
+    document.addEventListener("visibilitychange", () => this.views.forEach((view) => view.watch()));
+    requestAnimationFrame((now) => this.#frame(now));
+  }
+
+  get isOpen() {
+    return this.link.state === "open";
+  }
+
+  model(source, plate) {
+    const key = `${source}/${plate}`;
+    if (!this.models.has(key)) this.models.set(key, new PlateModel(source, plate));
+    return this.models.get(key);
+  }
+
+  /** Names of a source's plates that publish anything, sorted. */
+  plates(source) {
+    const found = [...this.models.values()].filter((model) => model.source === source && (model.info || model.states.daemon || model.arrived > -Infinity));
+    return found.map(({ name }) => name).sort();
+  }
+
+  /** The plate to begin with: of the address, else one that can be pressed and has a map, else the first. */
+  preferred(names) {
+    const wanted = decodeURIComponent(location.hash.slice(1));
+    const skin = names.find((name) => this.hello.press.includes(name) && this.model("live", name).isSkin);
+    return names.includes(wanted) ? wanted : (skin ?? names.find((name) => this.hello.press.includes(name)) ?? names[0]);
+  }
+
+  announce(text) {
+    setText(document.querySelector("#announcements"), text);
+  }
+
+  #setLink(state, retryMs) {
+    this.link = { state, retryMs };
+    if (state === "open") this.views.forEach((view) => view.watch());
+    if (state === "closed") this.views.forEach((view) => view.presser.releaseAll());
+  }
+
+  #receive(key, content) {
+    if (key === "hello") this.#setHello(content);
+    else if (key === "broker") this.broker = content;
+    else if (key === "clients") this.page = { clients: content.count ?? 1, skipped: content.skipped ?? 0 };
+    else if (key === "truth") {
+      const truth = readTruth(content);
+      if (truth.plate) this.model("live", truth.plate).addTruth(truth);
+    } else if (key === "position") {
+      this.views.find(({ source }) => source.source === content.source)?.recording?.setPosition(content);
+    }
+  }
+
+  #setHello({ sources, commands, press }) {
+    const known = (Array.isArray(sources) ? sources : []).filter((source) => typeof source?.source === "string");
+    const list = (value) => (Array.isArray(value) ? value : []);
+    this.hello = { sources: known.length ? known : [LIVE], commands: list(commands), press: list(press) };
+    const key = JSON.stringify(this.hello.sources);
+    if (key !== this.sourceKey) {
+      this.sourceKey = key;
+      const recordings = this.hello.sources.filter(({ source }) => source !== "live");
+      this.#show(recordings.length ? recordings : this.hello.sources);
+    }
+    this.views.forEach((view) => view.watch());
+  }
+
+  /** Show these sources side by side, with buttons for all of them. */
+  #show(shown) {
+    this.views.forEach((view) => view.remove());
+    this.views = shown.map((source) => new View(source, this));
+    const panels = this.views.map(({ recording }) => recording).filter(Boolean);
+    for (const panel of panels) {
+      panel.partners = panels.filter((other) => other !== panel);
+      panel.root.querySelector(".together-label").hidden = panels.length < 2;
+    }
+    document.body.dataset.views = this.views.length;
+    const nav = document.querySelector("#sources");
+    nav.hidden = this.hello.sources.length < 2;
+    nav.replaceChildren(
+      ...this.hello.sources.map((source) => {
+        const button = make("button", "", source.source === "live" ? "Live" : (source.file ?? source.source));
+        const isShown = shown.includes(source);
+        button.type = "button";
+        button.setAttribute("aria-pressed", isShown);
+        button.addEventListener("click", () => {
+          const next = this.hello.sources.filter((other) => shown.includes(other) !== (other === source));
+          if (next.length) this.#show(next);
+        });
+        return button;
+      }),
+    );
+  }
+
+  #frame(nowMs) {
+    requestAnimationFrame((now) => this.#frame(now));
+    for (const view of this.views) this.draws += view.draw(nowMs);
+    if (nowMs - (this.describedMs ?? 0) < TEXT_PERIOD_MS) return;
+    this.describedMs = nowMs;
+    this.#describe();
+    for (const view of this.views) view.describe(nowMs, Date.now());
+  }
+
+  #describe() {
+    const notice = document.querySelector("#notice");
+    let text = "";
+    if (this.link.state === "closed") text = "No connection to the page's server; trying again. The last values are shown.";
+    else if (this.link.state === "connecting") text = "Connecting…";
+    else if (this.broker.connected === false && this.views.some(({ isLive }) => isLive)) {
+      text = `No connection to the MQTT broker: ${this.broker.reason || this.broker.reason_code || "no reason given"}`;
+    }
+    setText(notice, text);
+    notice.hidden = !text;
+    document.body.dataset.link = this.link.state;
+    const live = this.hello.sources.find(({ source }) => source === "live");
+    setText(document.querySelector("#address"), live?.url ?? "");
+  }
+}
+
+startTheme();
+window.resonatord = new App();

@@ -1,0 +1,113 @@
+// A recording's position, speed and marks; and commands to the daemon of a live plate.
+
+import { UNKNOWN, fixed, make, setText } from "./text.js";
+
+export class RecordingPanel {
+  #isDragging = false;
+
+  constructor(root, source, connection, onSeek) {
+    this.root = root;
+    this.source = source;
+    this.connection = connection;
+    this.position = { t_s: 0, playing: false, speed: 1 };
+    this.bar = root.querySelector("input[type=range]");
+    this.button = root.querySelector(".play");
+    this.speed = root.querySelector("select");
+    this.together = root.querySelector(".together");
+    this.partners = [];
+    setText(root.querySelector("h3"), `Recording ${source.source.toUpperCase()}: ${source.file ?? UNKNOWN}`);
+    this.bar.max = source.duration_s > 0 ? source.duration_s : 1;
+    this.bar.step = 0.01;
+    this.button.addEventListener("click", () => this.#play(!this.position.playing));
+    this.speed.addEventListener("change", () => this.#play(this.position.playing));
+    this.bar.addEventListener("input", () => {
+      this.#isDragging = true;
+      this.#seek(Number(this.bar.value));
+    });
+    this.bar.addEventListener("change", () => (this.#isDragging = false));
+    this.onSeek = onSeek;
+    const marks = Array.isArray(source.marks) ? source.marks : [];
+    root.querySelector(".marks").replaceChildren(
+      ...marks.map(({ t_s, label }) => {
+        const button = make("button", "", `${fixed(t_s, 1)} s ${label ?? ""}`);
+        button.type = "button";
+        button.addEventListener("click", () => this.#seek(t_s));
+        return button;
+      }),
+    );
+    this.#show();
+  }
+
+  #group() {
+    return [this, ...(this.together.checked ? this.partners : [])];
+  }
+
+  #play(isPlaying) {
+    const speed = Number(this.speed.value);
+    for (const { source } of this.#group()) this.connection.send({ play: { source: source.source, playing: isPlaying, speed } });
+  }
+
+  #seek(t_s) {
+    for (const panel of this.#group()) {
+      panel.onSeek();
+      this.connection.send({ seek: { source: panel.source.source, t_s: Math.min(t_s, panel.source.duration_s ?? t_s) } });
+    }
+  }
+
+  setPosition(position) {
+    this.position = position;
+    this.#show();
+  }
+
+  #show() {
+    const { t_s, playing, speed, ended, truncated } = this.position;
+    if (!this.#isDragging && Number.isFinite(t_s)) this.bar.value = t_s;
+    const time = `${fixed(t_s, 1)} of ${fixed(this.source.duration_s, 1)} s`;
+    this.bar.setAttribute("aria-valuetext", time);
+    setText(this.root.querySelector(".time"), ended ? `${time}, ended` : time);
+    setText(this.button, playing ? "Pause" : "Play");
+    if (Number.isFinite(speed) && document.activeElement !== this.speed) this.speed.value = String(speed);
+    setText(this.root.querySelector(".truncated"), truncated ? `Incomplete: ${truncated}` : "");
+  }
+}
+
+const DONE = { tare: "Tared.", mark: "Mark written.", start_recording: "Recording started.", stop_recording: "Recording stopped." };
+
+export class CommandPanel {
+  constructor(root, connection, announce) {
+    this.root = root;
+    this.connection = connection;
+    this.announce = announce;
+    this.plate = null;
+    root.querySelector(".tare").addEventListener("click", () => this.#send("tare", {}));
+    root.querySelector(".record").addEventListener("click", () => this.#send(this.isRecording ? "stop_recording" : "start_recording", {}));
+    root.querySelector("form").addEventListener("submit", (event) => {
+      event.preventDefault();
+      const input = root.querySelector("input");
+      if (input.value.trim()) this.#send("mark", { text: input.value.trim() }).then((ok) => ok && (input.value = ""));
+    });
+  }
+
+  /** Enable the verbs that both the server and the daemon permit. */
+  describe(plate, permitted, model) {
+    this.plate = plate;
+    this.isRecording = Boolean(model?.health?.recording.file);
+    const can = (verb) => permitted.includes(verb) && (model?.info?.commands ?? []).includes(verb);
+    const record = this.isRecording ? "stop_recording" : "start_recording";
+    setText(this.root.querySelector(".record"), this.isRecording ? "Stop recording" : "Record");
+    for (const [selector, verb] of [[".tare", "tare"], [".record", record], [".mark", "mark"]]) {
+      const button = this.root.querySelector(selector);
+      if (button.disabled === can(verb)) button.disabled = !can(verb);
+    }
+    const hint = permitted.length ? "Buttons are disabled where the daemon's [commands] allow does not list them." : "Read-only. Start resonatord view with --allow-commands to send commands.";
+    setText(this.root.querySelector(".hint"), hint);
+  }
+
+  async #send(verb, args) {
+    const answer = await this.connection.request({ command: { plate: this.plate, verb, arguments: args } });
+    const text = answer.ok ? answer.message || DONE[verb] : `Refused: ${answer.error?.message ?? "no reason given"}`;
+    setText(this.root.querySelector("output"), text);
+    this.announce(text);
+    return answer.ok;
+  }
+}

@@ -1,0 +1,68 @@
+// What is the matter with a plate, from its retained states: eight situations, "well", and what is between.
+
+import { clockTime, duration, words } from "./text.js";
+
+// code: [title, icon, kind]; the icon is a symbol of index.html, the kind a colour.
+const SITUATIONS = {
+  well: ["Working", "well", "good"],
+  never_started: ["Never started", "never", "off"],
+  clean_stop: ["Stopped", "stop", "off"],
+  crash: ["Daemon ended without notice", "crash", "bad"],
+  broker_restarted: ["Working; connected to the broker again", "broker", "note"],
+  cable_out: ["No connection to the board", "cable", "bad"],
+  board_hung: ["The board sends nothing", "hung", "bad"],
+  board_rebooted: ["Working; the board restarted", "reboot", "note"],
+  sensor_drifting: ["The sensor drifts", "drift", "warn"],
+  other: ["Not ready", "other", "warn"],
+};
+
+function code({ daemon, link, sensor }) {
+  if (!daemon) return "never_started";
+  if (daemon.state === "offline") return daemon.reasonCode === "stopped" ? "clean_stop" : "crash";
+  if (daemon.state === "online") {
+    if (["lost", "waiting"].includes(link?.state)) return "cable_out";
+    if (link?.state === "stalled") return "board_hung";
+    if (link?.state === "online" && sensor?.state === "drifting") return "sensor_drifting";
+    if (link?.state === "online" && sensor?.state === "online") {
+      if (link.boots > 1) return "board_rebooted";
+      return daemon.connections > 1 ? "broker_restarted" : "well";
+    }
+  }
+  return "other";
+}
+
+function detail(found, { daemon, link, sensor }) {
+  const { outage } = link ?? {};
+  switch (found) {
+    case "well":
+      return sensor.reason && sensor.reason !== "measuring" ? sensor.reason : "Measures and publishes; nothing is wrong.";
+    case "never_started":
+      return "No daemon has published under this name. Start one: resonatord run.";
+    case "clean_stop":
+      return `${daemon.reason || "Ended in order"}, at ${clockTime(daemon.since)}. Start it again: resonatord run.`;
+    case "crash":
+      return "The connection to the broker broke: the daemon crashed, was killed, or its computer left the network.";
+    case "broker_restarted":
+      return `Connection ${daemon.connections} to the broker, since ${clockTime(daemon.connected)}. The broker or the network had failed.`;
+    case "cable_out":
+    case "board_hung":
+      return link.reason;
+    case "board_rebooted":
+      return `Boot ${link.boots}${outage ? `, since ${clockTime(outage.end)}: ${outage.reason}` : ""}.`;
+    case "sensor_drifting":
+      return sensor.reason;
+    default: {
+      const parts = Object.entries({ daemon, link, sensor }).filter(([, state]) => state?.state !== "online");
+      return parts.map(([part, state]) => `${part}: ${state ? state.reason || words(state.state) : "unknown"}`).join("; ");
+    }
+  }
+}
+
+/** Situation of a plate from its states by part: {code, title, icon, kind, detail}. */
+export function situation(states, now) {
+  const found = code(states);
+  const [title, icon, kind] = SITUATIONS[found];
+  const since = (found === "well" ? states.sensor : states.daemon)?.since;
+  const length = Number.isFinite(since) && now - since >= 0 ? duration(now - since) : "";
+  return { code: found, title, icon, kind, detail: detail(found, states), length };
+}
