@@ -121,6 +121,11 @@ class Mqtt(Table):
         description="PEM file of that certificate's key, not encrypted, or credential:NAME",
         examples=["left-index.key", "credential:mqtt-key"],
     )
+    home_assistant_discovery: Annotated[str, Field(max_length=200), AfterValidator(_topic)] | None = Field(
+        default=None,
+        description="list the plate in Home Assistant, whose discovery prefix this is; default: off",
+        examples=["homeassistant"],
+    )
 
     @model_validator(mode="wrap")
     @classmethod

@@ -12,14 +12,16 @@ from resonator_daemon.publishing import asyncapi
 from resonator_daemon.publishing.codec import Encoded, decoded, encode
 from resonator_daemon.publishing.commands import Commands, Handler
 from resonator_daemon.publishing.event_history import HistoryPage
+from resonator_daemon.publishing.home_assistant import discovery_message, discovery_topic
 from resonator_daemon.publishing.mqtt_messages import Outgoing
-from resonator_daemon.publishing.payloads import Message, MessageAccount, State
+from resonator_daemon.publishing.payloads import Info, Message, MessageAccount, State
 from resonator_daemon.publishing.publisher import FRESH_S, Publisher, Subscription
 from resonator_daemon.publishing.topics import (
     CONTACT_EVENT,
     CONTACTS,
     DECODED,
     DECODED_SUMMARY,
+    INFO,
     JSON,
     SCHEMA_PATH,
     STATE_DAEMON,
@@ -56,7 +58,8 @@ class PlatePublisher:
         self._make_offline = make_offline
         self._publisher: Publisher | None = None
         self._commands: Commands | None = None
-        self._base = ""
+        self._name = self._base = ""
+        self._discovery = b""
         self._waiting: dict[Topic[Any], Message] = {}
         self._last: dict[str, Message | Encoded] = {}
 
@@ -93,6 +96,8 @@ class PlatePublisher:
             self._last[topic.path] = message
         if self._publisher is not None:
             self._publisher.publish(self._base, topic, message)
+            if topic is INFO and isinstance(message, Info):
+                self._publish_discovery(message)
         elif topic.retained and isinstance(message, Message):
             self._waiting[topic] = message
 
@@ -103,7 +108,7 @@ class PlatePublisher:
     def begin(self, name: str, handlers: Mapping[str, Handler], daemon_state: DaemonState) -> None:
         """Set the name; `run` connects and publishes the waiting states first."""
         broker = self._config.mqtt
-        self._base = f"{broker.prefix}/{name}"
+        self._name, self._base = name, f"{broker.prefix}/{name}"
         self._commands = Commands(self._base, handlers, self._allowed, self._answer)
         self._publisher = Publisher(
             broker,
@@ -163,6 +168,18 @@ class PlatePublisher:
             farewell = (self._base, STATE_DAEMON, self._make_offline(Reason(ReasonCode.STOPPED, "stopped")))
             await self._publisher.close(farewell, wait_for_broker=wait_for_broker)
 
+    def _publish_discovery(self, info: Info) -> None:
+        """Publish the message for Home Assistant, if it is wanted and another one than before."""
+        broker, name = self._config.mqtt, self._name
+        if self._publisher is None or broker.home_assistant_discovery is None:
+            return
+        contacts = CONTACTS.path in info.rates_hz or self._config.decoding.external
+        message = discovery_message(broker.prefix, name, info, contacts=contacts)
+        if message != self._discovery:
+            self._discovery = message
+            topic = discovery_topic(broker.home_assistant_discovery, broker.prefix, name)
+            self._publisher.retain(topic, message, JSON)
+
     def _never_retained(self) -> Collection[str]:
         # Not events: a subscription of the daemon's own would hide from it that no other client subscribes to them.
         written = [topic for topic in TOPICS.values() if not topic.retained and topic.qos == 0]
@@ -175,9 +192,15 @@ class PlatePublisher:
         return [f"{self._base}/{path}" for path in paths]
 
     def _cleared_at_first(self) -> Sequence[str]:
-        """Return filters of topics at further rates, also those of earlier runs, and of what decoders publish."""
+        """Return filters of topics at further rates, also those of earlier runs, and of what decoders publish.
+
+        And of the message for Home Assistant, where an earlier run has published it and this one does not.
+        """
         rates = [f"{topic.path}/+" for topic in TOPICS.values() if topic.slow_hz is not None]
-        return [f"{self._base}/{path}" for path in (*rates, *(topic.path for topic in _OF_DECODERS))]
+        filters = [f"{self._base}/{path}" for path in (*rates, *(topic.path for topic in _OF_DECODERS))]
+        if self._config.mqtt.home_assistant_discovery is None:
+            filters.append(discovery_topic("+", self._config.mqtt.prefix, self._name))
+        return filters
 
     def _answer(self, answer: Outgoing) -> None:
         if self._publisher is not None:

@@ -4,12 +4,14 @@ import asyncio
 import json
 from typing import Final
 
+from paho.mqtt.client import topic_matches_sub
 from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.conditions import Condition
 from resonator_daemon.config import Mqtt
 from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.publishing.broker_connection import BrokerConnection
+from resonator_daemon.publishing.home_assistant import discovery_topic
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.reconnection import connection_session, keep_connected
 from resonator_daemon.publishing.requests import BrokerUnreachableError, DeniedError, reach
@@ -38,6 +40,9 @@ class NoPlateError(UserError):
 async def remove_plate(broker: Mqtt, name: str, *, force: bool = False, named_by: str = "mqtt.url") -> tuple[str, ...]:
     """Clear all retained topics below `prefix/name/`, `state/daemon` last; return their paths.
 
+    Before them the message for Home Assistant is cleared, which is returned with its whole topic. Without
+    `home_assistant_discovery` in `broker` it is found below any discovery prefix with one level.
+
     Parameters
     ----------
     broker, name
@@ -61,7 +66,8 @@ async def remove_plate(broker: Mqtt, name: str, *, force: bool = False, named_by
     loop = asyncio.get_running_loop()
     closing: asyncio.Future[None] = loop.create_future()
     done: asyncio.Future[None] = loop.create_future()
-    removal = _Removal(full_topic(broker.prefix, name, ""), force=force)
+    discovery = discovery_topic(broker.home_assistant_discovery or "+", broker.prefix, name)
+    removal = _Removal(full_topic(broker.prefix, name, ""), discovery, force=force)
     reported = "no answer"
 
     def report(_level: int, text: str) -> None:
@@ -96,61 +102,70 @@ async def remove_plate(broker: Mqtt, name: str, *, force: bool = False, named_by
 class _Removal:
     """Steps of the removal; begins again on each connection."""
 
-    def __init__(self, base: str, *, force: bool) -> None:
-        self.cleared: list[str] = []  # paths
+    def __init__(self, base: str, discovery: str, *, force: bool) -> None:
         self._base = base
+        self._discovery = discovery  # filter
         self._force = force
-        self._retained: dict[str, bytes] = {}  # payloads by path
+        self._retained: dict[str, bytes] = {}  # payloads by topic
+        self._cleared: list[str] = []  # topics
         self._changed = asyncio.Event()
+
+    @property
+    def cleared(self) -> list[str]:
+        """Paths of what is below the base, and other topics as they are."""
+        return [topic.removeprefix(self._base) for topic in self._cleared]
 
     def receive(self, message: Incoming) -> None:
         """Take a retained message, a live one on the same topic, or an empty one, which cleared a topic."""
-        path = message.topic.removeprefix(self._base)
-        if path == message.topic:  # amqtt 0.12 delivers retained messages of all subscriptions that it has
-            return
-        if message.payload and (message.retained or path in (*self.cleared, *self._retained)):
-            self._retained[path] = message.payload
-        elif message.payload or self._retained.pop(path, None) is None:
+        topic = message.topic
+        if not (topic.startswith(self._base) or topic_matches_sub(self._discovery, topic)):
+            return  # amqtt 0.12 delivers retained messages of all subscriptions that it has
+        if message.payload and (message.retained or topic in (*self._cleared, *self._retained)):
+            self._retained[topic] = message.payload
+        elif message.payload or self._retained.pop(topic, None) is None:
             return  # a stream, or what has been cleared already
         else:
-            self.cleared.append(path)
+            self._cleared.append(topic)
         self._changed.set()
 
     async def run(self, client: BrokerConnection) -> None:
         self._retained.clear()
+        client.subscribe(self._discovery)  # a broker that denies it has no message there that this user wrote
         if reason := await client.subscribe(f"{self._base}#"):
             raise DeniedError(f"the broker denies {self._base}# ({reason}); see its access rules for this user")
         while await self._change_within(QUIET_S):
             pass
-        if not self._retained and not self.cleared:
+        if not self._retained and not self._cleared:
             raise NoPlateError(f"nothing is retained below {self._base}; see the name, --prefix and the broker")
         if not self._force:
             self._require_offline()
-        for path in sorted(self._retained, key=lambda path: (path == STATE_DAEMON.path, path)):
-            client.send(f"{self._base}{path}", b"", qos=1, retain=True)
-            await self._wait_until_cleared(path)
+        for topic in sorted(self._retained, key=self._order):
+            client.send(topic, b"", qos=1, retain=True)
+            await self._wait_until_cleared(topic)
         if self._force:
             await self._require_no_restoration()
 
+    def _order(self, topic: str) -> tuple[bool, bool, str]:
+        return topic == f"{self._base}{STATE_DAEMON.path}", topic.startswith(self._base), topic
+
     def _require_offline(self) -> None:
-        if STATE_DAEMON.path in self._retained:
-            state = _state_in(self._retained[STATE_DAEMON.path])
+        daemon = f"{self._base}{STATE_DAEMON.path}"
+        if daemon in self._retained:
+            state = _state_in(self._retained[daemon])
             if state != Condition.OFFLINE:
                 raise NotOfflineError(
-                    f"{self._base}{STATE_DAEMON.path} is {state}, must be {Condition.OFFLINE}: stop the daemon first; "
+                    f"{daemon} is {state}, must be {Condition.OFFLINE}: stop the daemon first; "
                     "if its computer is gone for good, use --force"
                 )
 
-    async def _wait_until_cleared(self, path: str) -> None:
+    async def _wait_until_cleared(self, topic: str) -> None:
         """Wait until the broker delivers the empty message, which it does only where it has taken it."""
         try:
             async with asyncio.timeout(CLEARED_S):
-                while path in self._retained:
+                while topic in self._retained:
                     await self._next_change()
         except TimeoutError:
-            raise DeniedError(
-                f"the broker does not clear {self._base}{path}; see its access rules for this user"
-            ) from None
+            raise DeniedError(f"the broker does not clear {topic}; see its access rules for this user") from None
 
     async def _require_no_restoration(self) -> None:
         try:
@@ -159,7 +174,7 @@ class _Removal:
                     await self._next_change()
         except TimeoutError:
             return
-        raise NotOfflineError(f"a running daemon restores {self._base}{min(self._retained)}: stop it first")
+        raise NotOfflineError(f"a running daemon restores {min(self._retained)}: stop it first")
 
     async def _change_within(self, seconds: float) -> bool:
         try:

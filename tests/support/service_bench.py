@@ -50,11 +50,12 @@ class Bench:
         decoding: str = 'method = "fourier"',
         allow: tuple[str, ...] = (),
         measurement: tuple[str, ...] = (),
+        mqtt: tuple[str, ...] = (),
     ) -> Service:
         config = self.folder / "board.toml"
         lines = [f'plate = "{plate}"', f'link = "{link or f"serial:{self.port}?baud=4000000"}"']
         lines += [f'name = "{name}"'] if name else []
-        lines += ["[mqtt]", f'url = "{self.broker_url}"', "[decoding]", decoding]
+        lines += ["[mqtt]", f'url = "{self.broker_url}"', *mqtt, "[decoding]", decoding]
         lines += ["[measurement]", *measurement] if measurement else []
         lines += ["[commands]", f"allow = {json.dumps(allow)}"]
         config.write_text("\n".join(lines) + "\n")
