@@ -16,7 +16,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:  # every import here is time in which Ctrl-C gives a traceback
     from collections.abc import Sequence
 
-_UNTIL_STOPPED = ("decode", "emulate", "run", "view", "watch")  # commands for which that is the regular end
+_UNTIL_STOPPED = ("bridge", "decode", "emulate", "run", "view", "watch")  # commands for which that is the regular end
 
 
 def main(words: "Sequence[str] | None" = None) -> int:

@@ -115,3 +115,13 @@ def options_of(kind: Callable[..., T], arguments: argparse.Namespace, **others: 
     """
     names = [field.name for field in dataclasses.fields(kind) if hasattr(arguments, field.name)]  # type: ignore[arg-type]
     return kind(**{name: getattr(arguments, name) for name in names} | others)
+
+
+def listen_address(text: str) -> object:
+    """Parse an address of this computer to listen on, as 127.0.0.1:8765."""
+    from resonator_daemon.config import parse_listen
+
+    try:
+        return parse_listen(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} {error}") from error

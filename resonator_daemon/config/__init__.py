@@ -10,7 +10,7 @@ from resonator_daemon.config.board import (
     timing_problems,
 )
 from resonator_daemon.config.mqtt import Mqtt
-from resonator_daemon.config.tables import DECODER, Decoding, Listen, Measurement, Recording, plate_name
+from resonator_daemon.config.tables import DECODER, Decoding, Listen, Measurement, Recording, parse_listen, plate_name
 
 __all__ = [
     "DECODER",
@@ -25,6 +25,7 @@ __all__ = [
     "example_config",
     "load_client",
     "load_config",
+    "parse_listen",
     "plate_name",
     "timing_problems",
 ]

@@ -132,7 +132,8 @@ class Listen:
         return is_this_computer(self.host)
 
 
-def _listen(value: object) -> Listen:
+def parse_listen(value: object) -> Listen:
+    """Return the address that a text names; ValueError where it names none."""
     if isinstance(value, str) and "://" not in value and "@" not in value:
         try:
             url = split_url(f"//{value}")
@@ -146,7 +147,7 @@ def _listen(value: object) -> Listen:
 class Metrics(Table):
     """Metrics of the daemon for Prometheus."""
 
-    listen: Annotated[Listen, PlainValidator(_listen), WithJsonSchema({"type": "string"})] | None = Field(
+    listen: Annotated[Listen, PlainValidator(parse_listen), WithJsonSchema({"type": "string"})] | None = Field(
         default=None,
         description="address and port of the Prometheus metrics; default: off",
         examples=["127.0.0.1:9464"],

@@ -1,13 +1,13 @@
 """Messages as clouds of points in the plate's plane, which viewers show in colours of any of their fields."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.exporting.columns import AXES, with_axis
 from resonator_daemon.publishing.payloads import Decoded, Forces, Message, Signals
+from resonator_daemon.publishing.units import AXES, with_axis
 
 Points = NDArray[np.void]
 """Structured, (n,): x, y and z in metres as float32, and values named with their units; z points into the plate."""
@@ -31,6 +31,17 @@ class Clouds:
         self._positions_m = site_positions_m
         self._row_of_site = {int(site): row for row, site in enumerate(site_ids)}
 
+    def fits(self, message: Message) -> bool:
+        """Return whether a message is of these sites, and not of a plate that had the name before or has it now."""
+        match message:
+            case Forces():
+                return all(force.site in self._row_of_site for force in message.sites)
+            case Signals():
+                return message.signals.shape[1] == len(self._positions_m)
+            case Decoded():
+                return on_grid(message) or len(message.traction_pascal[0]) == len(self._positions_m)
+        return True
+
     def points(self, message: Message) -> Points | None:
         """Return the cloud of a message: of forces those sites on which something presses; None of kinds without."""
         match message:
@@ -47,6 +58,10 @@ class Clouds:
                 return self._decoded(message)
         return None
 
+    def sites(self) -> Points:
+        """Return the cloud of all sites, each with its number."""
+        return _cloud(self._positions_m, {"site": np.array([*self._row_of_site], "<u2")})
+
     def _forces(self, message: Forces) -> Points:
         rows = [self._row_of_site[force.site] for force in message.sites]
         values: dict[str, Any] = {"site": np.array([force.site for force in message.sites], "<u2")}
@@ -55,12 +70,8 @@ class Clouds:
         return _cloud(self._positions_m[rows], values)
 
     def _decoded(self, message: Decoded) -> Points:
-        values: dict[str, NDArray[Any]] = {}
-        for key in ("traction_pascal", "traction_std_pascal", "displacement_m"):
-            array = getattr(message, key)
-            if array is not None:
-                values |= {with_axis(key, axis): part.ravel() for axis, part in zip(AXES, array, strict=True)}
-        if message.grid is None or message.traction_pascal.ndim == 2:  # a map of few sites has its values there
+        values = map_values(message)
+        if message.grid is None or not on_grid(message):  # a map of few sites has its values there
             return _cloud(self._positions_m, values)
         ny, nx = message.traction_pascal.shape[1:]
         (x, y), pitch = message.grid.origin_m, message.grid.pitch_m
@@ -68,10 +79,29 @@ class Clouds:
         return _cloud(np.stack([place.ravel() for place in places], 1), values)
 
 
-def _cloud(positions_m: NDArray[np.float64], values: dict[str, NDArray[Any]]) -> Points:
-    kinds: list[tuple[str, str]] = [(axis, "<f4") for axis in AXES]
-    points: Points = np.zeros(len(positions_m), [*kinds, *((name, array.dtype.str) for name, array in values.items())])
-    points["x"], points["y"] = positions_m.T
+def on_grid(message: Decoded) -> bool:
+    """Return whether a map has pixels; else its values are those of the sites."""
+    return message.grid is not None and message.traction_pascal.ndim == 3
+
+
+def map_values(message: Decoded) -> dict[str, NDArray[Any]]:
+    """Return the components of a map's arrays by name, each (n,), row by row."""
+    values: dict[str, NDArray[Any]] = {}
+    for key in ("traction_pascal", "traction_std_pascal", "displacement_m"):
+        array = getattr(message, key)
+        if array is not None:
+            values |= {with_axis(key, axis): part.ravel() for axis, part in zip(AXES, array, strict=True)}
+    return values
+
+
+def packed(values: Mapping[str, NDArray[Any]], count: int) -> Points:
+    """Return values side by side, (count,), structured."""
+    points: Points = np.zeros(count, [(name, array.dtype.str) for name, array in values.items()])
     for name, array in values.items():
         points[name] = array
     return points
+
+
+def _cloud(positions_m: NDArray[np.float64], values: dict[str, NDArray[Any]]) -> Points:
+    x, y = positions_m.T.astype("<f4")
+    return packed({"x": x, "y": y, "z": np.zeros_like(x)} | values, len(positions_m))

@@ -12,13 +12,12 @@ from pydantic import PlainSerializer
 from pydantic.fields import FieldInfo
 
 from resonator_daemon.publishing.payloads import Message
-from resonator_daemon.publishing.units import UNITS, unit_of
+from resonator_daemon.publishing.units import AXES, unit_of, with_axis
 
 DataType = Literal["int64", "uint64", "float64", "bool", "text", "float32 array"]
 Value = int | float | bool | str | NDArray[np.float32] | None
 Get = Callable[[Any], Value]
 
-AXES: Final = "xyz"
 _COMPONENTS: Final = {"position_covariance_m2": ("xx", "xy", "yy")}  # of vectors that are not along the axes
 
 
@@ -95,15 +94,6 @@ def array_sources(message: Message, keys: tuple[str, ...]) -> Iterator[Source]:
             description = type(message).model_fields[key].description or ""
             column = Column(key, "float32 array", True, array.shape, description, unit_of(key) or "")
             yield Source(column, _follow(key))
-
-
-def with_axis(name: str, axis: str) -> str:
-    """Return the name of a vector's component: its letter before the unit, as `force_x_newton`."""
-    parts = name.split("_")
-    for start in range(1, len(parts)):
-        if "_".join(parts[start:]) in UNITS:
-            return "_".join((*parts[:start], axis, *parts[start:]))
-    return f"{name}_{axis}"
 
 
 def _of_field(name: str, keys: tuple[str, ...], annotation: Any, description: str) -> Iterator[Source]:

@@ -25,6 +25,7 @@ from resonator_daemon.exporting.ros2_types import (
     make_typestore,
     ros_name,
 )
+from resonator_daemon.exporting.wrenches import about_origin
 from resonator_daemon.publishing.payloads import (
     Contact,
     ContactEvent,
@@ -210,12 +211,12 @@ class Translation:
 
     def _sum(self, message: Contacts) -> Any:
         """Return the sum of all contacts about the origin; NaN where that of one is not known."""
-        total = sum((_about_origin(contact) for contact in message.contacts), np.zeros((2, 3)))
+        total = sum((about_origin(contact) for contact in message.contacts), np.zeros((2, 3)))
         return self._wrench(self._header(message.t_ns), total)
 
     def _wrench_at(self, t_ns: int, contact: Contact, frame: str) -> Any:
         """Return the wrench of a contact about its own position."""
-        force, moment = _about_origin(contact)
+        force, moment = about_origin(contact)
         moment = moment - np.cross([*contact.position_m, 0.0], force)
         return self._wrench(self._header(t_ns, frame), (force, moment))
 
@@ -256,14 +257,6 @@ class Translation:
             data=np.frombuffer(points.tobytes(), np.uint8),
             is_dense=not any(np.isnan(points[name]).any() for name in points.dtype.names or ()),
         )
-
-
-def _about_origin(contact: Contact) -> NDArray[np.float64]:
-    """Return force and moment about the plate's origin, (2, 3); of a force site those of its normal force."""
-    if contact.moment_newton_m is not None:
-        return np.array([contact.force_newton, contact.moment_newton_m], float)
-    (x, y), normal_newton = contact.position_m, contact.force_newton[2]
-    return np.array([(0.0, 0.0, normal_newton), (y * normal_newton, -x * normal_newton, 0.0)])
 
 
 def _converter(field: Any) -> Callable[[Any], Any]:

@@ -41,6 +41,7 @@ DIMENSIONLESS: Final = frozenset(
 """Keys of numbers without a unit, without the `_std` that a standard deviation has at its end."""
 
 NO_UNIT: Final = "1"
+AXES: Final = "xyz"
 
 
 def unit_of(key: str) -> str | None:
@@ -51,3 +52,12 @@ def unit_of(key: str) -> str | None:
     parts = bare.split("_")
     endings = ("_".join(parts[start:]) for start in range(1, len(parts)))
     return next((UNITS[ending] for ending in endings if ending in UNITS), None)
+
+
+def with_axis(name: str, axis: str) -> str:
+    """Return the name of a vector's component: its letter before the unit, as `force_x_newton`."""
+    parts = name.split("_")
+    for start in range(1, len(parts)):
+        if "_".join(parts[start:]) in UNITS:
+            return "_".join((*parts[:start], axis, *parts[start:]))
+    return f"{name}_{axis}"

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.errors import ExitCode, UserError
-from resonator_daemon.exporting.columns import AXES, Column
+from resonator_daemon.exporting.columns import Column
 from resonator_daemon.host.printable import how_to_install
 from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.topics import CONTACTS, DECODED_SUMMARY
+from resonator_daemon.publishing.units import AXES
 
 if TYPE_CHECKING:
     import pandas as pd

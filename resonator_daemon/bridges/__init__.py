@@ -1,0 +1,1 @@
+"""Processes that serve what plates publish to other programs, live."""

@@ -1,0 +1,163 @@
+"""`resonatord bridge foxglove`: serves what plates publish over Foxglove's WebSocket protocol.
+
+Encodes only what a viewer has subscribed to. A viewer that subscribes receives the last message of channels that change
+seldom. Of a viewer that does not keep up, the oldest messages are dropped.
+"""
+
+import asyncio
+import json
+import logging
+import signal
+import time
+from collections.abc import Callable
+from contextlib import aclosing, suppress
+from typing import Any, Final
+
+from resonator_daemon.config import Listen, Mqtt
+from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.exporting.foxglove_messages import ChannelMessage, FoxgloveMessages
+from resonator_daemon.exporting.geometry import Geometry
+from resonator_daemon.host.printable import how_to_install
+from resonator_daemon.publishing.payloads import Info, Message
+from resonator_daemon.publishing.subscriber import EVERY_PLATE, subscribe
+
+try:
+    import foxglove
+    from foxglove.websocket import ServerListener
+except ImportError as error:
+    raise UserError(f"the bridge to Foxglove needs foxglove-sdk: {how_to_install('foxglove-sdk')}") from error
+
+BACKLOG_MAX: Final = 256  # messages that wait for one viewer
+
+log = logging.getLogger(__name__)
+
+
+class ListenError(UserError):
+    """The address cannot be listened on."""
+
+    exit_code = ExitCode.UNAVAILABLE
+    code = "listen"
+
+
+async def serve(broker: Mqtt, listen: Listen, *, plate: str | None = None, full_rate: bool = True) -> None:
+    """Serve plates below the broker's prefix until SIGINT, SIGTERM or SIGHUP.
+
+    Parameters
+    ----------
+    broker
+        Where plates publish; it may come and go.
+    listen
+        Where viewers connect.
+    plate
+        The only one, whose channels then have the names of exported recordings; None: all of them, and the name of each
+        goes before those of its channels.
+    full_rate
+        Whether to subscribe to all messages, or to the decimated topics.
+
+    Raises
+    ------
+    UserError
+        The address cannot be used.
+    """
+    serving = asyncio.create_task(_serve(broker, listen, plate, full_rate))
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        asyncio.get_running_loop().add_signal_handler(number, serving.cancel)
+    await asyncio.wait([serving])
+    if not serving.cancelled():
+        serving.result()
+
+
+class FoxgloveServer:
+    """Serves channels to viewers, from `start` to `close`; a channel begins with its first message.
+
+    Parameters
+    ----------
+    listen
+        Where viewers connect; port 0 chooses a free one.
+    prefixed
+        Whether the name of its plate goes before each channel.
+    """
+
+    def __init__(self, listen: Listen, *, prefixed: bool) -> None:
+        self._listen = listen
+        self._prefixed = prefixed
+        self._context = foxglove.Context()
+        self._plates: dict[str, FoxgloveMessages] = {}
+        self._channels: dict[str, Any] = {}
+        self._last: dict[str, ChannelMessage] = {}  # of channels that change seldom
+
+    def start(self) -> None:
+        """Listen; called on the event loop."""
+        try:
+            self._server = foxglove.start_server(
+                name="resonatord",
+                host=self._listen.host,
+                port=self._listen.port,
+                context=self._context,
+                server_listener=_Subscriptions(asyncio.get_running_loop(), self._repeat),
+                message_backlog_size=BACKLOG_MAX,
+            )
+        except (RuntimeError, OSError) as error:
+            raise ListenError(f"--listen {self._listen}: {error}; see who else has the port: ss -tlnp") from None
+
+    @property
+    def port(self) -> int:
+        """Port that viewers connect to."""
+        return int(self._server.port)
+
+    def close(self) -> None:
+        """Disconnect all viewers."""
+        self._server.stop()
+
+    def add(self, plate: str, path: str, message: Message) -> None:
+        """Send what a message becomes to viewers that subscribe to it."""
+        now_ns = time.time_ns()
+        if plate not in self._plates:
+            self._plates[plate] = FoxgloveMessages(plate, None)
+        if isinstance(message, Info):
+            self._plates[plate] = FoxgloveMessages(plate, Geometry.of_info(message))
+            for made in self._plates[plate].of_plate(message.t_ns):
+                self._send(plate, made, now_ns)
+        for made in self._plates[plate].of_message(path, message, now_ns):
+            self._send(plate, made, now_ns)
+
+    def _send(self, plate: str, made: ChannelMessage, now_ns: int) -> None:
+        name = f"{plate}/{made.channel}" if self._prefixed else made.channel
+        if name not in self._channels:
+            schema = foxglove.Schema(
+                name=made.schema["title"], encoding="jsonschema", data=json.dumps(made.schema).encode()
+            )
+            self._channels[name] = foxglove.Channel(name, message_encoding="json", schema=schema, context=self._context)
+        if made.lasting:
+            self._last[name] = made
+        if self._channels[name].has_sinks():
+            self._channels[name].log(made.encode(), log_time=now_ns)
+
+    def _repeat(self, channel: str) -> None:
+        """Send the last message of a channel again, where it has one for new viewers."""
+        if channel in self._last:
+            self._channels[channel].log(self._last[channel].encode(), log_time=time.time_ns())
+
+
+class _Subscriptions(ServerListener):  # type: ignore[misc]
+    """Receives subscriptions in a thread of the library, and reports them on the event loop."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, report: Callable[[str], None]) -> None:
+        self._loop = loop
+        self._report = report
+
+    def on_subscribe(self, _client: Any, channel: Any) -> None:
+        with suppress(RuntimeError):  # the loop is closed
+            self._loop.call_soon_threadsafe(self._report, channel.topic)
+
+
+async def _serve(broker: Mqtt, listen: Listen, plate: str | None, full_rate: bool) -> None:
+    server = FoxgloveServer(listen, prefixed=plate is None)
+    server.start()
+    log.info("Foxglove opens ws://%s", listen)
+    try:
+        async with aclosing(subscribe(broker, plate=plate or EVERY_PLATE, full_rate=full_rate)) as received:
+            async for name, path, message in received:
+                server.add(name, path, message)
+    finally:
+        server.close()

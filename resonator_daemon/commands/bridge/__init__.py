@@ -1,0 +1,1 @@
+"""Show what plates publish in other programs, until stopped."""
