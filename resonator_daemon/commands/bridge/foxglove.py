@@ -1,8 +1,8 @@
 """Serve what plates publish to Foxglove, over its WebSocket protocol, until stopped.
 
 Foxglove opens ws://127.0.0.1:8765 as a "Foxglove WebSocket". With --plate the channels are those of exported
-recordings; without it, the name of its plate goes before each. Whoever reaches the address can read, without a
-password.
+recordings; without it, the name of its plate goes before each. Any client that reaches the address can
+read, without a password.
 
 docs/how-to/viewers.md explains more.
 Example: resonatord bridge foxglove --url mqtt://127.0.0.1:1883 --plate left-index
