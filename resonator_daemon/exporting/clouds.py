@@ -37,7 +37,7 @@ class Clouds:
             case Forces():
                 return all(force.site in self._row_of_site for force in message.sites)
             case Signals():
-                return message.signals.shape[1] == len(self._positions_m)
+                return len(message.signals[0]) == len(self._positions_m)
             case Decoded():
                 return on_grid(message) or len(message.traction_pascal[0]) == len(self._positions_m)
         return True
