@@ -5,7 +5,7 @@ A programmer's mistake is a ValueError and noise on the wire a counted value: ne
 
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 
 class ExitCode(IntEnum):
@@ -18,25 +18,64 @@ class ExitCode(IntEnum):
     CONFIG = 78  # EX_CONFIG of sysexits.h
 
 
+FAILURES: Final = {
+    "usage": "wrong arguments, or arguments that contradict each other",
+    "config": "errors in a configuration or plate file, no such file, or a file that does not suit the command",
+    "interrupted": "ended by Ctrl-C or SIGTERM before it was done; the object has what there is by then",
+    "system": "an error of the operating system, as a file that cannot be read, or a full disk",
+    "open_files": "this process may open fewer than 64 files",
+    "missing_library": "an optional library is not installed",
+    "output": "the output exists already, or cannot be created or written",
+    "install": "a file cannot be placed or removed, or a step failed",
+    "no_recording": "no such file, or it is no recording that can be used here",
+    "no_mark": "the recording does not have this mark",
+    "no_span": "the span ends before it begins",
+    "differs": "a recording is damaged, or its replay differs from what is recorded or expected",
+    "not_repaired": "nothing of the recording can be kept, or no copy can be made",
+    "ended": "the recording ended before its time: its file takes nothing more, or the reader failed",
+    "no_board": "the link cannot be opened, no board answers, or none sends frames",
+    "port_in_use": "another program holds the port, the device, or the board's only connection",
+    "refused": "the board can never serve this plate; or, in Python, the daemon refused without a code of its own",
+    "no_broker": "no broker answers at the address",
+    "no_daemon": "no such daemon runs",
+    "no_answer": "the daemon does not answer",
+    "denied": "the access rules of the broker, or of this computer, do not allow it",
+    "not_offline": "the daemon of the plate to be removed is not offline",
+    "no_plate": "nothing is published under this name",
+    "name_taken": "another process publishes under this name",
+    "cannot_share": "the broker does not share messages among several decoders",
+    "not_calibrated": "the calibration ended without a result; the plate file is as before",
+    "no_plan": "the codes cannot be planned as wanted; no plate file was written",
+    "fault": "the doctor found a fault: `cause` and `findings`",
+    "lost": "touches were missed, or frames or messages lost",
+}
+"""Meaning of each `code` of an error."""
+
+
 class UserError(Exception):
     """Error that the user can resolve; each message is one line with quantity, value, limit and remedy.
+
+    Parameters
+    ----------
+    messages
+        A line each.
+    so_far
+        What there is of the command's result: keys of the JSON object next to the error.
 
     Attributes
     ----------
     code, hint
-        Of the JSON error: a stable identifier, and where to read more.
-    so_far
-        Keys of the JSON object next to the error.
+        Of the JSON error: one of `FAILURES`, or of a daemon's refusals; and where to read more.
     """
 
     exit_code = ExitCode.CONFIG
     code: str = "config"
     hint: ClassVar[str] = ""
 
-    def __init__(self, *messages: str) -> None:
+    def __init__(self, *messages: str, so_far: Mapping[str, Any] | None = None) -> None:
         super().__init__("\n".join(messages))
         self.messages = messages
-        self.so_far: Mapping[str, Any] = {}
+        self.so_far: Mapping[str, Any] = so_far or {}
 
 
 class InterruptedCommandError(UserError):
@@ -45,9 +84,26 @@ class InterruptedCommandError(UserError):
     exit_code = ExitCode.FAILED
     code = "interrupted"
 
-    def __init__(self, message: str, so_far: Mapping[str, Any] | None = None) -> None:
-        super().__init__(message)
-        self.so_far = so_far or {}
+
+class SystemFailureError(UserError):
+    """Error of the operating system, as of a standard output on a full disk."""
+
+    exit_code = ExitCode.FAILED
+    code = "system"
+
+
+class DifferenceError(UserError):
+    """Recording that is damaged, or whose replay differs from what is recorded or expected."""
+
+    exit_code = ExitCode.FAILED
+    code = "differs"
+
+
+class LossError(UserError):
+    """Touches that were missed, or frames or messages that were lost."""
+
+    exit_code = ExitCode.FAILED
+    code = "lost"
 
 
 class UsageError(UserError):

@@ -56,7 +56,9 @@ def _readings(capture: ToneCapture, timeout_s: float) -> Iterator[BoardOnline | 
                 state = arrival
                 if arrival.state is Condition.WAITING and not online:
                     remedy = "a calibration needs the link for itself: stop the daemon that runs on it"
-                    raise LinkBusyError(f"link: {arrival.reason.text}; {remedy}")
+                    raise LinkBusyError(
+                        f"link: {arrival.reason.text}; {remedy}", in_use=arrival.reason.code == "port_in_use"
+                    )
             case None if time.monotonic() - last_s > (timeout_s if online else OPEN_S):
                 raise CalibrationRefusedError(
                     f"link {state.state}: {state.reason.text}; no frame came; the plate file is as before"

@@ -22,16 +22,16 @@ class Console:
             sys.stdout.write(json.dumps(value) + "\n")
             sys.stdout.flush()
 
-    def aborted(self, staged: dict[str, Any] | None) -> None:
-        """Report that nothing changed; `staged` is the result that was discarded, if there was one."""
-        value = result("aborted", staged or {}) | {"staged": staged is not None}
-        self.object(value, "aborted; the plate file is as before")
+
+def aborted(staged: dict[str, Any] | None) -> dict[str, Any]:
+    """Return the last object of a calibration that is discarded; `staged` is its result, if there was one."""
+    return result("aborted", staged or {}) | {"staged": staged is not None}
 
 
 def result(word: str, staged: dict[str, Any]) -> dict[str, Any]:
     """Return the last object of a calibration; null and [] for what there is not."""
     kept = {key: staged.get(key) for key in ("id", "output", "record")}
-    return {"result": word, **kept, "notes": staged.get("notes", [])}
+    return {"verb": "calibrate", "ok": True, "result": word, **kept, "notes": staged.get("notes", [])}
 
 
 def confirmed(question: str) -> bool:

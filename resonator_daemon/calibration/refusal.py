@@ -14,4 +14,7 @@ class LinkBusyError(UserError):
     """The port cannot be opened now, as while the daemon runs on it."""
 
     exit_code = ExitCode.UNAVAILABLE
-    code = "link_busy"
+
+    def __init__(self, message: str, *, in_use: bool) -> None:
+        super().__init__(message)
+        self.code = "port_in_use" if in_use else "no_board"

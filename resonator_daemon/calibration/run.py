@@ -5,10 +5,10 @@ import sys
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from resonator_daemon.calibration.board_readings import board_readings
-from resonator_daemon.calibration.console import Console, confirmed, result, summary
+from resonator_daemon.calibration.console import Console, aborted, confirmed, result, summary
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure, Prompt
 from resonator_daemon.calibration.load_readings import CapturedLoads
 from resonator_daemon.calibration.multitone_loads import MultitoneLoads
@@ -27,11 +27,13 @@ from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.calibration.session import Session
 from resonator_daemon.calibration.steps import LoadRequest, Step, plan_steps
 from resonator_daemon.config import Config, load_config
-from resonator_daemon.errors import ConfigurationError, ExitCode, UsageError
+from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError, UsageError
 from resonator_daemon.host.printable import print_note
 from resonator_daemon.plate import FORCE_SIGNAL
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.session.frames import BoardOnline
+
+_AS_BEFORE: Final = "the plate file is as before"
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ def abort_staged(config_path: Path, *, as_json: bool) -> ExitCode:
     if staged is not None:
         remove_remains(Path(staged["output"]))
     session.discard()
-    Console(as_json).aborted(staged)
+    Console(as_json).object(aborted(staged), f"aborted; {_AS_BEFORE}")
     return ExitCode.DONE
 
 
@@ -119,8 +121,7 @@ class _Calibration:
                 self._session.write("staged", staged)
         except KeyboardInterrupt:
             self._session.discard()
-            self._console.aborted(None)
-            return ExitCode.FAILED
+            raise InterruptedCommandError(f"interrupted; {_AS_BEFORE}", so_far=aborted(None)) from None
         except BaseException:
             self._session.discard()
             raise

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.decoding.open_plane.prior_fit import PriorFit, fit_prior, has_load
 from resonator_daemon.decoding.prior import DEFAULT_PRIOR
@@ -59,7 +60,7 @@ def calibrate_skin(config_path: Path, seconds: float, *, as_json: bool) -> ExitC
     Raises
     ------
     UserError
-        The configuration cannot be used or its plate has no skin; no broker can be reached.
+        The configuration cannot be used or its plate has no skin; no broker can be reached; too few frames hold load.
     """
     config = load_config(config_path)
     skin = config.plate.required_skin
@@ -67,17 +68,19 @@ def calibrate_skin(config_path: Path, seconds: float, *, as_json: bool) -> ExitC
     found: PriorFit | None = None
     if capture.loaded >= FEWEST_FRAMES:
         found = _fit(config.plate, skin, capture)
-    if as_json:
-        captured = {"plate": capture.plate, "frames": len(capture.frames), "frames_with_load": capture.loaded}
-        sys.stdout.write(json.dumps({**captured, "fit": _as_json(found) if found else None}) + "\n")
-    elif found:
-        sys.stdout.write("\n".join([*_lines(found), _gain(found)]) + "\n")
+    captured = {"plate": capture.plate, "frames": len(capture.frames), "frames_with_load": capture.loaded}
     if found is None:
-        print_note(
+        raise CalibrationRefusedError(
             f"{capture.loaded} of {len(capture.frames)} frames hold load, must be at least {FEWEST_FRAMES}: "
-            + ("press and shear the skin while they are captured" if capture.frames else _silence(config))
+            + ("press and shear the skin while they are captured" if capture.frames else _silence(config)),
+            so_far={**captured, "fit": None},
         )
-    return ExitCode.DONE if found else ExitCode.FAILED
+    if as_json:
+        result = {"verb": "calibrate", "ok": True, **captured, "fit": _as_json(found)}
+        sys.stdout.write(json.dumps(result) + "\n")
+    else:
+        sys.stdout.write("\n".join([*_lines(found), _gain(found)]) + "\n")
+    return ExitCode.DONE
 
 
 async def _capture(config: Config, seconds: float) -> Capture:

@@ -33,5 +33,8 @@ def main(words: "Sequence[str] | None" = None) -> int:
     except KeyboardInterrupt:  # while the command is loaded
         if words[:1] and words[0] in _UNTIL_STOPPED:
             return 0
+        if "--json" in words:
+            error = '"error": {"code": "interrupted", "message": "interrupted", "hint": ""}'
+            sys.stdout.write(f'{{"verb": "{words[0]}", {error}, "ok": false}}\n')
         sys.stderr.write("resonatord: interrupted\n")
         return 1

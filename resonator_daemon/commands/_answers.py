@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from resonator_daemon.commands._output import print_error, print_json
+from resonator_daemon.commands._output import print_json
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.host.printable import printable
 
@@ -20,7 +20,6 @@ async def send_command(
     verb: str,
     payload: Mapping[str, Any],
     *,
-    named_by: str = "mqtt.url",
     wait_s: float = 0.0,
     on_wait: Callable[[Mapping[str, Any]], None] = lambda refusal: None,
 ) -> dict[str, Any]:
@@ -28,8 +27,6 @@ async def send_command(
 
     Parameters
     ----------
-    named_by
-        Key or option that names the broker.
     wait_s
         For which it is sent again, twice a second, while the daemon is not ready or the plate not untouched.
     on_wait
@@ -45,7 +42,7 @@ async def send_command(
     from resonator_daemon.publishing.daemon_search import find_daemon
     from resonator_daemon.publishing.requests import reach, request
 
-    await reach(client.mqtt, named_by=named_by)
+    await reach(client.mqtt)
     name = await find_daemon(client)
     loop = asyncio.get_running_loop()
     until_s, waits = loop.time() + wait_s, False
@@ -60,17 +57,20 @@ async def send_command(
 
 
 def print_answer(answer: Mapping[str, Any], not_done: str, *, as_json: bool, only: str | None = None) -> ExitCode:
-    """Print an answer, or its key `only`; a refusal after the words `not_done`. Return the exit code."""
-    if as_json:
-        print_json(answer)
+    """Print an answer, or its key `only`; raise a refusal with the words `not_done` before its reason."""
+    from resonator_daemon.publishing.requests import RefusedError
+
     if answer.get("ok") is not True:
         reasons = refusal_of(answer)
         parts = [str(reasons[key]) for key in ("message", "hint") if reasons.get(key)]
-        print_error(f"{not_done}: {'; '.join(parts) or 'refused'}")
-        return ExitCode.FAILED
-    if not as_json and only is not None:
+        message = f"{not_done}: {'; '.join(parts) or 'refused'}"
+        kept = answer if reasons.keys() >= {"code", "message"} else {k: v for k, v in answer.items() if k != "error"}
+        raise RefusedError(str(reasons.get("code", RefusedError.code)), message, so_far=kept)
+    if as_json:
+        print_json(answer)
+    elif only is not None:
         sys.stdout.write(f"{printable(answer.get(only, 'done'))}\n")
-    elif not as_json:
+    else:
         shown = {key: value for key, value in answer.items() if key not in ("verb", "ok", "id")}
         lines = [f"{printable(key)}: {_text(value)}" for key, value in shown.items()]
         sys.stdout.writelines(f"{line}\n" for line in lines or ["done"])

@@ -20,11 +20,6 @@ def add_broker(parser: argparse.ArgumentParser, *, config_is_argument: bool = Fa
     parser.add_argument("--prefix", help="first level of the topics (default: that of the configuration, or resonator)")
 
 
-def broker_named_by(arguments: argparse.Namespace) -> str:
-    """Return the key or option that names the broker, for errors."""
-    return "--url" if arguments.config is None else "mqtt.url"
-
-
 def broker_of(arguments: argparse.Namespace) -> "Mqtt":
     """Return the broker that is meant; UserError where it cannot be used."""
     from resonator_daemon.config import Mqtt, load_client

@@ -11,8 +11,15 @@ from types import ModuleType
 from typing import Any, Final, NoReturn
 
 from resonator_daemon import commands
-from resonator_daemon.commands._output import error_object, print_error, print_json
-from resonator_daemon.errors import ExitCode, InterruptedCommandError, UsageError, UserError
+from resonator_daemon.commands._output import print_error, print_failure
+from resonator_daemon.errors import (
+    ConfigurationError,
+    ExitCode,
+    InterruptedCommandError,
+    SystemFailureError,
+    UsageError,
+    UserError,
+)
 from resonator_daemon.host.documentation import with_pages
 from resonator_daemon.host.journal import set_up_logging
 from resonator_daemon.host.printable import coloured
@@ -23,28 +30,29 @@ _ONE_OF: Final = "one of the arguments "
 
 def run_command(words: Sequence[str]) -> int:
     """Run one command; return its exit code. KeyboardInterrupt passes until the command runs."""
+    arguments = argparse.Namespace(command="")
     try:
-        arguments = make_parser(words).parse_args(words)  # which may print help and exit
-        _set_up_output()
-        with _json_errors(arguments.command, as_json=getattr(arguments, "json", False)):
-            check_open_files()
-            code: int = arguments.run(arguments)
-            sys.stdout.flush()
-        return code
+        with _user_errors():
+            make_parser(words).parse_args(words, arguments)  # which may print help and exit
+            _set_up_output()
+            return _run(arguments)
     except UserError as error:
+        _report(arguments.command, error, as_json=getattr(arguments, "json", False))
         print_error(*error.messages)
         return error.exit_code
     except BrokenPipeError:  # the reader of the output has what it wants, as `head`
         _discard_output()
         return ExitCode.DONE
-    except UnicodeEncodeError as error:  # the streams print everything: it is the name of a file
-        what = f"{error.object!a} cannot name a file in this locale, whose encoding is {error.encoding}"
-        print_error(f"{what}; set LC_ALL=C.UTF-8")
-        return ExitCode.CONFIG
-    except OSError as error:  # as of a standard output on a full disk
-        print_error(reason_of(error))
-        _discard_output()
-        return ExitCode.FAILED
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    try:
+        check_open_files()
+        code: int = arguments.run(arguments)
+        sys.stdout.flush()
+    except KeyboardInterrupt:  # commands that run until stopped catch it themselves
+        raise InterruptedCommandError("interrupted") from None
+    return code
 
 
 def make_parser(words: Sequence[str] = ()) -> argparse.ArgumentParser:
@@ -166,8 +174,7 @@ class _Parser(argparse.ArgumentParser):
         if message.startswith(_ONE_OF):  # of argparse, which puts a space between the names
             names = message.removeprefix(_ONE_OF).removesuffix(" is required").split()
             message = f"give {' or '.join(sorted(names, key=lambda name: name.startswith('-')))}"
-        if self._as_json:
-            _print_failure(self.prog.partition(" ")[2], UsageError(message))
+        _report(self.prog.partition(" ")[2], UsageError(message), as_json=self._as_json)
         self.print_usage(sys.stderr)
         self.exit(ExitCode.USAGE, f"{self.prog}: {coloured('error:', 'red', sys.stderr)} {message}\n")
 
@@ -195,19 +202,25 @@ def _discard_output() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _print_failure(command: str, error: UserError) -> None:
-    print_json({**error.so_far, "verb": command, "ok": False, "error": error_object(error)})
+def _report(command: str, error: UserError, *, as_json: bool) -> None:
+    """Print an error as one JSON object to stdout where `--json` asks for objects; flush stdout in any case."""
+    try:
+        if as_json:
+            print_failure(command, error)
+        sys.stdout.flush()
+    except OSError:  # a full disk, or a reader that has left
+        _discard_output()
 
 
 @contextmanager
-def _json_errors(command: str, *, as_json: bool) -> Iterator[None]:
-    """Print an error as one JSON object to stdout, too, where `--json` asks for objects."""
+def _user_errors() -> Iterator[None]:
+    """Raise errors of the operating system as errors of the command."""
     try:
-        try:
-            yield
-        except KeyboardInterrupt:  # those that run until stopped catch it themselves
-            raise InterruptedCommandError("interrupted") from None
-    except UserError as error:
-        if as_json:
-            _print_failure(command, error)
+        yield
+    except BrokenPipeError:
         raise
+    except UnicodeEncodeError as error:  # the streams print everything: it is the name of a file
+        what = f"{error.object!a} cannot name a file in this locale, whose encoding is {error.encoding}"
+        raise ConfigurationError(f"{what}; set LC_ALL=C.UTF-8") from error
+    except OSError as error:  # as of a standard output on a full disk
+        raise SystemFailureError(reason_of(error)) from error

@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from resonator_daemon.commands._output import print_error, print_json
+from resonator_daemon.commands._output import print_json
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.host.printable import print_note
 
@@ -26,14 +26,17 @@ def made_files() -> dict[str, str]:
 
 
 def report(verb: str, done: "Installation", prefix: Path | None, *, dry_run: bool, as_json: bool) -> ExitCode:
-    """Print what was done; return the exit code."""
+    """Print what was done; InstallError where a step failed."""
+    from resonator_daemon.host.install import InstallError
+
     failed = [f"{' '.join(command)}: {error}" for command, error in done.commands if error]
-    if as_json:
-        print_json(_as_json(verb, done, dry_run=dry_run, ok=not failed))
-    else:
+    if not as_json:
         _print(verb, done, prefix)
-    print_error(*failed)
-    return ExitCode.FAILED if failed else ExitCode.DONE
+    if failed:
+        raise InstallError(*failed, so_far=_as_json(done, dry_run=dry_run))
+    if as_json:
+        print_json({"verb": verb, "ok": True, **_as_json(done, dry_run=dry_run)})
+    return ExitCode.DONE
 
 
 def _print(verb: str, done: "Installation", prefix: Path | None) -> None:
@@ -69,10 +72,8 @@ def _places(done: "Installation") -> "Iterator[tuple[str, Action]]":
         yield f"{pages[0].path.parent}, {len(pages)} pages", pages[0].action
 
 
-def _as_json(verb: str, done: "Installation", *, dry_run: bool, ok: bool) -> dict[str, object]:
+def _as_json(done: "Installation", *, dry_run: bool) -> dict[str, object]:
     return {
-        "verb": verb,
-        "ok": ok,
         "program": str(done.program),
         "warning": done.warning,
         "dry_run": dry_run,

@@ -15,9 +15,10 @@ def print_json(value: object) -> None:
     sys.stdout.write(json.dumps(value) + "\n")
 
 
-def error_object(error: UserError) -> dict[str, str]:
-    """Return the value of `error` in the JSON object of a command that failed."""
-    return {"code": error.code, "message": str(error), "hint": error.hint}
+def print_failure(command: str, error: UserError) -> None:
+    """Print the JSON object of a command that failed: what there is of its result, and why."""
+    why = {"code": error.code, "message": str(error), "hint": error.hint}  # a daemon's refusal has its own
+    print_json({"verb": command, "ok": False, "error": why} | {**error.so_far, "ok": False})
 
 
 def print_page(page: Any) -> None:

@@ -6,7 +6,7 @@ Example: resonatord check left-index.toml
 import argparse
 
 from resonator_daemon.commands._argument_types import add_config
-from resonator_daemon.commands._output import error_object, print_error, print_json
+from resonator_daemon.commands._output import print_json
 from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.printable import print_note
 
@@ -20,7 +20,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.config.decoder import is_decoders_own, load_decoder_config
     from resonator_daemon.daemon.config_store import load_checked
 
-    found: UserError | None = None
+    head: dict[str, object] = {"file": str(arguments.config)}
     notes: tuple[str, ...] = ()
     try:
         if is_decoders_own(arguments.config):
@@ -28,16 +28,12 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         else:
             notes = load_checked(arguments.config).notes
     except UserError as error:
-        found = error
-    findings = found.messages if found is not None else ()
+        error.so_far = {**head, "errors": error.messages, "notes": ()}
+        raise
     if arguments.json:
-        file = str(arguments.config)
-        failed = {} if found is None else {"error": error_object(found)}
-        print_json({"verb": "check", "file": file, "ok": not findings, "errors": findings, "notes": notes, **failed})
+        print_json({"verb": "check", "ok": True, **head, "errors": (), "notes": notes})
     else:
-        print_error(*findings)
         for line in notes:
             print_note(f"note: {line}")
-        if not findings:
-            print_note(f"{arguments.config}: no errors")
-    return ExitCode.CONFIG if findings else ExitCode.DONE
+        print_note(f"{arguments.config}: no errors")
+    return ExitCode.DONE

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from resonator_daemon.commands._answers import print_answer, send_command
-from resonator_daemon.commands._broker import add_broker, broker_named_by, broker_of
+from resonator_daemon.commands._broker import add_broker, broker_of
 from resonator_daemon.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -45,8 +45,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     if verb is None:
         raise UsageError(f"VERB: got {arguments.verb!r}; {nearest(arguments.verb, list(VERBS))}")
     client, payload = _client(arguments), _payload(verb.request, arguments.fields)
-    named_by = broker_named_by(arguments)
-    answer = asyncio.run(send_command(client, verb.name, payload, named_by=named_by))
+    answer = asyncio.run(send_command(client, verb.name, payload))
     return print_answer(answer, f"{verb.name} not done", as_json=arguments.json)
 
 

@@ -11,8 +11,8 @@ import logging
 from pathlib import Path
 
 from resonator_daemon.commands._argument_types import picture
-from resonator_daemon.commands._output import print_error, print_json, print_page
-from resonator_daemon.errors import ExitCode, NoRecordingError
+from resonator_daemon.commands._output import print_json, print_page
+from resonator_daemon.errors import DifferenceError, ExitCode, NoRecordingError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    """Print the comparison; FAILED where a recording is damaged or its replay differs from what is recorded."""
+    """Print the comparison; DifferenceError where a recording is damaged or replays otherwise than recorded."""
     from resonator_daemon.host.new_file import interruptible
     from resonator_daemon.links.link import LinkUnavailableError
     from resonator_daemon.replay.comparison import Comparison, play, problems
@@ -37,9 +37,10 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     if arguments.picture is not None:
         compared.write_picture(arguments.picture)
     wrong = problems((compared.a, compared.b))
-    if arguments.json:
-        print_json({"verb": "compare", "ok": not wrong, **compared.as_json()})
-    else:
+    if not arguments.json:
         print_page(compared.table())
-    print_error(*wrong)
-    return ExitCode.FAILED if wrong else ExitCode.DONE
+    if wrong:
+        raise DifferenceError(*wrong, so_far=compared.as_json())
+    if arguments.json:
+        print_json({"verb": "compare", "ok": True, **compared.as_json()})
+    return ExitCode.DONE

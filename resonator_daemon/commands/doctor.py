@@ -57,6 +57,6 @@ def _broker(url: str) -> object:
     from resonator_daemon.view.watch import broker_at
 
     try:
-        return broker_at(url, "resonator")
+        return broker_at(url, "resonator", named_by="--broker")
     except UserError as error:
         raise argparse.ArgumentTypeError(str(error).removeprefix("--url: ")) from None

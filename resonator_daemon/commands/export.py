@@ -6,8 +6,8 @@ Example: resonatord export run.mcap --output run.parquet
 import argparse
 from pathlib import Path
 
-from resonator_daemon.commands._output import print_error, print_json
-from resonator_daemon.errors import ExitCode, NoRecordingError
+from resonator_daemon.commands._output import print_json
+from resonator_daemon.errors import DifferenceError, ExitCode, NoRecordingError
 from resonator_daemon.exporting.formats import FORMATS, ROS2
 from resonator_daemon.host.printable import print_note
 
@@ -59,12 +59,13 @@ def run(arguments: argparse.Namespace) -> ExitCode:
             result, wrong = export(paths, target, config, arguments.start, arguments.end, show_progress=progress)
         except LinkUnavailableError as error:
             raise NoRecordingError(str(error)) from error
-    if arguments.json:
-        print_json({"verb": "export", "ok": not wrong, **result})
-    else:
+    if not arguments.json:
         for file, size_bytes in result["files"].items():
             print_note(f"{file}: {size_bytes / 1e3:.0f} kB")
         counts = ", ".join(f"{count} of {topic}" for topic, count in result["rows"].items())
         print_note(f"{result['frames']} frames gave {counts or 'nothing'}")
-    print_error(*wrong)
-    return ExitCode.FAILED if wrong else ExitCode.DONE
+    if wrong:
+        raise DifferenceError(*wrong, so_far=result)
+    if arguments.json:
+        print_json({"verb": "export", "ok": True, **result})
+    return ExitCode.DONE

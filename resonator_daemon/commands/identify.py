@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from resonator_daemon.commands._argument_types import link_or_config, separate_config
-from resonator_daemon.commands._output import print_error, print_json
-from resonator_daemon.errors import ExitCode, UsageError, UserError
+from resonator_daemon.commands._output import print_json
+from resonator_daemon.errors import ExitCode, IncompatibleBoardError, UsageError, UserError
 
 if TYPE_CHECKING:
     from resonator_daemon.links.target import LinkTarget
@@ -29,7 +29,7 @@ class NoAnswerError(UserError):
 class BoardInUseError(NoAnswerError):
     """Another program holds the port, or is served by the board."""
 
-    code = "in_use"
+    code = "port_in_use"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    """Print what the board answers; UNAVAILABLE where it cannot serve the configuration."""
+    """Print what the board answers; IncompatibleBoardError where it cannot serve the configuration."""
     from resonator_daemon.config import load_config
     from resonator_daemon.session.compatibility import incompatibilities
     from resonator_daemon.view.board_identity import as_json, labelled_lines
@@ -59,13 +59,15 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         raise UsageError("name a LINK (see: resonatord ports) or --config FILE")
     result = _probe(link, blink=arguments.blink)
     problems = incompatibilities(result.described.description, config.plate) if config is not None else ()
-    if arguments.json:
-        print_json({"verb": "identify", "ok": not problems, **as_json(link, result, problems, blink=arguments.blink)})
-    else:
+    answer = as_json(link, result, problems, blink=arguments.blink)
+    if not arguments.json:
         for label, value in labelled_lines(link, result, blink=arguments.blink):
             sys.stdout.write(f"{label:<15}{value}\n")
-    print_error(*(f"{arguments.config}: {problem.text}" for problem in problems))
-    return ExitCode.UNAVAILABLE if problems else ExitCode.DONE
+    if problems:
+        raise IncompatibleBoardError(*(f"{arguments.config}: {problem.text}" for problem in problems), so_far=answer)
+    if arguments.json:
+        print_json({"verb": "identify", "ok": True, **answer})
+    return ExitCode.DONE
 
 
 def _probe(target: "LinkTarget", *, blink: bool) -> "ProbeResult":

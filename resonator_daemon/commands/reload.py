@@ -12,8 +12,8 @@ import signal
 import sys
 from typing import TYPE_CHECKING, Any, Final
 
-from resonator_daemon.commands._output import print_error, print_json
-from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.commands._output import print_json
+from resonator_daemon.errors import ConfigurationError, ExitCode, UserError
 from resonator_daemon.host.printable import printable
 
 if TYPE_CHECKING:
@@ -27,7 +27,16 @@ class NotReloadedError(UserError):
     """No daemon of this name runs, or it may not be asked, or does not answer."""
 
     exit_code = ExitCode.FAILED
-    code = "no_daemon"
+
+    def __init__(self, message: str, code: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class NotAppliedError(ConfigurationError):
+    """The file cannot be used; the daemon keeps what it has."""
+
+    exit_code = ExitCode.FAILED
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,23 +49,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    """Print each key that changed; FAILED where the file cannot be used."""
+    """Print each key that changed; NotAppliedError where the file cannot be used."""
     import asyncio
 
     config = asyncio.run(_reload(arguments.name))
     problems, changes = config.get("problems", ()), config.get("changes", ())
+    shown = {key: config[key] for key in ("file", "problems", "changes")}
+    if problems:
+        raise NotAppliedError(*problems, so_far=shown)
     if arguments.json:
-        shown = {key: config[key] for key in ("file", "problems", "changes")}
-        print_json({"verb": "reload", "ok": not problems, **shown})
-    elif not problems:
+        print_json({"verb": "reload", "ok": True, **shown})
+    else:
         lines = [
             f"{change['key']}: {change['old']} -> {change['new']} "
             f"({'applied' if change['applied'] else 'after a restart'})"
             for change in changes
         ]
         sys.stdout.writelines(f"{printable(line)}\n" for line in lines or ["nothing changed"])
-    print_error(*problems)
-    return ExitCode.FAILED if problems else ExitCode.DONE
+    return ExitCode.DONE
 
 
 async def _reload(name: str) -> dict[str, Any]:
@@ -69,9 +79,11 @@ async def _reload(name: str) -> dict[str, Any]:
         os.kill(pid, signal.SIGHUP)
     except PermissionError:
         who = f"process {pid} belongs to another user"
-        raise NotReloadedError(f"{who}; with systemd: sudo systemctl reload resonatord@{before['instance']}") from None
+        raise NotReloadedError(
+            f"{who}; with systemd: sudo systemctl reload resonatord@{before['instance']}", "denied"
+        ) from None
     except ProcessLookupError:
-        raise NotReloadedError(f"process {pid} has ended") from None
+        raise NotReloadedError(f"process {pid} has ended", "no_daemon") from None
     try:
         async with asyncio.timeout(_LIMIT_S):
             while True:
@@ -80,7 +92,8 @@ async def _reload(name: str) -> dict[str, Any]:
                 if after.get("reloads", 0) != reloads:
                     return dict(after)
     except TimeoutError:
-        raise NotReloadedError(f"process {pid} does not report that it read the file within {_LIMIT_S:g} s") from None
+        words = f"process {pid} does not report that it read the file within {_LIMIT_S:g} s"
+        raise NotReloadedError(words, "no_answer") from None
 
 
 async def _ask(name: str) -> dict[str, Any]:
@@ -89,8 +102,8 @@ async def _ask(name: str) -> dict[str, Any]:
     answers: list[Answer] = await ask_all(name)
     if len(answers) != 1:
         what = "no daemon" if not answers else f"{len(answers)} daemons"
-        raise NotReloadedError(f"{what} called {printable(name)}; see: resonatord status")
+        raise NotReloadedError(f"{what} called {printable(name)}; see: resonatord status", "no_daemon")
     (answer,) = answers
     if answer.status is None or not isinstance(answer.status.get("config"), dict):
-        raise NotReloadedError(f"{printable(name)}: {answer.problem or 'its answer is no status'}")
+        raise NotReloadedError(f"{printable(name)}: {answer.problem or 'its answer is no status'}", "no_answer")
     return answer.status

@@ -8,7 +8,7 @@ Example: resonatord remove left-index --url mqtt://127.0.0.1:1883
 import argparse
 import sys
 
-from resonator_daemon.commands._broker import add_broker, broker_named_by, broker_of
+from resonator_daemon.commands._broker import add_broker, broker_of
 from resonator_daemon.commands._output import print_json
 from resonator_daemon.errors import ExitCode, UsageError
 from resonator_daemon.host.printable import printable
@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         name = plate_name(arguments.name)
     except ValueError as error:
         raise UsageError(f"NAME: got {arguments.name!r}; {error}") from None
-    removal = remove_plate(broker_of(arguments), name, force=arguments.force, named_by=broker_named_by(arguments))
+    removal = remove_plate(broker_of(arguments), name, force=arguments.force)
     removed = asyncio.run(removal)
     if arguments.json:
         print_json({"verb": "remove", "ok": True, "name": name, "removed": list(removed)})

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from resonator_daemon.commands._argument_types import options_of
-from resonator_daemon.commands._output import print_error, print_json
-from resonator_daemon.errors import ExitCode, NoRecordingError, UsageError
+from resonator_daemon.commands._output import print_json
+from resonator_daemon.errors import DifferenceError, ExitCode, NoRecordingError, UsageError
 from resonator_daemon.host.printable import print_note
 
 _DEFAULT_URL: Final = "mqtt://127.0.0.1:1883"
@@ -83,13 +83,15 @@ def _replay(arguments: argparse.Namespace) -> ExitCode:
     took_s = time.monotonic() - begun_s
     if "seconds" in result:
         result |= {"took_seconds": round(took_s, 3), "speed": round(result["seconds"] / took_s, 2)}
-    if arguments.json:
-        print_json({"verb": "replay", "ok": not wrong, "file": str(path), **result})
-    else:
+    result = {"file": str(path), **result}
+    if not arguments.json:
         messages = sum(result["messages"].values())
         print_note(f"{path}: {result['frames']} frames, {messages} messages in {took_s:.1f} s")
-    print_error(*(f"{path}: {sentence}" for sentence in wrong))
-    return ExitCode.FAILED if wrong else ExitCode.DONE
+    if wrong:
+        raise DifferenceError(*(f"{path}: {sentence}" for sentence in wrong), so_far=result)
+    if arguments.json:
+        print_json({"verb": "replay", "ok": True, **result})
+    return ExitCode.DONE
 
 
 def _check(arguments: argparse.Namespace) -> None:

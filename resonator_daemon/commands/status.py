@@ -10,7 +10,7 @@ import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
-from resonator_daemon.commands._output import error_object, print_error, print_json
+from resonator_daemon.commands._output import print_failure, print_json
 from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.printable import printable
 
@@ -27,6 +27,13 @@ class NoDaemonError(UserError):
     code = "no_daemon"
 
 
+class NoStatusError(UserError):
+    """A daemon runs and does not answer, or answers otherwise."""
+
+    exit_code = ExitCode.FAILED
+    code = "no_answer"
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "name",
@@ -39,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    """Print the status; FAILED where no daemon runs, or one gives no answer."""
+    """Print the status; NoDaemonError where no daemon runs, NoStatusError where one does not answer."""
     if arguments.watch:
         with suppress(KeyboardInterrupt):
             _watch(arguments.name, as_json=arguments.json)
@@ -49,15 +56,16 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.view.status_block import status_page
 
     answers = _ask(arguments.name)
-    if arguments.json:
-        _print_json(answers, arguments.name)
-    elif answers:
+    if answers and not arguments.json:
         console = Console(highlight=False)
         columns = console.width if console.is_terminal else None  # else a line stays whole, as for grep
         console.print(status_page(answers, columns), soft_wrap=columns is None)
-    if not answers:
-        print_error(str(_nobody(arguments.name)))
-    return ExitCode.DONE if answers and not any(answer.problem for answer in answers) else ExitCode.FAILED
+    failed = _failure(answers, arguments.name)
+    if failed is not None:
+        raise failed
+    if arguments.json:
+        print_json({"verb": "status", "ok": True, **_as_json(answers)})
+    return ExitCode.DONE
 
 
 def _watch(name: str | None, *, as_json: bool) -> None:
@@ -75,7 +83,12 @@ def _watch(name: str | None, *, as_json: bool) -> None:
     if as_json or not console.is_terminal or console.is_dumb_terminal:
         while True:
             if as_json:
-                _print_json(_ask(name), name)
+                answers = _ask(name)
+                failed = _failure(answers, name)
+                if failed is None:
+                    print_json({"verb": "status", "ok": True, **_as_json(answers)})
+                else:
+                    print_failure("status", failed)
             else:
                 console.print(page(None), Text(), soft_wrap=True)
             sys.stdout.flush()
@@ -96,19 +109,26 @@ def _ask(name: str | None) -> "list[Answer]":
     return asyncio.run(ask_all(name))
 
 
-def _print_json(answers: "list[Answer]", name: str | None) -> None:
-    print_json(
-        {
-            "verb": "status",
-            "daemons": [answer.status for answer in answers if answer.problem is None],
-            "problems": [
-                {"socket": str(answer.socket), "problem": answer.problem}
-                for answer in answers
-                if answer.problem is not None
-            ],
-            **({} if answers else {"error": error_object(_nobody(name))}),
-        }
-    )
+def _as_json(answers: "list[Answer]") -> dict[str, object]:
+    return {
+        "daemons": [answer.status for answer in answers if answer.problem is None],
+        "problems": [
+            {"socket": str(answer.socket), "problem": answer.problem}
+            for answer in answers
+            if answer.problem is not None
+        ],
+    }
+
+
+def _failure(answers: "list[Answer]", name: str | None) -> UserError | None:
+    if not answers:
+        failed: UserError = _nobody(name)
+    elif problems := [f"{answer.socket}: {answer.problem}" for answer in answers if answer.problem is not None]:
+        failed = NoStatusError(*problems)
+    else:
+        return None
+    failed.so_far = _as_json(answers)
+    return failed
 
 
 def _nobody(name: str | None) -> NoDaemonError:

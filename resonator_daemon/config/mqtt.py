@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Self
 from urllib.parse import unquote, urlsplit
 
 from pydantic import (
@@ -13,6 +13,7 @@ from pydantic import (
     Field,
     ModelWrapValidatorHandler,
     PlainValidator,
+    PrivateAttr,
     ValidationInfo,
     WithJsonSchema,
     model_validator,
@@ -127,6 +128,8 @@ class Mqtt(Table):
         examples=["homeassistant"],
     )
 
+    _named_by: str = PrivateAttr("mqtt.url")
+
     @model_validator(mode="wrap")
     @classmethod
     def _keys_agree(cls, raw: Any, handler: ModelWrapValidatorHandler["Mqtt"]) -> "Mqtt":
@@ -144,6 +147,17 @@ class Mqtt(Table):
                 key = "key_file" if model.key_file else "ca_file"
                 return check_with([finding((key,), raw.get(key), str(error))], handler, raw)
         return model
+
+    @property
+    def named_by(self) -> str:
+        """Key, option or argument that has the address, for errors: `mqtt.url`, if not set by `with_name`."""
+        return self._named_by
+
+    def with_name(self, named_by: str) -> Self:
+        """Return the same broker with another `named_by`."""
+        named = self.model_copy()
+        named._named_by = named_by  # noqa: SLF001 - of this class
+        return named
 
     @property
     def host(self) -> str:

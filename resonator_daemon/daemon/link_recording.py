@@ -182,7 +182,7 @@ class _LinkRecording:
             raise InterruptedCommandError("interrupted before a frame came; no file is kept")
         if seconds is not None and self._stopped and result["seconds"] < seconds:
             words = f"{result['seconds']:.1f} of {seconds:g} s are recorded, which stay"
-            raise InterruptedCommandError(f"interrupted: {words}", result)
+            raise InterruptedCommandError(f"interrupted: {words}", so_far=result)
         if not result["frames"]:
             raise NoBoardError(f"no frame was recorded: {self._link}")
 

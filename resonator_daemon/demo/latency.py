@@ -21,12 +21,13 @@ from resonator_daemon.config import Measurement, Mqtt
 from resonator_daemon.demo.latency_report import Arrival, LatencyReport, measure, read_gates
 from resonator_daemon.demo.local_broker import local_broker
 from resonator_daemon.demo.processes import Child, cpu_s, raise_if_ended, start_daemons, start_emulator
-from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError
+from resonator_daemon.errors import ExitCode, InterruptedCommandError, LossError, UserError
 from resonator_daemon.host.printable import print_note
 from resonator_daemon.plate import load_plate
 from resonator_daemon.publishing.broker_connection import BrokerConnection
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.reconnection import connection_session, keep_connected
+from resonator_daemon.publishing.requests import reach
 from resonator_daemon.publishing.topics import DECODED, FORCES, HEALTH, full_topic
 
 _HEAD_BYTES: Final = 512  # of arrays; the keys that are read are within
@@ -50,7 +51,7 @@ class LatencyOptions:
 
 
 def bench_latency(options: LatencyOptions) -> ExitCode:
-    """Measure and print a report; FAILED when a message is missing.
+    """Measure and print a report.
 
     Raises
     ------
@@ -58,6 +59,8 @@ def bench_latency(options: LatencyOptions) -> ExitCode:
         A part does not start, or ends by itself.
     InterruptedCommandError
         Interrupted before the time was over; what was measured by then is reported.
+    LossError
+        A message is missing.
     """
     bench = _Bench(options)
     report = asyncio.run(bench.run())
@@ -67,10 +70,12 @@ def bench_latency(options: LatencyOptions) -> ExitCode:
         sys.stdout.write(report.in_words())
     if bench.cut_short:
         words = f"interrupted: measured for {report.seconds:.1f} of {options.seconds:g} s"
-        raise InterruptedCommandError(words, report.as_json())
+        raise InterruptedCommandError(words, so_far=report.as_json())
+    if report.latency.missing:
+        raise LossError(f"{report.latency.missing} messages are missing", so_far=report.as_json())
     if options.json:
         sys.stdout.write(json.dumps(report.as_json()) + "\n")
-    return ExitCode.FAILED if report.latency.missing else ExitCode.DONE
+    return ExitCode.DONE
 
 
 class _Subscriber:
@@ -128,7 +133,8 @@ class _Bench:
                 broker, url, brokers = local.name, local.url, [local.child]
             else:
                 broker, url, brokers = self._options.broker, self._options.broker, []
-            settings = Mqtt(url=url)
+            settings = Mqtt(url=url).with_name("--broker")
+            await reach(settings)
             subscriber = _Subscriber(settings.prefix, self._topic.path)
             await stack.enter_async_context(_listening(settings, subscriber))
             print_note(f"broker: {broker}")

@@ -25,7 +25,7 @@ from resonator_daemon.demo.results import delays, failures, in_words, percentile
 from resonator_daemon.demo.score import SCORED, PlateScore
 from resonator_daemon.demo.subscription import Subscription
 from resonator_daemon.demo.truth import TruthTable, site_traction, surface_traction
-from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError
+from resonator_daemon.errors import ExitCode, InterruptedCommandError, LossError, UserError
 from resonator_daemon.host.printable import print_note
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.publishing.receiver import Arrival
@@ -260,19 +260,21 @@ class _Demo:
         }
 
     def _conclude(self, result: dict[str, Any]) -> ExitCode:
-        if self._options.json:
-            sys.stdout.write(json.dumps(result) + "\n")
-        else:
+        if not self._options.json:
             sys.stdout.write(in_words(result))
         failed, late = (
             [f"{name}: {clause}" for name, plate in result["plates"].items() for clause in clauses(plate)]
             for clauses in (failures, delays)
         )
-        for line in failed + late:
+        for line in late:
             print_note(line)
         if late:
             print_note(self._load.in_words(sum(self._usage.values()), self._pids))
-        return ExitCode.FAILED if failed else ExitCode.DONE
+        if failed:
+            raise LossError(*failed, so_far=result)
+        if self._options.json:
+            sys.stdout.write(json.dumps(result) + "\n")
+        return ExitCode.DONE
 
 
 def _truth_to_show(station: _Station) -> Truth:

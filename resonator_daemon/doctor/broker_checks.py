@@ -47,7 +47,9 @@ async def check_broker(broker: Mqtt, host: Host, times: ConnectionTimes | None =
             found = await loop.getaddrinfo(broker.host, broker.port, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError, TimeoutError) as error:
         reason = "no answer from the resolver" if isinstance(error, TimeoutError) else meaning_of(error)
-        fault = RESOLVES.fault(f"{broker.host}: no such host ({reason})", "correct mqtt.url, or see to the network")
+        fault = RESOLVES.fault(
+            f"{broker.host}: no such host ({reason})", f"correct {broker.named_by}, or see to the network"
+        )
         return [fault, *not_checked((LISTENS, ACCEPTS, ROUND_TRIP), "its address is not known")]
     resolved = RESOLVES.ok(f"{broker.host} is {', '.join(sorted({str(address[4][0]) for address in found}))}")
     try:
@@ -57,7 +59,7 @@ async def check_broker(broker: Mqtt, host: Host, times: ConnectionTimes | None =
         reason = f"no answer within {_CONNECT_S:g} s" if isinstance(error, TimeoutError) else reason_of(error)
         fault = LISTENS.fault(
             f"{where}: {reason}",
-            "start the broker, see that it listens on that address (and the firewall), or mqtt.url",
+            f"start the broker, see that it listens on that address (and the firewall), or correct {broker.named_by}",
         )
         return [resolved, fault, *not_checked((ACCEPTS, ROUND_TRIP), "nobody listens")]
     writer.close()
@@ -65,7 +67,7 @@ async def check_broker(broker: Mqtt, host: Host, times: ConnectionTimes | None =
         await writer.wait_closed()
     with Load(host) as load:
         probe, last_text = await _measure(broker, times)
-    return [resolved, LISTENS.ok(where), *_findings(probe, last_text, load.busy())]
+    return [resolved, LISTENS.ok(where), *_findings(broker, probe, last_text, load.busy())]
 
 
 class _Probe:
@@ -157,14 +159,13 @@ async def _measure(broker: Mqtt, times: ConnectionTimes | None) -> tuple[_Probe,
     return probe, last_text[-1]
 
 
-def _findings(probe: _Probe, last_text: str, busy: str) -> Iterator[Finding]:
+def _findings(broker: Mqtt, probe: _Probe, last_text: str, busy: str) -> Iterator[Finding]:
     if not probe.accepted.is_set():
-        silent = connection_errors.SILENT in last_text
+        silent = str(connection_errors.SilentError(broker)) in last_text
         remedy = f"correct the keys of [mqtt], or the broker's accounts; {page('how-to/secure-the-broker.md')}"
         if silent:
-            remedy = (
-                "see that mqtt.url names the broker's host and port, and that the broker is not stopped; restart it"
-            )
+            named = f"see that {broker.named_by} names the broker's host and port"
+            remedy = f"{named}, and that the broker is not stopped; restart it"
         yield ACCEPTS.fault(last_text.removesuffix("; trying again"), remedy)
         yield ROUND_TRIP.not_checked("the broker does not answer" if silent else "the broker does not take this user")
         return

@@ -43,6 +43,14 @@ class Report:
     def exit_code(self) -> ExitCode:
         return ExitCode.FAILED if self.faulty else ExitCode.DONE
 
+    @property
+    def judgement(self) -> str:
+        """The verdict in words, with the first fault."""
+        if self.cause is None:
+            return self.verdict
+        others = "".join(f", then {area.value}" for area in self.faulty[1:])
+        return f"{self.verdict}{others}; first: {_named(self.cause)}"
+
     def count(self, outcome: Outcome) -> int:
         return sum(finding.outcome is outcome for finding in self.findings)
 
@@ -116,11 +124,7 @@ class Report:
             )
         )
         yield f"{len(self.findings)} looked at: {counts}"
-        if self.cause is None:
-            yield "verdict: fine"
-            return
-        others = "".join(f", then {area.value}" for area in self.faulty[1:])
-        yield from _wrapped("verdict: ", f"{self.verdict}{others}; first: {_named(self.cause)}")
+        yield from _wrapped("verdict: ", self.judgement)
 
 
 def _named(finding: Finding) -> str:

@@ -20,7 +20,7 @@ from resonator_daemon.doctor.host_checks import check_clock, check_disk, check_s
 from resonator_daemon.doctor.port_checks import HOLDER, check_holder, check_port
 from resonator_daemon.doctor.report import Report
 from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of, usb_node
-from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError
+from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError, UserError
 from resonator_daemon.host.places import state_directory
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.links.port_holders import Holders, port_holders
@@ -40,6 +40,13 @@ class UnusableConfigError(ConfigurationError):
     hint = "resonatord check"
 
 
+class FaultError(UserError):
+    """Something is at fault; the report names who must act."""
+
+    exit_code = ExitCode.FAILED
+    code = "fault"
+
+
 @dataclass(frozen=True)
 class DoctorOptions:
     """Options of a diagnosis: a configuration's board, or one on a link."""
@@ -57,6 +64,8 @@ def doctor(options: DoctorOptions) -> ExitCode:
 
     Raises
     ------
+    FaultError
+        Something is at fault, and the report is to be a JSON object.
     UnusableConfigError
         The configuration cannot be used: there is nothing to hold the board against.
     InterruptedCommandError
@@ -76,13 +85,15 @@ def doctor(options: DoctorOptions) -> ExitCode:
         if found and not options.json:
             report.write(sys.stdout, whole=False)
         words = f"interrupted: {len(found)} things were looked at, which is not all"
-        raise InterruptedCommandError(words, {"findings": report.as_json()["findings"]}) from None
+        raise InterruptedCommandError(words, so_far={"findings": report.as_json()["findings"]}) from None
     report = Report(found)
-    if options.json:
-        sys.stdout.write(json.dumps(report.as_json()) + "\n")
-    else:
+    if not options.json:
         report.write(sys.stdout)
-    return report.exit_code
+        return report.exit_code
+    if report.cause is not None:
+        raise FaultError(report.judgement, so_far=report.as_json())
+    sys.stdout.write(json.dumps(report.as_json()) + "\n")
+    return ExitCode.DONE
 
 
 class _NoBoardError(ConfigurationError):

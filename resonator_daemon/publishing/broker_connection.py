@@ -197,7 +197,7 @@ class BrokerConnection:
                 raise BrokerError("the broker ended the connection at once")
         except TimeoutError:
             self.abort()
-            raise BrokerError(connection_errors.SILENT) from None
+            raise connection_errors.SilentError(self._broker) from None
         except BaseException:
             self.abort()
             raise

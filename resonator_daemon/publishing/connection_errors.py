@@ -13,12 +13,10 @@ from resonator_daemon.host.system_limits import meaning_of, reason_of
 
 UNSUPPORTED_VERSION: Final = 132
 UNSPECIFIED: Final = 128  # the library's code for a connection that ended without a DISCONNECT packet
-SILENT: Final = "it accepts connections and does not answer as an MQTT broker; see mqtt.url"
 
 _PROTOCOL_ERROR: Final = 130  # the library's word for bytes that are not MQTT, and for a 3.1.1 broker's "no 3.1.1"
 _REFUSED_CLIENTS: Final = (134, 135, 138)  # bad name or password, not authorized, banned
 _NEITHER_VERSION: Final = "it supports neither MQTT 5 nor 3.1.1"
-_NO_TLS: Final = "it ended the connection instead of using TLS; if the port is for plain MQTT, mqtt.url is mqtt://"
 _NO_CERTIFICATE: Final = ("certificate required", "handshake failure")  # of TLS 1.3, 1.2
 _EXPIRED: Final = 10  # these are X509_V_ERR_ of OpenSSL
 _NOT_YET_VALID: Final = 9
@@ -42,8 +40,17 @@ class NoAnswerError(BrokerError):
     """The other end accepted the connection and closed it without an answer."""
 
 
+class SilentError(BrokerError):
+    """The other end accepts connections and does not answer."""
+
+    def __init__(self, broker: Mqtt) -> None:
+        super().__init__(f"it accepts connections and does not answer as an MQTT broker; see {broker.named_by}")
+
+
 def of_opening(error: OSError, broker: Mqtt) -> BrokerError:
     """Return why the connection could not be opened, TLS included."""
+    no_tls = "it ended the connection instead of using TLS; if the port is for plain MQTT, "
+    no_tls += f"{broker.named_by} is mqtt://"
     match error:
         case UnusableFileError():
             return BrokerError(str(error))
@@ -52,13 +59,13 @@ def of_opening(error: OSError, broker: Mqtt) -> BrokerError:
         case ssl.SSLError() if (alert := _alert(error)) is not None:
             return RefusalError(_refused_by_tls(alert, broker))
         case ssl.SSLEOFError() | ConnectionResetError():
-            return BrokerError(_NO_TLS)
+            return BrokerError(no_tls)
         case ssl.SSLError() if error.reason == "WRONG_VERSION_NUMBER":
-            return BrokerError(_NO_TLS)
+            return BrokerError(no_tls)
         case TimeoutError() if "handshake" in str(error):
-            return BrokerError(_NO_TLS)
+            return BrokerError(no_tls)
         case socket.gaierror():
-            return BrokerError(f"no host of this name ({meaning_of(error)}); see mqtt.url")
+            return BrokerError(f"no host of this name ({meaning_of(error)}); see {broker.named_by}")
         case _:
             return BrokerError(reason_of(error))
 
@@ -67,7 +74,7 @@ def of_silent_end(reason_code: int, version: MQTTProtocolVersion, broker: Mqtt) 
     """Return why the broker ended a connection that it had not accepted nor refused by an MQTT packet."""
     if reason_code == _PROTOCOL_ERROR and version is MQTTProtocolVersion.MQTTv311:
         return RefusalError(_NEITHER_VERSION)
-    other = "not for TLS, mqtt.url is mqtt://" if broker.tls else "for TLS, mqtt.url is mqtts://"
+    other = f"not for TLS, {broker.named_by} is mqtt://" if broker.tls else f"for TLS, {broker.named_by} is mqtts://"
     return NoAnswerError(f"it ended the connection without an answer; if the port is {other}")
 
 
@@ -102,7 +109,8 @@ def _certificate(error: ssl.SSLCertVerificationError, broker: Mqtt) -> str:
         case code if code == _NOT_YET_VALID:
             return "its certificate is not valid yet; set the clock of this computer or of the one that made it"
         case code if code in _ANOTHER_HOST:
-            return f"its certificate is not for {broker.host}; have mqtt.url name the host as the certificate does"
+            named = f"have {broker.named_by} name the host as the certificate does"
+            return f"its certificate is not for {broker.host}; {named}"
         case code if code in _UNTRUSTED:
             return f"its certificate is signed by no authority in {authorities}"
         case _:

@@ -180,7 +180,7 @@ def _broker_error(error: aiomqtt.MqttError, broker: Mqtt, *, accepted: bool) -> 
         return BrokerError("connection lost")
     if isinstance(error.__context__, OSError):
         return connection_errors.of_opening(error.__context__, broker)
-    return BrokerError(connection_errors.SILENT)
+    return connection_errors.SilentError(broker)
 
 
 def _finish(future: asyncio.Future[None]) -> None:

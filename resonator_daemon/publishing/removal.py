@@ -37,7 +37,7 @@ class NoPlateError(UserError):
     code = "no_plate"
 
 
-async def remove_plate(broker: Mqtt, name: str, *, force: bool = False, named_by: str = "mqtt.url") -> tuple[str, ...]:
+async def remove_plate(broker: Mqtt, name: str, *, force: bool = False) -> tuple[str, ...]:
     """Clear all retained topics below `prefix/name/`, `state/daemon` last; return their paths.
 
     Before them the message for Home Assistant is cleared, which is returned with its whole topic. Without
@@ -48,8 +48,6 @@ async def remove_plate(broker: Mqtt, name: str, *, force: bool = False, named_by
     broker, name
     force
         Whether to clear also where `state/daemon` is not `offline`. It is an error if a daemon restores it.
-    named_by
-        Key or option that names the broker.
 
     Raises
     ------
@@ -62,7 +60,7 @@ async def remove_plate(broker: Mqtt, name: str, *, force: bool = False, named_by
     NotOfflineError
         The daemon is not offline; without `force` nothing was cleared.
     """
-    await reach(broker, named_by=named_by)
+    await reach(broker)
     loop = asyncio.get_running_loop()
     closing: asyncio.Future[None] = loop.create_future()
     done: asyncio.Future[None] = loop.create_future()

@@ -41,8 +41,8 @@ class RefusedError(UserError):
     exit_code = ExitCode.FAILED
     code = "refused"
 
-    def __init__(self, code: str, message: str) -> None:
-        super().__init__(message)
+    def __init__(self, code: str, message: str, so_far: Mapping[str, Any] | None = None) -> None:
+        super().__init__(message, so_far=so_far)
         self.code = code
 
 
@@ -53,13 +53,8 @@ class DeniedError(UserError):
     code = "denied"
 
 
-async def reach(broker: Mqtt, *, named_by: str = "mqtt.url") -> None:
+async def reach(broker: Mqtt) -> None:
     """Open a connection once: other clients would wait for a broker for ever.
-
-    Parameters
-    ----------
-    named_by
-        The key or option that the operator is to look at.
 
     Raises
     ------
@@ -71,7 +66,7 @@ async def reach(broker: Mqtt, *, named_by: str = "mqtt.url") -> None:
             _, writer = await asyncio.open_connection(broker.host, broker.port)
     except (OSError, TimeoutError) as error:
         where = f"{broker.host}:{broker.port}"
-        raise BrokerUnreachableError(f"no broker at {where} ({reason_of(error)}); see {named_by}") from None
+        raise BrokerUnreachableError(f"no broker at {where} ({reason_of(error)}); see {broker.named_by}") from None
     writer.close()
 
 

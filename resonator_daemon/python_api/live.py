@@ -64,7 +64,7 @@ async def subscribe(
         for topic in wanted:
             if topic not in TOPICS:
                 raise UsageError(f"topic {topic!r}: no plate has it; {nearest(topic, tuple(TOPICS))}")
-        await reach(broker, named_by="url")
+        await reach(broker)
         if plate is not None:
             await find_plate(broker, _plate(plate))
     chosen = [TOPICS[topic] for topic in wanted]
@@ -113,16 +113,16 @@ async def command(
     """
     with readable_errors():
         broker = _broker(url)
-        await reach(broker, named_by="url")
+        await reach(broker)
         await find_online(broker, _plate(plate))
         return await execute(broker, plate, verb, arguments, answer_s=timeout_s)
 
 
 def _broker(url: str | Mqtt) -> Mqtt:
     if isinstance(url, Mqtt):
-        return url
+        return url.with_name("url")
     try:
-        return Mqtt(url=url)
+        return Mqtt(url=url).with_name("url")
     except ValidationError as error:
         (finding,) = error.errors()
         sentence = finding["msg"].removeprefix("Value error, ")

@@ -174,6 +174,7 @@ class NotRepairableError(RepairError):
     """The file is no recording of this format."""
 
     exit_code = ExitCode.USAGE
+    code = "no_recording"
 
 
 @dataclass

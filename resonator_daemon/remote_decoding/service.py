@@ -53,6 +53,7 @@ class CannotShareError(UserError):
     """The broker hands no frame to one of many."""
 
     exit_code = ExitCode.UNAVAILABLE
+    code = "cannot_share"
 
 
 async def serve(config: DecoderConfig) -> None:

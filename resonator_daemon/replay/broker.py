@@ -47,8 +47,6 @@ class AtBroker:
         To publish under.
     file_name
         Of the recording.
-    named_by
-        The key or option that names the broker.
 
     Attributes
     ----------
@@ -63,10 +61,9 @@ class AtBroker:
         A daemon publishes under that name, or its retained state is not `offline`.
     """
 
-    def __init__(self, mqtt: Mqtt, name: str, file_name: str, *, named_by: str = "mqtt.url") -> None:
+    def __init__(self, mqtt: Mqtt, name: str, file_name: str) -> None:
         self._mqtt = mqtt
         self._name = name
-        self._named_by = named_by
         self._what = f"replaying {printable(file_name)}"
         self._base = f"{mqtt.prefix}/{name}"
         self.daemon_boot_id = secrets.token_hex(4)
@@ -79,7 +76,7 @@ class AtBroker:
         return {cause: count for cause, count in dropped.items() if cause != Cause.SUPERSEDED}
 
     async def __aenter__(self) -> Self:
-        await reach(self._mqtt, named_by=self._named_by)
+        await reach(self._mqtt)
         await self._refuse_a_taken_name()
         self._state = DaemonState(self.daemon_boot_id, self._publish_state, lambda: self._publisher.republish())
         topic = full_topic(self._mqtt.prefix, self._name, STATE_DAEMON.path)

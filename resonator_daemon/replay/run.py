@@ -157,7 +157,7 @@ def _interruptible_at_broker(tally: Tally) -> Iterator[None]:
     except KeyboardInterrupt:
         words = f"{tally.messages.total()} messages were played out, {tally.recorded_s:.1f} s of the recording"
         so_far = {"messages": dict(tally.messages), "seconds": round(tally.recorded_s, 3)}
-        raise InterruptedCommandError(f"interrupted: {words}", so_far) from None
+        raise InterruptedCommandError(f"interrupted: {words}", so_far=so_far) from None
 
 
 async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[dict[str, Any], list[str]]:
@@ -169,8 +169,7 @@ async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[d
         output, boot_id, speed = Lines(options.output), None, options.speed or math.inf
     else:
         name = _given(options.name) if options.name else _recorded(path, config)
-        named_by = "--url" if config is None or options.url is not None else "mqtt.url"
-        output = AtBroker(_broker(options.url, config), name, path.name, named_by=named_by)
+        output = AtBroker(_broker(options.url, config), name, path.name)
         boot_id, speed = output.daemon_boot_id, options.speed or 1.0
         summary["name"] = name
     with open_replay(path, config, boot_id) as replaying:
@@ -232,7 +231,7 @@ async def play(
 
 def _broker(url: str | None, config: Config | None) -> Mqtt:
     if url is None:
-        return config.mqtt if config is not None else Mqtt()
+        return config.mqtt if config is not None else Mqtt().with_name("--url")
     return broker_at(url, config.mqtt.prefix if config is not None else Mqtt().prefix)
 
 

@@ -60,8 +60,8 @@ def json_line(plate: str, path: str, message: Message) -> str:
     return f'{{"plate": {json.dumps(plate)}, "topic": {json.dumps(path)}, "message": {payload}}}\n'
 
 
-def broker_at(url: str, prefix: str) -> Mqtt:
-    """Return the broker of the command line's options.
+def broker_at(url: str, prefix: str, *, named_by: str = "--url") -> Mqtt:
+    """Return the broker of the command line's options; `named_by` is that of the address.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def broker_at(url: str, prefix: str) -> Mqtt:
         The address or the prefix cannot be used.
     """
     try:
-        return Mqtt(url=url, prefix=prefix)
+        return Mqtt(url=url, prefix=prefix).with_name(named_by)
     except ValidationError as error:
         findings = [(f["loc"][0], shown(f["input"]), f["msg"].removeprefix("Value error, ")) for f in error.errors()]
         raise UsageError(*(f"--{key}: got {value}; {sentence}" for key, value, sentence in findings)) from None

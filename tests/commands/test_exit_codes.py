@@ -1,7 +1,10 @@
 """Exit codes that all commands share: wrong arguments, an output that is there, a reader that left, Ctrl-C."""
 
+import importlib
 import json
+import pkgutil
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,34 +13,88 @@ from pathlib import Path
 import pytest
 from command_line import exit_code
 
+import resonator_daemon
+from resonator_daemon.commands._command_line import command_names
+from resonator_daemon.errors import FAILURES, UserError
+
 RECORDING = Path(__file__).parents[1] / "corpus" / "touches" / "recording.mcap"
 PROGRAM = (sys.executable, "-m", "resonator_daemon")
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "demo --plate nope",
-        "emulate --plate nope --pty board",
-        "emulate --plate quartz16 --pty board --faults nope=1",
-        "watch --prefix a#b",
-        "replay run.mcap --url mqtt://host:0",
-        "doctor --url nonsense --link tcp://127.0.0.1:9",
-        "identify nope",
-        "export run.mcap --output run.foo",
-        "plan codes --grid nope --pitch-mm 5",
-        "plan codes",
-        "record left-index.toml",
-    ],
-)
-def test_a_wrong_value_of_an_argument_is_a_matter_of_usage(
+FAILING = {  # exit code and code of the error by command line
+    **{f"{name} --nope": (2, "usage") for name in command_names() if name not in ("decode", "run")},
+    "demo --plate nope": (2, "usage"),
+    "emulate --plate nope --pty board": (2, "usage"),
+    "emulate --plate quartz16 --pty board --faults nope=1": (2, "usage"),
+    "emulate --plate quartz16 --pty nope/board": (78, "config"),
+    "watch --prefix a#b": (2, "usage"),
+    "replay run.mcap --url mqtt://host:0": (2, "usage"),
+    "doctor --url nonsense --link tcp://127.0.0.1:9": (2, "usage"),
+    "identify nope": (2, "usage"),
+    "export run.mcap --output run.foo": (2, "usage"),
+    "plan codes --grid nope --pitch-mm 5": (2, "usage"),
+    "plan codes": (2, "usage"),
+    "plan sensors --depth-mm -1": (2, "usage"),
+    "config explain nope": (2, "usage"),
+    "record left-index.toml": (2, "usage"),
+    "bench latency --broker mqtt://127.0.0.1:9 --seconds 1": (69, "no_broker"),
+    "calibrate gone.toml": (78, "config"),
+    "calibrate board.toml --masses-grams 100 --output new.toml": (69, "no_board"),
+    "calibrate skin skin.toml": (69, "no_broker"),
+    "check gone.toml": (78, "config"),
+    "command left ping --url mqtt://127.0.0.1:9": (69, "no_broker"),
+    "compare run.mcap cut.mcap": (1, "differs"),
+    "compare run.mcap gone.mcap": (2, "no_recording"),
+    "doctor tcp://127.0.0.1:9 --seconds 1": (1, "fault"),
+    "export cut.mcap --output out.npz": (1, "differs"),
+    "identify tcp://127.0.0.1:9": (69, "no_board"),
+    "install --prefix run.mcap": (1, "install"),
+    "plan codes --grid 10x10 --pitch-mm 5 --touches 100": (1, "no_plan"),
+    "record board.toml --output run.mcap": (78, "output"),
+    "reload no-such-plate": (1, "no_daemon"),
+    "remove left --url mqtt://127.0.0.1:9": (69, "no_broker"),
+    "repair run.txt": (2, "no_recording"),
+    "replay cut.mcap --to out.jsonl": (1, "differs"),
+    "replay run.mcap --to out.jsonl --from nope": (2, "no_mark"),
+    "replay --check case": (1, "differs"),
+    "status no-such-plate": (1, "no_daemon"),
+    "tare client.toml": (69, "no_broker"),
+    "watch --url mqtt://nope:x": (2, "usage"),
+}
+
+
+@pytest.mark.parametrize("line", FAILING)
+def test_every_failure_is_one_object_with_a_code(
     line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "run.mcap").write_bytes(RECORDING.read_bytes())
-    assert exit_code(*shlex.split(line), "--json") == 2
+    recorded = RECORDING.read_bytes()
+    (tmp_path / "run.mcap").write_bytes(recorded)
+    (tmp_path / "cut.mcap").write_bytes(recorded[: len(recorded) // 2])
+    (tmp_path / "run.txt").write_text("nope")
+    shutil.copytree(RECORDING.parent, tmp_path / "case")
+    (tmp_path / "case" / RECORDING.name).write_bytes(recorded[: len(recorded) // 2])
+    broker = '[mqtt]\nurl = "mqtt://127.0.0.1:9"\n'
+    (tmp_path / "client.toml").write_text(f'name = "left"\n{broker}')
+    for name, plate in (("board", "quartz16"), ("skin", "skin32")):
+        (tmp_path / f"{name}.toml").write_text(f'plate = "{plate}"\nlink = "tcp://127.0.0.1:9"\n{broker}')
+    code = exit_code(*shlex.split(line), "--json")
     printed = capsys.readouterr()
-    assert (json.loads(printed.out)["error"]["code"], "Traceback" in printed.err) == ("usage", False)
+    result = json.loads(printed.out)
+    assert (code, result["ok"], result["error"]["code"]) == (FAILING[line][0], False, FAILING[line][1])
+    assert result["error"]["message"]
+    assert line.startswith(result["verb"])
+    assert "Traceback" not in printed.err
+
+
+def test_every_error_has_a_documented_code() -> None:
+    for found in pkgutil.walk_packages(resonator_daemon.__path__, "resonator_daemon."):
+        if not found.name.endswith("__main__"):
+            importlib.import_module(found.name)
+    kinds = [UserError]
+    for kind in kinds:
+        kinds += kind.__subclasses__()
+    assert {kind.code for kind in kinds} == FAILURES.keys()
 
 
 @pytest.mark.parametrize(

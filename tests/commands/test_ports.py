@@ -108,7 +108,7 @@ def test_a_board_that_another_program_holds_is_in_use(
     ):
         port_inquiry.probe(served)
         code, printed = asked(capsys, "identify", emulator.link.address)
-    assert (code, printed["error"]["code"]) == (69, "in_use")
+    assert (code, printed["error"]["code"]) == (69, "port_in_use")
 
 
 def test_for_programs_it_is_one_object(board: str, capsys: pytest.CaptureFixture[str]) -> None:

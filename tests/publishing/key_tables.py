@@ -12,6 +12,7 @@ from pathlib import Path
 
 from pydantic.fields import FieldInfo
 
+from resonator_daemon.errors import FAILURES
 from resonator_daemon.publishing import payloads
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.units import unit_of
@@ -23,12 +24,12 @@ PAGES = [
 ]
 WIDTH = 130
 EXAMPLE = re.compile(r"(^## (\w+)\n(?:(?!^## |^```).*\n)*```json\n)(?:.*\n)*?(```)", re.MULTILINE)
-KEYS = re.compile(r"(<!-- (keys|words): ([\w, ]+) -->\n\n)(?:\|.*\n)*\n*")
+KEYS = re.compile(r"(<!-- (keys|words|errors): ([\w, ]+) -->\n\n)(?:\|.*\n)*\n*")
 
 
 def with_tables(page: str) -> str:
     """Return the page with each table as the models have it."""
-    make = {"keys": table_of_keys, "words": table_of_words}
+    make = {"keys": table_of_keys, "words": table_of_words, "errors": table_of_errors}
     page = KEYS.sub(lambda found: f"{found[1]}{make[found[2]](found[3].split(', '))}\n", page)
     return EXAMPLE.sub(lambda found: f"{found[1]}{_wrapped(EXAMPLES[found[2]])}\n{found[3]}", page)
 
@@ -65,6 +66,11 @@ def table_of_words(names: list[str]) -> str:
     meanings = ERRORS if name == "ErrorCode" else {word: word.meaning for word in getattr(payloads, name)}
     rows = [f"| `{word}` | {meaning} |" for word, meaning in meanings.items()]
     return "\n".join(["| word | meaning |", "| --- | --- |", *rows]) + "\n"
+
+
+def table_of_errors(_: list[str]) -> str:
+    rows = [f"| `{code}` | {meaning} |" for code, meaning in FAILURES.items()]
+    return "\n".join(["| code | meaning |", "| --- | --- |", *rows]) + "\n"
 
 
 if __name__ == "__main__":

@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import exit_code
 
 from resonator_daemon.commands import main
 from resonator_daemon.errors import ConfigurationError, ExitCode
 from resonator_daemon.replay.case import EXPECTED_FILE, read_expected, save_case
-from resonator_daemon.replay.checking import Verdict, check_case, check_cases
+from resonator_daemon.replay.checking import Verdict, check_case
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 CASES = sorted(path.parent for path in CORPUS.glob(f"*/{EXPECTED_FILE}"))
@@ -103,15 +104,15 @@ def test_a_difference_is_printed_and_ends_with_a_failure(tmp_path: Path, capsys:
         refused["state"] = "online"
 
     case = retold(tmp_path, online)
-    assert check_cases([case, CORPUS / "overload"], as_json=False) is ExitCode.FAILED
+    assert exit_code("replay", "--check", case, CORPUS / "overload") == ExitCode.FAILED
     said = capsys.readouterr()
     assert said.out.startswith("DIFFERS refused: 1 differences\n        state/link at ")
     assert 's: state: expected "online", got "refused"\n' in said.out
     assert "ok      overload: " in said.out
     assert said.err.endswith("2 fixtures, 1 differ\n")
-    assert check_cases([case], as_json=True) is ExitCode.FAILED
+    assert exit_code("replay", "--check", case, "--json") == ExitCode.FAILED
     told = json.loads(capsys.readouterr().out)
-    assert (told["ok"], told["cases"][0]["differences"]) == (False, 1)
+    assert (told["ok"], told["error"]["code"], told["cases"][0]["differences"]) == (False, "differs", 1)
 
 
 def test_a_recording_that_cannot_be_replayed_is_a_difference(tmp_path: Path) -> None:

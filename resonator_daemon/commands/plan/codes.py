@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from resonator_daemon.commands._argument_types import number, picture, whole_number
-from resonator_daemon.commands._output import print_error, print_json, print_page
+from resonator_daemon.commands._output import print_json, print_page
 from resonator_daemon.errors import ExitCode
 
 
@@ -71,21 +71,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> ExitCode:
     """Print the plan, and write the plate file where the plan can be fulfilled."""
     from resonator_daemon.calibration.plate_file import write_plate_file
-    from resonator_daemon.planning.run import plan_codes
+    from resonator_daemon.planning.run import PlanRefusedError, plan_codes
 
     logging.getLogger().setLevel(logging.WARNING)  # matplotlib logs its fonts
     plan, plate_file = plan_codes(arguments)
     if arguments.picture is not None:
         plan.write_picture(arguments.picture)
-    if arguments.json:
-        print_json(plan.as_json())
-    else:
+    if not arguments.json:
         print_page(plan)
     if plan.refused:
-        print_error(*plan.refused)
-        return ExitCode.FAILED
+        raise PlanRefusedError(*plan.refused, so_far=plan.as_json())
     if arguments.output is not None:
         write_plate_file(plate_file, arguments.output)
+    if arguments.json:
+        print_json(plan.as_json())
     return ExitCode.DONE
 
 
