@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-firmware test-schema coverage bench bench-cost docs figures fuzz soak pins clean
+.PHONY: help setup demo test test-firmware test-schema coverage bench bench-cost docs docs-check figures fuzz soak pins clean
 
 # A user's PATH on Debian lacks the place of mosquitto.
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
@@ -157,6 +157,15 @@ docs: .venv/docs-stamp  ## the documentation as a site with search, in build/sit
 	@.venv/bin/python docs/site/stage.py build/site-source
 	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet --config-file docs/site/mkdocs.yml
 	echo "open build/site/index.html"
+
+DOCS_TOOLS := mosquitto_sub:mosquitto-clients jq:jq socat:socat unshare:util-linux openssl:openssl
+
+docs-check: .venv/test-stamp docs  ## links, generated pages, sentences; then each command and program of the pages; PAGES=docs/how-to/record.md
+	$(debian-packages)
+	debian-packages $(BROKER) $(DOCS_TOOLS) $(COMPILER) $(EXAMPLES)
+	export OMP_NUM_THREADS=1
+	.venv/bin/pytest --quiet tests/test_documentation.py
+	.venv/bin/python docs/site/run_pages.py $(PAGES)
 
 fuzz: .venv/run-stamp  ## ten million inputs through each parser of the wire, in Python and in C; a million commands
 	$(debian-packages)
