@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.exporting.clouds import Clouds, Points
-from resonator_daemon.exporting.mcap_output import cloud_fields, severity, state_text
+from resonator_daemon.exporting.mcap_output import cloud_fields
+from resonator_daemon.exporting.ros2_diagnostics import Diagnostics, diagnostics_of
 from resonator_daemon.exporting.ros2_types import (
     CLOUD,
     CONTACT,
@@ -22,6 +23,7 @@ from resonator_daemon.exporting.ros2_types import (
     TRANSFORMS,
     WRENCH,
     Nodetype,
+    Typestore,
     make_typestore,
     ros_name,
 )
@@ -30,9 +32,11 @@ from resonator_daemon.publishing.payloads import (
     Contact,
     ContactEvent,
     Contacts,
+    Decoded,
     DecodedSummary,
     Forces,
     Message,
+    Signals,
     State,
 )
 
@@ -77,18 +81,25 @@ class Translation:
         (n,), and x, y of each (n, 2) in metres.
     namespace
         Before the names of topics: empty, or as `/hand`.
+    store
+        Types of the messages; the default is that of `make_typestore`.
     """
 
     def __init__(
-        self, name: str, site_ids: NDArray[Any], site_positions_m: NDArray[np.float64], namespace: str = ""
+        self,
+        name: str,
+        site_ids: Iterable[int],
+        site_positions_m: NDArray[np.float64],
+        namespace: str = "",
+        store: Typestore | None = None,
     ) -> None:
         self.frame_id = ros_name(name)
-        self._hardware_id = name
         self._base = f"{namespace}/{self.frame_id}"
         self._clouds = Clouds(site_ids, site_positions_m)
         self._numbers: dict[int | None, int] = {}  # of the frames, by id of the contact
-        self.store = make_typestore()
+        self.store = store or make_typestore()
         self._types = self.store.types
+        self._diagnostics = Diagnostics(name, self.store)
         self._converters: dict[str, tuple[tuple[str, Callable[[Any], Any]], ...]] = {}
 
     def topics(self, paths: Iterable[str]) -> dict[str, str]:
@@ -111,38 +122,23 @@ class Translation:
                 yield self._translated(path, EVENT, partial(self._event, message))
             case Forces():
                 yield self._translated(path, FORCES, partial(self._forces, message))
-                yield self._translated(f"{path}/cloud", CLOUD, partial(self._cloud, message))
+                yield from self._clouded(path, message)
             case DecodedSummary():
                 yield self._translated(path, SUMMARY, partial(self._summary, message))
             case State():
-                make = partial(self.diagnostics, message.t_ns, [self.diagnostic_status(path, message)])
+                status = self._diagnostics.of_state(path, message)
+                make = partial(diagnostics_of, self.store, message.t_ns, [status])
                 yield Translated(DIAGNOSTICS_TOPIC, DIAGNOSTICS, make)
-            case _ if path in _TOPICS:
-                yield self._translated(f"{path}/cloud", CLOUD, partial(self._cloud, message))
+            case Decoded() | Signals():
+                yield from self._clouded(path, message)
 
     def encode(self, translated: Translated) -> bytes:
         """Return a message in CDR, with its encapsulation header."""
         return bytes(self.store.serialize_cdr(translated.make(), translated.kind))
 
-    def diagnostic_status(self, path: str, state: State) -> Any:
-        """Return one state as diagnostics show it."""
-        known = {"state": state.state, "reason_code": state.reason_code, "since_t_ns": state.since_t_ns}
-        return self.make_status(path, severity(state.state), state_text(state), known)
-
-    def make_status(self, path: str, level: int, text: str, values: dict[str, Any]) -> Any:
-        """Return a status of this plate; `path` names its part."""
-        make = self._types["diagnostic_msgs/msg/KeyValue"]
-        return self._types["diagnostic_msgs/msg/DiagnosticStatus"](
-            level=level,
-            name=f"{self.frame_id}: {path}",
-            message=text,
-            hardware_id=self._hardware_id,
-            values=[make(key=key, value="" if value is None else str(value)) for key, value in values.items()],
-        )
-
-    def diagnostics(self, t_ns: int, statuses: list[Any]) -> Any:
-        """Return several statuses as one message."""
-        return self._types[DIAGNOSTICS](header=self._header(t_ns, ""), status=statuses)
+    def _clouded(self, path: str, message: Message) -> Iterator[Translated]:
+        if self._clouds.fits(message):  # else it is of another plate, of which no info has come
+            yield self._translated(f"{path}/cloud", CLOUD, partial(self._cloud, message))
 
     def _translated(self, name: str, kind: str, make: Callable[[], Any]) -> Translated:
         return Translated(self._topic(name), kind, make)

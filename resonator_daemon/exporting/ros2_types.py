@@ -99,9 +99,9 @@ resonator_msgs/Patch[] patches
 }
 
 
-def make_typestore() -> Typestore:
-    """Return the types of ROS 2 Jazzy, and those of `resonator_msgs`."""
-    store = get_typestore(Stores.ROS2_JAZZY)
+def make_typestore(*, humble: bool = False) -> Typestore:
+    """Return the types of ROS 2, and those of `resonator_msgs`; of Humble, whose ids of nodes are longer, or newer."""
+    store = get_typestore(Stores.ROS2_HUMBLE if humble else Stores.ROS2_JAZZY)
     types: dict[str, Any] = {}
     for kind, definition in DEFINITIONS.items():
         types |= get_types_from_msg(definition, kind)
