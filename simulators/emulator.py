@@ -110,7 +110,7 @@ class Emulator:
         if not 0.0 < options.speed <= _SPEED_MAX:
             raise ValueError(f"speed must be above 0 and at most {_SPEED_MAX:g}, got {options.speed:g}")
         plate = _at_rate(load_plate(options.plate), options.frame_rate_hz)
-        presses = Presses(plate) if options.control else None
+        presses = Presses(plate, SERIAL_NUMBER) if options.control else None
         usual = "still" if options.control else default_scenario(plate)
         scenario = load_scenario(options.scenario or usual, plate, presses)
         faults = scenario.faults.with_more(options.faults)
@@ -132,6 +132,7 @@ class Emulator:
         self._ticks_per_ns = self._tick_rate_hz * options.speed * 1e-9
         self._truth_delay_ticks = _TRUTH_DELAY_NS * self._ticks_per_ns
         self._made: list[MadeFrame] = []  # whose truth has not been written
+        self._newest: MadeFrame | None = None
         self._script = Script(faults, seed)
         self._stopping = False
         self.environment: dict[str, str] = {}  # what a host must be started with to see the link
@@ -142,6 +143,7 @@ class Emulator:
             self._truth = stack.enter_context(closing(TruthOutput(options.truth))) if options.truth else None
             self._control: ControlSocket | None = None
             if options.control is not None and presses is not None:
+                presses.truth = self._newest_truth
                 self._control = stack.enter_context(closing(ControlSocket(options.control, presses)))
             self.link = self._open_link(options, 10 * plate.frame_bytes * plate.counter.frame_rate_hz)
             stack.callback(self.link.close)
@@ -166,6 +168,7 @@ class Emulator:
                 self._output.send(now_ns, self._elapsed_s(now_ticks))
                 if made:
                     self._made += made
+                    self._newest = made[-1]
                     self._write_truth()
                 board.count_ahead()
                 readable = self._wait()
@@ -296,9 +299,18 @@ class Emulator:
         self._made = []
         if self._truth is None:
             return
+        self._truth.write("".join(self._truth_lines(made)))
+
+    def _truth_lines(self, made: list[MadeFrame]) -> list[str]:
         to_utc_ns = self._origin_ns + time.time_ns() - time.monotonic_ns()
-        lines = [truth_line(frame, round(frame.end_ticks / self._ticks_per_ns) + to_utc_ns) for frame in made]
-        self._truth.write("".join(lines))
+        return [truth_line(frame, round(frame.end_ticks / self._ticks_per_ns) + to_utc_ns) for frame in made]
+
+    def _newest_truth(self) -> dict[str, Any] | None:
+        """Return the truth of the newest frame as an object; None before the first."""
+        if self._newest is None:
+            return None
+        truth: dict[str, Any] = json.loads(self._truth_lines([self._newest])[0])
+        return truth
 
     def _wait(self) -> bool:
         """Wait for what is due next, for the link or for `stop`; return whether the link has something to read."""

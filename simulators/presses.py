@@ -2,8 +2,9 @@
 
 import json
 import math
+from collections.abc import Callable
 from itertools import count
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -55,6 +56,30 @@ class ReleaseRequest(BaseModel):
     release: Name
 
 
+class InfoRequest(BaseModel):
+    """Describe the plate."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    info: Literal[True]
+
+
+class TruthRequest(BaseModel):
+    """Return what presses the plate, scenario included."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    truth: Literal[True]
+
+
+REQUESTS: Final[dict[str, type[BaseModel]]] = {
+    "press": PressRequest,
+    "release": ReleaseRequest,
+    "info": InfoRequest,
+    "truth": TruthRequest,
+}
+
+
 class _Press(NamedTuple):
     """A touch that is held."""
 
@@ -84,10 +109,18 @@ class _Press(NamedTuple):
 
 
 class Presses:
-    """The touches that clients hold on one plate; each client names its own."""
+    """The touches that clients hold on one plate; each client names its own.
 
-    def __init__(self, plate: Plate) -> None:
+    Attributes
+    ----------
+    truth
+        Returns the truth of the newest frame, as a line of the truth file; None: there is no frame yet.
+    """
+
+    def __init__(self, plate: Plate, serial_number: str) -> None:
+        self.truth: Callable[[], dict[str, Any] | None] = lambda: None
         self._plate = plate
+        self._serial_number = serial_number
         self._low_m, self._high_m = reach_m(plate)
         self._has_skin = FORCE_SIGNAL not in plate.signals
         self._force_max_newton = FORCE_RANGE * plate.force_max_newton
@@ -124,14 +157,33 @@ class Presses:
             content = json.loads(line)
         except (ValueError, RecursionError):  # not UTF-8, too
             raise RefusedRequest("not_json", "a request is one line with a JSON object") from None
-        if not isinstance(content, dict) or ("press" in content) == ("release" in content):
-            raise RefusedRequest("no_verb", 'a request is {"press": NAME, ...} or {"release": NAME}')
+        verbs = [verb for verb in REQUESTS if verb in content] if isinstance(content, dict) else []
+        if len(verbs) != 1:
+            forms = '{"press": NAME, ...}, {"release": NAME}, {"info": true} or {"truth": true}'
+            raise RefusedRequest("no_verb", f"a request is {forms}")
         try:
-            if "release" in content:
-                return self._release(client, ReleaseRequest.model_validate(content).release)
-            return self._press(client, PressRequest.model_validate(content))
+            request = REQUESTS[verbs[0]].model_validate(content)
         except ValidationError as error:
             raise _refused(error.errors()[0]) from None
+        match request:
+            case PressRequest():
+                return self._press(client, request)
+            case ReleaseRequest():
+                return self._release(client, request.release)
+            case InfoRequest():
+                return self._info()
+            case _:
+                return {"truth": self.truth()}
+
+    def _info(self) -> dict[str, Any]:
+        return {
+            "plate": self._plate.name,
+            "serial_number": self._serial_number,
+            "low_m": self._low_m.tolist(),
+            "high_m": self._high_m.tolist(),
+            "force_max_newton": self._force_max_newton,
+            "skin": self._has_skin,
+        }
 
     def _release(self, client: int, name: str) -> dict[str, Any]:
         if (press := self._held.pop((client, name), None)) is None:

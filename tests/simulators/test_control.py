@@ -85,7 +85,7 @@ def forces_at_last(tmp_path: Path) -> list[float]:
 def test_a_press_acts_on_sites_as_a_touch_of_a_scenario_does(
     plate: Plate, kind: type[QuartzPlate] | type[CombPlate]
 ) -> None:
-    presses = Presses(plate)
+    presses = Presses(plate, "EMU-0001")
     touches = (steady(1.5, position_mm=(1.2, -3.1)), steady(0.5, position_mm=tuple(np.array(OTHER) * 1e3)))
     by_scenario: EmulatedPlate = kind(plate, Scenario(touches, None, plate, physics=IDEAL), 3)
     by_client: EmulatedPlate = kind(plate, Scenario((), None, plate, physics=IDEAL, presses=presses), 3)
@@ -110,7 +110,7 @@ def test_a_press_acts_on_sites_as_a_touch_of_a_scenario_does(
 
 
 def test_under_a_skin_a_press_has_radius_and_friction_and_slips_in_part() -> None:
-    presses = Presses(SKIN)
+    presses = Presses(SKIN, "EMU-0001")
     plate = SkinPlate(SKIN, Scenario((), None, SKIN, presses=presses), 3)
 
     def contact() -> Contact:
@@ -150,12 +150,12 @@ def test_under_a_skin_a_press_has_radius_and_friction_and_slips_in_part() -> Non
     ],
 )
 def test_radius_and_friction_have_limits_and_belong_to_skins(given: dict[str, float], code: str) -> None:
-    assert code_of(ask(Presses(SKIN), PRESS | given)) == code
-    assert code_of(ask(Presses(QUARTZ), PRESS | given)) == "no_skin"
+    assert code_of(ask(Presses(SKIN, "EMU-0001"), PRESS | given)) == code
+    assert code_of(ask(Presses(QUARTZ, "EMU-0001"), PRESS | given)) == "no_skin"
 
 
 def test_keys_that_are_not_given_stay_and_touches_belong_to_their_clients() -> None:
-    presses = Presses(QUARTZ)
+    presses = Presses(QUARTZ, "EMU-0001")
     assert ask(presses, PRESS) == {"ok": True, "press": "a", "contact_id": FIRST_ID}
     assert ask(presses, {"press": "a", "force_newton": [0, 0, 2]})["contact_id"] == FIRST_ID
     assert ask(presses, {"press": "a", "position_m": OTHER})["ok"]
@@ -197,14 +197,14 @@ def test_keys_that_are_not_given_stay_and_touches_belong_to_their_clients() -> N
     ],
 )
 def test_a_request_that_is_refused_changes_nothing(request_: object, code: str) -> None:
-    presses = Presses(QUARTZ)
+    presses = Presses(QUARTZ, "EMU-0001")
     ask(presses, {"press": "held", "position_m": OTHER, "force_newton": [0, 0, 3.0]})
     assert code_of(ask(presses, request_)) == code
     assert presses.at(1).force_newton.tolist() == [[[0.0, 0.0, 3.0]]]
 
 
 def test_touches_are_limited() -> None:
-    presses = Presses(QUARTZ)
+    presses = Presses(QUARTZ, "EMU-0001")
     answers = [ask(presses, PRESS | {"press": str(name)}, client=name % 2) for name in range(TOUCHES_MAX + 1)]
     assert [code_of(answer) for answer in answers] == [None] * TOUCHES_MAX + ["too_many_touches"]
     presses.release_all(1)
@@ -221,6 +221,11 @@ def test_a_client_presses_with_two_touches_releases_one_and_disconnects(tmp_path
         host.read_until(lambda: forces_at_last(tmp_path) == [1.0])
         assert client.ask(PRESS | {"press": "b", "position_m": OTHER, "force_newton": [0.0, 0.0, 2.5]})["ok"]
         host.read_until(lambda: forces_at_last(tmp_path) == [1.0, 2.5])
+        answer = client.ask({"truth": True})["truth"]
+        assert [contact["force_newton"][2] for contact in answer["contacts"]] == [1.0, 2.5]
+        described = client.ask({"info": True})
+        assert (described["plate"], described["serial_number"], described["skin"]) == ("quartz16", "EMU-0001", False)
+        assert (described["low_m"], described["force_max_newton"]) == ([-0.01, -0.01], 20.0)
         assert client.ask({"release": "a"})["ok"]
         host.read_until(lambda: forces_at_last(tmp_path) == [2.5])
         client.close()
