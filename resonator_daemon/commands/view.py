@@ -1,7 +1,7 @@
-"""Serve a live page of what plates publish, for a browser, until stopped.
+"""Serve a live page of what plates publish, or of recordings, for a browser, until stopped.
 
-The page is at http://127.0.0.1:8600/ and is for this computer. Other addresses need a token and TLS, as does everything
-that other computers can reach: docs/reference/live-page.md has an example.
+The page is at http://127.0.0.1:8600/ and only for this computer, and it is read-only. Other addresses need a token and
+TLS. `--press` lets browsers press an emulated plate. docs/reference/live-page.md has examples.
 
 Example: resonatord view --url mqtt://127.0.0.1:1883
 """
@@ -13,11 +13,14 @@ from pathlib import Path
 
 from resonator_daemon.commands._broker import add_broker, broker_of
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.errors import ExitCode, UsageError, UserError
+from resonator_daemon.errors import ExitCode, NoRecordingError, UsageError, UserError
 from resonator_daemon.host.printable import how_to_install
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "files", type=Path, nargs="*", metavar="FILE.mcap", help="one recording, or two to compare, instead of a broker"
+    )
     add_broker(parser)
     parser.add_argument(
         "--listen",
@@ -32,6 +35,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tls-certificate", type=Path, metavar="FILE", help="PEM file with the page's certificate")
     parser.add_argument("--tls-key", type=Path, metavar="FILE", help="PEM file with the key of the certificate")
     parser.add_argument(
+        "--press",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="PATH",
+        help="control socket of an emulator whose plate browsers may press; may be repeated",
+    )
+    parser.add_argument(
         "--allow-commands", action="store_true", help="browsers may send tare, mark, start_recording and stop_recording"
     )
     parser.add_argument("--json", action="store_true", help='print {"url": ...} on stdout when the page is there')
@@ -43,20 +54,24 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
         try:
             from resonator_daemon.live_page.credentials import read_token, tls_of
+            from resonator_daemon.live_page.hub import Sources
             from resonator_daemon.live_page.server import LivePageOptions, serve
         except ModuleNotFoundError as error:
             raise UserError(f"the live page needs {error.name}: {how_to_install('aiohttp')}") from error
 
-        if (arguments.tls_certificate is None) != (arguments.tls_key is None):
-            raise UsageError("--tls-certificate and --tls-key go together; give both, or neither")
+        _check(arguments)
         host, port = arguments.listen
         options = LivePageOptions(
-            broker_of(arguments),
+            Sources(
+                None if arguments.files else broker_of(arguments),
+                arguments.files,
+                arguments.press,
+                arguments.allow_commands,
+            ),
             host,
             port,
             None if arguments.token_file is None else read_token(arguments.token_file),
             None if arguments.tls_key is None else tls_of(arguments.tls_certificate, arguments.tls_key),
-            arguments.allow_commands,
         )
 
         def print_address(url: str) -> None:
@@ -68,6 +83,28 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
         asyncio.run(serve(options, print_address))
     return ExitCode.DONE
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Raise UserError where arguments contradict each other, or a recording cannot be shown."""
+    if (arguments.tls_certificate is None) != (arguments.tls_key is None):
+        raise UsageError("--tls-certificate and --tls-key go together; give both, or neither")
+    if not arguments.files:
+        return
+    if len(arguments.files) > 2:
+        raise UsageError(f"{len(arguments.files)} recordings; the page shows one, or two to compare")
+    for option in ("url", "config", "prefix", "press", "allow_commands"):
+        if getattr(arguments, option):
+            raise UsageError(f"--{option.replace('_', '-')} is for plates of a broker; a recording needs none")
+    from resonator_daemon.links.link import LinkUnavailableError
+    from resonator_daemon.replay.source import open_replay
+
+    for path in arguments.files:
+        try:
+            with open_replay(path):
+                pass
+        except LinkUnavailableError as error:
+            raise NoRecordingError(str(error)) from error
 
 
 def _host_and_port(text: str) -> tuple[str, int]:

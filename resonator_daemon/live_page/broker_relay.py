@@ -48,30 +48,17 @@ class BrokerRelay:
         self._watched: frozenset[tuple[str, str]] = frozenset()  # plate and path
         self._streams: BrokerConnection | None = None  # while connected
         self._connected = False
-        self._closing: asyncio.Future[None] | None = None
 
     async def run(self) -> None:
-        """Relay until `close`."""
-        self._closing = closing = asyncio.get_running_loop().create_future()
-        await asyncio.gather(
-            keep_connected(
-                self._broker,
-                connection_session(self._make_connection, self._serve_states, closing),
-                closing,
-                on_failure=self._failed,
-            ),
-            keep_connected(
-                self._broker,
-                connection_session(self._make_connection, self._serve_streams, closing),
-                closing,
-                report=lambda _level, text: log.debug("streams: %s", text),
-            ),
-        )
-
-    def close(self) -> None:
-        """End `run`."""
-        if self._closing is not None and not self._closing.done():
-            self._closing.set_result(None)
+        """Relay until cancelled."""
+        closing = asyncio.get_running_loop().create_future()  # never done: there is no will to be taken back
+        states = connection_session(self._make_connection, self._serve_states, closing)
+        streams = connection_session(self._make_connection, self._serve_streams, closing)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(keep_connected(self._broker, states, closing, on_failure=self._failed))
+            tasks.create_task(
+                keep_connected(self._broker, streams, closing, report=lambda _, text: log.debug("streams: %s", text))
+            )
 
     def watch(self, topics: Collection[tuple[str, str]]) -> None:
         """Receive streams of these plates and paths, and no others."""

@@ -70,7 +70,7 @@ class Seek(Content):
     """Go on at another time of a recording, in seconds from its beginning."""
 
     source: Source
-    t_s: Finite
+    t_s: Annotated[Finite, Field(ge=-1e9, le=1e9)]
 
 
 KINDS: Final[dict[str, type[Content]]] = {

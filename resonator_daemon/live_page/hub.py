@@ -1,0 +1,251 @@
+"""Everything between sources and browsers: who is sent what, and what each request does."""
+
+import asyncio
+import json
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+from aiohttp import WSCloseCode, web
+
+from resonator_daemon.config import Mqtt
+from resonator_daemon.errors import UserError
+from resonator_daemon.live_page.broker_relay import CONNECTING, BrokerRelay
+from resonator_daemon.live_page.client import Client
+from resonator_daemon.live_page.frames import LIVE, payload_frame, text_frame
+from resonator_daemon.live_page.player import Player
+from resonator_daemon.live_page.presses import Board, Emulators, Touches
+from resonator_daemon.live_page.recorded import Recorded
+from resonator_daemon.live_page.requests import (
+    Command,
+    Play,
+    Press,
+    RefusedRequest,
+    Release,
+    Request,
+    Seek,
+    Watch,
+)
+from resonator_daemon.publishing.requests import request as send_command
+from resonator_daemon.publishing.topics import INFO, TOPICS
+
+COMMANDS: Final = ("tare", "mark", "start_recording", "stop_recording")
+
+_REPORT_S: Final = 1.0
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What a page shows.
+
+    Parameters
+    ----------
+    broker
+        Whose plates are shown; None: only recordings are.
+    recordings
+        At most two.
+    presses
+        Control sockets of emulators.
+    allow_commands
+        Whether browsers may send commands to the daemons.
+    """
+
+    broker: Mqtt | None
+    recordings: Sequence[Path] = ()
+    presses: Sequence[Path] = ()
+    allow_commands: bool = False
+
+
+class _Browser:
+    """What belongs to one browser besides its connection."""
+
+    def __init__(self, client: Client, recordings: Sequence[Recorded]) -> None:
+        self.touches = Touches()
+        self.players = {recorded.source: Player(recorded, client.outgoing, client.watches) for recorded in recordings}
+
+
+class Hub:
+    """The sources of a page and its browsers, as long as `run` lasts."""
+
+    def __init__(self, sources: Sources) -> None:
+        self._sources = sources
+        self._browsers: dict[Client, _Browser] = {}
+        self._retained: dict[tuple[str, str], bytes] = {}  # by plate and path: messages to the page
+        self._boards: dict[str, Board] = {}  # by plate: the board that it names in `info`
+        self._status: dict[str, Any] = {"connected": False, "reason_code": CONNECTING, "reason": ""}
+        broker = sources.broker
+        self._relay = None if broker is None else BrokerRelay(broker, self._relay_message, self._set_status)
+        self._recordings = [
+            Recorded(source, path, self._send_hello) for source, path in zip("ab", sources.recordings, strict=False)
+        ]
+        self._emulators = Emulators(sources.presses, self._send_hello, self._send_truth)
+
+    @property
+    def browsers(self) -> int:
+        """How many are connected."""
+        return len(self._browsers)
+
+    async def run(self) -> None:
+        """Receive from all sources until cancelled."""
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._report())
+            tasks.create_task(self._emulators.run())
+            for recorded in self._recordings:
+                tasks.create_task(recorded.run())
+            if self._relay is not None:
+                tasks.create_task(self._relay.run())
+
+    async def connect(self, request: web.Request) -> web.StreamResponse:
+        """Serve a browser until it disconnects."""
+        client = Client(self._answer)
+        browser = _Browser(client, self._recordings)
+        client.outgoing.put(self._hello())
+        if self._relay is not None:
+            client.outgoing.put(text_frame("broker", self._status))
+        for message in self._retained.values():
+            client.outgoing.put(message)
+        self._browsers[client] = browser
+        playing = [asyncio.create_task(player.run()) for player in browser.players.values()]
+        try:
+            return await client.run(request)
+        finally:
+            del self._browsers[client]
+            browser.touches.release_all()
+            for task in playing:
+                task.cancel()
+            self._update_watched()
+
+    async def disconnect_all(self) -> None:
+        """End the connections to all browsers."""
+        for client in list(self._browsers):
+            await client.close(WSCloseCode.GOING_AWAY, "stopping")
+
+    def _hello(self) -> str:
+        sources: list[dict[str, Any]] = []
+        if self._sources.broker is not None:
+            sources.append({"source": LIVE, "url": self._sources.broker.anonymous().url})
+        sources += [recorded.describe() for recorded in self._recordings]
+        hello = {
+            "version": version("resonatord"),
+            "sources": sources,
+            "commands": COMMANDS if self._sources.allow_commands and self._relay else (),
+            "press": [plate for plate, board in self._boards.items() if board in self._emulators.boards],
+        }
+        return text_frame("hello", hello)
+
+    def _send_hello(self) -> None:
+        self._send_to_all(self._hello())
+
+    def _send_to_all(self, message: str | bytes) -> None:
+        for client in self._browsers:
+            client.outgoing.put(message)
+
+    def _relay_message(self, plate: str, path: str, payload: bytes) -> None:
+        message = payload_frame(LIVE, plate, path, payload)
+        if message is None:
+            return
+        if not TOPICS[path].qos:
+            for client in self._browsers:
+                if client.watches(LIVE, plate, path):
+                    client.outgoing.put_newest(f"{LIVE}/{plate}/{path}", message)
+            return
+        if TOPICS[path].retained:
+            self._retained.pop((plate, path), None)
+            if payload:
+                self._retained[plate, path] = message
+        self._send_to_all(message)
+        if path == INFO.path and self._sources.presses:
+            self._find_board(plate, payload)
+
+    def _find_board(self, plate: str, payload: bytes) -> None:
+        """Remember which board a plate is, so that presses of it go to its emulator."""
+        before = self._boards.pop(plate, None)
+        with suppress(ValueError, RecursionError, KeyError, TypeError):
+            info = json.loads(payload)
+            self._boards[plate] = Board(str(info["plate"]), str(info["serial_number"]))
+        if self._boards.get(plate) != before:
+            self._send_hello()
+            self._update_watched()
+
+    def _set_status(self, status: dict[str, Any]) -> None:
+        if status != self._status:
+            self._status = status
+            self._send_to_all(text_frame("broker", status))
+
+    def _send_truth(self, board: Board, truth: dict[str, Any]) -> None:
+        for plate in [plate for plate, its_board in self._boards.items() if its_board == board]:
+            content = {"plate": plate, "t_ns": truth["t_ns"], "contacts": truth["contacts"], "traction_pascal": None}
+            message = text_frame("truth", content)
+            for client in self._browsers:
+                if (watched := client.watched.get(LIVE)) is not None and watched[0] == plate:
+                    client.outgoing.put_newest("truth", message)
+
+    async def _report(self) -> None:
+        while True:
+            await asyncio.sleep(_REPORT_S)
+            for client in self._browsers:
+                content = {"count": len(self._browsers), "skipped": client.outgoing.skipped}
+                client.outgoing.put_newest("clients", text_frame("clients", content))
+
+    async def _answer(self, client: Client, request: Request) -> dict[str, Any]:
+        browser = self._browsers[client]
+        match request.content:
+            case Watch() as watch:
+                self._watch(client, browser, watch)
+            case Command() as command:
+                return await self._command(command)
+            case Press() | Release() as press:
+                return await self._press(browser, press)
+            case Play() as play:
+                self._player(browser, play.source).play(play.playing, play.speed)
+            case Seek() as seek:
+                self._player(browser, seek.source).seek(seek.t_s)
+        return {}
+
+    def _player(self, browser: _Browser, source: str) -> Player:
+        if source not in browser.players:
+            raise RefusedRequest("unknown_source", f"source: {source!r} is no recording of this page")
+        return browser.players[source]
+
+    def _watch(self, client: Client, browser: _Browser, watch: Watch) -> None:
+        if watch.source != LIVE:
+            player = self._player(browser, watch.source)
+        elif self._relay is None:
+            raise RefusedRequest("unknown_source", "source: this page shows recordings, and no broker's plates")
+        if any(sign in watch.plate for sign in "/+#\0"):
+            raise RefusedRequest("unknown_plate", f"plate: {watch.plate!r} is no name of a plate")
+        client.outgoing.clear_streams(f"{watch.source}/")
+        client.watched[watch.source] = (watch.plate, watch.topics)
+        if watch.source != LIVE:
+            player.watch()
+        self._update_watched()
+
+    def _update_watched(self) -> None:
+        watched = [client.watched[LIVE] for client in self._browsers if LIVE in client.watched]
+        self._emulators.wanted = {self._boards[plate] for plate, _ in watched if plate in self._boards}
+        if self._relay is not None:
+            self._relay.watch({(plate, path) for plate, paths in watched for path in paths})
+
+    async def _command(self, command: Command) -> dict[str, Any]:
+        if not self._sources.allow_commands or self._sources.broker is None:
+            raise RefusedRequest("read_only", "this page sends no commands; `resonatord view --allow-commands` does")
+        if command.verb not in COMMANDS:
+            raise RefusedRequest("unknown_verb", f"verb: {command.verb!r}; must be one of {', '.join(COMMANDS)}")
+        if not any(plate == command.plate for plate, _ in self._retained):
+            raise RefusedRequest("unknown_plate", f"plate: {command.plate!r} publishes nothing")
+        try:
+            answer = await send_command(self._sources.broker, command.plate, command.verb, command.arguments)
+        except UserError as error:
+            raise RefusedRequest(error.code, str(error)) from None
+        return {key: value for key, value in answer.items() if key != "id"}
+
+    async def _press(self, browser: _Browser, press: Press | Release) -> dict[str, Any]:
+        board = self._boards.get(press.plate)
+        path = None if board is None else self._emulators.boards.get(board)
+        if path is None:
+            raise RefusedRequest("not_pressable", f"plate: {press.plate!r} is no emulated plate; see --press")
+        key = "press" if isinstance(press, Press) else "release"
+        return await browser.touches.ask(path, {key: press.name, **(press.model_extra or {})})

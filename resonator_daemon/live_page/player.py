@@ -1,0 +1,123 @@
+"""Playing a recording to one browser: position, speed, pause and seek."""
+
+import asyncio
+from collections.abc import Callable
+from typing import Any, Final
+
+from resonator_daemon.live_page.frames import payload_frame, text_frame
+from resonator_daemon.live_page.outgoing import Outgoing
+from resonator_daemon.live_page.recorded import Recorded
+from resonator_daemon.publishing.topics import TOPICS
+
+TURN_S: Final = 1 / 60
+POSITION_S: Final = 0.1
+
+
+class Player:
+    """Position of one browser in one recording; plays from the beginning on.
+
+    Parameters
+    ----------
+    recorded
+        What is played.
+    outgoing
+        Of the browser.
+    watches
+        Returns whether the browser has asked for a stream, by source, plate and path.
+    """
+
+    def __init__(self, recorded: Recorded, outgoing: Outgoing, watches: Callable[[str, str, str], bool]) -> None:
+        self._recorded = recorded
+        self._outgoing = outgoing
+        self._watches = watches
+        self._t_ns = 0
+        self._sent_ns = -1  # what came until then is sent
+        self._playing = True
+        self._speed = 1.0
+        self._jumped = True  # to where nothing was sent
+
+    def play(self, playing: bool, speed: float | None) -> None:
+        """Play or pause; at the end, play from the beginning."""
+        if playing and self._ended:
+            self.seek(0.0)
+        self._playing = playing
+        self._speed = self._speed if speed is None else speed
+
+    def seek(self, t_s: float) -> None:
+        """Go on at a time since the beginning; beyond the end: at the end."""
+        self._t_ns = min(max(round(t_s * 1e9), 0), self._recorded.end_ns)
+        self._jumped = True
+
+    def watch(self) -> None:
+        """Send the newest messages of the streams that the browser now asks for."""
+        self._jumped = True
+
+    async def run(self) -> None:
+        """Play until cancelled."""
+        loop = asyncio.get_running_loop()
+        before_s, reported_s, reported = loop.time(), 0.0, ""
+        while True:
+            await asyncio.sleep(TURN_S)
+            now_s = loop.time()
+            self._advance(now_s - before_s)
+            before_s = now_s
+            position = text_frame("position", self._position())
+            if position != reported and now_s - reported_s >= POSITION_S:
+                self._outgoing.put_newest(f"position/{self._recorded.source}", position)
+                reported_s, reported = now_s, position
+
+    @property
+    def _ended(self) -> bool:
+        return self._recorded.complete and self._t_ns >= self._recorded.end_ns
+
+    def _advance(self, passed_s: float) -> None:
+        there_ns = self._recorded.decoded_ns  # it waits where decoding is behind
+        if self._playing and not self._jumped:
+            self._t_ns = max(self._t_ns, min(self._t_ns + round(passed_s * self._speed * 1e9), there_ns))
+        if self._ended:
+            self._playing = False
+        if self._jumped and (self._t_ns <= there_ns or self._recorded.complete):
+            self._jumped = False
+            self._send_newest()
+        elif not self._jumped and self._t_ns > self._sent_ns:
+            self._send_passed()
+        else:
+            return
+        self._sent_ns = self._t_ns
+
+    def _send_newest(self) -> None:
+        """Send the newest message of each topic but events."""
+        for path, track in self._recorded.tracks.items():
+            last = track.up_to(self._t_ns) - 1
+            if last >= 0 and (TOPICS[path].retained or TOPICS[path].qos == 0):
+                self._send(path, last)
+
+    def _send_passed(self) -> None:
+        """Send what came since the last turn; of each stream the newest."""
+        for path, track in self._recorded.tracks.items():
+            first, end = track.up_to(self._sent_ns), track.up_to(self._t_ns)
+            for number in range(first if TOPICS[path].qos else max(first, end - 1), end):
+                self._send(path, number)
+
+    def _send(self, path: str, number: int) -> None:
+        source, plate = self._recorded.source, self._recorded.plate
+        if TOPICS[path].qos == 0 and not self._watches(source, plate, path):
+            return
+        message = payload_frame(source, plate, path, self._recorded.read(path, number))
+        if message is None:
+            return
+        if TOPICS[path].qos:
+            self._outgoing.put(message)
+        else:
+            self._outgoing.put_newest(f"{source}/{plate}/{path}", message)
+
+    def _position(self) -> dict[str, Any]:
+        return {
+            "source": self._recorded.source,
+            "t_s": round(self._t_ns * 1e-9, 3),
+            "playing": self._playing,
+            "speed": self._speed,
+            "ended": self._ended,
+            "decoded_s": round(self._recorded.decoded_ns * 1e-9, 3),
+            "truncated": self._recorded.truncated,
+        }
