@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-firmware test-schema coverage bench bench-cost docs docs-check figures fuzz soak pins clean
+.PHONY: help setup demo test test-firmware test-schema test-dashboards coverage bench bench-cost docs docs-check figures fuzz soak pins clean
 
 # A user's PATH on Debian lacks the place of mosquitto.
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
@@ -57,6 +57,7 @@ EXAMPLES := /usr/include/mosquitto.h:libmosquitto-dev /usr/include/cbor.h:libcbo
 FIRMWARE := arm-none-eabi-gcc:gcc-arm-none-eabi qemu-system-arm:qemu-system-arm cmake:cmake g++:g++ \
   /usr/lib/arm-none-eabi/include/stdio.h:libnewlib-arm-none-eabi
 GENERATORS := node:nodejs npm:npm go:golang-go
+DASHBOARDS := $(BROKER) $(GENERATORS) /usr/share/gocode/src/github.com/tidwall/gjson/gjson.go:golang-github-tidwall-gjson-dev
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile | expand -t 20
@@ -106,6 +107,18 @@ test-schema: .venv/test-stamp  ## types that modelina and json-schema-to-typescr
 	fi
 	cd ../..
 	.venv/bin/pytest -m generators tests/generators
+
+test-dashboards: .venv/test-stamp  ## the configurations of docs/how-to/dashboards.md: Node-RED, and Telegraf's as far as gjson reads it
+	$(debian-packages)
+	debian-packages $(DASHBOARDS)
+	mkdir -p build/dashboards
+	cd build/dashboards
+	if ! cmp -s ../../tests/dashboards/package-lock.json package-lock.json || [ ! -e node_modules/.package-lock.json ]; then
+	  cp ../../tests/dashboards/{package.json,package-lock.json,.npmrc} .
+	  npm ci
+	fi
+	cd ../..
+	.venv/bin/pytest -m dashboards tests/dashboards
 
 PICO_SDK := @xpack-3rd-party/raspberrypi-pico-sdk@2.3.0-5
 PICO_SDK_SHA512 := 082f30dac4285ddd422b075311c73d636cbc9fe0cf6a43413d940998f8b1d99e461e26cf42aaf491f26c3bd50a08c5403fa57ed1881fccef37dc3062688ff73d
