@@ -35,30 +35,6 @@ def ladder(step: float, sensitivity: np.ndarray) -> Codes:
     return Codes(np.repeat(f0_hz[:, None], 4, axis=1), np.repeat(sensitivity[:, None], 4, axis=1))
 
 
-@pytest.mark.parametrize(
-    ("step_ppm", "common_ppm", "wrong_percent", "tolerance_percent"),
-    [
-        (100, 10, 0.1, 0.05),
-        (100, 20, 4.0, 1.0),
-        (100, 40, 32.0, 1.0),
-        (150, 20, 0.0, 0.0),
-        (150, 40, 1.5, 0.3),
-        (400, 40, 0.0, 0.0),
-    ],
-)
-def test_the_nearest_band_is_wrong_as_often_as_an_independent_study_counted(
-    step_ppm: float, common_ppm: float, wrong_percent: float, tolerance_percent: float
-) -> None:
-    # K of 16 sites even within 30 % of -6.3e-6 / N, so that the largest force shifts by up to 81.9 ppm.
-    random = np.random.default_rng(7)
-    plates, touches = 100, 2000
-    wrong = 0
-    for _ in range(plates):
-        codes = ladder(1e-6 * step_ppm, -6.3e-6 * random.permutation(np.linspace(0.7, 1.3, 16)))
-        wrong += nearest_wrong(codes, 10.0, 1e-6 * common_ppm, touches, random)
-    assert 100 * wrong / (plates * touches) == pytest.approx(wrong_percent, abs=tolerance_percent)
-
-
 def test_between_two_bands_a_common_shift_is_wrong_by_the_share_beyond_the_middle() -> None:
     # Two sites of 60 ppm, 100 ppm apart: 30 ppm off, tones within 10 ppm of a band's end are nearer to the other band.
     codes = ladder(100e-6, np.full(2, -6e-6))

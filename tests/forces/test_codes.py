@@ -3,7 +3,6 @@ import pytest
 from scipy.optimize import linprog
 
 from resonator_daemon.forces.codes import code_overlaps
-from resonator_daemon.forces.site_identification import Matcher
 
 LARGEST = 10.0
 
@@ -52,18 +51,6 @@ def ladder(step, sites=16, *, factor=1.0):
     return f0_hz, np.full((sites, 4), -6.3e-6 * factor)
 
 
-def test_a_ladder_overlaps_below_the_step_that_its_bands_need():
-    # One sign, channels alike: span of 1.02 F_max, the common shift and the margin.
-    needed = 6.3e-6 * 1.02 * LARGEST + 5e-6 + 2e-6
-    for step, overlaps in ((needed * 0.999, 15), (needed * 1.001, 0)):
-        found = code_overlaps(*ladder(step), LARGEST, common_shift=5e-6, margin=2e-6)
-        assert len(found) == overlaps
-        for pair in found:
-            assert pair.other - pair.site == 1
-            assert pair.spacing_ppm == pytest.approx(step * 1e6, rel=1e-9)
-            assert pair.needed_ppm == pytest.approx(needed * 1e6, rel=1e-9)
-
-
 def test_the_pair_that_lacks_most_comes_first():
     f0_hz, sensitivity = ladder(300e-6)
     f0_hz[9] = f0_hz[8] * (1 - 50e-6)
@@ -79,20 +66,3 @@ def test_what_is_missing_is_told_of_the_channel_where_least_is():
     (pair,) = code_overlaps(f0_hz, sensitivity, LARGEST, common_shift=5e-6, margin=60e-6)
     assert pair.channel == 2
     assert (pair.spacing_ppm, pair.needed_ppm) == pytest.approx((50, 63 * 1.02 + 65), rel=1e-6)
-
-
-def test_sites_that_a_matcher_takes_for_each_other_are_among_the_overlaps():
-    rng = np.random.default_rng(8)
-    f0_hz = 10e6 * (1 - rng.uniform(0, 60e-6, (60, 4)))
-    sensitivity = np.repeat(-6.3e-6 * rng.uniform(0.7, 1.3, (60, 1)), 4, axis=1)
-    margin = 7 * 0.01 * 8.2e-6 * LARGEST  # of seven standard deviations of one channel at the largest force
-    found = code_overlaps(f0_hz, sensitivity, LARGEST, common_shift=0.0, margin=margin)
-    pairs = {(pair.site, pair.other) for pair in found}
-    assert len(pairs) < 60 * 59 / 4
-    site, force = rng.integers(60, size=10_000), rng.uniform(0, LARGEST, 10_000)
-    frequency = f0_hz[site] / (1 - sensitivity[site] * (1 + 0.01 * rng.normal(size=(10_000, 4))) * force[:, None])
-    matcher = Matcher(f0_hz, sensitivity, LARGEST, model_error=0.01)
-    matches = [matcher.match(row, [3e-9] * 4, 0.0, 0.0) for row in frequency.tolist()]
-    taken = [match.candidates for match in matches if match.status == "ambiguous"]
-    assert len(taken) > 5
-    assert set(taken) <= pairs

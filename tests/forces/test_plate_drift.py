@@ -91,15 +91,6 @@ def test_unknown_differences_of_coefficients_are_within_what_is_reported():
     assert max(stated) < 15e-3
 
 
-def test_a_reference_that_drifts_is_told_from_temperature_where_coefficients_differ():
-    slope = -5e-8 + 5e-8 * np.random.default_rng(5).normal(size=SITES)
-    errors, stds, _ = held_for_ten_minutes(
-        Plate(2, slope=slope), sinusoid(2.0), reference=lambda t: 2e-8 * np.sin(t / 300.0)
-    )
-    assert abs(errors[-60:].mean()) < 0.6e-3
-    assert np.mean(np.abs(errors) <= 2 * stds) > 0.9
-
-
 def test_a_warm_finger_is_made_good_for_by_the_sites_thermometer():
     errors, stds, _ = held_for_ten_minutes(Plate(3, local_std=0.01), sinusoid(2.0), warm_kelvin=3.0)
     assert np.abs(errors[-60:].mean()) < 3e-3

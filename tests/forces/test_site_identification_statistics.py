@@ -6,7 +6,6 @@ from drawn_touches import (
     COUNTER_STD,
     MODEL_ERROR,
     OSCILLATOR_STD,
-    Tuples,
     draws,
     match_all,
     matcher_of,
@@ -34,16 +33,3 @@ def test_statistics_of_the_matcher_on_a_400_ppm_ladder(mixed_sign):
     assert abs(np.mean(standardised)) < 0.03
     # What is stated is neither much larger nor smaller than what is wrong.
     assert np.std((matches.force_newton - force)[ok] / matches.stated_newton[ok]) == pytest.approx(1.0, abs=0.03)
-
-
-@pytest.mark.parametrize("kind", ["alike", "pulled", "random"])
-@pytest.mark.parametrize("counter_std", [1e-8, 3e-6])
-def test_on_codes_that_overlap_the_matcher_abstains_rather_than_err(kind, counter_std):
-    plate, noise = Tuples(kind), (np.full(4, counter_std), OSCILLATOR_STD, COMMON_MODE_STD)
-    site, _, frequency = draws(plate, 4_000, seed=13, newton=(0.0, 10.0), noise=noise)
-    matches = match_all(matcher_of(plate), frequency, noise)
-    assert wrong(matches, site) <= 1e-3 * len(site)
-    named = np.mean(matches.site >= 0)
-    assert named > (0.3 if counter_std > 1e-6 else 0.9)
-    if kind == "alike":
-        assert np.mean(matches.status == "ambiguous") > 0.02

@@ -58,19 +58,3 @@ def wrong(outcomes, site):
     """How many of the readings name a site that is not the true one."""
     named = zip(outcomes.matches, site.tolist(), strict=True)
     return sum(any(force.site != true for force in match.forces) for match, true in named)
-
-
-class Tuples:
-    """Sixteen codes within 60 ppm: in a row with channels alike, in a row with pulled corners, or at random."""
-
-    force_max_newton = 10.0
-
-    def __init__(self, kind, seed=2):
-        rng = np.random.default_rng(seed)
-        offset = 60e-6 * np.arange(16)[:, None] * np.ones(4)
-        if kind == "pulled":
-            offset = offset + rng.uniform(-25e-6, 25e-6, (16, 4))
-        elif kind == "random":
-            offset = rng.uniform(0, 60e-6, (16, 4))
-        self.f0_hz = 10e6 * (1 - offset)
-        self.sensitivity = np.repeat(-6.3e-6 * rng.uniform(0.7, 1.3, (16, 1)), 4, axis=1)
