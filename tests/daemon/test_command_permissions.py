@@ -10,6 +10,7 @@ import pytest
 from brokers import Mosquitto
 from mcap.reader import make_reader
 from observer import observe
+from published_schema import ALWAYS, check_all
 from service_bench import Bench
 
 from resonator_daemon.config import Mqtt
@@ -109,7 +110,13 @@ async def test_each_command_does_what_it_says(bench: Bench) -> None:
         assert snapshot["messages"]["info"] == heard.payloads(INFO)[-1]
         assert snapshot["messages"]["state/sensor"]["state"] == "online"
         assert snapshot["omitted"] == []
+        assert (await ask("events", after_seq=0))["events"] == []
         assert service.link_counters.lost.total == 0
+        await heard.client.publish("resonator/hand/cmd/ping", "{}", qos=1)  # without a response topic
+        await heard.until_count("resonator/hand/rsp/ping", 1)
+    measured = {"forces", "forces/20hz", "forces/25hz", "contacts", "contacts/20hz"}
+    commands = {f"cmd/{verb}" for verb in VERBS} | {f"rsp/{verb}/+" for verb in VERBS} | {"rsp/ping"}
+    assert check_all(heard) == ALWAYS | measured | commands
 
 
 async def test_without_permission_nothing_is_changed(bench: Bench) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from brokers import Mosquitto
 from observer import Observer, observe
+from published_schema import ALWAYS, check_all
 from scenarios import touch_text
 from service_bench import Bench, events
 from system_parts import SMALL_SKIN
@@ -41,6 +42,8 @@ async def test_a_sheared_press_on_a_skin_becomes_a_contact_with_its_events(bench
         assert service.link_counters.lost.total == 0
         os.kill(heard.payloads("resonator/hand/health")[-1]["decoder"]["pid"], signal.SIGKILL)
         await heard.until_last("resonator/hand/state/sensor", state="stalled", reason_code="decoder_crashed")
+    decoded = {"signals", "signals/5hz", "decoded", "decoded/5hz", "decoded/summary", "decoded/summary/20hz"}
+    assert check_all(heard) >= ALWAYS | decoded | {"contacts", "contacts/20hz", "contacts/event"}
     states = heard.payloads("resonator/hand/state/sensor")
     assert {state["state"] for state in states if state["reason_code"] == "decoder_starting"} == {"starting"}
     reasons = [message["reason"] for message in states]
