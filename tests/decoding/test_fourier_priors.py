@@ -188,14 +188,3 @@ def test_sliding_is_a_mixture_of_gaussians_over_the_directions():
     np.testing.assert_allclose(
         found.traction_std_pascal.reshape(3, size), np.sqrt(within + between[:, None]), rtol=5e-3
     )
-
-
-def test_lost_signals_of_a_sliding_contact():
-    scene = grid_scene(stick_ratio=1e-6)
-    frame = scene.noisy(30, 0)
-    gone = np.random.default_rng(5).random(frame.shape) < 0.1
-    decode = fourier_decoder(scene, 30, sliding_friction=0.5).decode
-    whole, found = decode(frame), decode(np.where(gone, np.nan, frame))
-    assert scene.error(found) < 1.1 * scene.error(whole)
-    assert found.reason == f"{gone.sum()} of 3072 signals lost and filled in"
-    assert found.traction_std_pascal.mean() > whole.traction_std_pascal.mean()

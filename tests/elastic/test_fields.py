@@ -165,26 +165,6 @@ def test_a_wider_grid_changes_nothing(shape: tuple[int, int]):
         assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
 
 
-@pytest.mark.parametrize("nu", [0.3, 0.5])
-def test_a_load_that_repeats(nu: float):
-    """f_z = 1 + cos(k x): sigma_zz = -1 - (1 + k z) exp(-k z) cos(k x), sigma_xz = -k z exp(-k z) sin(k x).
-
-    The mean is a laterally confined layer, sigma_xx = -nu / (1 - nu).
-    """
-    shape, z = (6, 16), 1e-3
-    k = 2 * np.pi * 3 / (shape[1] * PITCH)
-    x = np.arange(shape[1]) * PITCH
-    load = np.zeros((3, *shape))
-    load[2] = 1 + (np.sin(k * (x + PITCH / 2)) - np.sin(k * (x - PITCH / 2))) / (k * PITCH)
-    field = SurfaceFields(HalfSpace(E, nu), shape, PITCH, "stress", z, method="periodic", zero="periodic")
-    xx, _, zz, xy, xz, _ = field(load)
-    e, cos = np.exp(-k * z), np.broadcast_to(np.cos(k * x), shape)
-    np.testing.assert_allclose(zz, -1 - (1 + k * z) * e * cos, atol=1e-12)
-    np.testing.assert_allclose(xx, -nu / (1 - nu) - (1 - k * z) * e * cos, atol=1e-12)
-    np.testing.assert_allclose(xz, np.broadcast_to(-k * z * e * np.sin(k * x), shape), atol=1e-12)
-    np.testing.assert_allclose(xy, 0.0, atol=1e-12)
-
-
 @pytest.mark.parametrize("method", ["periodic", "padded", "wrap-free"])
 def test_loads_of_a_batch_do_not_depend_on_each_other(method: Method):
     loads = np.random.default_rng(1).standard_normal((2, 4, 3, 9, 12))

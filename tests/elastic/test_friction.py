@@ -161,19 +161,6 @@ def test_lifted_off_it_forgets():
     assert np.abs(dragged.traction_pascal - first.traction_pascal).max() > 0.1 * size
 
 
-def test_dragged_far_it_slides_and_drags_the_surface_along():
-    mu = 0.3
-    contact = paraboloid(32, mu, 0.3)
-    pressed = contact.step(contact.apart, shift_m=[0, 0, 3e-4])
-    state = contact.step(pressed, shift_m=[-0.6, 0.8, 3e-4])
-    size = state.traction_pascal.max()
-    along = np.array([-0.6, 0.8])[:, None, None]
-    np.testing.assert_allclose(state.traction_pascal[:2], mu * along * state.traction_pascal[2], atol=1e-3 * mu * size)
-    assert not state.sticks.any()
-    assert state.load_newton[2] > 0
-    assert np.vdot(state.displacement_m[:2], along * np.ones_like(state.displacement_m[:2])) > 0
-
-
 @pytest.mark.parametrize("nu", [0.0, 0.5])
 def test_without_friction_nothing_holds_sideways(nu: float):
     contact = paraboloid(32, 0.0, nu)

@@ -4,7 +4,6 @@ import asyncio
 import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from resonator_daemon.publishing.codec import Encoded, decode, encode
 from resonator_daemon.publishing.payloads import Info, Message, Signals
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.remote_decoding import followed_plate
-from resonator_daemon.remote_decoding import plate as plate_module
 from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
 from resonator_daemon.remote_decoding.plate import header_of
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
@@ -172,22 +170,6 @@ async def test_another_skin_takes_effect_ends_the_contacts_and_counts_on() -> No
     assert events[1].reason == "the plate has changed"
     assert events[1].contact.since_t_ns == events[0].contact.since_t_ns  # the onset is not forgotten
     assert events[1].contact.duration_s == pytest.approx(0.01)
-
-
-async def test_each_decoded_frame_is_counted_by_its_age(monkeypatch: pytest.MonkeyPatch) -> None:
-    middle_ns = signals(0).t_ns
-    monkeypatch.setattr(plate_module, "time", SimpleNamespace(time_ns=lambda: middle_ns + 5_000_000 + 3_000_000))
-    async with Followed().running() as followed:
-        await followed.prepare(info())  # 100 Hz: the gate ends 5 ms after its middle
-        for _ in range(2):
-            await followed.read(signals(0))
-        followed.send(signals(0, status="settling"))
-    counted = followed.plate.latency.info()
-    assert (
-        dict(zip(counted.bounds_ms, counted.counts, strict=False))[4.0]
-        == sum(counted.counts)
-        == followed.account.decoded
-    )
 
 
 async def test_contacts_end_when_signals_stop_and_only_then(monkeypatch: pytest.MonkeyPatch) -> None:
