@@ -1,20 +1,14 @@
 """The judge of a long run finds what it is there to find: leaks, holes, books that do not balance, strange lines."""
 
-import math
 from typing import Any
 
 import numpy as np
 import pytest
 from long_run_judge import (
-    FLAT_MB,
-    FLAT_THOUSANDS,
-    KEPT_MB,
     Leg,
     Sample,
     Seen,
     judge,
-    rises,
-    trend,
 )
 from long_run_log import Cause, LogJudge
 
@@ -81,24 +75,6 @@ def missed(seen: Seen) -> list[str]:
 )
 def test_each_figure_can_be_missed(other: dict[str, Any], what: str) -> None:
     assert what in missed(well(**other))
-
-
-def test_what_settles_swings_or_steps_a_little_is_no_leak() -> None:
-    hours = np.arange(240) / 120
-    for malloc_mb in (-8.0 * np.exp(-hours / 0.05), np.sin(2 * math.pi * hours), 0.6 * FLAT_MB * (hours > 1.2)):
-        assert missed(well(samples=samples(240, malloc_mb=28.0 + malloc_mb))) == []
-    assert missed(well(samples=samples(240, python_blocks=425e3 + 600.0 * FLAT_THOUSANDS * (hours > 1.2)))) == []
-
-
-def test_peaks_that_an_allocator_keeps_are_no_leak_and_what_is_lost_in_it_is_seen() -> None:
-    """Each peak that exceeds all before stays in the process: memory rises for ever, and ever more rarely."""
-    peaks_mb = np.maximum.accumulate(np.random.default_rng(7).exponential(0.4, 960))
-    found = trend(30.0 * np.arange(960), peaks_mb)
-    assert found is not None
-    assert rises(found, FLAT_MB)  # certain, and larger than what is on its way
-    assert missed(well(samples=samples(960, rss_mb=120.0 + peaks_mb))) == []
-    holes_mb = 1.1 * KEPT_MB * np.arange(960) / 720  # 720 of them are judged
-    assert missed(well(samples=samples(960, rss_mb=120.0 + peaks_mb + holes_mb))) == ["memory of the process"]
 
 
 def test_a_line_needs_its_cause_at_its_time() -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import exit_code
-from emulated_loads import COMB_TRUE, TRUE, Touches, comb_text, nominal_text, true_text
+from emulated_loads import TRUE, Touches, nominal_text, true_text
 from emulation import emulated
 
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY
@@ -129,30 +129,6 @@ def test_an_accepted_calibration_is_in_the_plate_file(desk: Desk, capsys: pytest
     assert sensitivity_error(desk) < 3e-3
     assert desk.sessions() == [f"{result['id']}.jsonl"]  # what was captured stays, under the calibration's id
     assert sorted(os.listdir(desk.folder)) == ["board.toml", "plate.toml"]
-
-
-def test_a_channelised_plate_is_calibrated_likewise(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    desk = Desk(tmp_path, comb_text())
-    before = desk.plate.read_text()
-    desk.config.write_text(desk.config.read_text().replace("step_ms = 10", "step_ms = 20\nwindow_ms = 20"))
-    desk.touches.seconds = 4.0
-    for mass_kg in MASSES:
-        desk.touches.load(7, mass_kg, 0.8)
-    with desk.board():
-        code, printed, reported = desk.say(capsys, *LOADS[:-1], "0.8")
-    assert code == 0, reported
-    assert [line["event"] for line in printed[:-1]] == ["untouched"] + 3 * ["place", "captured", "remove"]
-    result = printed[-1]
-    assert result["result"] == "staged"
-    tones = {tone["site"]: tone for tone in result["record"]["tones"]}
-    site = tones.pop(7)
-    assert [tone["sensitivity"] for tone in tones.values()] == 15 * [None]
-    true = COMB_TRUE.tones.sensitivity[COMB_TRUE.site_ids.tolist().index(7)]
-    assert np.abs(np.array(site["sensitivity"]) / true - 1).max() < 3e-3
-    assert all(len(tone["f0_hz"]) == 4 for tone in tones.values())
-    assert {pair["pressed"] for pair in result["record"]["coupling"]} == {7}
-    assert "spread_width_mm = 2.5" in " ".join(result["notes"])
-    assert desk.plate.read_text() == before
 
 
 def test_a_staged_calibration_waits_and_is_accepted_or_aborted(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:

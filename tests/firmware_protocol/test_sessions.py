@@ -5,15 +5,15 @@ from dataclasses import replace
 import pytest
 from protocol_sessions import BOOT, DESCRIPTION, GATE, IDENTITY, RECORD, RECORDS, exchange, new_device, running
 
-from firmware_protocol.device import MAX_TONES_PER_PART, DeviceSession
-from firmware_protocol.host import Described, Frame, FramePart, HostSession, Located, Started
-from firmware_protocol.layouts import TONE_STRUCT, MessageType
+from firmware_protocol.device import DeviceSession
+from firmware_protocol.host import Described, Frame, HostSession, Located, Started
+from firmware_protocol.layouts import MessageType
 from firmware_protocol.messages import (
     Configuration,
     Refusal,
     RefusalCode,
 )
-from firmware_protocol.packets import MAX_PAYLOAD_BYTES, encode_packet
+from firmware_protocol.packets import encode_packet
 from firmware_protocol.states import BoardState, HostState
 
 
@@ -30,25 +30,6 @@ def test_handshake_reaches_frames() -> None:
     assert frame == Frame(0, 123, 204, RECORDS)
     assert isinstance(frame, Frame)
     assert frame.records == (RECORD,) * 4
-
-
-def test_channelised_frame_travels_in_parts_of_at_most_9_kb() -> None:
-    host, device = running()
-    records = [TONE_STRUCT.pack(channel, tone, 0, 128, 0) for channel in range(4) for tone in range(3072)]
-    channels = [b"".join(records[channel * 3072 : (channel + 1) * 3072]) for channel in range(4)]
-    parts = device.frame_parts(5, 99, channels)
-    assert max(map(len, parts)) <= 9000
-    events = [event for raw in parts for event in host.receive(raw)]
-    assert all(isinstance(event, FramePart) and event.sequence == 5 for event in events)
-    found = [event for event in events if isinstance(event, FramePart)]
-    assert [event.block.part for event in found] == list(range(len(parts)))
-    assert {event.block.parts for event in found} == {len(parts)}
-    for channel in range(4):
-        mine = [event for event in found if event.block.channel == channel]
-        assert b"".join(event.tones for event in mine) == channels[channel]
-        assert sum(event.block.tones for event in mine) == 3072
-    assert MAX_TONES_PER_PART == 744
-    assert MAX_PAYLOAD_BYTES - (8 + 12 * 744) < 12
 
 
 def test_lost_answers_are_asked_for_again_without_a_second_run() -> None:

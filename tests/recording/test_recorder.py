@@ -152,27 +152,6 @@ def test_what_is_whole_counts_as_written_though_the_end_of_the_file_fails(
     assert recorder.all_bytes == path.stat().st_size
 
 
-def test_wherever_a_file_is_cut_what_is_whole_before_comes_back(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    random = Random(2)
-    written: list[WireEvent] = [Received(at(number), random.randbytes(60_000)) for number in range(30)]
-    record(path, written)
-    whole = path.read_bytes()
-    lengths = set()
-    for cut in sorted(random.sample(range(len(whole)), 60)):
-        path.write_bytes(whole[:cut])
-        try:
-            events, damage = read(path)
-        except LinkUnavailableError:
-            assert cut < 1000
-            continue
-        assert events == written[: len(events)]
-        assert damage == "cut off"
-        assert cut - 5 * 70_000 < len(events) * 60_000  # a chunk is lost at most
-        lengths.add(len(events))
-    assert len(lengths) > 3
-
-
 def test_damage_ends_a_recording_where_it_is_found(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     random = Random(3)

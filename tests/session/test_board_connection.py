@@ -134,20 +134,6 @@ def test_a_flood_of_log_lines_is_cut_and_counted() -> None:
     assert sum(isinstance(arrival, BoardLogLine) for arrival in bench.arrivals) == 21
 
 
-def test_a_host_that_slept_asks_at_once_and_goes_on() -> None:
-    bench = online()
-    bench.run(5000)
-    bench.slept_ns = 40_000 * MS  # the board, and UTC, went on
-    bench.board._boot_ns -= bench.slept_ns
-    bench.board._gate_end += bench.slept_ns
-    bench.board._sequence += 40_000  # its queue could not hold them
-    bench.run(300)
-    assert bench.states[-1][0] == "online"
-    bench.check_indices()
-    first, last = bench.frames[0].gate_middle, bench.frames[-1].gate_middle
-    assert last.boottime_ns - first.boottime_ns == pytest.approx((bench.frames[-1].index - bench.frames[0].index) * MS)
-
-
 def test_a_reboot_is_told_with_its_cause_and_the_host_measures_it() -> None:
     bench = online()
     frames = len(bench.frames)

@@ -150,18 +150,6 @@ def test_answer_before_its_question_is_set_aside() -> None:
         fresh.scale.at(7)
 
 
-def test_contradictions_that_contradict_each_other_never_win() -> None:
-    crystal = Crystal(10.0)
-    clock, now = settled(crystal)
-    for number in range(50):
-        jump_ticks = (-1) ** number * (number + 1) * 10**9
-        clock.add(trip(crystal, now + number * 20_000_000, jump_ticks=jump_ticks), UTC_LESS_MONOTONIC_NS)
-    assert (clock.outliers, clock.restarts) == (50, 0)
-    clock.add(trip(crystal, now + NS), UTC_LESS_MONOTONIC_NS)
-    instant = clock.scale.at(crystal.ticks(now + NS))
-    assert abs(instant.monotonic_ns - now - NS) <= instant.uncertainty_ns < 200_000
-
-
 @pytest.mark.parametrize("step_ns", [-3600 * NS, 3600 * NS])
 def test_step_of_the_wall_clock_moves_utc_once_and_no_sample(step_ns: int) -> None:
     crystal = Crystal(30.0)

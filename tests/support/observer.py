@@ -72,7 +72,9 @@ async def observe(url: str, topics: str = "#") -> AsyncIterator[Observer]:
         observer = Observer(client)
         await client.subscribe(topics, qos=1)
         listening = asyncio.create_task(observer.listen(client))
-        yield observer
-        listening.cancel()
-        with suppress(asyncio.CancelledError, aiomqtt.MqttError):
-            await listening
+        try:
+            yield observer
+        finally:
+            listening.cancel()
+            with suppress(asyncio.CancelledError, aiomqtt.MqttError):
+                await listening
