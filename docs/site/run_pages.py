@@ -39,7 +39,7 @@ LASTING = {
     r"resonatord decode\b": (r"online", False),
     r"resonatord watch\b": (r": daemon online|^\{", True),
     r"resonatord status .*--watch": (r"daemon +online", True),
-    r"resonatord (?:view|bridge)\b": (r"://", True),
+    r"resonatord (?:view|bridge)\b": (r"://|connected", True),
     r"examples/python/forces\.py": (r".", True),
     r"examples/c/decoded": (r"", True),
     r"mosquitto_sub\b(?!.* -C)": (r".", True),
