@@ -18,8 +18,9 @@ from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.exporting.foxglove_messages import ChannelMessage, FoxgloveMessages
 from resonator_daemon.exporting.geometry import Geometry
 from resonator_daemon.host.printable import how_to_install
-from resonator_daemon.publishing.payloads import Info, Message
+from resonator_daemon.publishing.payloads import Condition, Info, Message, State
 from resonator_daemon.publishing.subscriber import EVERY_PLATE, subscribe
+from resonator_daemon.publishing.topics import TOPICS
 
 try:
     import foxglove
@@ -28,6 +29,8 @@ except ImportError as error:
     raise UserError(f"the bridge to Foxglove needs foxglove-sdk: {how_to_install('foxglove-sdk')}") from error
 
 BACKLOG_MAX: Final = 256  # messages that wait for one viewer
+
+_SILENT: Final = (Condition.OFFLINE, Condition.WAITING, Condition.STALLED, Condition.LOST, Condition.REFUSED)
 
 log = logging.getLogger(__name__)
 
@@ -84,6 +87,8 @@ class FoxgloveServer:
         self._context = foxglove.Context()
         self._plates: dict[str, FoxgloveMessages] = {}
         self._channels: dict[str, Any] = {}
+        self._names: dict[tuple[str, str], set[str]] = {}  # of the channels that messages of a plate and topic become
+        self._drawn: dict[tuple[str, str], Message] = {}  # the latest of each stream
         self._last: dict[str, ChannelMessage] = {}  # of channels that change seldom
 
     def start(self) -> None:
@@ -109,6 +114,11 @@ class FoxgloveServer:
         """Disconnect all viewers."""
         self._server.stop()
 
+    def wants(self, plate: str, path: str) -> bool:
+        """Return whether a message is of use: its channels are not known yet, a viewer has one, or it is lasting."""
+        names = self._names.get((plate, path))
+        return names is None or TOPICS[path].retained or any(self._channels[name].has_sinks() for name in names)
+
     def add(self, plate: str, path: str, message: Message) -> None:
         """Send what a message becomes to viewers that subscribe to it."""
         now_ns = time.time_ns()
@@ -118,10 +128,22 @@ class FoxgloveServer:
             self._plates[plate] = FoxgloveMessages(plate, Geometry.of_info(message))
             for made in self._plates[plate].of_plate(message.t_ns):
                 self._send(plate, made, now_ns)
-        for made in self._plates[plate].of_message(path, message, now_ns):
-            self._send(plate, made, now_ns)
+            for key in [key for key in self._names if key[0] == plate]:  # now that it can be drawn, there are more
+                del self._names[key]
+        names = [self._send(plate, made, now_ns) for made in self._plates[plate].of_message(path, message, now_ns)]
+        self._names.setdefault((plate, path), set()).update(names)
+        if isinstance(message, State) and message.state in _SILENT:
+            self._clear(plate, now_ns)
+        elif TOPICS[path].perishable:
+            self._drawn[plate, path] = message
 
-    def _send(self, plate: str, made: ChannelMessage, now_ns: int) -> None:
+    def _clear(self, plate: str, now_ns: int) -> None:
+        """Replace drawings of a plate that measures nothing: viewers would show the last ones for ever."""
+        for name, path in [key for key in self._drawn if key[0] == plate]:
+            for made in self._plates[plate].emptied(path, self._drawn.pop((name, path)), now_ns):
+                self._send(plate, made, now_ns)
+
+    def _send(self, plate: str, made: ChannelMessage, now_ns: int) -> str:
         name = f"{plate}/{made.channel}" if self._prefixed else made.channel
         if name not in self._channels:
             schema = foxglove.Schema(
@@ -132,6 +154,7 @@ class FoxgloveServer:
             self._last[name] = made
         if self._channels[name].has_sinks():
             self._channels[name].log(made.encode(), log_time=now_ns)
+        return name
 
     def _repeat(self, channel: str) -> None:
         """Send the last message of a channel again, where it has one for new viewers."""
@@ -156,7 +179,8 @@ async def _serve(broker: Mqtt, listen: Listen, plate: str | None, full_rate: boo
     server.start()
     log.info("Foxglove opens ws://%s", listen)
     try:
-        async with aclosing(subscribe(broker, plate=plate or EVERY_PLATE, full_rate=full_rate)) as received:
+        plates = plate or EVERY_PLATE
+        async with aclosing(subscribe(broker, plate=plates, full_rate=full_rate, wanted=server.wants)) as received:
             async for name, path, message in received:
                 server.add(name, path, message)
     finally:

@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator
 from functools import cache, partial
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
 from resonator_daemon.exporting import foxglove_scene
 from resonator_daemon.exporting.clouds import Clouds, Points, map_values, on_grid, packed
 from resonator_daemon.exporting.foxglove_scene import known_or_null, pose, vector
@@ -27,10 +29,11 @@ from resonator_daemon.exporting.geometry import Geometry
 from resonator_daemon.exporting.mcap_output import cloud_fields, severity, state_text
 from resonator_daemon.exporting.wrenches import about_origin
 from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.payloads import WITH_ARRAYS, Contacts, Decoded, Header, Message, State
+from resonator_daemon.publishing.payloads import WITH_ARRAYS, Contacts, Decoded, Forces, Header, Message, Signals, State
 from resonator_daemon.publishing.topics import TOPICS
 from resonator_daemon.recording.reader import INFO_LEVEL, json_time, log_line
 
+_DRAWN: Final = {schema["title"] for schema in (POINT_CLOUD, GRID, SCENE_UPDATE)}
 _UPSIDE_DOWN: Final = {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}  # by 180 degrees about x
 
 
@@ -59,6 +62,7 @@ class FoxgloveMessages:
         self._name = name
         self._geometry = geometry
         self._clouds = None if geometry is None else Clouds(geometry.site_ids, geometry.sites_m)
+        self._logged: dict[str, str] = {}  # by path
 
     def of_plate(self, t_ns: int) -> Iterator[ChannelMessage]:
         """Yield what stays the same while the plate does: its frame, outline and sites."""
@@ -77,6 +81,9 @@ class FoxgloveMessages:
         match message:
             case State():
                 level, text = INFO_LEVEL + severity(message.state), state_text(message)
+                if self._logged.get(path) == text:  # a state that is only published again
+                    return
+                self._logged[path] = text
                 yield ChannelMessage("log", LOG, t_ns, partial(log_line, t_ns, level, path, text), True)
             case Contacts():
                 yield ChannelMessage(f"{path}/wrenches", WRENCHES, t_ns, partial(self._wrenches, message))
@@ -87,6 +94,21 @@ class FoxgloveMessages:
         clouds = self._clouds
         if clouds is not None and clouds.fits(message) and (points := clouds.points(message)) is not None:
             yield ChannelMessage(f"{path}/cloud", POINT_CLOUD, t_ns, partial(self._cloud, points, t_ns))
+
+    def emptied(self, path: str, message: Message, now_ns: int) -> Iterator[ChannelMessage]:
+        """Yield drawings that replace those of an earlier message, once what it measured is no longer known."""
+        now = {"t_ns": now_ns}
+        match message:
+            case Forces():
+                empty: Message = message.model_copy(update=now | {"sites": ()})
+            case Contacts():
+                empty = message.model_copy(update=now | {"contacts": ()})
+            case Signals() | Decoded():
+                arrays = {key: np.full_like(part, np.nan) for key, part in message if isinstance(part, np.ndarray)}
+                empty = message.model_copy(update=now | arrays)
+            case _:
+                return
+        yield from (made for made in self.of_message(path, empty, now_ns) if made.schema["title"] in _DRAWN)
 
     def _transforms(self, t_ns: int) -> bytes:
         turned = {

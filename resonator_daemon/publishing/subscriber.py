@@ -4,7 +4,7 @@ import asyncio
 import logging
 import time
 from collections import deque
-from collections.abc import AsyncGenerator, Collection
+from collections.abc import AsyncGenerator, Callable, Collection
 from contextlib import suppress
 from typing import Final, NamedTuple
 
@@ -44,6 +44,7 @@ async def subscribe(
     *,
     plate: str = EVERY_PLATE,
     full_rate: bool = True,
+    wanted: Callable[[str, str], bool] = lambda plate, path: True,
 ) -> AsyncGenerator[Received]:
     """Yield messages of plates below the broker's prefix as they come, the retained ones first, for ever.
 
@@ -51,8 +52,9 @@ async def subscribe(
     with 1000 packets waiting, as when its reader is behind with streams.
 
     Without `full_rate`, of topics with a decimated topic, that one. Messages that cannot be read are passed over and
-    logged. If the consumer is slow, messages of streams (QoS 0) older than 250 ms are dropped where their topic has a
-    newer one; states and events are all kept. To stop, close the iterator (contextlib.aclosing).
+    logged; those of which `wanted` returns false, called with plate and path, are not decoded. If the consumer is slow,
+    messages of streams (QoS 0) older than 250 ms are dropped where their topic has a newer one; states and events are
+    all kept. To stop, close the iterator (contextlib.aclosing).
     """
     loop = asyncio.get_running_loop()
     arrived = asyncio.Event()
@@ -80,8 +82,8 @@ async def subscribe(
             await arrived.wait()
             arrived.clear()
             while (arrival := waiting.pop()) is not None:
-                message = read_message(broker.prefix, arrival)
-                if message is not None:
+                name, path = split_topic(broker.prefix, arrival.topic)
+                if wanted(name, _BY_PATH[path].path) and (message := read_message(broker.prefix, arrival)) is not None:
                     yield message
     finally:
         await receiver.close()

@@ -1,6 +1,5 @@
 """MCAP for viewers: read by the format's own reader, payloads judged by the schemas in the file."""
 
-import base64
 import json
 from collections import defaultdict
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from export_bench import METADATA, cloud_points, played, write
+from export_bench import METADATA, played, points, write
 from jsonschema import Draft202012Validator
 from mcap.reader import make_reader
 
@@ -44,11 +43,6 @@ def written(case: str, path: Path, *more: Moment) -> dict[str, list[tuple[Any, A
     assert summary is not None
     assert {chunk.compression for chunk in summary.chunk_indexes} == {"lz4"}
     return found
-
-
-def points(cloud: dict[str, Any]) -> Any:
-    fields = [(field["name"], field["type"], field["offset"]) for field in cloud["fields"]]
-    return cloud_points(base64.b64decode(cloud["data"]), fields, cloud["point_stride"])
 
 
 @pytest.mark.parametrize("case", ["slide", "skin"])

@@ -1,5 +1,6 @@
 """Recordings of the corpus, played once for all tests, and their moments handed to what writes files."""
 
+import base64
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -57,3 +58,9 @@ def cloud_points(data: bytes, fields: list[tuple[str, int, int]], stride: int) -
     forms = [{3: "<u2", 4: "<u2", 7: "<f4", 8: "<f8"}[number] for number in types]
     layout = {"names": names, "formats": forms, "offsets": offsets, "itemsize": stride}
     return np.frombuffer(data, np.dtype(layout))  # type: ignore[call-overload]
+
+
+def points(drawn: dict[str, Any]) -> Any:
+    """Points of a cloud, or cells of a grid, in JSON for Foxglove."""
+    fields = [(field["name"], field["type"], field["offset"]) for field in drawn["fields"]]
+    return cloud_points(base64.b64decode(drawn["data"]), fields, drawn.get("point_stride") or drawn["cell_stride"])

@@ -13,7 +13,7 @@ from contextlib import suppress
 
 from resonator_daemon.commands._argument_types import listen_address
 from resonator_daemon.commands._broker import add_broker, broker_of
-from resonator_daemon.errors import ExitCode
+from resonator_daemon.errors import ExitCode, UsageError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,7 +36,13 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         import asyncio
 
         from resonator_daemon.bridges.foxglove_server import serve
+        from resonator_daemon.config import plate_name
 
+        if arguments.plate is not None:
+            try:
+                plate_name(arguments.plate)
+            except ValueError as error:
+                raise UsageError(f"--plate: got {arguments.plate!r}; {error}") from None
         full_rate = not arguments.decimated
         asyncio.run(serve(broker_of(arguments), arguments.listen, plate=arguments.plate, full_rate=full_rate))
     return ExitCode.DONE
