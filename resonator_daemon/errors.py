@@ -28,6 +28,7 @@ FAILURES: Final = {
     "output": "the output exists already, or cannot be created or written",
     "install": "a file cannot be placed or removed, or a step failed",
     "no_recording": "no such file, or it is no recording that can be used here",
+    "no_column": "in Python: the table does not have this column",
     "no_mark": "the recording does not have this mark",
     "no_span": "the span ends before it begins",
     "differs": "a recording is damaged, or its replay differs from what is recorded or expected",

@@ -79,13 +79,19 @@ class Report:
         stream.write(_OUTCOME.sub(paint, self.as_text(whole=whole)))
 
     @property
-    def _shared_reasons(self) -> dict[str, list[str]]:
-        """Why several things were not checked, each reason with the ids of these."""
-        ids: dict[str, list[str]] = {}
+    def _left_out(self) -> dict[str, list[Finding]]:
+        """What was not checked, by the reason."""
+        left_out: dict[str, list[Finding]] = {}
         for finding in self.findings:
             if finding.outcome is Outcome.NOT_CHECKED:
-                ids.setdefault(finding.evidence, []).append(finding.id)
-        return {reason: of_it for reason, of_it in ids.items() if len(of_it) > 1}
+                left_out.setdefault(finding.evidence, []).append(finding)
+        return left_out
+
+    @property
+    def _shared_reasons(self) -> dict[str, list[str]]:
+        """Why several things were not checked, each reason with the ids of these."""
+        shared = {reason: findings for reason, findings in self._left_out.items() if len(findings) > 1}
+        return {reason: [finding.id for finding in findings] for reason, findings in shared.items()}
 
     def _not_checked_together(self) -> Iterator[str]:
         """Yield the lines that hold for several findings."""
@@ -117,13 +123,16 @@ class Report:
         counts = ", ".join(
             f"{self.count(outcome)} {name}"
             for outcome, name in (
-                (Outcome.FAULT, "at fault"),
-                (Outcome.WARNING, "to be watched"),
+                (Outcome.FAULT, "faults"),
+                (Outcome.WARNING, "warnings"),
                 (Outcome.OK, "ok"),
                 (Outcome.NOT_CHECKED, "not checked"),
             )
         )
-        yield f"{len(self.findings)} looked at: {counts}"
+        yield f"{len(self.findings)} checks: {counts}"
+        for reason, left_out in self._left_out.items():
+            stages = ", ".join(dict.fromkeys(finding.stage.value for finding in left_out))
+            yield from _wrapped("not checked: ", f"{len(left_out)} of {stages}: {reason}")
         yield from _wrapped("verdict: ", self.judgement)
 
 

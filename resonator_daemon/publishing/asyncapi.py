@@ -41,6 +41,7 @@ _PARAMETERS: Final = {
 _NO_BRACES: Final = str.maketrans("", "", "{}")
 _DOCUMENT: Final = "AsyncApiDocument"
 _REPLY: Final = "reply"
+_UNKNOWN: Final = "rsp_unknown"
 _CORRELATION: Final = "command"
 _VERSION: Final = {"type": "string", "const": SCHEMA_VERSION, "description": "user property of MQTT 5"}
 _PROPERTIES: Final[dict[str, Object]] = {
@@ -104,6 +105,7 @@ def document() -> Object:
     )
     for verb in VERBS.values():
         _add_verb(channels, operations, verb)
+    _add_unknown(channels, operations)
     return {
         "asyncapi": "3.0.0",
         "info": {
@@ -161,6 +163,15 @@ def _add_verb(channels: Object, operations: Object, verb: Verb) -> None:
     }
     operations[response] = _operation("send", response, delivery, *answers) | {
         "summary": f"Answers `{verb.name}`, where the command names no response topic."
+    }
+
+
+def _add_unknown(channels: Object, operations: Object) -> None:
+    about = "The refusal of a command that there is not, with the `verb` `unknown` and the code `unknown_verb`."
+    channels[_UNKNOWN] = _channel(f"{_PLATE}rsp/unknown", about, Refusal.__name__)
+    delivery = _BINDING | {"qos": 1, "retain": False}
+    operations[_UNKNOWN] = _operation("send", _UNKNOWN, delivery, Refusal.__name__) | {
+        "summary": "Refuses a command that there is not, where it names no response topic."
     }
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from resonator_daemon.publishing.codec import encode, read_arrays
-from resonator_daemon.publishing.payloads import WITH_ARRAYS, ContactEvent, Forces, Grid, Message, State
+from resonator_daemon.publishing.payloads import WITH_ARRAYS, ContactEvent, Contacts, Forces, Grid, Message, State
 from resonator_daemon.publishing.topics import DECODER_HEALTH, DECODER_STATE, SCHEMA_VERSION, TOPICS
 from resonator_daemon.publishing.units import UNITS
 from resonator_daemon.publishing.verbs import VERBS, Refusal
@@ -169,9 +169,17 @@ _COMMAND_VALUES: Final[dict[str, Any]] = {
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
+_SLIP: Final = {  # keys of skins: the contact of the other examples is on a force site
+    "slip_margin": 0.42,
+    "slip_margin_std": 0.05,
+    "friction_coefficient": 0.51,
+    "friction_coefficient_std": 0.04,
+}
+
+
 def _example(kind: type[ModelT]) -> ModelT:
     """Return a message with a value for each key of a model."""
-    return kind.model_validate({key: _value(kind, key) for key in kind.model_fields})
+    return kind.model_validate({key: _value(kind, key) for key in kind.model_fields if key not in _SLIP})
 
 
 def _value(kind: type[BaseModel], key: str) -> Any:
@@ -216,7 +224,20 @@ def _unknown_force() -> dict[str, Any]:
     return message
 
 
-FURTHER_EXAMPLES: Final[dict[str, dict[str, Any]]] = {"Forces": {"overload": _unknown_force()}}
+def _on_skin() -> dict[str, Any]:
+    """Return a message of `contacts` with a contact on a skin."""
+    contacts = _example(Contacts)
+    (contact,) = contacts.contacts
+    forces = {"force_newton": (0.21, -0.06, 1.234), "noise_newton": (0.01, 0.01, 0.02), "systematic_newton": None}
+    sheared = contact.model_copy(update={**forces, **_SLIP})
+    message: dict[str, Any] = json.loads(contacts.model_copy(update={"contacts": (sheared,)}).model_dump_json())
+    return message
+
+
+FURTHER_EXAMPLES: Final[dict[str, dict[str, Any]]] = {
+    "Forces": {"overload": _unknown_force()},
+    "Contacts": {"skin": _on_skin()},
+}
 
 _COMMAND_VALUES["SnapshotAnswer.messages"] = {"state/link": _example(State)}
 _COMMAND_VALUES["EventsAnswer.events"] = (_example(ContactEvent).model_copy(update={"replayed": True}),)

@@ -205,7 +205,7 @@ class TareAnswer(Answer):
     """What was taken for untouched."""
 
     verb: Literal["tare"] = "tare"
-    message: str = Field(description="sentence for display: what was done")
+    message: str = Field(description="sentence for display, always the same: programs read `ok`")
     common_mode: PerChannel = Field(description="relative frequency error by channel")
 
 

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -29,6 +30,16 @@ class MissingLibraryError(UserError):
 
     exit_code = ExitCode.CONFIG
     code = "missing_library"
+
+
+class NoColumnError(UserError, KeyError):
+    """The table has no column of this name."""
+
+    exit_code = ExitCode.USAGE
+    code = "no_column"
+
+    def __str__(self) -> str:
+        return "\n".join(self.messages)  # of KeyError it has quotes
 
 
 class Table(Mapping[str, NDArray[Any]]):
@@ -61,7 +72,17 @@ class Table(Mapping[str, NDArray[Any]]):
         self._attributes = {"topic": topic, **attributes}
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        return self._arrays[name]
+        if name in self._arrays:
+            return self._arrays[name]
+        raise NoColumnError(f"column {name!r}: the table of {self.topic!r} has none of this name; {self._near(name)}")
+
+    def _near(self, name: str) -> str:
+        """Return what columns there are, sites and channels as one, and the nearest name."""
+        kinds = dict.fromkeys(re.sub(r"(site|channel)_\d+_", r"\1_N_", column) for column in self)
+        sites = [int(found["number"]) for column in self if (found := _NUMBERED.fullmatch(column))]
+        numbers = f" (N from {min(sites)} to {max(sites)})" if sites else ""
+        near = get_close_matches(name, list(self), n=1)
+        return f"it has {', '.join(kinds)}{numbers}{f'; did you mean {near[0]}?' if near else ''}"
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._arrays)

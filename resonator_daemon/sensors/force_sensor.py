@@ -43,14 +43,13 @@ class ForceSensor(Sensor[ForceReading]):
 
     result: ClassVar[Topic[Any]] = FORCES
     adjustable: ClassVar[bool] = True
-    _restriction: ClassVar[str] = ""
     _processing: ForceProcessing | None = None
     _last: tuple[ForceReading, Instant] | None = None
 
     @property
     def summary(self) -> str:
-        remark = "; hysteresis and creep of the sites are not taken out: not calibrated"
-        return f"site forces only{self._restriction}{'' if self.plate.response else remark}"
+        remark = "; hysteresis and creep are not calibrated and count as errors"
+        return f"measures the forces on the sites{'' if self.plate.response else remark}"
 
     @property
     def streams(self) -> tuple[Topic[Any], ...]:

@@ -1,6 +1,6 @@
 """Sensor whose counter captures one tone per corner: the loudest, of the pilot or of a touched site."""
 
-from typing import ClassVar, Final
+from typing import Final
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.sensors.expected_tones import ExpectedTones, captured_tones
@@ -15,7 +15,6 @@ _ONSET_S: Final = 0.005  # an onset waits no longer for the frames after it
 class SingleToneSensor(ForceSensor):
     """Force sites, of which the touched one takes the place of the pilot on each corner."""
 
-    _restriction: ClassVar[str] = ": one captured tone per corner gives no field to decode"
     _processing: SingleToneProcessing | None = None
 
     @property

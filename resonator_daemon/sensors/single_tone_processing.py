@@ -20,7 +20,7 @@ from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED, COMMON_MODE_
 from resonator_daemon.session.frames import Frame, SingleToneFrame
 from resonator_daemon.tones.frequency_estimators import Sums, oscillator_std
 from resonator_daemon.tones.gate_block import GateBlock, WindowSums
-from resonator_daemon.tones.record_checks import CAPTURE_SWITCH
+from resonator_daemon.tones.record_checks import CAPTURE_SWITCH, FAULTS_IN_WORDS
 from resonator_daemon.tones.tone_count import NO_TONE, ToneCount, count_tone
 from resonator_daemon.tones.tone_detector import PILOT_TOLERANCE, capture_band_hz
 from resonator_daemon.tones.tone_windows import ToneWindows
@@ -397,7 +397,7 @@ class SingleToneProcessing:
         if min(window.held) == self._window_frames:
             return None
         causes = [
-            f"channel {channel}: {fault or 'window not full yet'}"
+            f"channel {channel}: {FAULTS_IN_WORDS[fault] if fault else 'window not full yet'}"
             for channel, (fault, held) in enumerate(zip(window.faults, window.held, strict=True))
             if held < self._window_frames
         ]

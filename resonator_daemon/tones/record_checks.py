@@ -29,6 +29,15 @@ FAULTS: Final = (
     "impossible_frequency",
 )
 """Faults of records by code; 0: none."""
+FAULTS_IN_WORDS: Final = {
+    "no_signal": "no signal",
+    "overflow": "its counter overflowed",
+    "capture_switch": "its tone changed within a gate",
+    "lost_edge": "an edge was lost",
+    "saturated": "its input is saturated",
+    "impossible_counts": "its counts are impossible",
+    "impossible_frequency": "its frequency is impossible",
+}
 CAPTURE_SWITCH, IMPOSSIBLE_COUNTS, IMPOSSIBLE_FREQUENCY = map(FAULTS.index, FAULTS[3:4] + FAULTS[6:])
 
 _FLAGS: Final = (

@@ -126,7 +126,7 @@ def _lost(health: Health) -> Text:
 def _clock(health: Health) -> str:
     known = math.isfinite(health.clock_drift_ppm)
     drift = f"board {health.clock_drift_ppm:+.1f} ppm" if known else "rate of the board unknown"
-    return f"{drift}, {_count(health.clock_outliers)} outliers, restarted {_count(health.clock_restarts)} times"
+    return f"{drift}, {_count(health.clock_outliers)} outliers, {_count(health.clock_restarts)} restarts"
 
 
 def _broker(status: Status) -> Text:

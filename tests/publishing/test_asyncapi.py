@@ -47,7 +47,7 @@ DELIVERY = {
     PLATE + "health": (0, False, 60),
     "{prefix}/decoder/{id}/state": (1, True, 3600),
     "{prefix}/decoder/{id}/health": (0, False, 60),
-    **{PLATE + f"rsp/{verb}": EVENT for verb in VERBS},
+    **{PLATE + f"rsp/{verb}": EVENT for verb in (*VERBS, "unknown")},
 }
 
 

@@ -106,6 +106,10 @@ def test_a_part_lies_between_marks_or_seconds() -> None:
     part = resonatord.load_recording(recording("touches"), start=mark.text, topics="forces")
     assert 0 < part.forces.row_count < whole.forces.row_count
     assert list(part) == ["forces"]
+    assert "site_99_force_newton" not in part.forces
+    with pytest.raises(resonatord.UserError, match="did you mean site_9_force_newton") as caught:
+        part.forces["site_99_force_newton"]
+    assert (caught.value.code, isinstance(caught.value, KeyError)) == ("no_column", True)
     empty = resonatord.load_recording(recording("touches"), until=0.01)
     assert empty.contact_events.row_count == 0
     assert len(empty.contact_events.to_pandas()) == 0
