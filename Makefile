@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-firmware test-schema test-dashboards coverage bench bench-cost docs docs-check figures fuzz soak pins clean
+.PHONY: help setup demo test test-firmware test-browser test-schema test-dashboards coverage bench bench-cost docs docs-check figures screenshots fuzz soak pins clean
 
 # A user's PATH on Debian lacks the place of mosquitto.
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
@@ -56,6 +56,7 @@ COMPILER := gcc:gcc /usr/include/stdio.h:libc6-dev
 EXAMPLES := /usr/include/mosquitto.h:libmosquitto-dev /usr/include/cbor.h:libcbor-dev /usr/include/cjson/cJSON.h:libcjson-dev
 FIRMWARE := arm-none-eabi-gcc:gcc-arm-none-eabi qemu-system-arm:qemu-system-arm cmake:cmake g++:g++ \
   /usr/lib/arm-none-eabi/include/stdio.h:libnewlib-arm-none-eabi
+BROWSER := chromium:chromium npm:npm
 GENERATORS := node:nodejs npm:npm go:golang-go
 DASHBOARDS := $(BROKER) $(GENERATORS) /usr/share/gocode/src/github.com/tidwall/gjson/gjson.go:golang-github-tidwall-gjson-dev
 
@@ -94,6 +95,24 @@ test-firmware: .venv/test-stamp build/pico-sdk  ## the C reference under QEMU, t
 	debian-packages $(FIRMWARE)
 	.venv/bin/pytest -m firmware tests/firmware
 	.venv/bin/python benchmarks/firmware.py
+
+test-browser: .venv/browser-stamp build/browser  ## the live page in Debian's chromium: panels, presses, recordings, phone width, accessibility
+	$(debian-packages)
+	debian-packages $(BROWSER)
+	OMP_NUM_THREADS=1 .venv/bin/pytest -m 'browser and not soak' tests/live_page/browser
+
+build/browser: tests/live_page/browser/package-lock.json  # axe-core, which checks accessibility
+	$(debian-packages)
+	debian-packages $(BROWSER)
+	mkdir -p $@
+	cp tests/live_page/browser/{package.json,package-lock.json,.npmrc} $@
+	npm ci --prefix $@
+	touch $@
+
+screenshots: .venv/browser-stamp  ## pictures of the live page for README.md and docs/
+	$(debian-packages)
+	debian-packages $(BROKER) $(BROWSER)
+	.venv/bin/python docs/figures/screenshots.py
 
 test-schema: .venv/test-stamp  ## types that modelina and json-schema-to-typescript make of the AsyncAPI document, compiled and used
 	$(debian-packages)
@@ -202,7 +221,9 @@ soak: .venv/test-stamp  ## MINUTES=60 of faults; brokers frozen, dead, slow; kil
 	  .venv/bin/python benchmarks/$$benchmark.py
 	done
 	printf '\n== long tests\n'
-	OMP_NUM_THREADS=1 .venv/bin/pytest -m soak
+	OMP_NUM_THREADS=1 .venv/bin/pytest -m 'soak and not browser'
+	$(MAKE) build/browser .venv/browser-stamp
+	.venv/bin/pytest -m 'soak and browser' tests/live_page/browser
 
 pins: .venv/run-stamp  ## make the requirements files anew from pyproject.toml
 	@.venv/bin/python -m pip install --quiet --require-hashes -r .ci/requirements/pins.txt
@@ -216,6 +237,7 @@ pins: .venv/run-stamp  ## make the requirements files anew from pyproject.toml
 	compile pyproject.toml --extra demo --extra view --extra figures --output-file .ci/requirements/figures.txt
 	compile pyproject.toml --extra demo --extra view --extra docs --output-file .ci/requirements/docs.txt
 	compile pyproject.toml --extra demo --extra view --extra figures --extra test --output-file .ci/requirements/test.txt
+	compile pyproject.toml --extra demo --extra view --extra figures --extra test --extra browser --output-file .ci/requirements/browser.txt
 	compile pyproject.toml --extra demo --extra view --extra figures --group peers --output-file .ci/requirements/peers.txt
 	compile --group pins --output-file .ci/requirements/pins.txt
 
@@ -286,4 +308,9 @@ PATH_FILE := from pathlib import Path; from sysconfig import get_path; \
 .venv/test-stamp: .venv/run-stamp .ci/requirements/test.txt
 	$(pip-install)
 	pip-install "packages for tests" --require-hashes -r .ci/requirements/test.txt
+	touch $@
+
+.venv/browser-stamp: .venv/test-stamp .ci/requirements/browser.txt
+	$(pip-install)
+	pip-install "packages for tests in a browser" --require-hashes -r .ci/requirements/browser.txt
 	touch $@

@@ -17,6 +17,7 @@ BUILD = PROJECT["build-system"]["requires"]
 RUN = PROJECT["project"]["dependencies"] + PROJECT["project"]["optional-dependencies"]["demo"]
 FIGURES = RUN + PROJECT["project"]["optional-dependencies"]["figures"]
 TEST = FIGURES + PROJECT["project"]["optional-dependencies"]["test"]
+BROWSER = TEST + PROJECT["project"]["optional-dependencies"]["browser"]
 PEERS = FIGURES + PROJECT["dependency-groups"]["peers"]
 MAKE_PINS = PROJECT["dependency-groups"]["pins"]
 
@@ -46,6 +47,7 @@ def pinned(filename: str) -> dict[str, str]:
         ("run.txt", RUN),
         ("figures.txt", FIGURES),
         ("test.txt", TEST),
+        ("browser.txt", BROWSER),
         ("peers.txt", PEERS),
         ("pins.txt", MAKE_PINS),
     ],
@@ -60,6 +62,7 @@ def test_pins_satisfy_what_the_project_declares(filename: str, declared: list[st
 def test_tests_and_benchmarks_run_on_the_versions_that_users_get() -> None:
     assert pinned("run.txt").items() <= pinned("figures.txt").items()
     assert pinned("figures.txt").items() <= pinned("test.txt").items()
+    assert pinned("test.txt").items() <= pinned("browser.txt").items()
     assert pinned("figures.txt").items() <= pinned("peers.txt").items()
 
 

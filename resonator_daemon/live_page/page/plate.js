@@ -165,7 +165,7 @@ export class PlatePanel {
       }
     }
     while (this.touched.children.length > Math.max(1, rows.length)) this.touched.lastChild.remove();
-    if (!rows.length) rows.push([info ? "Nothing touches the plate." : "", "", ""]);
+    if (!rows.length) rows.push([model.newest("contacts") ? "Nothing touches the plate." : "No contacts were published yet.", "", ""]);
     rows.forEach(([name, value, status], index) => {
       const item = this.touched.children[index] ?? this.touched.appendChild(make("li"));
       if (!item.firstChild) item.append(make("b"), " ", make("span"), " ", make("em", "status"));

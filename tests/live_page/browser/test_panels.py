@@ -1,0 +1,394 @@
+"""What each part of the page shows of payloads whose values are known, and what it asks the server for."""
+
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import AXE
+from fake_live_page import PAGE, FakeLivePage, array, contact, decoded, header, hertz, info
+from playwright.async_api import Page, expect
+
+pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="session")]
+Open = Callable[..., Awaitable[Page]]
+
+RED_GREEN_BLUE = """([selector, x, y]) => {
+  const canvas = document.querySelector(selector);
+  const scene = resonatord.views[0][canvas.closest('.surface-panel') ? 'surface' : 'plate'].scene;
+  const ratio = scene.ratio;
+  return [...canvas.getContext('2d').getImageData(ratio * scene.x(x), ratio * scene.y(y), 1, 1).data.slice(0, 3)];
+}"""
+SURFACE, PLATE = ".surface-panel canvas.scene", ".plate-panel canvas.scene"
+YELLOW, WHITE = (253, 231, 37), (247, 247, 247)  # top of viridis, middle of the diverging map
+ONLINE = {
+    "daemon": {"state": "online", "connections": 1},
+    "link": {"state": "online", "boot_count": 1},
+    "sensor": {"state": "online"},
+}
+
+
+async def colour(page: Page, selector: str, x: float, y: float) -> np.ndarray:
+    return np.array(await page.evaluate(RED_GREEN_BLUE, [selector, x, y]))
+
+
+async def drawn(page: Page) -> None:
+    """Wait until the newest frame is drawn, and its text."""
+    await page.evaluate(
+        "new Promise((done) => setTimeout(() => requestAnimationFrame(() => requestAnimationFrame(done)), 150))"
+    )
+
+
+async def place(page: Page, selector: str, x: float, y: float) -> tuple[float, float]:
+    """Return the pixel of the window at a position of the plate in metres, scrolled into view."""
+    await page.locator(selector).scroll_into_view_if_needed()
+    kind = "surface" if selector == SURFACE else "plate"
+    script = """([selector, kind, x, y]) => { const box = document.querySelector(selector).getBoundingClientRect();
+      const scene = resonatord.views[0][kind].scene; return [box.left + scene.x(x), box.top + scene.y(y)]; }"""
+    return tuple(await page.evaluate(script, [selector, kind, x, y]))
+
+
+async def send_states(fake: FakeLivePage, states: dict[str, dict[str, Any]]) -> None:
+    for part, keys in states.items():
+        await fake.send(
+            f"state/{part}",
+            header(reason_code="measuring", reason="why it is so", since_t_ns="1789000000000000000") | keys,
+        )
+
+
+async def test_plate_shows_touched_sites_with_uncertainty(fake: FakeLivePage, open_page: Open) -> None:
+    await fake.send("info", info())
+    page = await open_page()
+    await drawn(page)
+    before = await colour(page, PLATE, -0.008, 0.0052)
+    sites = [
+        {"site": 1, "force_newton": 4.0, "noise_newton": 0.03, "systematic_newton": 0.04, "status": "ok"},
+        {"site": 2, "force_newton": None, "at_least_newton": 10.0, "noise_newton": None, "status": "overload"},
+    ]
+    await fake.send("forces", header(status="ok", window_s=0.01, sites=sites))
+    await expect(page.locator(".touched li")).to_have_count(2)
+    one, two = await page.locator(".touched li").all_inner_texts()
+    assert "Site 1" in one
+    assert "4.000 ± 0.050 N" in one
+    assert "more than 10.0 N" in two
+    assert "overload" in two
+    await drawn(page)
+    assert (await colour(page, PLATE, -0.008, 0.0052) != before).any()
+    await expect(page.locator(".identification")).to_be_visible()
+    await expect(page.locator(".surface-panel")).to_be_hidden()
+
+
+async def test_surface_has_the_colours_of_its_scale(fake: FakeLivePage, open_page: Open) -> None:
+    await fake.send(
+        "info", info(skin=True, grid={"origin_m": [-0.0062, -0.0062], "pitch_m": 0.0004, "shape": [32, 32]})
+    )
+    page = await open_page()
+    traction = np.zeros((3, 32, 32))
+    traction[2, :16], traction[2, 0, 0] = 50e3, np.nan
+    await fake.send("decoded", decoded(traction, traction_std_pascal=array(traction / 50)))
+    await fake.send("contacts", header(status="ok", contacts=[contact((0, 0, 1))]))
+    await expect(page.locator(".scale span").last).to_have_text("50 kPa")
+    assert np.abs(await colour(page, SURFACE, 0.003, -0.003) - YELLOW).max() <= 3
+    assert np.abs(await colour(page, SURFACE, 0.003, 0.003) - (68, 1, 84)).max() <= 3
+    await page.select_option(".surface-panel select", "std")
+    await expect(page.locator(".scale span").last).to_have_text("1 kPa")
+    assert await page.locator("option[value=displacement]").is_disabled()
+
+
+async def test_error_against_the_truth_is_zero_where_the_map_is_right(fake: FakeLivePage, open_page: Open) -> None:
+    await fake.send("info", info(skin=True))
+    page = await open_page()
+    touch = {"id": 1, "site": 1, "position_m": [0, 0], "force_newton": [0.25, 0, 1], "radius_m": 0.0025}
+    for force_newton in (1.0, 3.0):
+        await fake.send("decoded", decoded(hertz(force_newton, 0.0025)))
+        await fake.tell(truth={"plate": "p", "t_ns": str(10**18), "contacts": [touch], "traction_pascal": None})
+        await expect(page.locator("option[value=error]")).to_be_enabled()
+        await page.select_option(".surface-panel select", "error")
+        await drawn(page)
+        red, green, blue = (await colour(page, SURFACE, 0.0006, 0.0006)).tolist()  # beside the marks of the truth
+        if force_newton == 1.0:
+            assert np.abs(np.array([red, green, blue]) - WHITE).max() <= 3
+        else:
+            assert red - blue > 60  # too much is red
+
+
+async def test_contacts_show_force_margin_events_and_truth(fake: FakeLivePage, open_page: Open) -> None:
+    await fake.send("info", info(skin=True))
+    page = await open_page()
+    slip = {"slip_margin": 0.21, "slip_margin_std": 0.04, "friction_coefficient": 0.5, "friction_coefficient_std": 0.02}
+    touch = contact((0.3, -0.1, 1.25), moment_newton_m=[1e-3, 2e-3, 3e-3], moment_std_newton_m=[1e-6] * 3, **slip)
+    await fake.send("contacts", header(status="ok", contacts=[touch]))
+    await fake.tell(
+        truth={"plate": "p", "t_ns": "1", "contacts": [touch | {"force_newton": [0.3, 0, 1.3], "radius_m": 0.002}]}
+    )
+    await fake.send("contacts/event", header(event="incipient_slip", contact=touch))
+    await expect(page.locator(".card .normal")).to_have_text("1.2500 ± 0.0030 N")
+    await expect(page.locator(".card .true")).to_have_text("true 1.300 N, off by \u221250 mN")
+    await expect(page.get_by_role("meter")).to_have_attribute("aria-valuenow", "0.21")
+    await expect(page.locator(".gauge output")).to_contain_text("0.210 ± 0.040, begins to slip")
+    await expect(page.locator(".card dl")).to_contain_text("1.000, 2.000, 3.000 mN m")
+    await expect(page.locator(".events li")).to_contain_text("Contact 7 begins to slip")
+    await fake.send(
+        "contacts",
+        header(status="ok", seq=2, contacts=[touch | {"slip_margin": None, "slip_reason_code": "friction_unknown"}]),
+    )
+    await expect(page.locator(".gauge output")).to_have_text("not known: friction unknown")
+
+
+async def test_health_shows_losses_latency_and_calibration(fake: FakeLivePage, open_page: Open) -> None:
+    calibration = {"id": "a", "date": "2020-01-01", "expiry": "2021-01-01"}
+    await fake.send("info", info(calibration=calibration))
+    page = await open_page()
+    await send_states(fake, ONLINE)
+    bins = {"forces": {"bounds_ms": [1.0, 2.0, 10.0], "counts": [5, 93, 2, 0]}}
+    health = header(
+        frame_rate_hz=998.7, latency=bins, lost={"link_gap": 3, "damaged": 40}, cpu_percent=21.0, rss_mb=92.0
+    )
+    await fake.send("health", health)
+    await expect(page.locator(".losses")).to_contain_text("40 arrived damaged")
+    await expect(page.locator(".losses")).to_contain_text("3 never arrived from the board")
+    await expect(page.locator(".figures")).to_contain_text("≤ 2.0 ms for half, ≤ 10 ms for 99 %")
+    await expect(page.locator(".figures")).to_contain_text("999 of 1000 /s")
+    await expect(page.locator(".figures")).to_contain_text("expired until 2021-01-01")
+
+
+OFFLINE = {"state": "offline", "reason_code": "stopped"}
+
+
+@pytest.mark.parametrize(
+    ("states", "code"),
+    [
+        (ONLINE, "well"),
+        ({}, "never_started"),
+        (ONLINE | {"daemon": OFFLINE}, "clean_stop"),
+        (ONLINE | {"daemon": OFFLINE | {"reason_code": "connection_lost", "since_t_ns": None}}, "crash"),
+        (
+            ONLINE | {"daemon": {"state": "online", "connections": 2, "connected_t_ns": "1789000000000000000"}},
+            "broker_restarted",
+        ),
+        (ONLINE | {"link": {"state": "waiting"}, "sensor": {"state": "waiting"}}, "cable_out"),
+        (ONLINE | {"link": {"state": "stalled"}, "sensor": {"state": "waiting"}}, "board_hung"),
+        (ONLINE | {"link": {"state": "online", "boot_count": 2}}, "board_rebooted"),
+        (ONLINE | {"sensor": {"state": "drifting"}}, "sensor_drifting"),
+    ],
+)
+async def test_situations_are_told_apart(
+    fake: FakeLivePage, open_page: Open, states: dict[str, Any], code: str
+) -> None:
+    await fake.send("info", info())
+    await send_states(fake, states)
+    page = await open_page()
+    banner = page.locator(".situation")
+    await expect(banner).to_have_attribute("data-situation", code)
+    icon = await banner.locator("use").get_attribute("href")
+    assert await page.locator(icon or "").count() == 1
+    assert await banner.locator("strong").inner_text()
+    for part, keys in states.items():
+        await expect(page.locator(".states")).to_contain_text(f"{part} {keys['state']}")
+
+
+@pytest.mark.parametrize(("skin", "selector"), [(False, PLATE), (True, SURFACE)])
+async def test_mouse_presses_harder_and_releases(
+    fake: FakeLivePage, open_page: Open, skin: bool, selector: str
+) -> None:
+    fake.hello["press"] = ["p"]
+    await fake.send("info", info(skin=skin))
+    page = await open_page()
+    await expect(page.locator(".press-panel")).to_be_visible()
+    x, y = await place(page, selector, 0.002, -0.001)
+    await page.mouse.move(x, y)
+    await page.mouse.down()
+    first, *_, last = await fake.until("press", 10)
+    assert first["plate"] == "p"
+    assert np.abs(np.array(first["position_m"]) - (0.002, -0.001)).max() < 1e-4
+    assert 0 < first["force_newton"][2] < last["force_newton"][2] <= 10
+    empty = await colour(page, selector, 0.0015, -0.0015)
+    if skin:
+        await fake.send("decoded", decoded(np.full((3, 32, 32), 4e4)))
+    else:
+        touched = {"site": 1, "force_newton": 9.0, "noise_newton": 0.1, "systematic_newton": 0, "status": "ok"}
+        await fake.send(
+            "info",
+            info(sites=1, outline_m=[[-0.01, -0.01], [0.01, 0.01]])
+            | {"sites": [{"site": 1, "position_m": [0.002, -0.001]}]},
+        )
+        await fake.send("forces", header(status="ok", sites=[touched]))
+    await drawn(page)
+    assert (await colour(page, selector, 0.0015, -0.0015) != empty).any()
+    await page.mouse.up()
+    assert (await fake.until("release"))[0] == {"plate": "p", "name": first["name"]}
+
+
+async def test_dragging_shears_until_friction_and_leaving_releases(fake: FakeLivePage, open_page: Open) -> None:
+    fake.hello["press"] = ["p"]
+    await fake.send("info", info(skin=True))
+    page = await open_page()
+    start, far = await place(page, SURFACE, -0.006, 0), await place(page, SURFACE, 0.006, 0)
+    await page.mouse.move(*start)
+    await page.mouse.down()
+    await fake.until("press", 3)
+    await page.mouse.move(*far, steps=5)
+    count = len(fake.asked("press"))
+    presses = await fake.until("press", count + 5)
+    forces = np.array([press["force_newton"] for press in presses])
+    shear = np.hypot(forces[:, 0], forces[:, 1])
+    assert shear.max() > 0.1
+    assert (shear <= 0.5 * 1.021 * forces[:, 2]).all()
+    assert presses[-1]["position_m"][0] > -0.005  # it slid
+    await page.mouse.move(far[0] + 900, far[1])
+    await fake.until("release")
+
+
+async def test_keys_press_and_release(fake: FakeLivePage, open_page: Open) -> None:
+    fake.hello["press"] = ["p"]
+    await fake.send("info", info())
+    page = await open_page()
+    await expect(page.locator(".press-panel")).to_be_visible()
+    await page.locator(PLATE).focus()
+    for _ in range(2):
+        await page.keyboard.press("ArrowRight")
+    await page.keyboard.down("Space")
+    press = (await fake.until("press", 2))[-1]
+    assert press["position_m"] == pytest.approx([0.001, 0])
+    await page.keyboard.up("Space")
+    await fake.until("release")
+
+
+async def test_recordings_play_seek_and_stand_side_by_side(fake: FakeLivePage, open_page: Open) -> None:
+    marks = [{"t_s": 3.5, "label": "drop"}]
+    fake.hello["sources"] = [{"source": s, "file": f"{s}.mcap", "duration_s": 60.0, "marks": marks} for s in "ab"]
+    for source in "ab":
+        await fake.send("info", info(), source=source)
+    page = await open_page()
+    await expect(page.locator(".view")).to_have_count(2)
+    one = page.locator(".view").first
+    await fake.tell(
+        position={"source": "a", "t_s": 12.3, "playing": False, "speed": 1.0, "ended": False, "truncated": "cut off"}
+    )
+    await expect(one.locator(".time")).to_have_text("12.3 of 60.0 s")
+    await expect(one.locator(".truncated")).to_have_text("Incomplete: cut off")
+    await one.locator(".recording-panel select").select_option("2")
+    await one.locator(".play").click()
+    await fake.until("play", 4)
+    assert {"source": "b", "playing": True, "speed": 2} in fake.asked("play")
+    await one.get_by_role("button", name="3.5 s drop").click()
+    assert await fake.until("seek", 2) == [{"source": s, "t_s": 3.5} for s in "ab"]
+    await one.locator(".together").uncheck()
+    await one.get_by_role("slider").fill("30")
+    assert (await fake.until("seek", 3))[-1] == {"source": "a", "t_s": 30}
+
+
+async def test_commands_that_both_permit(fake: FakeLivePage, open_page: Open) -> None:
+    fake.hello["commands"] = ["tare", "start_recording", "mark"]
+    fake.answer = lambda request: {"ok": False, "error": {"code": "not_untouched", "message": "sites are touched"}}
+    await fake.send("info", info())
+    page = await open_page()
+    await expect(page.locator(".record")).to_be_disabled()  # the daemon does not list it
+    await page.locator(".tare").click()
+    await expect(page.locator(".command-panel output")).to_have_text("Refused: sites are touched")
+    await page.get_by_label("Text of the mark").fill("here")
+    await page.locator("button.mark").click()
+    commands = await fake.until("command", 2)
+    assert commands == [
+        {"plate": "p", "verb": "tare", "arguments": {}},
+        {"plate": "p", "verb": "mark", "arguments": {"text": "here"}},
+    ]
+
+
+async def test_connects_again_and_watches_again(fake: FakeLivePage, open_page: Open) -> None:
+    await fake.send("info", info())
+    page = await open_page()
+    watched = len(await fake.until("watch"))
+    await fake.disconnect()
+    await expect(page.locator("#notice")).to_contain_text("No connection to the page's server")
+    await fake.until("watch", watched + 1)
+    await expect(page.locator("#notice")).to_be_hidden()
+    await fake.tell(broker={"connected": False, "reason_code": "no_broker", "reason": "no broker answers"})
+    await expect(page.locator("#notice")).to_contain_text("no broker answers")
+
+
+ODD: list[tuple[str, Any]] = [
+    *(
+        (path, {})
+        for path in ("info", "state/daemon", "state/sensor", "forces", "contacts", "health", "decoded/summary")
+    ),
+    *((path, b"{") for path in ("info", "contacts", "decoded")),
+    ("info", b"null"),
+    ("decoded", decoded(np.zeros((3, 3)), traction_pascal=None, grid=None)),
+    ("decoded", decoded(np.full((3, 32, 32), np.nan))),
+    ("decoded", decoded(np.zeros((3, 7)))[:200]),
+    ("decoded", decoded(np.zeros((3, 10_000)), grid=None)),
+    ("forces", {"sites": [None, {"site": "x", "force_newton": "y"}, {"site": 1, "force_newton": -3}], "lost": None}),
+    (
+        "contacts",
+        {"contacts": [{}, None, contact((None, None, None), position_m=[None, None], position_covariance_m2=None)]},
+    ),
+    ("contacts/event", {"event": "unheard_of", "contact": None}),
+    ("state/link", {"state": "unheard_of", "last_outage": {}, "new_key": 1}),
+    ("info", info(skin=True, sites=10_000, schema_version="3.0")),
+    ("decoded", decoded(np.ones((3, 10_000)), grid=None)),
+    ("decoded", decoded(np.ones((3, 9, 9)))),
+    ("info", info(sites=0, outline_m=None, transducers_m=[[None, 1]], force_max_newton=None, calibration=None)),
+    ("info", b""),
+    ("state/daemon", b""),
+    ("no/such/topic", {}),
+]
+
+
+async def test_nothing_throws(fake: FakeLivePage, open_page: Open) -> None:
+    """Missing fields, null, NaN, messages cut off, plates that change: `open_page` asserts no error."""
+    fake.hello["press"] = ["p"]
+    page = await open_page()
+    await fake.send("state/daemon", header(state="online"))
+    for path, payload in ODD:
+        await fake.send(path, payload)
+        await drawn(page)
+    await fake.tell(truth={}, position=None, clients=None, unheard_of=1)
+    await fake.tell(truth={"plate": "p", "contacts": [{}]}, answer={"id": 99})
+    await fake.send("info", info(), plate="other plate")
+    await page.get_by_role("button", name="other plate").click()
+    await drawn(page)
+    await fake.until("watch", 2)
+
+
+@pytest.mark.parametrize("skin", [False, True])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+async def test_phone_width_and_accessibility(fake: FakeLivePage, open_page: Open, skin: bool, scheme: str) -> None:
+    """No horizontal scroll at 360 px, and no serious finding of axe."""
+    fake.hello |= {"press": ["p"], "commands": ["tare"]}
+    await fake.send("info", info(skin=skin, link="serial:/dev/serial/by-id/" + 60 * "x"))
+    await send_states(fake, ONLINE | {"sensor": {"state": "drifting", "reason": 200 * "y"}})
+    page = await open_page(viewport={"width": 360, "height": 740}, color_scheme=scheme)
+    slip = {"slip_margin": 0.1, "slip_margin_std": 0.04} if skin else {}
+    await fake.send("contacts", header(status="ambiguous", contacts=[contact((0.1, 0.2, 1.3), **slip)]))
+    await fake.send("contacts/event", header(event="onset", contact=contact()))
+    await expect(page.locator(".card")).to_be_visible()
+    assert await page.evaluate("document.documentElement.scrollWidth") <= 360
+    assert AXE.is_file(), "run `make test-browser`, which installs axe-core into build/"
+    await page.evaluate(AXE.read_text())
+    found = await page.evaluate("axe.run()")
+    serious = [f for f in found["violations"] if f["impact"] in ("serious", "critical")]
+    assert [(f["id"], [node["target"] for node in f["nodes"]]) for f in serious] == []
+
+
+async def test_page_weight_and_origin() -> None:
+    files = [file for file in PAGE.rglob("*") if file.is_file()]
+    assert sum(file.stat().st_size for file in files) <= 300_000
+    own = [file for file in files if file.parent == PAGE and file.suffix in (".html", ".js", ".css")]
+    assert [file.name for file in own if "//cdn" in file.read_text() or "https://" in file.read_text()] == []
+
+
+@pytest.mark.soak
+async def test_memory_stays_flat_over_ten_minutes(fake: FakeLivePage, open_page: Open) -> None:
+    await fake.send("info", info(skin=True))
+    page = await open_page()
+    session = await page.context.new_cdp_session(page)
+    used: list[float] = []
+    frame = decoded(hertz(1.0, 0.0025))
+    for _minute in range(11):
+        for _ in range(60 * 30):
+            await fake.send("decoded", frame)
+            await fake.send("contacts", header(status="ok", contacts=[contact((0.1, 0, 1), slip_margin=0.5)]))
+            await page.wait_for_timeout(33)
+        await session.send("HeapProfiler.collectGarbage")
+        used.append((await session.send("Runtime.getHeapUsage"))["usedSize"])
+    assert used[-1] <= used[1] + 1_000_000  # the first minute fills the history
