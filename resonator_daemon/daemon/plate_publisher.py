@@ -59,7 +59,6 @@ class PlatePublisher:
         self._publisher: Publisher | None = None
         self._commands: Commands | None = None
         self._name = self._base = ""
-        self._discovery = b""
         self._waiting: dict[Topic[Any], Message] = {}
         self._last: dict[str, Message | Encoded] = {}
 
@@ -169,16 +168,14 @@ class PlatePublisher:
             await self._publisher.close(farewell, wait_for_broker=wait_for_broker)
 
     def _publish_discovery(self, info: Info) -> None:
-        """Publish the message for Home Assistant, if it is wanted and another one than before."""
+        """Publish the message for Home Assistant, if the configuration has its discovery prefix."""
         broker, name = self._config.mqtt, self._name
         if self._publisher is None or broker.home_assistant_discovery is None:
             return
         contacts = CONTACTS.path in info.rates_hz or self._config.decoding.external
         message = discovery_message(broker.prefix, name, info, contacts=contacts)
-        if message != self._discovery:
-            self._discovery = message
-            topic = discovery_topic(broker.home_assistant_discovery, broker.prefix, name)
-            self._publisher.retain(topic, message, JSON)
+        topic = discovery_topic(broker.home_assistant_discovery, broker.prefix, name)
+        self._publisher.retain(topic, message, JSON)
 
     def _never_retained(self) -> Collection[str]:
         # Not events: a subscription of the daemon's own would hide from it that no other client subscribes to them.
