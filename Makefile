@@ -233,12 +233,12 @@ pins: .venv/run-stamp  ## make the requirements files anew from pyproject.toml
 	}
 	build_requires='import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")'
 	.venv/bin/python -c "$$build_requires" | compile - --output-file .ci/requirements/build.txt
-	compile pyproject.toml --extra demo --extra view --output-file .ci/requirements/run.txt
-	compile pyproject.toml --extra demo --extra view --extra figures --output-file .ci/requirements/figures.txt
-	compile pyproject.toml --extra demo --extra view --extra docs --output-file .ci/requirements/docs.txt
-	compile pyproject.toml --extra demo --extra view --extra figures --extra test --output-file .ci/requirements/test.txt
-	compile pyproject.toml --extra demo --extra view --extra figures --extra test --extra browser --output-file .ci/requirements/browser.txt
-	compile pyproject.toml --extra demo --extra view --extra figures --group peers --output-file .ci/requirements/peers.txt
+	compile pyproject.toml --extra demo --output-file .ci/requirements/run.txt
+	compile pyproject.toml --extra demo --extra figures --output-file .ci/requirements/figures.txt
+	compile pyproject.toml --extra demo --extra docs --output-file .ci/requirements/docs.txt
+	compile pyproject.toml --extra demo --extra figures --extra test --output-file .ci/requirements/test.txt
+	compile pyproject.toml --extra demo --extra figures --extra test --extra browser --output-file .ci/requirements/browser.txt
+	compile pyproject.toml --extra demo --extra figures --group peers --output-file .ci/requirements/peers.txt
 	compile --group pins --output-file .ci/requirements/pins.txt
 
 clean:  ## remove everything that the other targets made

@@ -14,10 +14,11 @@ PINS = ROOT / ".ci" / "requirements"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 BUILD = PROJECT["build-system"]["requires"]
-RUN = PROJECT["project"]["dependencies"] + PROJECT["project"]["optional-dependencies"]["demo"]
-FIGURES = RUN + PROJECT["project"]["optional-dependencies"]["figures"]
-TEST = FIGURES + PROJECT["project"]["optional-dependencies"]["test"]
-BROWSER = TEST + PROJECT["project"]["optional-dependencies"]["browser"]
+EXTRAS = PROJECT["project"]["optional-dependencies"]
+RUN = PROJECT["project"]["dependencies"] + EXTRAS["view"] + [name for name in EXTRAS["demo"] if "[view]" not in name]
+FIGURES = RUN + EXTRAS["figures"]
+TEST = FIGURES + EXTRAS["test"]
+BROWSER = TEST + EXTRAS["browser"]
 PEERS = FIGURES + PROJECT["dependency-groups"]["peers"]
 MAKE_PINS = PROJECT["dependency-groups"]["pins"]
 

@@ -1,5 +1,7 @@
 """Touch emulated plates and show what the daemon publishes, next to the truth.
 
+In a terminal it also shows the address of a live page, where the mouse presses the plates.
+
 Example: resonatord demo --plate quartz16 --seconds 20 --json
 """
 

@@ -168,11 +168,11 @@ class _Bench:
         """Start the parts as a user would; return the truth file."""
         plate = self._options.plate
         print_note(f"starting an emulated board and its daemon: {plate}")
-        emulator, link, truth = await start_emulator(plate, folder, over_tcp=self._plate.counter.frames_in_parts)
-        children.append(emulator)
+        emulator = await start_emulator(plate, self._plate, folder)
+        children.append(emulator.child)
         verbs = {f"resonatord {verb}": verb for verb in (("run", "decode") if self._options.external else ("run",))}
-        children += await start_daemons(verbs, _NAME, plate, link, url, folder)
-        return truth
+        children += await start_daemons(verbs, _NAME, plate, emulator.link, url, folder)
+        return emulator.truth
 
     async def _wait_for_messages(self, subscriber: _Subscriber, children: list[Child]) -> None:
         print_note(f"waiting for {self._topic.path}")

@@ -9,11 +9,14 @@ from asyncio.subprocess import DEVNULL, PIPE, Process
 from collections.abc import AsyncIterator, Collection, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import psutil
 
 from resonator_daemon.errors import UserError
 from resonator_daemon.host.parent_death import ended_with_parent
+from resonator_daemon.plate import Plate
+from simulators.scenario_file import default_scenario
 
 PYTHON = (sys.executable, "-m")
 _RESONATORD = (*PYTHON, "resonator_daemon")
@@ -105,17 +108,41 @@ def _rss_bytes(process: psutil.Process) -> int:
         return 0
 
 
-async def start_emulator(plate: str, folder: Path, *, over_tcp: bool) -> tuple[Child, str, Path]:
-    """Start an emulated board; return it, its link as a configuration writes it, and its truth file."""
-    truth = folder / f"{plate}.truth.jsonl"
-    link = ("--tcp", "127.0.0.1:0") if over_tcp else ("--pty", str(folder / f"{plate}.port"))
-    arguments = ("emulate", "--plate", plate, *link, "--truth", str(truth), "--json")
-    child = await start_child(f"emulator {plate}", folder, (*_RESONATORD, *arguments), stdout=PIPE)
+class Emulator(NamedTuple):
+    """An emulated board: its command, its link as a configuration writes it, its truth file and control socket."""
+
+    child: Child
+    link: str
+    truth: Path
+    control: Path
+
+
+async def start_emulator(name: str, plate: Plate, folder: Path) -> Emulator:
+    """Start the board of a shipped plate, pressed by its default scenario and by clients of the control socket."""
+    truth, control = folder / f"{name}.truth.jsonl", folder / f"{name}.press"
+    link = ("--tcp", "127.0.0.1:0") if plate.counter.frames_in_parts else ("--pty", str(folder / f"{name}.port"))
+    pressed_by = ("--scenario", default_scenario(plate), "--control", str(control))
+    arguments = ("emulate", "--plate", name, *link, *pressed_by, "--truth", str(truth), "--json")
+    child, report = await _start_reporting(f"emulator {name}", folder, arguments)
+    return Emulator(child, report["link"], truth, control)
+
+
+async def start_live_page(broker_url: str, controls: Iterable[Path], folder: Path) -> tuple[Child, str]:
+    """Start `view` on a free port, in which the plates of these control sockets can be pressed; return its address."""
+    press = [argument for control in controls for argument in ("--press", str(control))]
+    arguments = ("view", "--url", broker_url, "--listen", "127.0.0.1:0", *press, "--json")
+    child, report = await _start_reporting("live page", folder, arguments)
+    return child, report["url"]
+
+
+async def _start_reporting(part: str, folder: Path, arguments: Sequence[str]) -> tuple[Child, dict[str, Any]]:
+    """Start a command of resonatord; return it with the JSON object that it prints when it is ready."""
+    child = await start_child(part, folder, (*_RESONATORD, *arguments), stdout=PIPE)
     async with stopped_on_error(child):
-        report = json.loads(await child.first_line())
+        report: dict[str, Any] = json.loads(await child.first_line())
         if "error" in report:
-            raise UserError(f"emulator {plate}: {report['error']['message']}")
-    return child, report["link"], truth
+            raise UserError(f"{part}: {report['error']['message']}")
+    return child, report
 
 
 async def start_daemons(

@@ -24,6 +24,7 @@ def plate_result(score: PlateScore, until_ns: int, *, has_skin: bool) -> dict[st
         "latency_ms": percentiles(accuracy.latency_ms),
         "contacts_true": accuracy.touches,
         "contacts_found": accuracy.found,
+        "contacts_by_hand": len(score.by_hand),  # through the control socket, as in the live page: not scored
         "contacts_late": len(accuracy.late_ms),
         "latest_contact_ms": _rounded(max(accuracy.late_ms, default=None)),
         "sites_right": None if has_skin else accuracy.found,  # a skin is touched anywhere
@@ -98,6 +99,8 @@ def in_words(result: Mapping[str, Any]) -> str:
         lines.append(
             f"  touches: {found} of {plate['contacts_true']} found{at_site}" + f", {late} of them late" * bool(late)
         )
+        if by_hand := plate["contacts_by_hand"]:
+            lines.append(f"  touches by hand: {by_hand}; neither they nor what was touched at the same time are scored")
         if (error := plate["force_error_newton_rms"]) is not None:
             lines.append(f"  force error: {1e3 * error:.2f} mN rms")
         if (error := plate["position_error_mm_rms"]) is not None:

@@ -3,10 +3,12 @@
 import asyncio
 import gc
 import json
+import os
 import signal
 import sys
 import tempfile
 import time
+import webbrowser
 from collections import deque
 from collections.abc import Iterator
 from contextlib import AsyncExitStack, nullcontext, suppress
@@ -20,7 +22,16 @@ from rich.live import Live
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.demo.local_broker import BROKER_PART, local_broker
-from resonator_daemon.demo.processes import Child, HostLoad, cpu_s, raise_if_ended, start_daemons, start_emulator
+from resonator_daemon.demo.processes import (
+    Child,
+    Emulator,
+    HostLoad,
+    cpu_s,
+    raise_if_ended,
+    start_daemons,
+    start_emulator,
+    start_live_page,
+)
 from resonator_daemon.demo.results import delays, failures, in_words, percentiles, plate_result
 from resonator_daemon.demo.score import SCORED, PlateScore
 from resonator_daemon.demo.subscription import Subscription
@@ -75,7 +86,7 @@ class _Station:
     """One plate in the demo: its emulator and daemon, the view of its messages, and their score against the truth."""
 
     plate: Plate
-    emulator: Child
+    emulator: Emulator
     daemon: Child
     truth: TruthTable
     score: PlateScore
@@ -92,6 +103,8 @@ class _Demo:
         self._own_usage = psutil.Process()
         self._prefix = Mqtt().prefix
         self._arrivals: deque[Arrival] = deque()
+        self._live_page: Child | None = None
+        self._page_url = ""
 
     async def run(self) -> ExitCode:
         loop = asyncio.get_running_loop()
@@ -126,6 +139,8 @@ class _Demo:
         stack.callback(self._subscription.close)
         for name, plate in self._plates.items():
             await self._start(name, plate, url, folder, stack)
+        if not self._options.headless:
+            await self._open_live_page(url, folder, stack)
         await self._wait_for_frames()
         gc.freeze()  # modules stay in use: collections that visit them delay messages by tens of ms
         self._load = HostLoad()
@@ -142,11 +157,11 @@ class _Demo:
     async def _start(self, name: str, plate: Plate, broker_url: str, folder: Path, stack: AsyncExitStack) -> None:
         """Start the processes of one plate; they end with the stack."""
         print_note(f"starting emulated board and daemon: {name}")
-        emulator, link, truth_path = await start_emulator(name, folder, over_tcp=plate.counter.frames_in_parts)
-        stack.push_async_callback(emulator.stop)
-        (daemon,) = await start_daemons({f"daemon {name}": "run"}, name, name, link, broker_url, folder)
+        emulator = await start_emulator(name, plate, folder)
+        stack.push_async_callback(emulator.child.stop)
+        (daemon,) = await start_daemons({f"daemon {name}": "run"}, name, name, emulator.link, broker_url, folder)
         stack.push_async_callback(daemon.stop)
-        truth = TruthTable(truth_path)
+        truth = TruthTable(emulator.truth)
         score = PlateScore(
             truth,
             plate.counter.frame_rate_hz,
@@ -154,6 +169,15 @@ class _Demo:
             touched_anywhere=plate.decodable,
         )
         self._stations[name] = _Station(plate, emulator, daemon, truth, score, PlateView(name, full_rate=False))
+
+    async def _open_live_page(self, broker_url: str, folder: Path, stack: AsyncExitStack) -> None:
+        """Start the page in which the plates are pressed with the mouse, and open it where there is a desktop."""
+        controls = [station.emulator.control for station in self._stations.values()]
+        self._live_page, self._page_url = await start_live_page(broker_url, controls, folder)
+        stack.push_async_callback(self._live_page.stop)
+        print_note(f"press the plates with the mouse: {self._page_url}")
+        if any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+            await asyncio.to_thread(webbrowser.open, self._page_url)
 
     def _take_arrivals(self) -> None:
         """Add the messages that have arrived to the scores and the views."""
@@ -233,12 +257,14 @@ class _Demo:
         yield self._broker.child
         for station in self._stations.values():
             yield station.daemon
-            yield station.emulator
+            yield station.emulator.child
+        if self._live_page is not None:
+            yield self._live_page
 
     def _page(self, left_s: float) -> RenderableType:
         truths = {name: _truth_to_show(station) for name, station in self._stations.items()}
         views = [station.view for station in self._stations.values()]
-        title = f"resonatord demo, {left_s:.0f} s left, Ctrl-C ends it"
+        title = f"resonatord demo, {left_s:.0f} s left, Ctrl-C ends it; press the plates: {self._page_url}"
         return render(views, truths, time.time_ns(), title=title)
 
     async def _evaluate(self, seconds: float) -> dict[str, Any]:

@@ -21,10 +21,12 @@ from resonator_daemon.publishing.topics import (
     STATE_DAEMON,
     TOPICS,
 )
+from simulators.presses import FIRST_ID
 
 ONSET_NEWTON = 0.020  # a touch counts from here
 FOUND_WITHIN_NS = 50_000_000
 COUNTED_SHARE = 0.05  # errors count where a force exceeds this share of its peak
+_AFTER_HAND_NS: Final = 200_000_000  # after a press by hand: its contact is released, its window has passed
 
 SCORED: Final = tuple(TOPICS[topic.path] for topic in (FORCES, DECODED, CONTACTS, CONTACT_EVENT, HEALTH, STATE_DAEMON))
 
@@ -36,6 +38,7 @@ class TrueTouch:
     site: int | None
     crossed_ns: int | None = None
     peak_newton: float = 0.0
+    scored: bool = True  # False where somebody pressed at the same time
 
 
 class Onset(NamedTuple):
@@ -89,6 +92,9 @@ class PlateScore:
         Gaps in `seq` of `forces` and `decoded` since counting began: skipped, not decoded, or lost on the way.
     health
         Messages of `health`, from the one at which counting began to the daemon's last.
+    by_hand
+        Ids of the touches that somebody made through the control socket. Neither they nor what was touched at the same
+        time are scored.
     started, begun, ended
         A first result was received; counting has begun; the daemon has published that it is offline, its last message.
     """
@@ -119,6 +125,8 @@ class PlateScore:
         self.messages_missed = 0
         self._newest_seq: dict[str, int] = {}  # by path
         self.health: list[Mapping[str, Any]] = []
+        self.by_hand: set[int] = set()
+        self._by_hand_ns = -_AFTER_HAND_NS  # of the latest line with such a touch
         self.started = self.begun = self.ended = False
         self._begin_asked = False
 
@@ -209,6 +217,8 @@ class PlateScore:
             last = window[-1]
             if path != CONTACTS.path:
                 self.latency_ms.append((arrived_ns - last.t_ns) / 1e6)
+            if last.t_ns < self._by_hand_ns + _AFTER_HAND_NS:
+                continue
             if path == FORCES.path:
                 self._compare_forces(message, [line for line in window if line.contacts], frames)
             elif last.contacts and path == DECODED.path:
@@ -226,7 +236,9 @@ class PlateScore:
         crossed = [
             (touch.crossed_ns, touch.site)
             for touch in self._touches.values()
-            if touch.crossed_ns is not None and self._begin_ns <= touch.crossed_ns <= until_ns - FOUND_WITHIN_NS
+            if touch.scored
+            and touch.crossed_ns is not None
+            and self._begin_ns <= touch.crossed_ns <= until_ns - FOUND_WITHIN_NS
         ]
         onsets = self._onsets.copy()
         for crossed_ns, site in sorted(crossed, key=lambda touch: touch[0]):
@@ -257,8 +269,14 @@ class PlateScore:
         return float(np.sqrt(np.mean(np.square(counted)))) if counted else None
 
     def _follow_touches(self, line: TruthLine) -> None:
+        by_hand = {contact["id"] for contact in line.contacts if contact["id"] >= FIRST_ID}
+        if by_hand:
+            self.by_hand |= by_hand
+            self._by_hand_ns = line.t_ns
         for contact in line.contacts:
             touch = self._touches.setdefault(contact["id"], TrueTouch(contact["site"]))
+            if line.t_ns < self._by_hand_ns + _AFTER_HAND_NS:
+                touch.scored = False
             normal_newton = contact["force_newton"][2]
             touch.peak_newton = max(touch.peak_newton, normal_newton)
             if touch.crossed_ns is None and normal_newton >= ONSET_NEWTON:

@@ -1,11 +1,15 @@
 """The demo as a program sees it: one JSON object with the agreed keys, and an exit code that follows from it."""
 
+import asyncio
 import json
+import os
+import pty
 import re
 import signal
 import subprocess
 import sys
 
+import aiohttp
 import psutil
 
 COMMAND = (sys.executable, "-m", "resonator_daemon", "demo")
@@ -117,3 +121,38 @@ def test_ctrl_c_before_the_measurement_ends_it_without_a_result() -> None:
 
 def test_its_children_end_when_it_is_killed() -> None:
     assert ended_at("measuring", signal.SIGKILL) == (-signal.SIGKILL, "")
+
+
+def read_until(terminal: int, pattern: bytes) -> str:
+    """Read what the demo shows until the pattern has come; return its group."""
+    shown = b""
+    while (found := re.search(pattern, shown)) is None:
+        shown += os.read(terminal, 65536)
+    return found[1].decode()
+
+
+async def test_a_terminal_shows_the_address_of_a_page_in_which_the_plate_is_pressed() -> None:
+    terminal, demos_end = pty.openpty()
+    without_desktop = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    demo = subprocess.Popen(
+        [*COMMAND, "--plate", "quartz16"], stdin=demos_end, stdout=demos_end, stderr=demos_end, env=without_desktop
+    )
+    os.close(demos_end)
+    try:
+        url = await asyncio.to_thread(read_until, terminal, rb"(http\S+/)\r?\n")
+        await asyncio.to_thread(read_until, terminal, rb"(\d+) s left")
+        result = asyncio.create_task(asyncio.to_thread(read_until, terminal, rb"by hand: (\d+)"))
+        press = {"plate": "quartz16", "name": "a", "position_m": [0.0, 0.0], "force_newton": [0.0, 0.0, 1.0]}
+        async with aiohttp.ClientSession() as session, session.ws_connect(url + "ws") as page:
+            await page.send_json({"watch": {"source": "live", "plate": "quartz16", "topics": []}})
+            await page.send_json({"id": 1, "press": press})
+            async for message in page:
+                told = json.loads(message.data) if message.type is aiohttp.WSMsgType.TEXT else {}
+                if any(contact["id"] > 1_000_000 for contact in told.get("truth", {}).get("contacts", ())):
+                    break
+        demo.send_signal(signal.SIGINT)
+        assert await result == "1"
+    finally:
+        demo.kill()
+        demo.wait()
+        os.close(terminal)

@@ -74,6 +74,21 @@ def test_a_touch_of_20_mn_counts_and_less_does_not(run: Run) -> None:
     assert run.found() == (1, 0, 0)
 
 
+def test_presses_by_hand_are_counted_and_what_is_touched_meanwhile_is_not_scored(run: Run) -> None:
+    by_hand = touch(2.0, id=1_000_001, site=9)
+    run.ramp(0.5, id=1)
+    run.forces(1, (7, 0.4))
+    run.truth(touch(0.5), by_hand)
+    run.forces(2, (7, 9.0))
+    run.ramp(*[0.0] * 201)
+    run.ramp(0.5, 0.5, id=2)
+    run.onset(frame_end_ns(203))
+    run.forces(204, (7, 0.503))
+    assert run.found() == (1, 1, 0)
+    assert run.score.by_hand == {1_000_001}
+    assert run.result().force_error_newton_rms == pytest.approx(0.003)
+
+
 def test_each_touch_needs_an_onset_of_its_own_time(run: Run) -> None:
     for number in range(3):
         run.ramp(0.0, 1.0, id=number + 1, site=number + 5)
