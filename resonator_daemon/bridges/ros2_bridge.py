@@ -1,7 +1,8 @@
 """`resonatord bridge ros2`: publishes what plates publish as topics of ROS 2, without an installation of ROS.
 
-Encodes only what somebody has subscribed to. States and health of all plates go to `/diagnostics` once a second, and at
-once when a state changes; of a plate that is silent they are marked as stale.
+Receives and encodes only the streams that somebody has subscribed to, each over a connection of its own. States and
+health of all plates go to `/diagnostics` once a second, and at once when a state changes; what is no longer known is
+marked as stale.
 """
 
 import asyncio
@@ -21,12 +22,25 @@ from resonator_daemon.exporting.ros2_messages import DIAGNOSTICS_TOPIC, Translat
 from resonator_daemon.exporting.ros2_types import DIAGNOSTICS, make_typestore
 from resonator_daemon.publishing.payloads import Condition, Health, Info, Message, State
 from resonator_daemon.publishing.subscriber import EVERY_PLATE, subscribe
-from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, HEALTH, STATE_DAEMON
+from resonator_daemon.publishing.topics import (
+    CONTACT_EVENT,
+    CONTACTS,
+    DECODED,
+    DECODED_SUMMARY,
+    FORCES,
+    HEALTH,
+    SIGNALS,
+    STATE_DAEMON,
+    TOPICS,
+    Topic,
+)
 
+LOOK_S: Final = 0.2  # from subscription to the first message, at most
 REPORT_S: Final = 1.0
 SILENT_S: Final = 5.0  # a plate in operation publishes its health each second
 
 _ALWAYS: Final = (CONTACTS.path, CONTACT_EVENT.path)
+_STREAMS: Final = (CONTACTS, FORCES, SIGNALS, DECODED, DECODED_SUMMARY)
 
 log = logging.getLogger(__name__)
 
@@ -87,6 +101,7 @@ class Ros2Bridge:
         self._statuses: dict[str, dict[str, Any]] = {}  # of each plate by path
         self._lost: dict[str, int] = {}
         self._arrived_s: dict[str, float] = {}
+        self._offline: set[str] = set()
         self._node.advertise({DIAGNOSTICS_TOPIC: DIAGNOSTICS})
 
     def add(self, plate: str, path: str, message: Message) -> None:
@@ -108,6 +123,11 @@ class Ros2Bridge:
         statuses = [status for plate in self._statuses for status in self._statuses_of(plate)]
         array = diagnostics_of(self._store, time.time_ns(), statuses)
         self._node.write(DIAGNOSTICS_TOPIC, bytes(self._store.serialize_cdr(array, DIAGNOSTICS)))
+
+    def is_read(self, path: str) -> bool:
+        """Whether anybody has subscribed to what comes of a topic below any plate."""
+        topics = {topic for plate in self._plates.values() for topic in plate.topics([path])}
+        return any(self._node.has_readers(topic) for topic in topics)
 
     def close(self) -> None:
         """Leave the domain."""
@@ -132,27 +152,48 @@ class Ros2Bridge:
             self._lost[plate] = lost
             return
         statuses[path] = diagnostics.of_state(path, message)
-        if path == STATE_DAEMON.path and message.state is Condition.OFFLINE:
-            statuses.pop(HEALTH.path, None)
+        if path == STATE_DAEMON.path:
+            offline = message.state is Condition.OFFLINE
+            (self._offline.add if offline else self._offline.discard)(plate)
         self.report()
 
     def _statuses_of(self, plate: str) -> Iterable[Any]:
-        statuses = [status for _, status in sorted(self._statuses[plate].items())]
+        known = sorted(self._statuses[plate].items())
         silent_s = time.monotonic() - self._arrived_s[plate]
-        if silent_s <= SILENT_S or HEALTH.path not in self._statuses[plate]:
-            return statuses
-        text = f"no message for {silent_s:.0f} s: the broker or the network is gone; last: "
-        return [dataclasses.replace(one, level=STALE, message=text + one.message) for one in statuses]
+        if plate in self._offline:
+            text = "the daemon is offline"
+        elif silent_s > SILENT_S and HEALTH.path in self._statuses[plate]:
+            text = f"no message for {silent_s:.0f} s: the broker or the network is gone"
+        else:
+            return [status for _, status in known]
+        return [
+            status
+            if plate in self._offline and path == STATE_DAEMON.path
+            else dataclasses.replace(status, level=STALE, message=f"{text}; last: {status.message}")
+            for path, status in known
+        ]
 
 
 async def _serve(broker: Mqtt, plate: str | None, full_rate: bool, bridge: Ros2Bridge) -> None:
-    reporting = asyncio.create_task(_report(bridge))
-    try:
-        async with aclosing(subscribe(broker, plate=plate or EVERY_PLATE, full_rate=full_rate)) as received:
+    async def follow(*topics: Topic[Any]) -> None:
+        async with aclosing(subscribe(broker, topics, plate=plate or EVERY_PLATE, full_rate=full_rate)) as received:
             async for name, path, message in received:
                 bridge.add(name, path, message)
+
+    following: dict[Topic[Any], asyncio.Task[None]] = {}
+    try:
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(follow(*(topic for topic in TOPICS.values() if topic not in _STREAMS)))
+            tasks.create_task(_report(bridge))
+            while True:
+                wanted = [topic for topic in _STREAMS if bridge.is_read(topic.path)]
+                for topic in following.keys() - wanted:
+                    following.pop(topic).cancel()
+                for topic in wanted:
+                    if topic not in following:
+                        following[topic] = tasks.create_task(follow(topic))
+                await asyncio.sleep(LOOK_S)
     finally:
-        reporting.cancel()
         bridge.close()
 
 

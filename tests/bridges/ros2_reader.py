@@ -57,26 +57,23 @@ def main(domain_id: int, plate: str) -> None:
             ("ros_discovery_info", PARTICIPANT, reliable, Policy.Durability.TransientLocal),
         )
     }
-    found: dict[str, Any] = {
-        "participant": BuiltinDataReader(participant, BuiltinTopicDcpsParticipant),
-        "publication": BuiltinDataReader(participant, BuiltinTopicDcpsPublication),
-    }
+    for name, topic in (("participant", BuiltinTopicDcpsParticipant), ("publication", BuiltinTopicDcpsPublication)):
+        readers[name] = BuiltinDataReader(participant, topic)
     waiting = WaitSet(participant)
-    conditions = [ReadCondition(reader, SampleState.NotRead) for reader in (*readers.values(), *found.values())]
+    conditions = [ReadCondition(reader, SampleState.NotRead) for reader in readers.values()]
     for condition in conditions:
         waiting.attach(condition)
     while True:
         waiting.wait(10**9)
-        for kind, reader in found.items():
+        for what, reader in readers.items():
             for one in reader.take(100):
-                alive = one.sample_info.instance_state == InstanceState.Alive
-                names = {name: getattr(one, name, None) for name in ("topic_name", "type_name")}
-                user_data = one.qos[Policy.Userdata] if alive and one.qos else None
-                write(kind, key=one.key.hex, alive=alive, user_data=user_data and user_data.data.decode(), **names)
-        for topic, reader in readers.items():
-            for one in reader.take(100):
-                if dataclasses.is_dataclass(one):  # else the end of a writer
-                    write(topic, **dataclasses.asdict(one))
+                if what in ("participant", "publication"):
+                    alive = one.sample_info.instance_state == InstanceState.Alive
+                    data = one.qos[Policy.Userdata] if alive and one.qos else None
+                    names = {name: getattr(one, name, None) for name in ("topic_name", "type_name")}
+                    write(what, key=one.key.hex, alive=alive, user_data=data and data.data.decode(), **names)
+                elif dataclasses.is_dataclass(one):  # else the end of a writer
+                    write(what, **dataclasses.asdict(one))
 
 
 def write(what: str, **fields: Any) -> None:

@@ -32,28 +32,25 @@ class Bridged:
     """A broker, the bridge, and what a participant in another process has found."""
 
     def __init__(self, broker: Mosquitto, lines: asyncio.StreamReader) -> None:
-        self.broker = broker
-        self._lines = lines
+        self.broker, self._lines = broker, lines
         self.publications: dict[str, Line] = {}  # by topic
         self.nodes: list[Line] = []
 
     async def until(self, right: Callable[[Line], Any], **messages: Message) -> Line:
         """Return the first line that is right; publish the messages again each half second, `_` for `/`."""
+        host, port = self.broker.url.removeprefix("mqtt://").split(":")
         async with asyncio.timeout(60):
             line = asyncio.ensure_future(self._line())
             while True:
                 if messages:
-                    await self._publish(messages)
+                    async with aiomqtt.Client(host, int(port)) as client:
+                        for path, message in messages.items():
+                            topic = f"resonator/left-index/{path.replace('_', '/')}"
+                            await client.publish(topic, encode(message), qos=1)
                 while (await asyncio.wait([line], timeout=0.5))[0]:
                     if right(line.result()):
                         return line.result()
                     line = asyncio.ensure_future(self._line())
-
-    async def _publish(self, messages: dict[str, Message]) -> None:
-        host, port = self.broker.url.removeprefix("mqtt://").split(":")
-        async with aiomqtt.Client(host, int(port)) as client:
-            for path, message in messages.items():
-                await client.publish(f"resonator/left-index/{path.replace('_', '/')}", encode(message), qos=1)
 
     async def _line(self) -> Line:
         line: Line = json.loads(await self._lines.readline())
@@ -140,3 +137,4 @@ async def test_without_a_broker_diagnostics_are_stale_until_it_returns(bridged: 
     await bridged.broker.start()
     await bridged.until(lambda line: levels(line) == [0, 0], **alive)
     await bridged.until(lambda line: line["what"] == WRENCH, contacts=example(Contacts))
+    await bridged.until(lambda line: levels(line) == [3, 1], state_daemon=example(State, state="offline"))
