@@ -69,6 +69,8 @@ def run(arguments: argparse.Namespace) -> ExitCode:
             emulate(options_of(EmulatorOptions, arguments, faults=parse_faults(arguments.faults)))
     except ValueError as error:
         raise UsageError(*str(error).split("\n")) from error  # a line for each mistake
+    except BrokenPipeError:  # the reader of stdout has left
+        raise
     except OSError as error:
         raise UserError(reason_of(error)) from error
     return ExitCode.DONE

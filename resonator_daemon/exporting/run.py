@@ -20,6 +20,7 @@ from resonator_daemon.replay.progress import Progress
 from resonator_daemon.replay.recorded_pipeline import Moment, RecordingReplay, what_is_wrong
 from resonator_daemon.replay.source import open_replay
 from resonator_daemon.replay.span import Span, find_span
+from resonator_daemon.toml_files.reading import nearest
 
 
 class ExportFailedError(UserError):
@@ -66,7 +67,8 @@ def make_target(output: Path, form: str | None, topics: str | None) -> Target:
     kind = format_class(form)
     chosen = kind.available if topics is None else tuple(dict.fromkeys(topics.split(",")))
     if unknown := [topic for topic in chosen if topic not in kind.available]:
-        raise UsageError(f"--topics {', '.join(map(repr, unknown))}: {form} takes {', '.join(kind.available)}")
+        takes = "; ".join(f"got {topic!r}; {form}: {nearest(topic, kind.available)}" for topic in unknown)
+        raise UsageError(f"--topics: {takes}")
     if kind.file_per_topic and len(chosen) > 1 and takes_a_stream(output):
         raise UsageError(f"--output {output} takes one table of {form}, not {len(chosen)}; choose it by --topics")
     return Target(output, form, chosen)

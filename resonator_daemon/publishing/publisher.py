@@ -23,7 +23,7 @@ from resonator_daemon.publishing.message_account import Account, Cause
 from resonator_daemon.publishing.mqtt_messages import Incoming, Outgoing
 from resonator_daemon.publishing.outbox import Outbox, Packet
 from resonator_daemon.publishing.packed_properties import pack, properties_of
-from resonator_daemon.publishing.payloads import Header, MessageAccount, State
+from resonator_daemon.publishing.payloads import Header, Message, MessageAccount
 from resonator_daemon.publishing.reconnection import connection_session, keep_connected
 from resonator_daemon.publishing.retained_topics import RetainedTopics
 from resonator_daemon.publishing.stream_packets import StreamPackets
@@ -261,7 +261,7 @@ class Publisher:
                 self._ended.set()
 
     async def close(
-        self, farewell: tuple[str, Topic[State], State] | None = None, *, wait_for_broker: bool = False
+        self, farewell: tuple[str, Topic[Any], Message] | None = None, *, wait_for_broker: bool = False
     ) -> None:
         """Publish a last message after all others, wait up to 2 s until all are sent, and end `run`.
 

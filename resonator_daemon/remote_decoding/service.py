@@ -134,8 +134,8 @@ class DecoderProcess:
                 helper.cancel()
             await asyncio.wait(helpers, timeout=_LAST_FRAME_S)
             self._publish_health()  # the last counters
-            self._publish_state(Condition.OFFLINE, self._farewell())
-            await self._publisher.close()
+            offline = self._make_state(Condition.OFFLINE, self._farewell(), self._since_utc_ns)
+            await self._publisher.close((self._base, DECODER_STATE, offline))  # after the releases of contacts
         if self._fatal is not None:
             raise self._fatal
 

@@ -69,7 +69,9 @@ def read_toml(path: Path) -> TomlFile:
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
-        raise ConfigurationError(f"{named(path)}: no such file; give the path of an existing TOML file") from None
+        near = path.with_name(f"{path.name}.toml")
+        remedy = f"did you mean {named(near)}?" if near.is_file() else "give the path of an existing TOML file"
+        raise ConfigurationError(f"{named(path)}: no such file; {remedy}") from None
     except PermissionError:
         raise ConfigurationError(f"{named(path)}: permission denied; let the user who runs this read it") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path

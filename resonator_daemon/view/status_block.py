@@ -119,7 +119,7 @@ def _lost(health: Health) -> Text:
     text = _by_cause(health.lost.model_dump(exclude={"publish_dropped", "skipped_late"}), "nothing")
     others = {"parts of frames": health.parts_lost, "frames not decoded": health.frames_not_decoded}
     others |= {"messages skipped as late": health.lost.skipped_late}
-    others |= {f"readings unusable ({cause})": count for cause, count in health.records_unusable.items()}
+    others |= {f"readings unusable ({_in_words(cause)})": count for cause, count in health.records_unusable.items()}
     return text.append("".join(f"; {_count(count)} {printable(what)}" for what, count in others.items() if count))
 
 
@@ -183,8 +183,12 @@ def _config(status: Status) -> Iterator[Text]:
 
 
 def _by_cause(counts: Mapping[str, int], nothing: str) -> Text:
-    text = ", ".join(f"{_count(count)} {printable(cause)}" for cause, count in counts.items() if count)
+    text = ", ".join(f"{_count(count)} {_in_words(cause)}" for cause, count in counts.items() if count)
     return Text(text, "yellow") if text else Text(nothing)
+
+
+def _in_words(cause: str) -> str:
+    return printable(cause).replace("_", " ")
 
 
 def _count(count: int) -> str:

@@ -62,6 +62,8 @@ async def test_a_followed_plate_is_decoded_and_its_states_and_account_are_told(
             await until(lambda: decoder.health().plates["hand"].unusable == 1)
             assert_exact(decoder)
         last = await heard.until_last(STATE, state="offline", reason="stopped")
+        events = heard.payloads("resonator/hand/contacts/event")  # before the state
+        assert [event["event"] for event in events] == ["onset", "release"]
         assert last["decoder_id"] == "host-1"
         assert last["topic_filter"] == "resonator/hand/signals"
         healths = functools.partial(heard.payloads, "resonator/decoder/host-1/health")
@@ -75,7 +77,6 @@ async def test_a_followed_plate_is_decoded_and_its_states_and_account_are_told(
     assert sorted(set(seqs(heard, "hand"))) == [0, 1, 2, 3, 4]
     summaries = heard.payloads("resonator/hand/decoded/summary")
     assert {summary["decoder_id"] for summary in summaries} == {"host-1"}
-    assert [event["event"] for event in heard.payloads("resonator/hand/contacts/event")] == ["onset", "release"]
 
 
 async def test_two_that_follow_one_plate_report_each_other_until_one_has_gone(
