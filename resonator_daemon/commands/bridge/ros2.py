@@ -1,7 +1,7 @@
 """Publish what plates publish as topics of ROS 2, without an installation of ROS, until stopped.
 
 Topics are /NAME/wrench, /NAME/contacts/wrench, /NAME/decoded/cloud and others, with states on /diagnostics. Everybody
-in the DDS domain can read them; CYCLONEDDS_URI restricts the network interfaces.
+in the DDS domain can read them; CYCLONEDDS_URI names the network interface.
 
 docs/how-to/viewers.md explains more.
 Example: resonatord bridge ros2 --url mqtt://127.0.0.1:1883 --domain-id 7
