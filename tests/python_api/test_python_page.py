@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import aiomqtt
+import numpy as np
 import pytest
 from brokers import Mosquitto
 from commanded import commanded, state
@@ -27,7 +28,8 @@ NOTEBOOK = ROOT / "docs" / "tutorials" / "first-press.ipynb"
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Folder with a recording of presses of 2, 0.5 and 8 N on sites 7, 3 and 16 of an emulated plate."""
-    shutil.copy(ROOT / "tests" / "corpus" / "touches" / "recording.mcap", tmp_path / "run.mcap")
+    for case, name in (("touches", "run"), ("skin", "skin")):
+        shutil.copy(ROOT / "tests" / "corpus" / case / "recording.mcap", tmp_path / f"{name}.mcap")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     return tmp_path
@@ -76,3 +78,6 @@ def test_the_cells_of_the_notebook_run(folder: Path) -> None:
     assert names["presses"]["contact_peak_newton"].tolist() == pytest.approx([2.0, 0.5, 8.0], abs=0.2)
     assert abs(names["mean_newton"] - 2.0) < 3 * names["systematic_newton"]
     assert names["axes"].get_ylabel() == "force in N"
+    map_pascal, axes = names["image"].get_array(), names["image"].axes
+    assert np.unravel_index(map_pascal.argmax(), map_pascal.shape) == (3, 3)  # the press is in the middle of 7 x 7
+    assert axes.get_ylim()[0] > axes.get_ylim()[1]
