@@ -7,7 +7,7 @@ import signal
 import struct
 import sys
 from collections import defaultdict
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
 from itertools import chain
 from pathlib import Path
@@ -66,9 +66,14 @@ class Viewer:
                         assert (one["encoding"], one["schemaEncoding"]) == ("json", "jsonschema")
                         self.names[one["id"]] = one["topic"]
                         self.schemas[one["topic"]] = Draft202012Validator(json.loads(one["schema"]))
-                    wanted = [{"id": one["id"], "channelId": one["id"]} for one in message["channels"]]
-                    await self.socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+                    await self.subscribe(one["id"] for one in message["channels"])
+                elif message["op"] == "status":  # unknown: the SDK advertises a channel before it takes subscriptions
+                    await self.subscribe([int(message["message"].rpartition(" ")[2])])
         return self.found[channel][-1]
+
+    async def subscribe(self, numbers: Iterable[int]) -> None:
+        wanted = [{"id": number, "channelId": number} for number in numbers]
+        await self.socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
 
     async def send(self, server: FoxgloveServer, path: str, message: Message) -> None:
         """Add a message of the plate "left" as soon as this viewer has subscribed to its channels."""
