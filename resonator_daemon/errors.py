@@ -47,6 +47,7 @@ FAILURES: Final = {
     "cannot_share": "the broker does not share messages among several decoders",
     "not_calibrated": "the calibration ended without a result; the plate file is as before",
     "no_plan": "the codes cannot be planned as wanted; no plate file was written",
+    "listen": "the address of the live page is taken, or is none of this computer",
     "fault": "the doctor found a fault: `cause` and `findings`",
     "lost": "touches were missed, or frames or messages lost",
 }
@@ -122,6 +123,12 @@ class NoRecordingError(UsageError):
 
 class ConfigurationError(UserError):
     """Invalid configuration or plate file; one message for each finding."""
+
+
+class MissingLibraryError(UserError):
+    """Optional library that is needed only here, and is not installed."""
+
+    code = "missing_library"
 
 
 class IncompatibleBoardError(UserError):

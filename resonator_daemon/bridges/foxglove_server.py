@@ -14,7 +14,7 @@ from contextlib import aclosing, suppress
 from typing import Any, Final
 
 from resonator_daemon.config import Listen, Mqtt
-from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.errors import ExitCode, MissingLibraryError, UserError
 from resonator_daemon.exporting.foxglove_messages import ChannelMessage, FoxgloveMessages
 from resonator_daemon.exporting.geometry import Geometry
 from resonator_daemon.host.printable import how_to_install
@@ -26,7 +26,7 @@ try:
     import foxglove
     from foxglove.websocket import ServerListener
 except ImportError as error:
-    raise UserError(f"the bridge to Foxglove needs foxglove-sdk: {how_to_install('foxglove-sdk')}") from error
+    raise MissingLibraryError(f"the bridge to Foxglove needs foxglove-sdk: {how_to_install('foxglove-sdk')}") from error
 
 BACKLOG_MAX: Final = 256  # messages that wait for one viewer
 

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.errors import ExitCode, MissingLibraryError, UserError
 from resonator_daemon.host.printable import how_to_install
 
 try:
@@ -21,7 +21,7 @@ try:
     from cyclonedds.qos import Policy, Qos
     from cyclonedds.topic import Topic
 except ImportError as error:
-    raise UserError(f"the bridge to ROS 2 needs cyclonedds: {how_to_install('cyclonedds')}") from error
+    raise MissingLibraryError(f"the bridge to ROS 2 needs cyclonedds: {how_to_install('cyclonedds')}") from error
 
 from resonator_daemon.bridges.dds_types import DdsTypes
 from resonator_daemon.exporting.ros2_types import Typestore

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from resonator_daemon.commands._broker import add_broker, broker_of
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.errors import ExitCode, NoRecordingError, UsageError, UserError
+from resonator_daemon.errors import ExitCode, MissingLibraryError, NoRecordingError, UsageError
 from resonator_daemon.host.printable import how_to_install
 
 
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
             from resonator_daemon.live_page.hub import Sources
             from resonator_daemon.live_page.server import LivePageOptions, serve
         except ModuleNotFoundError as error:
-            raise UserError(f"the live page needs {error.name}: {how_to_install('aiohttp')}") from error
+            raise MissingLibraryError(f"the live page needs {error.name}: {how_to_install('aiohttp')}") from error
 
         _check(arguments)
         host, port = arguments.listen

@@ -3,7 +3,7 @@
 import re
 from typing import Any, Final
 
-from resonator_daemon.errors import UserError
+from resonator_daemon.errors import MissingLibraryError
 from resonator_daemon.host.printable import how_to_install
 
 try:
@@ -11,7 +11,7 @@ try:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     from rosbags.typesys.store import Typestore
 except ImportError as error:
-    raise UserError(f"messages of ROS 2 need rosbags: {how_to_install('rosbags')}") from error
+    raise MissingLibraryError(f"messages of ROS 2 need rosbags: {how_to_install('rosbags')}") from error
 
 __all__ = ["Nodetype", "Typestore", "make_typestore", "ros_name"]
 

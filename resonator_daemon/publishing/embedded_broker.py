@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Final
 
-from resonator_daemon.errors import UserError
+from resonator_daemon.errors import MissingLibraryError
 from resonator_daemon.host.printable import how_to_install
 from resonator_daemon.publishing.embedded_delivery import Connection, StreamDelivery
 
@@ -27,7 +27,7 @@ async def embedded_broker(port: int = 0) -> AsyncIterator[str]:
     try:
         from amqtt.broker import Broker
     except ImportError as error:
-        raise UserError(f"the embedded broker needs amqtt: {how_to_install('amqtt')}") from error
+        raise MissingLibraryError(f"the embedded broker needs amqtt: {how_to_install('amqtt')}") from error
 
     for name in ("amqtt", "transitions"):
         logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.errors import ExitCode, MissingLibraryError, UserError
 from resonator_daemon.exporting.columns import Column
 from resonator_daemon.host.printable import how_to_install
 from resonator_daemon.plate import Plate
@@ -23,13 +23,6 @@ _NUMBERED: Final = re.compile(r"(?P<before>(?:\w+_)?)(?P<kind>site|channel)_(?P<
 _ROW_PER_ITEM: Final = (CONTACTS.path, DECODED_SUMMARY.path)
 _SIGNAL_ROWS: Final = ("p_n", "eps_xz", "eps_yz")
 _PANDAS_COUNTS: Final = {"int64": "Int64", "uint64": "UInt64", "bool": "boolean"}
-
-
-class MissingLibraryError(UserError):
-    """A library that is needed only here is not installed."""
-
-    exit_code = ExitCode.CONFIG
-    code = "missing_library"
 
 
 class NoColumnError(UserError, KeyError):

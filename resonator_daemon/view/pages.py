@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
-from resonator_daemon.errors import UserError
+from resonator_daemon.errors import MissingLibraryError
 from resonator_daemon.host.printable import how_to_install
 from resonator_daemon.plate import Plate
 
@@ -36,7 +36,7 @@ def make_figure(inches: tuple[float, float]) -> "Figure":
     try:
         from matplotlib.figure import Figure
     except ModuleNotFoundError as error:
-        raise UserError(
+        raise MissingLibraryError(
             f"--picture needs {error.name}, which is not installed: {how_to_install('matplotlib')}"
         ) from error
     return Figure(figsize=inches, layout="constrained")

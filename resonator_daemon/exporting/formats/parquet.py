@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from resonator_daemon.errors import UserError
+from resonator_daemon.errors import MissingLibraryError
 from resonator_daemon.exporting.columns import Column, Value
 from resonator_daemon.exporting.table_output import Batch, TableOutput
 from resonator_daemon.host.printable import how_to_install
@@ -17,7 +17,7 @@ try:
     import pyarrow as pa
     import pyarrow.parquet as pq
 except ImportError as error:
-    raise UserError(f"Parquet needs pyarrow: {how_to_install('pyarrow')}") from error
+    raise MissingLibraryError(f"Parquet needs pyarrow: {how_to_install('pyarrow')}") from error
 
 _TYPES: Final = {
     "int64": pa.int64(),
