@@ -8,7 +8,7 @@ import struct
 import sys
 from collections import defaultdict
 from collections.abc import AsyncIterator, Iterable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -191,13 +191,22 @@ def test_messages_have_the_fields_of_the_sdk_and_files_the_channels_of_the_layou
     assert shown | paths <= channels | {"state/daemon"}
 
 
+@asynccontextmanager
+async def ending(process: asyncio.subprocess.Process) -> AsyncIterator[None]:
+    try:
+        yield
+    finally:
+        with suppress(ProcessLookupError):
+            process.kill()
+
+
 async def test_the_command_survives_its_broker_and_ends_at_once(mosquitto: Any) -> None:
     port = free_port()
     options = ("--url", mosquitto.url, "--listen", f"127.0.0.1:{port}", "--plate", "left")
     command = (sys.executable, "-m", "resonator_daemon", "bridge", "foxglove", *options)
     process = await asyncio.create_subprocess_exec(*command, stderr=asyncio.subprocess.PIPE)
     assert process.stderr is not None
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(30), ending(process):
         while b"connected" not in await process.stderr.readline():
             pass
         async with viewer(port) as seen:
