@@ -24,7 +24,7 @@ from resonator_daemon.reasons import ReasonCode
 
 _SLIP_UNKNOWN = "null with a code in `slip_reason_code`"
 _DECODER_ID = "the process that decoded; left out by the daemon itself"
-_FOLLOWER_ID = "the process that follows the contacts, and numbers them; left out by the daemon itself"
+_FOLLOWER_ID = "the decoder process that follows the contacts and assigns their ids; omitted if the daemon does"
 _REASON_CODE = "why, for programs; left out where there is nothing to state"
 _REASON = "the same as a sentence for people, with details"
 _AT_LEAST = "with the status `overload` alone: the force is at least this"
@@ -41,10 +41,11 @@ class SiteForce(Message):
         "response"
     )
     unobserved_bound_newton: Float = optional_number(
-        "a bound, and no part of the two before: the most that a touch between sites may have put on others, in "
-        "addition to `force_newton`; left out where it is 0: sites are touched one by one, or all of them are detected"
+        "an upper bound, not part of the two errors before: the largest force that a touch between sites may exert on "
+        "other sites, in addition to `force_newton`. Omitted if it is 0: sites are touched one by one, or all of them "
+        "are detected"
     )
-    status: Status = Field(description="what this force is worth")
+    status: Status = Field(description="whether this force is valid")
     at_least_newton: float | None = optional(_AT_LEAST)
 
 
@@ -79,7 +80,7 @@ class Forces(Measured):
     reason: str | None = optional(_REASON)
     sites: tuple[SiteForce, ...] = Field(description="those on which something presses")
     beats: tuple[int, ...] | None = optional(
-        "channels whose tone beats with the board's reference clock; `noise_newton` counts for that"
+        "channels whose tone beats with the board's reference clock; `noise_newton` includes the effect"
     )
 
 
@@ -90,19 +91,21 @@ class Contact(Message):
     """
 
     id: int | None = Field(
-        description="the same from onset to release; never used again by this run of the process that follows the "
-        "contacts; null where many decoders share a skin: none of them sees all frames"
+        description="the same from onset to release, and not used again in the same run; null if many decoders share "
+        "a skin, because none of them receives all frames"
     )
     site: int = Field(description="the nearest site")
     position_m: Vector2 = Field(
-        description="x and y in the plate's plane: the centre of pressure; of a single-tone counter the site's place"
+        description="x and y of the centre of pressure, in the plate's plane; on a single-tone counter, those of the "
+        "site"
     )
     position_covariance_m2: Vector3 = Field(
-        description="of the errors of x and y: xx, xy, yy; of a single-tone counter from the spread of all places that "
-        "are nearest to the site; xy is null under a skin"
+        description="covariance of the errors of x and y: xx, xy, yy. On a single-tone counter, it is that of all "
+        "positions nearest to the site. xy is null under a skin"
     )
     force_newton: Vector3 = Field(
-        description="null in x and y where a plate measures the normal force alone; all null with a cause in `status`"
+        description="x, y, z; x and y are null if the plate measures only the normal force; all are null if the force "
+        "is unknown, with the cause in `status`"
     )
     noise_newton: Vector3 = Field(description="one standard deviation of what averages out, from the counts themselves")
     systematic_newton: OptionalFloat = optional(
@@ -115,22 +118,19 @@ class Contact(Message):
     slip_margin: OptionalFloat = optional(f"1 - F_t / (mu F_n): 1 without shear, 0 where it slips; {_SLIP_UNKNOWN}")
     slip_margin_std: OptionalFloat = optional("its standard deviation")
     friction_coefficient: OptionalFloat = optional(
-        "mu, where known to a quarter: from stick radius and forces of this frame and an estimate from before; a "
-        f"configured one counts as known to 3 %; {_SLIP_UNKNOWN}"
+        "mu, if known to 25 %: from stick radius and forces of this frame, and earlier estimates. A configured one "
+        "counts as known to 3 %. Null with a code in `slip_reason_code`"
     )
     friction_coefficient_std: OptionalFloat = optional("its standard deviation")
     slip_reason_code: ReasonCode | None = optional("why the slip margin or the friction coefficient is null")
-    status: Status = Field(description="what this contact's numbers are worth")
+    status: Status = Field(description="whether this contact's numbers are valid")
     reason_code: ReasonCode | None = optional(_REASON_CODE)
 
 
 class EventContact(Contact):
     """A contact in an event, with its history."""
 
-    id: int = Field(
-        description="the same from onset to release; never used again by this run of the process that follows the "
-        "contacts"
-    )
+    id: int = Field(description="the same from onset to release, and not used again in the same run")
     peak_newton: Float = Field(description="the greatest normal force of the contact so far")
     peak_at_least_newton: Float | None = optional(
         "only of a contact that was overloaded: the greatest force was at least this, as is `peak_newton`"

@@ -124,18 +124,17 @@ class Lost(Message):
     damaged: int = optional_number("frames that arrived with a wrong checksum")
     board_overflow: int = optional_number("frames that the board discarded")
     host_overrun: int = optional_number(
-        "frames lost by the driver of the host's serial port, which had no space for their bytes"
+        "frames lost because the driver of the host's serial port had no space for their bytes"
     )
     queue_overflow: int = optional_number("frames that the daemon discarded before measuring")
     publish_dropped: int = optional_number(
-        "messages that were never written to the broker; a state that a newer one replaced before it was sent "
-        "is not counted, as nobody misses it; late messages are in `skipped_late`"
+        "messages that were never written to the broker. Not counted: a state that a newer one replaced before it was "
+        "sent, and late messages (`skipped_late`)"
     )
     skipped_late: int = optional_number(
-        "messages of what was measured or decoded that were not published, as they were late: "
-        "more than 75 ms after the window while newer frames waited to be measured, or more than 400 ms, "
-        "or more than 250 ms in the queue before the socket to the broker; "
-        "of a skin also those of frames that the decoder skipped for newer ones"
+        "measured or decoded messages that were not published because they were late. Late is: more than 75 ms after "
+        "the window while newer frames wait; more than 400 ms after the window in any case; more than 250 ms in the "
+        "queue to the broker. Of a skin, frames that the decoder skipped for newer ones count, too"
     )
 
 
