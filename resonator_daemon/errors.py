@@ -37,6 +37,8 @@ FAILURES: Final = {
     "no_board": "the link cannot be opened, no board answers, or none sends frames",
     "port_in_use": "another program holds the port, the device, or the board's only connection",
     "refused": "the board can never serve this plate; or, in Python, the daemon refused without a code of its own",
+    "listen": "the address to listen on is taken, or is none of this computer",
+    "dds": "the DDS domain cannot be joined",
     "no_broker": "no broker answers at the address",
     "no_daemon": "no such daemon runs",
     "no_answer": "the daemon does not answer",
@@ -47,7 +49,6 @@ FAILURES: Final = {
     "cannot_share": "the broker does not share messages among several decoders",
     "not_calibrated": "the calibration ended without a result; the plate file is as before",
     "no_plan": "the codes cannot be planned as wanted; no plate file was written",
-    "listen": "the address of the live page is taken, or is none of this computer",
     "fault": "the doctor found a fault: `cause` and `findings`",
     "lost": "touches were missed, or frames or messages lost",
 }
