@@ -1,4 +1,4 @@
-"""Example and keys in docs/reference/configuration.md: `python tests/configuration_tables.py` writes them."""
+"""Example and keys in docs/reference/configuration.md: `python docs/tables/configuration_tables.py` writes them."""
 
 import re
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 from resonator_daemon.config import example_config
 from resonator_daemon.config.help import config_keys
 
-PAGE = Path(__file__).parents[2] / "docs" / "reference" / "configuration.md"
+PAGE = Path(__file__).parents[1] / "reference" / "configuration.md"
 EXAMPLE = re.compile(r"(from:\n\n```toml\n).*?(```)", re.DOTALL)
 KEYS = re.compile(r"(<!-- keys -->\n\n)(?:\|.*\n)*\n*")
 

@@ -1,6 +1,6 @@
 """Tables of keys and words in docs/reference, and examples of messages, from the models.
 
-`PYTHONPATH=tests/publishing:tests/support python tests/publishing/key_tables.py` writes them.
+`python docs/tables/key_tables.py` writes them.
 
 A table follows a comment that names its models, as `<!-- keys: Header, Measured -->`; inherited keys are left out. An
 example is the JSON block of the section that is named after its model.
@@ -19,7 +19,7 @@ from resonator_daemon.publishing.units import unit_of
 from resonator_daemon.publishing.verbs import ERRORS
 
 PAGES = [
-    Path(__file__).parents[2] / "docs" / "reference" / f"{name}.md"
+    Path(__file__).parents[1] / "reference" / f"{name}.md"
     for name in ("mqtt-topics", "mqtt-commands", "mqtt-delivery", "words")
 ]
 WIDTH = 130
