@@ -23,12 +23,7 @@ PRESSED_NEWTON, SHEARED_NEWTON = 0.29, 0.07  # of 0.3 and up to 0.12
 
 # Places in mm, each above a site, and where the shear points, in degrees from x towards y. (f_x, f_y) have all four
 # pairs of signs, each component of the moment both signs.
-PRESSES = (
-    ((1.5, -0.9), 60.0),
-    ((-2.1, 0.9), 200.0),
-    ((0.9, 1.5), -50.0),
-    ((-0.9, -1.5), 130.0),
-)
+PRESSES = (((1.5, -0.9), 60.0), ((-2.1, 0.9), 200.0), ((0.9, 1.5), -50.0), ((-0.9, -1.5), 130.0))
 
 
 def sheared_presses() -> str:

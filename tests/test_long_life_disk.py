@@ -27,11 +27,7 @@ def remount(disk: Path, how: str) -> None:
 
 @pytest.mark.parametrize("how", ["full", "read-only"])
 async def test_a_disk_that_takes_nothing(
-    tmp_path: Path,
-    mosquitto: Mosquitto,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    how: str,
+    tmp_path: Path, mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, how: str
 ) -> None:
     caplog.set_level(logging.WARNING)
     monkeypatch.setattr(recording, "TIMES", recording.RecorderTimes(retry_s=0.3))

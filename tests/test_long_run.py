@@ -4,12 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from long_run_judge import (
-    Leg,
-    Sample,
-    Seen,
-    judge,
-)
+from long_run_judge import Leg, Sample, Seen, judge
 from long_run_log import Cause, LogJudge
 
 

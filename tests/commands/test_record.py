@@ -47,12 +47,7 @@ def test_a_second_of_a_board_is_recorded(tmp_path: Path) -> None:
         made = run("--config", path, "--output", output, "--seconds", 1, "--json")
     assert made.returncode == 0, made.stderr
     report = json.loads(made.stdout)
-    assert (report["verb"], report["ok"], report["board"], report["file"]) == (
-        "record",
-        True,
-        "EMU-0001",
-        str(output),
-    )
+    assert (report["verb"], report["ok"], report["board"], report["file"]) == ("record", True, "EMU-0001", str(output))
     assert report["frames"] > 500
     assert report["events_missing"] == sum(report["frames_lost"].values()) == 0
     assert report["file_bytes"] == output.stat().st_size

@@ -120,11 +120,7 @@ async def test_each_command_does_what_it_says(bench: Bench) -> None:
 
 
 async def test_without_permission_nothing_is_changed(bench: Bench) -> None:
-    async with (
-        bench.emulated(scenario="still"),
-        observe(bench.broker_url) as heard,
-        bench.running(bench.service()),
-    ):
+    async with bench.emulated(scenario="still"), observe(bench.broker_url) as heard, bench.running(bench.service()):
         await heard.until_last("resonator/hand/state/sensor", state="online")
         info = await heard.until_last(INFO, window_s=0.01)
         assert info["commands"] == ["ping", "health", "snapshot", "events"]

@@ -30,10 +30,7 @@ def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
 async def test_a_touch_becomes_messages_on_either_broker(tmp_path: Path, broker: Mosquitto | Amqtt) -> None:
     bench = Bench(tmp_path, broker.url)
     scenario = bench.scenario(IDEAL + touched(0.3))
-    async with (
-        observe(broker.url) as heard,
-        bench.measured(heard, bench.service(), scenario=scenario) as service,
-    ):
+    async with observe(broker.url) as heard, bench.measured(heard, bench.service(), scenario=scenario) as service:
         await heard.until(lambda: len(events(heard)) == 2)
         onset, release = events(heard)
         assert service.link_counters.lost.total == 0

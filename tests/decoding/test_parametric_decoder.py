@@ -81,10 +81,7 @@ def rms(scores: list[Floats]) -> Floats:
     return np.asarray(np.sqrt(np.mean(np.square(scores), axis=0)), np.float64)
 
 
-@pytest.mark.parametrize(
-    ("depth_mm", "decibel", "shear", "median_mm"),
-    [(3, 20, 0.0, 0.32), (2, 40, 0.3, 0.12)],
-)
+@pytest.mark.parametrize(("depth_mm", "decibel", "shear", "median_mm"), [(3, 20, 0.0, 0.32), (2, 40, 0.3, 0.12)])
 def test_location_and_honest_errors(depth_mm: float, decibel: float, shear: float, median_mm: float) -> None:
     depth_m = depth_mm * 1e-3
     scores = Scores(decoder(depth_m, decibel), depth_m, noise_std(depth_m, decibel), shear, 60)

@@ -44,8 +44,7 @@ def test_recovers_a_frame_without_noise(discs: DiscModel, friction: Friction | N
 
 
 @pytest.mark.parametrize(
-    ("friction", "decibel", "limit"),
-    [(Friction(0.5), 11.0, 0.03), (Friction(0.5), 30.0, 0.005), (None, 20.0, 0.025)],
+    ("friction", "decibel", "limit"), [(Friction(0.5), 11.0, 0.03), (Friction(0.5), 30.0, 0.005), (None, 20.0, 0.025)]
 )
 def test_noisy_frames_with_honest_errors(
     discs: DiscModel, friction: Friction | None, decibel: float, limit: float

@@ -52,12 +52,7 @@ def test_recovers_the_prior_that_loads_are_drawn_from(sites_m: Floats, length_m:
     lost = np.full((2, *frames.shape[1:]), np.nan)
     told: list[tuple[int, float, float]] = []
     found = fit_prior(
-        SKIN,
-        sites_m,
-        DEPTH_M,
-        np.concatenate([empty, frames, lost]),
-        std,
-        progress=lambda *step: told.append(step),
+        SKIN, sites_m, DEPTH_M, np.concatenate([empty, frames, lost]), std, progress=lambda *step: told.append(step)
     )
     assert (found.frames_used, found.frames_without_load) == (30, 6)
     assert abs(found.correlation_length_m - length_m) < 3.0 * found.correlation_length_std_m < 0.5 * length_m

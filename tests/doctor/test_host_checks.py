@@ -65,11 +65,7 @@ def test_too_little_room_is_a_fault_and_a_budget_beyond_the_disk_a_warning(
     disk_of(monkeypatch, 60)
     of = recording(tmp_path, min_free_mb=20.0, max_total_mb=50.0)
     little = {f.id: f.outcome for f in check_disk(tmp_path, of, "hand")}
-    assert little == {
-        "disk.state": Outcome.OK,
-        "disk.recordings": Outcome.OK,
-        "disk.budget": Outcome.WARNING,
-    }
+    assert little == {"disk.state": Outcome.OK, "disk.recordings": Outcome.OK, "disk.budget": Outcome.WARNING}
     disk_of(monkeypatch, 40)
     less = {f.id: f.outcome for f in check_disk(tmp_path, recording(tmp_path, min_free_mb=41.0), "hand")}
     assert less["disk.state"] is less["disk.recordings"] is Outcome.FAULT

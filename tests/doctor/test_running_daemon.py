@@ -82,11 +82,7 @@ async def measuring(heard: Observer) -> None:
 async def test_a_running_daemon_counts_on_while_the_doctor_looks(
     bench: Bench, by_configuration: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    async with (
-        bench.emulated(scenario="still"),
-        observe(bench.broker_url) as heard,
-        bench.running(bench.service()),
-    ):
+    async with bench.emulated(scenario="still"), observe(bench.broker_url) as heard, bench.running(bench.service()):
         await measuring(heard)
         asked = (
             ["--config", str(bench.folder / "board.toml")] if by_configuration else [f"serial:{bench.port}?baud=9600"]

@@ -61,8 +61,7 @@ def changed(capture: Capture, **change: object) -> Capture:
     """Return the capture with each reading changed; a callable is given the reading and its number."""
     readings = [
         dataclasses.replace(
-            reading,
-            **{name: value(reading, number) if callable(value) else value for name, value in change.items()},
+            reading, **{name: value(reading, number) if callable(value) else value for name, value in change.items()}
         )
         for number, reading in enumerate(capture.readings)
     ]
@@ -166,12 +165,7 @@ def test_a_plate_that_is_pressed_is_told_whether_it_is_released_or_not(calm: Cap
 
 @pytest.mark.parametrize(
     ("kelvin", "outcome"),
-    [
-        ([300.0, 301.0], Outcome.OK),
-        ([300.0, 306.0], Outcome.WARNING),
-        ([0.0], Outcome.FAULT),
-        ([400.0], Outcome.FAULT),
-    ],
+    [([300.0, 301.0], Outcome.OK), ([300.0, 306.0], Outcome.WARNING), ([0.0], Outcome.FAULT), ([400.0], Outcome.FAULT)],
 )
 def test_a_temperature_that_no_board_has_is_a_fault(
     calm: Capture, quartz16: Plate, kelvin: list[float], outcome: Outcome

@@ -236,11 +236,7 @@ def two_thirds_e(v: Symbols) -> Any:
 EQUATIONS = {
     "eq02": Equation("strain", "displacement", per_displacement, eq02, eq02_corrections),
     "eq04": Equation(
-        "sensor",
-        "traction",
-        sensor_factor,
-        eq04,
-        lambda v: {(0, 0): J * v.x, (0, 1): J * v.y, (0, 2): -v.w},
+        "sensor", "traction", sensor_factor, eq04, lambda v: {(0, 0): J * v.x, (0, 1): J * v.y, (0, 2): -v.w}
     ),
     "eq14": Equation("displacement", "traction", per_traction, eq14),
     "eq15": Equation("strain", "traction", per_traction, eq15),

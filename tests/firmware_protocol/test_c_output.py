@@ -218,15 +218,12 @@ def test_a_fault_logs_its_text_even_if_frames_fill_the_queue() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [{"boot_id": 0}, {"credit_bytes": 63}, {"credit_bytes": 8973}, {"queue_bytes": 0}, {"gate_ticks_step": 0}],
+    "wrong", [{"boot_id": 0}, {"credit_bytes": 63}, {"credit_bytes": 8973}, {"queue_bytes": 0}, {"gate_ticks_step": 0}]
 )
 def test_unusable_setup_is_refused(wrong: dict[str, int]) -> None:
     identity = replace(IDENTITY, credit_bytes=wrong.get("credit_bytes", 64))
     description = replace(
-        DESCRIPTION,
-        queue_bytes=wrong.get("queue_bytes", CHUNK_BYTES),
-        gate_ticks_step=wrong.get("gate_ticks_step", 1),
+        DESCRIPTION, queue_bytes=wrong.get("queue_bytes", CHUNK_BYTES), gate_ticks_step=wrong.get("gate_ticks_step", 1)
     )
     assert run_commands([board_command(identity, description, wrong.get("boot_id", 1))]) == ["bad"]
 

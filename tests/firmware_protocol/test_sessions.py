@@ -8,11 +8,7 @@ from protocol_sessions import BOOT, DESCRIPTION, GATE, IDENTITY, RECORD, RECORDS
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.host import Described, Frame, HostSession, Located, Started
 from firmware_protocol.layouts import MessageType
-from firmware_protocol.messages import (
-    Configuration,
-    Refusal,
-    RefusalCode,
-)
+from firmware_protocol.messages import Configuration, Refusal, RefusalCode
 from firmware_protocol.packets import encode_packet
 from firmware_protocol.states import BoardState, HostState
 

@@ -3,16 +3,7 @@ import math
 import numpy as np
 import pytest
 from brute_force_board import Ladder
-from drawn_touches import (
-    COMMON_MODE_STD,
-    COUNTER_STD,
-    MODEL_ERROR,
-    NOISE,
-    OSCILLATOR_STD,
-    draws,
-    match_all,
-    matcher_of,
-)
+from drawn_touches import COMMON_MODE_STD, COUNTER_STD, MODEL_ERROR, NOISE, OSCILLATOR_STD, draws, match_all, matcher_of
 from scipy.stats import multivariate_normal
 
 from resonator_daemon.forces.force import hidden_fraction

@@ -1,16 +1,7 @@
 import numpy as np
 import pytest
 from brute_force_board import Ladder
-from drawn_touches import (
-    COMMON_MODE_STD,
-    COUNTER_STD,
-    MODEL_ERROR,
-    OSCILLATOR_STD,
-    draws,
-    match_all,
-    matcher_of,
-    wrong,
-)
+from drawn_touches import COMMON_MODE_STD, COUNTER_STD, MODEL_ERROR, OSCILLATOR_STD, draws, match_all, matcher_of, wrong
 
 
 @pytest.mark.parametrize("mixed_sign", [False, True])

@@ -223,12 +223,7 @@ def test_a_file_that_is_no_terminal_is_said_to_be_no_serial_port(tmp_path: Path,
     [
         (errno.EACCES, DENIED, "dialout", "join its group: sudo usermod -aG dialout $USER, then log in again"),
         (errno.EPERM, DENIED, "dialout", "join its group: sudo usermod -aG dialout $USER, then log in again"),
-        (
-            errno.EACCES,
-            DENIED,
-            "root",
-            f"a udev rule ({page('how-to/connect.md')})",
-        ),
+        (errno.EACCES, DENIED, "root", f"a udev rule ({page('how-to/connect.md')})"),
         (errno.EACCES, DENIED, None, f"a udev rule ({page('how-to/connect.md')})"),
         (errno.EMFILE, "port_unusable", None, os.strerror(errno.EMFILE)),
         (errno.ENXIO, "no_such_port", None, f"({os.strerror(errno.ENXIO)}); plug it in"),

@@ -47,11 +47,7 @@ def change(state: str, at_s: float, reason: str = "", since_s: float | None = No
 
 def test_a_state_of_the_link_is_dated_when_it_was_said_and_an_outage_goes_with_it(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
-    bench.handle(
-        change("online", 1),
-        Outage(T0_NS, T0_NS + 2 * S, 7, GONE),
-        change("lost", 3, "gone", since_s=2),
-    )
+    bench.handle(change("online", 1), Outage(T0_NS, T0_NS + 2 * S, 7, GONE), change("lost", 3, "gone", since_s=2))
     states = [message for topic, message in bench.said if topic == "state/link"]
     assert [(state.state, state.t_ns - T0_NS, state.since_t_ns - T0_NS) for state in states] == [
         ("online", S, S),

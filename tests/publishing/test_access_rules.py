@@ -220,10 +220,7 @@ async def test_whose_last_will_is_published(name: str, door: str, topic: str, al
     assert [(message.topic, message.payload) for message in witness.got] == ([(topic, b"will")] if allowed else [])
 
 
-@pytest.mark.parametrize(
-    ("name", "door"),
-    [("operator", "this computer"), ("left", "people"), ("left", "nobody")],
-)
+@pytest.mark.parametrize(("name", "door"), [("operator", "this computer"), ("left", "people"), ("left", "nobody")])
 async def test_a_name_of_another_door_does_not_get_in(name: str, door: str, plates: Plates) -> None:
     broker = plates.way_in(name, "people").anonymous() if door == "nobody" else plates.way_in(name, door)
     with pytest.raises(BrokerError) as refused:

@@ -49,11 +49,7 @@ def test_every_topic_is_described() -> None:
     assert of_plates.pop("schema") == ["", "the contract", "JSON", "1", "yes", "", DAEMON]
     by_either = {"contacts/event", "contacts", "decoded", "decoded/summary"}
     assert of_plates == {
-        path: [
-            topic.slow_path if topic.slow_hz else "",
-            *described(topic),
-            EITHER if path in by_either else DAEMON,
-        ]
+        path: [topic.slow_path if topic.slow_hz else "", *described(topic), EITHER if path in by_either else DAEMON]
         for path, topic in topics.TOPICS.items()
     }
     of_decoders = {path: cells for path, *cells in rows("Topics") if len(cells) == 5}

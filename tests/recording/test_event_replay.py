@@ -17,13 +17,7 @@ from resonator_daemon.recording.event_replay import replay_of
 from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder
 from resonator_daemon.session.board_reader import BoardReader
-from resonator_daemon.session.frames import (
-    Arrival,
-    Gap,
-    LinkChange,
-    Outage,
-    SingleToneFrame,
-)
+from resonator_daemon.session.frames import Arrival, Gap, LinkChange, Outage, SingleToneFrame
 from resonator_daemon.session.link_events import (
     Closed,
     Lost,
@@ -107,10 +101,7 @@ NO_ANSWER = TimersRun(at(4000), idle=False)  # after which the connection gives 
         ([BEGUN[0], Sent(at(1), b"\x07"), Closed(at(2))], "0.001 s after its beginning: 07 was sent, now "),
         ([BEGUN[0], TimersRun(at(2), idle=True), Closed(at(3))], "nothing was sent, now "),
         ([*BEGUN, Skipped(at(5), 3, 400), Closed(at(6))], "0.005 s after its beginning: 3 events with 400 bytes are"),
-        (
-            [*BEGUN, Refused(at(5), (FIRST,), False), Closed(at(6))],
-            "closed, first; now: nothing is wrong",
-        ),
+        ([*BEGUN, Refused(at(5), (FIRST,), False), Closed(at(6))], "closed, first; now: nothing is wrong"),
         ([*BEGUN, Opened(at(5))], "0.005 s after its beginning: the link is opened twice"),
         ([Received(at(0), b"abc")], "0.000 s after its beginning: the link is not open"),
         ([*BEGUN, NO_ANSWER, Lost(at(4001), FIRST), Closed(at(4001))], "first; now: no board answers"),

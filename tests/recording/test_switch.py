@@ -26,21 +26,10 @@ from resonator_daemon.recording import switch as recording_switch
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.reader import Origin
 from resonator_daemon.recording.recorder import Recorder
-from resonator_daemon.recording.switch import (
-    NothingRecordedError,
-    RecordingRunningError,
-    RecordingSwitch,
-)
+from resonator_daemon.recording.switch import NothingRecordedError, RecordingRunningError, RecordingSwitch
 from resonator_daemon.recording.writer import Published
 from resonator_daemon.session.frames import Arrival, BoardOnline, LinkChange
-from resonator_daemon.session.link_events import (
-    Opened,
-    Received,
-    Skipped,
-    SnapshotTaken,
-    StateAnnounced,
-    TimersRun,
-)
+from resonator_daemon.session.link_events import Opened, Received, Skipped, SnapshotTaken, StateAnnounced, TimersRun
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 

@@ -15,10 +15,7 @@ def differences(got: dict[str, Any], topic: str = "forces") -> list[Difference]:
     return list(payload_differences(topic, EXPECTED, got, scales))
 
 
-@pytest.mark.parametrize(
-    "change",
-    [{}, {"f": [1.9e-6, 2.0 - 1.9e-6]}, {"g": [{"x": 1e-9 + 3.9e-15}, {"x": 4e-9}]}],
-)
+@pytest.mark.parametrize("change", [{}, {"f": [1.9e-6, 2.0 - 1.9e-6]}, {"g": [{"x": 1e-9 + 3.9e-15}, {"x": 4e-9}]}])
 def test_what_other_processors_round_is_none(change: dict[str, Any]) -> None:
     assert differences(EXPECTED | change) == []
 

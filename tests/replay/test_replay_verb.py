@@ -95,10 +95,7 @@ async def test_a_replay_at_a_broker_is_like_its_daemon_but_says_that_it_is_none(
 async def test_beside_a_live_daemon_a_replay_needs_another_name(
     mosquitto: Mosquitto, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    async with (
-        commanded(mosquitto.url, {}, name="left-index") as live,
-        observe(mosquitto.url) as heard,
-    ):
+    async with commanded(mosquitto.url, {}, name="left-index") as live, observe(mosquitto.url) as heard:
         live.publisher.publish(live.base, STATE_DAEMON, state("online", "measuring"))
         await heard.until_last("resonator/left-index/state/daemon", state="online")
         refused = await replay_to(capsys, mosquitto.url)

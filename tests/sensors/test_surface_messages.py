@@ -161,13 +161,7 @@ def skin_contact(**change: Any) -> SkinContact:
     return SkinContact(**(fields | change))
 
 
-PATCH_LITERAL = {
-    "id": 3,
-    "area_m2": 1.9e-5,
-    "at_border": True,
-    "radius_of_curvature_m": 0.0056,
-    "stick_ratio": 0.5,
-}
+PATCH_LITERAL = {"id": 3, "area_m2": 1.9e-5, "at_border": True, "radius_of_curvature_m": 0.0056, "stick_ratio": 0.5}
 CONTACT_LITERAL = {
     "id": 3,
     "site": 339,  # row 10 at -2.2 mm, column 18 at 1.0 mm; ids begin at 1

@@ -17,13 +17,7 @@ from resonator_daemon.links.table import parse_link
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import load_plate
 from resonator_daemon.reasons import ReasonCode
-from resonator_daemon.session.frames import (
-    BoardOnline,
-    ChannelisedFrame,
-    LinkChange,
-    ReaderFailed,
-    SingleToneFrame,
-)
+from resonator_daemon.session.frames import BoardOnline, ChannelisedFrame, LinkChange, ReaderFailed, SingleToneFrame
 from resonator_daemon.session.link_events import Received, TimersRun, WireEvent
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults

@@ -69,12 +69,7 @@ def fresh_single_tone(index: int) -> SingleToneFrame:
 
 def fresh_channelised(index: int) -> ChannelisedFrame:
     big = 2**40 + index
-    return ChannelisedFrame(
-        2**30 + index,
-        big,
-        Instant(big + 1, 2**31 + index, big + 2),
-        np.zeros((4, 300), TONE),
-    )
+    return ChannelisedFrame(2**30 + index, big, Instant(big + 1, 2**31 + index, big + 2), np.zeros((4, 300), TONE))
 
 
 @pytest.mark.parametrize("fresh", [fresh_single_tone, fresh_channelised])

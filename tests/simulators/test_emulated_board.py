@@ -16,13 +16,7 @@ from firmware_protocol.host import (
     Started,
 )
 from firmware_protocol.layouts import MessageType
-from firmware_protocol.messages import (
-    BoardStatus,
-    Configuration,
-    CounterKind,
-    ResetCause,
-    encode_message,
-)
+from firmware_protocol.messages import BoardStatus, Configuration, CounterKind, ResetCause, encode_message
 from firmware_protocol.packets import encode_packet
 from simulators.board import MadeFrame, Outgoing
 

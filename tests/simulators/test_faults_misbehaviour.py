@@ -7,14 +7,7 @@ from fake_plate import fake_board
 
 from firmware_protocol.host import Described, HostEvent, HostSession, Rebooted
 from firmware_protocol.layouts import MessageType
-from firmware_protocol.messages import (
-    Configuration,
-    Description,
-    Identity,
-    ResetCause,
-    decode_message,
-    encode_message,
-)
+from firmware_protocol.messages import Configuration, Description, Identity, ResetCause, decode_message, encode_message
 from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
 from simulators.board import Board
 from simulators.faults.misbehaviour import Misbehaviour

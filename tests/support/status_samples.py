@@ -65,13 +65,7 @@ def health(**changed: Any) -> Health:
         },
         "packets_ignored": {"stale": 10, "malformed": 11, "unknown": 12, "log": 13},
         "bytes_in": 11_111,
-        "bytes_by_outcome": {
-            "accepted": 10_000,
-            "other_version": 1000,
-            "echo": 100,
-            "discarded": 10,
-            "waiting": 1,
-        },
+        "bytes_by_outcome": {"accepted": 10_000, "other_version": 1000, "echo": 100, "discarded": 10, "waiting": 1},
         "connections": 14,
         "host_overruns": 15,
         "boots": (
