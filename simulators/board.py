@@ -1,6 +1,7 @@
 """Firmware behaviour of an emulated board: bytes and ticks in, bytes out; no I/O, no clock."""
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -71,7 +72,7 @@ class Board:
     gate_ticks
         The only length of a gate that it offers; None: every one that the plate can be counted with.
     ahead_ticks
-        How long before its end a frame may be counted, but for the gate that is open; None: as suits the plate.
+        Returns how long before its end a frame may be counted, but for the gate that is open; None: as suits the plate.
 
     Attributes
     ----------
@@ -90,7 +91,7 @@ class Board:
         seed: int = 0,
         misbehaviour: Misbehaviour | None = None,
         gate_ticks: int | None = None,
-        ahead_ticks: int | None = None,
+        ahead_ticks: Callable[[], int] | None = None,
     ) -> None:
         self._plate = plate
         self._ahead_ticks = ahead_ticks
@@ -187,7 +188,7 @@ class Board:
         scenario_ticks = end_ticks - (self.first_start_ticks or 0)
         frames = self._plate.block_frames
         if self._ahead_ticks is not None:
-            frames = max(1, min(frames, self._ahead_ticks // run.gate_ticks))
+            frames = max(1, min(frames, self._ahead_ticks() // run.gate_ticks))
         for frame in self._plate.count(board_ticks, scenario_ticks, run.gate_ticks, frames):
             end_ticks += run.gate_ticks
             run.ahead.append(self._packed(frame, run.frames_packed, end_ticks))

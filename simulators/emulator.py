@@ -42,7 +42,9 @@ CHANNELISED_QUEUE_BYTES = 16 * 1024 * 1024  # 1.1 s of 147 kB frames at 100 Hz
 CREDIT_BYTES = 512  # a dozen requests
 
 _SPEED_MAX = 100.0
-_PRESS_AHEAD_S = 5e-3  # counted ahead where clients press: the longer, the later a press shows, the shorter, the dearer
+# Counted ahead where clients may press: the longer, the later a press shows; the shorter, the more processor time.
+_HELD_AHEAD_S = 5e-3  # while one of them holds a touch
+_RELEASED_AHEAD_S = 15e-3
 _TRUTH_DELAY_NS = 10_000_000  # lines wait so long for others: a write costs as much as ten lines
 
 
@@ -126,7 +128,7 @@ class Emulator:
             options.counter,
             Misbehaviour(faults.misbehave),
             one_gate=options.frame_rate_hz is not None,
-            ahead_s=_PRESS_AHEAD_S if options.control else None,
+            presses=presses,
         )
         self._tick_rate_hz = plate.counter.reference_hz * (1.0 + scenario.physics.reference_error)
         self._ticks_per_ns = self._tick_rate_hz * options.speed * 1e-9
@@ -356,7 +358,7 @@ def _emulated_board(
     misbehaviour: Misbehaviour,
     *,
     one_gate: bool = False,
-    ahead_s: float | None = None,
+    presses: Presses | None = None,
 ) -> Board:
     """Return a board on the plate, as `Board`; with `one_gate` it offers no other frame rate than the plate's."""
     single_tone = plate.counter.kind == "single-tone"
@@ -382,6 +384,11 @@ def _emulated_board(
                 f"frame_rate_hz: got {plate.counter.frame_rate_hz:g}; the emulated {plate.name} makes {lowest_hz:g} to "
                 f"{highest_hz:g} frames/s"
             )
+
+    def ahead_ticks() -> int:
+        ahead_s = _HELD_AHEAD_S if presses is not None and presses.held else _RELEASED_AHEAD_S
+        return round(ahead_s * plate.counter.reference_hz)
+
     return Board(
         emulated,
         Identity(f"emulated {plate.name}", SERIAL_NUMBER, "emulator", PROTOCOL_MINOR, CREDIT_BYTES),
@@ -391,7 +398,7 @@ def _emulated_board(
         seed=seed,
         misbehaviour=misbehaviour,
         gate_ticks=gate_ticks,
-        ahead_ticks=None if ahead_s is None else round(ahead_s * plate.counter.reference_hz),
+        ahead_ticks=None if presses is None else ahead_ticks,
     )
 
 

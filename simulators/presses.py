@@ -141,6 +141,11 @@ class Presses:
         self._held = {key: press for key, press in self._held.items() if key[0] != client}
         self._pressing = self._arrays()
 
+    @property
+    def held(self) -> bool:
+        """Whether a client holds a touch."""
+        return bool(self._held)
+
     def at(self, moments: int) -> Pressing:
         """Return what is held now, for each of so many moments."""
         return Pressing._make(

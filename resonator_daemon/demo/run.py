@@ -157,7 +157,7 @@ class _Demo:
     async def _start(self, name: str, plate: Plate, broker_url: str, folder: Path, stack: AsyncExitStack) -> None:
         """Start the processes of one plate; they end with the stack."""
         print_note(f"starting emulated board and daemon: {name}")
-        emulator = await start_emulator(name, plate, folder)
+        emulator = await start_emulator(name, plate, folder, by_hand=not self._options.headless)
         stack.push_async_callback(emulator.child.stop)
         (daemon,) = await start_daemons({f"daemon {name}": "run"}, name, name, emulator.link, broker_url, folder)
         stack.push_async_callback(daemon.stop)
