@@ -35,7 +35,7 @@ export class HealthPanel {
   }
 
   describe(model, page, nowMs) {
-    const found = situation(model.states, nowMs / 1000);
+    const found = situation(model.states);
     const { banner } = this;
     if (banner.dataset.situation !== found.code) {
       banner.dataset.situation = found.code;
@@ -95,7 +95,7 @@ export class HealthPanel {
       const { kelvin, kelvinStd } = compensation;
       rows.push(["Temperature", Number.isFinite(kelvin) ? `${fixed(kelvin, 2)} ± ${fixed(kelvinStd, 2)} K above reference` : "not measured by this counter"]);
     }
-    rows.push(this.#calibration(info, nowMs));
+    rows.push(this.#calibration(info));
     if (health) {
       const decoder = health.decoder ? `, decoder ${fixed(health.decoder.cpu, 0)} %` : "";
       rows.push(["Processor", `${fixed(health.cpu, 0)} % of a core${decoder}; ${fixed(health.memory, 0)} MB`]);
@@ -106,9 +106,9 @@ export class HealthPanel {
     return rows;
   }
 
-  #calibration(info, nowMs) {
+  #calibration(info) {
     const { date, expiry } = info?.calibration ?? {};
-    const days = (text) => Math.floor((nowMs - Date.parse(text)) / 86400e3);
+    const days = (text) => Math.floor((Date.now() - Date.parse(text)) / 86400e3);
     if (!date || !Number.isFinite(days(date))) return ["Calibration", info ? "not calibrated" : UNKNOWN];
     const isOver = days(expiry) > 0;
     return ["Calibration", `${days(date)} days old, ${isOver ? "expired" : "valid"} ${expiry ? `until ${expiry}` : ""}`, isOver ? "bad" : ""];

@@ -80,8 +80,14 @@ class App {
     const known = (Array.isArray(sources) ? sources : []).filter((source) => typeof source?.source === "string");
     const list = (value) => (Array.isArray(value) ? value : []);
     this.hello = { sources: known.length ? known : [LIVE], commands: list(commands), press: list(press) };
-    const key = JSON.stringify(this.hello.sources);
-    if (key !== this.sourceKey) {
+    const key = this.hello.sources.map(({ source, file, url }) => `${source} ${file} ${url}`).join("\n");
+    if (key === this.sourceKey) {
+      for (const view of this.views) {
+        const source = this.hello.sources.find((other) => other.source === view.source.source);
+        view.source = source;
+        view.recording?.setSource(source);
+      }
+    } else {
       this.sourceKey = key;
       const recordings = this.hello.sources.filter(({ source }) => source !== "live");
       this.#show(recordings.length ? recordings : this.hello.sources);
@@ -104,11 +110,12 @@ class App {
     nav.replaceChildren(
       ...this.hello.sources.map((source) => {
         const button = make("button", "", source.source === "live" ? "Live" : (source.file ?? source.source));
-        const isShown = shown.includes(source);
+        const isShown = shown.some((other) => other.source === source.source);
         button.type = "button";
         button.setAttribute("aria-pressed", isShown);
         button.addEventListener("click", () => {
-          const next = this.hello.sources.filter((other) => shown.includes(other) !== (other === source));
+          const isIn = (other) => this.views.some((view) => view.source.source === other.source);
+          const next = this.hello.sources.filter((other) => isIn(other) !== (other.source === source.source));
           if (next.length) this.#show(next);
         });
         return button;
@@ -122,7 +129,7 @@ class App {
     if (nowMs - (this.describedMs ?? 0) < TEXT_PERIOD_MS) return;
     this.describedMs = nowMs;
     this.#describe();
-    for (const view of this.views) view.describe(nowMs, Date.now());
+    for (const view of this.views) view.describe(nowMs);
   }
 
   #describe() {

@@ -213,6 +213,7 @@ export function readTruth(payload) {
     contacts: list(contacts).map((value) => {
       const touch = object(value);
       return {
+        id: touch.id ?? null,
         site: touch.site ?? null,
         position: vector(touch.position_m, 2),
         force: vector(touch.force_newton, 3),

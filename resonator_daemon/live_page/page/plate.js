@@ -74,7 +74,7 @@ export class PlatePanel {
     if (!this.info.skin) for (const force of forces?.sites ?? []) this.#drawSite(context, force);
     for (const contact of contacts?.contacts ?? []) this.#drawContact(context, contact);
     if (!this.info.skin) for (const force of forces?.sites ?? []) this.#labelSite(context, force);
-    drawTruth(context, this.scene, model.truthAt(contacts?.time ?? Infinity), !this.info.skin);
+    drawTruth(context, this.scene, model.truthAt(contacts?.time ?? Infinity), this.info.skin ? null : (force) => this.#siteRadius(force) + 14);
     drawPresses(context, this.scene, presses);
   }
 
@@ -192,8 +192,8 @@ function identified(forces, contacts) {
   return forces?.status === "ok" ? `The tones at the corners agree on ${names}.` : `Tones of ${names} are detected: ${words(forces?.status ?? "")}.`;
 }
 
-/** Touches as an emulator applies them: hollow diamonds. */
-export function drawTruth(context, scene, truth, isLabelled) {
+/** Touches as an emulator applies them: hollow diamonds, with a label at `offset(force)` pixels unless it is null. */
+export function drawTruth(context, scene, truth, offset) {
   for (const { position, force } of truth?.contacts ?? []) {
     if (!position.every(Number.isFinite)) continue;
     const [x, y] = [scene.x(position[0]), scene.y(position[1])];
@@ -201,11 +201,14 @@ export function drawTruth(context, scene, truth, isLabelled) {
     context.lineWidth = 2;
     context.beginPath();
     context.moveTo(x - 8, y);
-    for (const [dx, dy] of [[0, -8], [8, 0], [0, 8]]) context.lineTo(x + dx, y + dy);
+    context.lineTo(x, y - 8);
+    context.lineTo(x + 8, y);
+    context.lineTo(x, y + 8);
     context.closePath();
     context.stroke();
-    if (isLabelled && Number.isFinite(force[2])) {
-      scene.label(context, `true ${fixed(force[2], 2)} N`, x, y + (y > scene.height / 2 ? 22 : -22), theme.truth);
+    if (offset && Number.isFinite(force[2])) {
+      const away = offset(force[2]);
+      scene.label(context, `true ${fixed(force[2], 2)} N`, x, y + (y > scene.height / 2 ? away : -away), theme.truth);
     }
   }
 }

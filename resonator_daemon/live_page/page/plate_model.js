@@ -105,6 +105,13 @@ export class PlateModel {
     }
   }
 
+  /** Remove what came before a jump in a recording. */
+  clearPast() {
+    this.history.clear();
+    this.events = [];
+    this.eventVersion += 1;
+  }
+
   /** The newest message of a stream, decoded once; null before the first. */
   newest(path) {
     const stream = this.streams[path];
@@ -121,13 +128,12 @@ export class PlateModel {
     this.version += 1;
   }
 
-  /** What the emulator applied nearest to a time; null where nothing is emulated. */
+  /** What the emulator applied at a time, between two messages of it; null where nothing is emulated. */
   truthAt(time) {
-    let best = null;
-    for (const truth of this.truths) {
-      if (!best || Math.abs(truth.time - time) <= Math.abs(best.time - time)) best = truth;
-    }
-    return best;
+    const { truths } = this;
+    const after = truths.findIndex((truth) => truth.time >= time);
+    if (after < 0) return truths[truths.length - 1] ?? null;
+    return after ? between(truths[after - 1], truths[after], time) : truths[0];
   }
 
   /** Add the newest contacts to the history. */
@@ -157,4 +163,17 @@ export class PlateModel {
   get isSkin() {
     return Boolean(this.info?.skin);
   }
+}
+
+/** The later of two truths, with forces and positions of touches that both have as of a time between them. */
+function between(before, after, time) {
+  const share = (time - before.time) / (after.time - before.time);
+  const mix = (from, to) => to.map((value, index) => from[index] + share * (value - from[index]));
+  const contacts = after.contacts.map((touch) => {
+    const from = before.contacts.find(({ id }) => id === touch.id);
+    if (!from || !(share >= 0 && share <= 1)) return touch;
+    const radius = from.radius + share * (touch.radius - from.radius);
+    return { ...touch, force: mix(from.force, touch.force), position: mix(from.position, touch.position), radius };
+  });
+  return { ...after, contacts };
 }

@@ -30,8 +30,6 @@ export class Presser {
     const { canvas } = scene;
     canvas.addEventListener("pointerdown", (event) => {
       if (!this.plate || event.button !== 0) return;
-      event.preventDefault();
-      canvas.focus({ preventScroll: true });
       this.#press(`pointer${event.pointerId}`, scene.position(event));
     });
     canvas.addEventListener("pointermove", (event) => {

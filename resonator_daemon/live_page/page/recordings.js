@@ -15,8 +15,6 @@ export class RecordingPanel {
     this.speed = root.querySelector("select");
     this.together = root.querySelector(".together");
     this.partners = [];
-    setText(root.querySelector("h3"), `Recording ${source.source.toUpperCase()}: ${source.file ?? UNKNOWN}`);
-    this.bar.max = source.duration_s > 0 ? source.duration_s : 1;
     this.bar.step = 0.01;
     this.button.addEventListener("click", () => this.#play(!this.position.playing));
     this.speed.addEventListener("change", () => this.#play(this.position.playing));
@@ -26,8 +24,16 @@ export class RecordingPanel {
     });
     this.bar.addEventListener("change", () => (this.#isDragging = false));
     this.onSeek = onSeek;
+    this.setSource(source);
+  }
+
+  /** File, duration and marks: the last two are known only when the server has read the whole file. */
+  setSource(source) {
+    this.source = source;
+    setText(this.root.querySelector("h3"), `Recording ${source.source.toUpperCase()}: ${source.file ?? UNKNOWN}`);
+    this.bar.max = source.duration_s > 0 ? source.duration_s : 1;
     const marks = Array.isArray(source.marks) ? source.marks : [];
-    root.querySelector(".marks").replaceChildren(
+    this.root.querySelector(".marks").replaceChildren(
       ...marks.map(({ t_s, label }) => {
         const button = make("button", "", `${fixed(t_s, 1)} s ${label ?? ""}`);
         button.type = "button";

@@ -1,6 +1,6 @@
 // What is the matter with a plate, from its retained states: eight situations, "well", and what is between.
 
-import { clockTime, duration, words } from "./text.js";
+import { clockTime, words } from "./text.js";
 
 // code: [title, icon, kind]; the icon is a symbol of index.html, the kind a colour.
 const SITUATIONS = {
@@ -59,10 +59,8 @@ function detail(found, { daemon, link, sensor }) {
 }
 
 /** Situation of a plate from its states by part: {code, title, icon, kind, detail}. */
-export function situation(states, now) {
+export function situation(states) {
   const found = code(states);
   const [title, icon, kind] = SITUATIONS[found];
-  const since = (found === "well" ? states.sensor : states.daemon)?.since;
-  const length = Number.isFinite(since) && now - since >= 0 ? duration(now - since) : "";
-  return { code: found, title, icon, kind, detail: detail(found, states), length };
+  return { code: found, title, icon, kind, detail: detail(found, states) };
 }

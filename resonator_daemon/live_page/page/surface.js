@@ -37,6 +37,7 @@ export class SurfacePanel {
     this.bar = root.querySelector(".scale canvas");
     this.info = null;
     this.values = new Float32Array(0);
+    this.draws = 0;
     this.#drawBar();
   }
 
@@ -163,6 +164,7 @@ export class SurfacePanel {
     const truth = model.truthAt(decoded?.time ?? Infinity);
     const context = this.scene.begin();
     if (!context) return;
+    this.draws += 1;
     if (decoded?.traction) {
       this.#setPlaces(decoded);
       if (this.#fill(decoded, truth)) this.#paint(context);
@@ -179,7 +181,7 @@ export class SurfacePanel {
       context.stroke();
       context.setLineDash([]);
     }
-    drawTruth(context, this.scene, truth, false);
+    drawTruth(context, this.scene, truth, null);
     drawPresses(context, this.scene, presses);
   }
 

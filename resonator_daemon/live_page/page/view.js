@@ -10,6 +10,8 @@ import { situation } from "./situation.js";
 import { SurfacePanel } from "./surface.js";
 import { duration, make, setText } from "./text.js";
 
+const PLATE_PERIOD_MS = 100;
+
 export class View {
   constructor(source, app) {
     this.source = source;
@@ -32,10 +34,10 @@ export class View {
     this.commands = this.isLive ? new CommandPanel(part("command-panel"), app.connection, announce) : null;
     part("command-panel").hidden = !this.isLive;
     part("recording-panel").hidden = this.isLive;
-    this.recording = this.isLive ? null : new RecordingPanel(part("recording-panel"), source, app.connection, () => this.model?.history.clear());
+    this.recording = this.isLive ? null : new RecordingPanel(part("recording-panel"), source, app.connection, () => this.model?.clearPast());
     this.model = null;
     this.selected = null;
-    this.drawn = {};
+    this.plateDrawnMs = -Infinity;
   }
 
   remove() {
@@ -85,8 +87,12 @@ export class View {
     this.drawnVersion = model.version;
     this.drawnModel = model;
     let draws = 0;
+    if (isChanged) this.surface.scene.changed = this.plate.scene.changed = true;
     for (const panel of model.isSkin ? [this.surface, this.plate] : [this.plate]) {
-      if (!isChanged && !panel.scene.changed) continue;
+      if (!panel.scene.changed) continue;
+      // Beside the map, the plate has little that moves.
+      if (panel === this.plate && model.isSkin && nowMs - this.plateDrawnMs < PLATE_PERIOD_MS) continue;
+      if (panel === this.plate) this.plateDrawnMs = nowMs;
       panel.draw(model, presser.marks());
       draws += 1;
     }
@@ -94,9 +100,11 @@ export class View {
   }
 
   /** Text, a few times a second. */
-  describe(nowMs, clockMs) {
-    this.#describeTabs(clockMs);
+  describe(nowMs) {
+    this.#describeTabs();
     const { model, root } = this;
+    // Messages of recordings keep their times: the present is then that of the newest.
+    const clockMs = this.isLive ? Date.now() : 1000 * (model?.newest("contacts")?.time ?? NaN);
     root.querySelector(".panels").hidden = !model;
     root.querySelector(".empty").hidden = Boolean(model);
     root.querySelector(".situation").hidden = !model;
@@ -118,7 +126,7 @@ export class View {
     this.presser.describe();
   }
 
-  #describeTabs(clockMs) {
+  #describeTabs() {
     const names = this.app.plates(this.source.source);
     if (!this.selected && names.length) this.select(this.app.preferred(names));
     const key = names.join("/");
@@ -139,7 +147,7 @@ export class View {
     }
     names.forEach((name, index) => {
       const button = this.tabs.children[index];
-      const found = situation(this.app.model(this.source.source, name).states, clockMs / 1000);
+      const found = situation(this.app.model(this.source.source, name).states);
       button.dataset.kind = found.kind;
       if (button.title !== found.title) button.title = found.title;
       button.setAttribute("aria-pressed", name === this.selected);
