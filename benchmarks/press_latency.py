@@ -37,6 +37,7 @@ class Forces:
     """The largest force of the newest message of one plate, in a thread of its own."""
 
     def __init__(self, port: int, topic: str) -> None:
+        self.broker_url = f"mqtt://127.0.0.1:{port}"
         self.newton: float | None = None
         self.changed = threading.Condition()
         self._client = mqtt.Client(CallbackAPIVersion.VERSION2)
