@@ -169,7 +169,7 @@ bench: .venv/peers-stamp  ## figures as tables: demo, latency, publishing, wire,
 	for benchmark in recording_cost replay_speed publish_path decoders codec wire_cost usb_throughput blocked_loop clock clock_live; do run $$benchmark; done
 	for benchmark in counting matching baseline calibration end_to_end emulator_noise emulator_speed; do run $$benchmark; done
 	for benchmark in elastic_fields elastic_contact elastic_friction elastic_convergence; do run $$benchmark; done
-	for benchmark in frame_cost decoding contact_decoding slip parametric_fit; do run $$benchmark; done
+	for benchmark in frame_cost decoding contact_decoding slip parametric_fit live_page; do run $$benchmark; done
 
 bench-cost: .venv/test-stamp  ## processor time of each stage per frame, against its record; 1 if one exceeds it by 15 %
 	$(debian-packages)

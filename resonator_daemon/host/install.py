@@ -30,6 +30,7 @@ HIDDEN_FROM_SERVICES = (
 _PLACES = {
     "resonatord@.service": "/etc/systemd/system/resonatord@.service",
     "resonatord-decode@.service": "/etc/systemd/system/resonatord-decode@.service",
+    "resonatord-view@.service": "/etc/systemd/system/resonatord-view@.service",
     "70-resonatord.rules": "/etc/udev/rules.d/70-resonatord.rules",
     "resonatord.sysusers": "/etc/sysusers.d/resonatord.conf",
     "resonatord.tmpfiles": "/etc/tmpfiles.d/resonatord.conf",
@@ -194,7 +195,7 @@ def _due_before(here: bool) -> list[tuple[str, ...]]:
         return []
     wanted = Path("/etc/systemd/system").glob("*.wants/resonatord*@*.service")
     enabled = tuple(sorted({path.name for path in wanted}))
-    stop = ("systemctl", "stop", "resonatord@*.service", "resonatord-decode@*.service")
+    stop = ("systemctl", "stop", "resonatord@*.service", "resonatord-decode@*.service", "resonatord-view@*.service")
     return [*([("systemctl", "disable", *enabled)] if enabled else []), stop]
 
 

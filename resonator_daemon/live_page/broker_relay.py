@@ -8,8 +8,8 @@ from typing import Any, Final
 from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing.broker_connection import BrokerConnection
-from resonator_daemon.publishing.connection_errors import RefusalError
+from resonator_daemon.publishing.broker_connection import MQTT_3, BrokerConnection
+from resonator_daemon.publishing.connection_errors import UNSUPPORTED_VERSION, RefusalError, code_of
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.reconnection import connection_session, keep_connected
 from resonator_daemon.publishing.subscriber import EVERY_PLATE, topic_filters
@@ -47,17 +47,24 @@ class BrokerRelay:
         self._on_status = on_status
         self._watched: frozenset[tuple[str, str]] = frozenset()  # plate and path
         self._streams: BrokerConnection | None = None  # while connected
+        self._streams_version: MQTTProtocolVersion | None = MQTT_3  # its packets cost half of those of version 5
         self._connected = False
 
     async def run(self) -> None:
         """Relay until cancelled."""
         closing = asyncio.get_running_loop().create_future()  # never done: there is no will to be taken back
         states = connection_session(self._make_connection, self._serve_states, closing)
-        streams = connection_session(self._make_connection, self._serve_streams, closing)
+        streams = connection_session(self._make_streams_connection, self._serve_streams, closing)
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(keep_connected(self._broker, states, closing, on_failure=self._failed))
             tasks.create_task(
-                keep_connected(self._broker, streams, closing, report=lambda _, text: log.debug("streams: %s", text))
+                keep_connected(
+                    self._broker,
+                    streams,
+                    closing,
+                    report=lambda _, text: log.debug("streams: %s", text),
+                    on_failure=self._streams_failed,
+                )
             )
 
     def watch(self, topics: Collection[tuple[str, str]]) -> None:
@@ -75,6 +82,13 @@ class BrokerRelay:
 
     def _make_connection(self, version: MQTTProtocolVersion) -> BrokerConnection:
         return BrokerConnection(self._broker, version, on_message=self._receive, on_denied=self._denied)
+
+    def _make_streams_connection(self, version: MQTTProtocolVersion) -> BrokerConnection:
+        return self._make_connection(self._streams_version or version)
+
+    def _streams_failed(self, error: Exception) -> None:
+        if code_of(error) == UNSUPPORTED_VERSION:
+            self._streams_version = None  # a broker without MQTT 3.1.1
 
     async def _serve_states(self, connection: BrokerConnection, _at_once: bool) -> None:
         topics = [topic for topic in TOPICS.values() if topic.qos]

@@ -16,6 +16,7 @@ PROGRAM = Path(sys.executable).with_name("resonatord")
 SERVICES = {
     "etc/systemd/system/resonatord@.service",
     "etc/systemd/system/resonatord-decode@.service",
+    "etc/systemd/system/resonatord-view@.service",
     "etc/udev/rules.d/70-resonatord.rules",
     "etc/sysusers.d/resonatord.conf",
     "etc/tmpfiles.d/resonatord.conf",
