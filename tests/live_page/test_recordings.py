@@ -1,0 +1,57 @@
+"""Recordings on the live page: played, paused and sought, whole and cut off."""
+
+import gzip
+import json
+from pathlib import Path
+
+from page_client import browser, served
+
+from resonator_daemon.live_page.hub import Sources
+from resonator_daemon.recording.reader import open_recording
+
+CORPUS = Path(__file__).parents[1] / "corpus"
+WHOLE, CUT_OFF = CORPUS / "touches" / "recording.mcap", CORPUS / "cut-off" / "recording.mcap"
+
+
+def duration_s(path: Path) -> float:
+    with open_recording(str(path)) as recording:
+        times_ns = [entry.now.monotonic_ns for entry in recording.entries()]
+    return (times_ns[-1] - times_ns[0]) * 1e-9
+
+
+def expected_events(path: Path) -> list[str]:
+    """Return the kinds of events that the replay of a case gives."""
+    lines = gzip.decompress(path.with_name("expected.jsonl.gz").read_bytes()).splitlines()
+    messages = [json.loads(line) for line in lines]
+    return [it["payload"]["event"] for it in messages if it.get("topic") == "contacts/event"]
+
+
+async def test_two_recordings_play_and_the_one_that_is_cut_off_reports_it() -> None:
+    async with served(Sources(None, [WHOLE, CUT_OFF])) as url, browser(url) as tab:
+        hello = await tab.key("hello", lambda it: all(source["plate"] for source in it["sources"]))
+        whole, cut_off = hello["sources"]
+        assert (whole["source"], cut_off["source"]) == ("a", "b")
+        assert abs(whole["duration_s"] - duration_s(WHOLE)) < 1e-6
+        ended = await tab.key("position", lambda it: it["source"] == "b" and it["ended"])
+        assert ended["truncated"]
+        assert abs(ended["t_s"] - duration_s(CUT_OFF)) < 0.1
+        address = f"a/{whole['plate']}"
+        await tab.key("position", lambda it: it["source"] == "a" and it["decoded_s"] >= whole["duration_s"] - 0.1)
+        assert (await tab.watch(whole["plate"], "forces", source="a"))["ok"]
+        assert (await tab.ask({"id": 1, "play": {"source": "a", "playing": False, "speed": 20.0}}))["ok"]
+        assert (await tab.ask({"id": 2, "seek": {"source": "a", "t_s": 0.0}}))["ok"]
+        paused = await tab.key("position", lambda it: it["source"] == "a" and it["t_s"] == 0.0)
+        assert (paused["playing"], paused["ended"], paused["speed"]) == (False, False, 20.0)
+        await tab.ask({"id": 3, "play": {"source": "a", "playing": True}})
+        kinds = []
+        for _ in expected_events(WHOLE):
+            kinds.append(json.loads(await tab.frame(f"{address}/contacts/event"))["event"])
+        assert kinds == expected_events(WHOLE)
+        end = await tab.key("position", lambda it: it["source"] == "a" and it["ended"])
+        assert (end["playing"], end["truncated"]) == (False, None)
+        await tab.ask({"id": 4, "seek": {"source": "a", "t_s": 1e9}})  # beyond the end: at the end
+        sent = json.loads(await tab.frame(f"{address}/forces"))
+        assert sent["name"] == whole["plate"]
+        assert (await tab.ask({"id": 5, "command": {"plate": whole["plate"], "verb": "tare"}}))["error"][
+            "code"
+        ] == "read_only"
