@@ -5,6 +5,7 @@ import json
 import pkgutil
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 from contextlib import suppress
@@ -172,6 +173,23 @@ def test_a_reader_that_leaves_ends_it_well(line: str) -> None:
     command.stderr.close()
     assert command.wait(60) == 0, stderr
     assert b"Error" not in stderr
+
+
+def test_ctrl_c_before_a_board_counts_interrupts_a_recording(tmp_path: Path) -> None:
+    config = tmp_path / "board.toml"
+    config.write_text(f'plate = "quartz16"\nlink = "serial:{tmp_path}/board?baud=4000000"\n')
+    output = tmp_path / "run.mcap"
+    command = [*PROGRAM, "record", "--config", str(config), "--output", str(output), "--json"]
+    record = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert record.stderr is not None
+    for line in record.stderr:
+        if "no port" in line:
+            break
+    record.send_signal(signal.SIGINT)
+    stdout, stderr = record.communicate(timeout=60)
+    assert record.returncode == 1, stderr
+    assert '"code": "interrupted"' in stdout
+    assert not output.exists()
 
 
 @pytest.mark.parametrize("files", [5, 8])

@@ -109,6 +109,20 @@ def test_the_codes_of_quartz16_are_judged_as_they_are(capsys: pytest.CaptureFixt
     assert found["link"]["channelised"]["frame_bytes"] == 4 * (28 + 8 + 16 * 12)
 
 
+def test_kept_codes_that_overlap_for_the_forces_asked_for_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ("--plate", "quartz16", "--keep-codes", "--force-max-newton", "80")
+    code, found, complaints = plan(capsys, *arguments)
+    assert code == 1
+    assert found["ok"] is False
+    assert "can be mistaken for each other" in complaints[0]
+    worst = found["overlaps"][0]
+    assert worst["needed_ppm"] > worst["spacing_ppm"]
+    assert worst["needed_ppm"] > 350
+    code, found, complaints = plan(capsys, *arguments, "--accept-overlap")
+    assert (code, complaints, found["ok"]) == (0, [], True)
+    assert found["overlaps"]
+
+
 def test_a_step_below_the_guard_band_is_refused_with_the_pair_and_written_when_insisted(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -2,6 +2,7 @@
 
 import fcntl
 import json
+import signal
 from pathlib import Path
 from random import Random
 
@@ -215,3 +216,17 @@ def test_a_damaged_index_is_made_anew(
     assert err.startswith(f"{path}: its index is damaged; {copy} has {len(written)} events up to ")
     assert found_by_index(copy) == whole
     assert repair(copy, tmp_path / "again.mcap").was_whole
+
+
+def test_a_repair_that_is_interrupted_leaves_nothing(
+    made: tuple[Path, list[WireEvent]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(_: int) -> None:
+        signal.raise_signal(signal.SIGTERM)
+
+    path, _ = made
+    path.write_bytes(path.read_bytes()[:-1])
+    monkeypatch.setattr("resonator_daemon.host.new_file.os.fsync", interrupted)
+    assert main(["repair", str(path)]) == 1
+    assert capsys.readouterr().err == "resonatord: interrupted: no copy is made\n"
+    assert list(path.parent.iterdir()) == [path]

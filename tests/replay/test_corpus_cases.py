@@ -4,6 +4,7 @@ import gzip
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -150,3 +151,16 @@ def test_replays_are_equal_to_the_byte_in_every_process(tmp_path: Path) -> None:
     subprocess.run(command, check=True, env=environment, capture_output=True, timeout=60)
     assert here.read_bytes() == there.read_bytes()
     assert here.read_bytes().count(b"\n") > 300
+
+
+def test_a_case_that_is_interrupted_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object) -> None:
+        signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr("resonator_daemon.replay.case.write_expected", interrupted)
+    recording = CORPUS / "refused" / "recording.mcap"
+    assert main(["replay", str(recording), "--save-case", str(tmp_path / "case")]) == 1
+    assert capsys.readouterr().err == "resonatord: interrupted: no fixture is saved\n"
+    assert list(tmp_path.iterdir()) == []
