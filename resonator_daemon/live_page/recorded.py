@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from resonator_daemon.host.parent_death import ended_with_parent
-from resonator_daemon.live_page.recording_worker import DONE, ENTRY, PATHS, SCANNED, TIME
+from resonator_daemon.live_page.recording_entries import DONE, ENTRY, PATHS, SCANNED, TIME
 
 _WORKER: Final = "resonator_daemon.live_page.recording_worker"
 _FAILED: Final = "its decoding ended before its end; all before that is shown"

@@ -2,22 +2,17 @@
 
 import json
 import os
-import struct
 import sys
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
+from resonator_daemon.live_page.recording_entries import DONE, ENTRY, PATHS, SCANNED, TIME
 from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.topics import TOPICS
 from resonator_daemon.recording.reader import Mark, damage_in_words, open_recording
 from resonator_daemon.replay.source import open_replay
 
 STREAM_PERIOD_NS: Final = 15_000_000  # a display shows no more
 FILE_BYTES_MAX: Final = 2 << 30
-
-PATHS: Final = tuple(TOPICS)
-ENTRY: Final = struct.Struct("<Bqqi")  # index of the path, time since the beginning in ns, offset and length
-SCANNED, DONE, TIME = 255, 254, 253  # instead of a path; the first two are followed by JSON of this length
 
 
 def scan(path: Path) -> dict[str, Any]:
