@@ -15,7 +15,7 @@ from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.config.tables import Decoding
 from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.payloads import Info, Message, Signals
+from resonator_daemon.publishing.payloads import GridInfo, Info, Message, Signals
 from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.remote_decoding import shared_plates
 from resonator_daemon.remote_decoding.shared_plates import SharedPlates
@@ -62,6 +62,25 @@ class Shared:
 
 
 NOTHING = ("waiting", Reason(ReasonCode.NO_SIGNALS, "no signals that could be decoded"))
+
+
+async def test_another_info_takes_effect_with_the_next_frame() -> None:
+    moved = GridInfo(origin_m=(0.5, 0.5), pitch_m=4e-4, shape=(12, 12))
+    sites = tuple(
+        site.model_copy(update={"position_m": (site.position_m[0] + 0.5, site.position_m[1] + 0.5)})
+        for site in info().sites
+    )
+    async with Shared().running() as shared:
+        for plate in ("left", "right"):
+            shared.tell(plate, info())
+            decoded, summary = await shared.read(plate, signals(0))
+            assert decoded.grid.origin_m == info().sites[0].position_m
+            assert decoded.decoder_id == summary.decoder_id == "host-1"
+        shared.tell("left", info(sites=sites, grid=moved))
+        decoded, _ = await shared.read("left", signals(1))
+        assert decoded.grid.origin_m == sites[0].position_m
+        decoded, _ = await shared.read("right", signals(1))
+        assert decoded.grid.origin_m == info().sites[0].position_m
 
 
 async def test_it_is_online_while_signals_come_and_waits_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
