@@ -35,7 +35,7 @@ export class HealthPanel {
   }
 
   describe(model, page, nowMs) {
-    const found = situation(model.states);
+    const found = situation(model.states, model.source === "live");
     const { banner } = this;
     if (banner.dataset.situation !== found.code) {
       banner.dataset.situation = found.code;
@@ -59,7 +59,7 @@ export class HealthPanel {
       setText(item.querySelector(".sign"), SIGNS[kind]);
       setText(item.querySelector("b"), `${part} ${state ? words(state.state) : "unknown"}`);
       const since = state && Number.isFinite(state.since) && now >= state.since ? `, for ${duration(now - state.since)}` : "";
-      setText(item.querySelector("span:last-child"), state ? `${state.reason || words(state.reasonCode)}${since}` : "nothing was published");
+      setText(item.querySelector("span:last-child"), state ? `${state.reason || words(state.reasonCode)}${since}` : model.source === "live" ? "nothing was published" : "not recorded");
     });
   }
 

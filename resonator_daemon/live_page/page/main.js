@@ -4,7 +4,7 @@ import { startTheme } from "./colours.js";
 import { Connection } from "./connection.js";
 import { readTruth } from "./payloads.js";
 import { PlateModel } from "./plate_model.js";
-import { make, setText } from "./text.js";
+import { UNKNOWN, make, setText } from "./text.js";
 import { View } from "./view.js";
 
 const TEXT_PERIOD_MS = 125;
@@ -109,7 +109,7 @@ class App {
     nav.hidden = this.hello.sources.length < 2;
     nav.replaceChildren(
       ...this.hello.sources.map((source) => {
-        const button = make("button", "", source.source === "live" ? "Live" : (source.file ?? source.source));
+        const button = make("button", "", source.source === "live" ? "Live" : `${source.source.toUpperCase()}: ${source.file ?? UNKNOWN}`);
         const isShown = shown.some((other) => other.source === source.source);
         button.type = "button";
         button.setAttribute("aria-pressed", isShown);

@@ -49,6 +49,7 @@ export class RecordingPanel {
   }
 
   #play(isPlaying) {
+    if (isPlaying && this.position.ended) this.#seek(0);
     const speed = Number(this.speed.value);
     for (const { source } of this.#group()) this.connection.send({ play: { source: source.source, playing: isPlaying, speed } });
   }

@@ -13,6 +13,7 @@ const SITUATIONS = {
   board_hung: ["The board sends nothing", "hung", "bad"],
   board_rebooted: ["Working; the board restarted", "reboot", "note"],
   sensor_drifting: ["The sensor drifts", "drift", "warn"],
+  recording_over: ["End of the recording", "stop", "off"],
   other: ["Not ready", "other", "warn"],
 };
 
@@ -20,6 +21,7 @@ function code({ daemon, link, sensor }) {
   if (!daemon) return "never_started";
   if (daemon.state === "offline") return daemon.reasonCode === "stopped" ? "clean_stop" : "crash";
   if (daemon.state === "online") {
+    if (link?.reasonCode === "recording_over") return "recording_over";
     if (["lost", "waiting"].includes(link?.state)) return "cable_out";
     if (link?.state === "stalled") return "board_hung";
     if (link?.state === "online" && sensor?.state === "drifting") return "sensor_drifting";
@@ -44,6 +46,7 @@ function detail(found, { daemon, link, sensor }) {
       return "The connection to the broker broke: the daemon crashed, was killed, or its computer left the network.";
     case "broker_restarted":
       return `Connection ${daemon.connections} to the broker, since ${clockTime(daemon.connected)}. The broker or the network had failed.`;
+    case "recording_over":
     case "cable_out":
     case "board_hung":
       return link.reason;
@@ -58,8 +61,9 @@ function detail(found, { daemon, link, sensor }) {
   }
 }
 
-/** Situation of a plate from its states by part: {code, title, icon, kind, detail}. */
-export function situation(states) {
+/** Situation of a plate from its states by part: {code, title, icon, kind, detail}. Recordings lack that of the daemon. */
+export function situation({ daemon, link, sensor }, isLive) {
+  const states = { daemon: daemon ?? (isLive ? undefined : { state: "online" }), link, sensor };
   const found = code(states);
   const [title, icon, kind] = SITUATIONS[found];
   return { code: found, title, icon, kind, detail: detail(found, states) };

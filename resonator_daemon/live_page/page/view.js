@@ -147,7 +147,7 @@ export class View {
     }
     names.forEach((name, index) => {
       const button = this.tabs.children[index];
-      const found = situation(this.app.model(this.source.source, name).states);
+      const found = situation(this.app.model(this.source.source, name).states, this.isLive);
       button.dataset.kind = found.kind;
       if (button.title !== found.title) button.title = found.title;
       button.setAttribute("aria-pressed", name === this.selected);

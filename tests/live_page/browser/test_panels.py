@@ -266,6 +266,8 @@ async def test_recordings_play_seek_and_stand_side_by_side(fake: FakeLivePage, o
     )
     await expect(one.locator(".time")).to_have_text("12.3 of 60.0 s")
     await expect(one.locator(".truncated")).to_have_text("Incomplete: cut off")
+    await fake.send("state/link", header(state="lost", reason_code="recording_over"), source="a")
+    await expect(one.locator(".situation")).to_have_attribute("data-situation", "recording_over")
     await one.locator(".recording-panel select").select_option("2")
     await one.locator(".play").click()
     await fake.until("play", 4)
