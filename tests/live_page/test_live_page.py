@@ -195,6 +195,8 @@ async def test_who_may_open_the_page(mosquitto: Mosquitto) -> None:
         async def status(path: str = "", **headers: str) -> tuple[int, str | None]:
             async with session.get(url + path, headers=headers) as response:
                 assert "default-src 'none'" in response.headers["Content-Security-Policy"]
+                # With no-referrer, browsers send `Origin: null` with the form of the token.
+                assert response.headers["Referrer-Policy"] == "same-origin"
                 is_json = response.content_type == "application/json"
                 return response.status, (await response.json())["error"]["code"] if is_json else None
 
