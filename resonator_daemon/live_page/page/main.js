@@ -7,7 +7,7 @@ import { PlateModel } from "./plate_model.js";
 import { UNKNOWN, make, setText } from "./text.js";
 import { View } from "./view.js";
 
-const TEXT_PERIOD_MS = 125;
+const TEXT_PERIOD_MS = 200;
 const LIVE = { source: "live", url: "" };
 
 class App {
