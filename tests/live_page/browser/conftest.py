@@ -20,8 +20,9 @@ AXE = Path(__file__).parents[3] / "build" / "browser" / "node_modules" / "axe-co
 
 @pytest_asyncio.fixture(scope="session", loop_scope="session")
 async def browser() -> "AsyncIterator[Browser]":
-    from playwright.async_api import async_playwright
+    from playwright.async_api import async_playwright, expect
 
+    expect.set_options(timeout=20_000)  # other programs may use all cores
     async with async_playwright() as playwright:
         browser = await playwright.chromium.launch(executable_path=CHROMIUM)
         yield browser
@@ -44,7 +45,7 @@ async def open_page(browser: "Browser", fake: FakeLivePage) -> "AsyncIterator[Ca
             context = await browser.new_context(**{"viewport": {"width": 1280, "height": 900}} | options)
             stack.push_async_callback(context.close)
             page = await context.new_page()
-            page.set_default_timeout(10_000)
+            page.set_default_timeout(20_000)
             page.on("pageerror", lambda error: errors.append(str(error)))
             # A connection that a test ends is not an error of the page.
             page.on(
@@ -54,7 +55,7 @@ async def open_page(browser: "Browser", fake: FakeLivePage) -> "AsyncIterator[Ca
                 ),
             )
             await page.goto(fake.url)
-            await asyncio.wait_for(page.wait_for_function("resonatord.isOpen"), 10)
+            await asyncio.wait_for(page.wait_for_function("resonatord.isOpen"), 20)
             return page
 
         yield open_page

@@ -222,6 +222,7 @@ async def test_dragging_shears_until_friction_and_leaving_releases(fake: FakeLiv
     fake.hello["press"] = ["p"]
     await fake.send("info", info(skin=True))
     page = await open_page()
+    await expect(page.locator(".press-panel")).to_be_visible()
     start, far = await place(page, SURFACE, -0.006, 0), await place(page, SURFACE, 0.006, 0)
     await page.mouse.move(*start)
     await page.mouse.down()
