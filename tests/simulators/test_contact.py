@@ -31,13 +31,6 @@ def midpoints(count: int, pitch: float) -> tuple[Floats, Floats]:
     return x, y
 
 
-def test_stick_radius_at_seven_eighths_of_friction_is_half() -> None:
-    shear = 0.875 * FRICTION * 2.0
-    radii, forces = hertz_parts([0.6 * shear, -0.8 * shear, 2.0], RADIUS, FRICTION)
-    assert radii[1] / radii[0] == pytest.approx(0.5, rel=1e-12)
-    np.testing.assert_allclose(forces.sum(axis=0), [0.6 * shear, -0.8 * shear, 2.0], rtol=1e-12)
-
-
 def test_shear_beyond_friction_slides() -> None:
     radii, forces = hertz_parts([3.0, 4.0, 2.0], RADIUS, FRICTION)
     assert radii[1] == 0

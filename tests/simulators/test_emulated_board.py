@@ -15,9 +15,7 @@ from firmware_protocol.host import (
     Rebooted,
     Started,
 )
-from firmware_protocol.layouts import MessageType
-from firmware_protocol.messages import BoardStatus, Configuration, CounterKind, ResetCause, encode_message
-from firmware_protocol.packets import encode_packet
+from firmware_protocol.messages import BoardStatus, Configuration, CounterKind, ResetCause
 from simulators.board import MadeFrame, Outgoing
 
 GATE_TICKS = 1000
@@ -98,26 +96,6 @@ def test_a_full_queue_drops_its_oldest_frames_and_says_so_before_the_next_that_g
     assert bench.exchange()[0] == BoardStatus(9, bytes_discarded=0)
 
 
-def test_a_board_that_loses_frames_counts_and_tells_them_and_knows_what_was_true() -> None:
-    bench = Bench(drop_rate=0.3, seed=5)
-    bench.start()
-    made = bench.advance(400 * GATE_TICKS)
-    assert [frame.sequence for frame in made] == list(range(400))
-    events = bench.exchange()
-    sent = [frame.sequence for frame in frames_in(events)]
-    told = sent_and_told = 0
-    for event in events:  # each STATUS counts what is missing before the next frame, and no more
-        if isinstance(event, BoardStatus):
-            assert event.frames_dropped > told
-            told = event.frames_dropped
-        elif isinstance(event, Frame):
-            assert event.sequence == sent_and_told + told
-            sent_and_told += 1
-    assert sent_and_told == len(sent) == 400 - bench.board.frames_lost
-    assert bench.board.frames_lost == pytest.approx(120, abs=28)  # 3 sigma
-    assert bench.board.frames_crowded_out == 0
-
-
 def test_a_reboot_is_a_board_that_knows_nothing() -> None:
     bench = Bench()
     bench.advance(100)
@@ -158,18 +136,6 @@ def test_a_jump_of_the_tick_count_is_one_of_frames_records_and_pongs_alike(ticks
     bench.board.step_ticks(5)  # while nothing is counted: at once
     bench.host.ping(b"12345678")
     assert bench.exchange()[:2] == [Rebooted(78), Pong(b"12345678", 5)]
-
-
-def test_a_new_run_numbers_from_0_and_carries_no_frame_of_the_old_one() -> None:
-    bench = Bench()
-    bench.start()
-    bench.advance(3 * GATE_TICKS)
-    assert bench.plate.starts == 1
-    requests = encode_packet(MessageType.CONFIGURE, 8, encode_message(Configuration(GATE_TICKS)))
-    bench.board.receive(requests + encode_packet(MessageType.START, 9), bench.now)
-    assert bench.plate.starts == 2
-    bench.advance(GATE_TICKS)
-    assert [frame.sequence for frame in frames_in(bench.exchange())] == [0]
 
 
 def test_a_channelised_frame_goes_out_whole_in_parts() -> None:

@@ -27,21 +27,6 @@ def test_a_touch_between_sites_is_shared_by_distance_to_the_power_of_minus_4() -
     assert force[SITES[7]] == force.max()
 
 
-def test_a_cover_spreads_a_touch_and_two_touches_add_up() -> None:
-    place = np.array([1.0, -2.0])
-    force = loads(steady(3.0, position_mm=tuple(place)), steady(1.0, site=9), plate=COMB).force_newton[0]
-    for index, position in enumerate(np.array([site.position_mm for site in COMB.sites])):
-        first, second = ((position - at) @ (position - at) for at in (place, FAR * 1e3))
-        assert force[index] == pytest.approx(3.0 / (1 + first / 6.25) ** 1.5 + 1.0 / (1 + second / 6.25) ** 1.5)
-
-
-def test_the_whole_plate_presses_every_site_under_a_number_of_its_own() -> None:
-    result = loads(steady(0.5, site=9), steady(2.0, whole_plate=True, kelvin=305.0))
-    assert result.force_newton[0].tolist() == [2.5 if index == SITES[9] else 2.0 for index in range(16)]
-    assert result.touch_id[0].tolist() == list(range(2, 18))
-    assert np.all(result.contact_kelvin == 305.0)
-
-
 def test_a_finger_warms_the_sites_that_bear_most_of_it() -> None:
     middle = tuple((NEAR + FAR) / 2 * 1e3)
     result = loads(steady(2.0, start_s=1.0, position_mm=middle, kelvin=306.0), steady(1.0, site=4), times_s=(0.5, 5.0))

@@ -19,16 +19,6 @@ def forces(gates: int, sites: int, seed: int) -> Floats:
     return np.abs(np.cumsum(random.choice([-1, 1], (gates, sites)) * 0.2 * random.random((gates, sites)) ** 3, axis=0))
 
 
-def test_loading_and_unloading_run_half_a_play_below_and_above() -> None:
-    up, down = np.linspace(0, 8, 401), np.linspace(8, 0, 401)
-    felt = PressResponse(1, 0.1, 0.0, 20.0).advance(1e-3, column(np.concatenate([up, down])))[:, 0]
-    on_the_way_up, on_the_way_down = up >= 0.1, down <= 7.8
-    assert felt[:401][on_the_way_up] == pytest.approx(up[on_the_way_up] - 0.05, abs=1e-12)
-    assert felt[401:][on_the_way_down] == pytest.approx(down[on_the_way_down] + 0.05, abs=1e-12)
-    assert felt[:401][~on_the_way_up] == pytest.approx(up[~on_the_way_up] / 2, abs=1e-12)
-    assert felt[-1] == pytest.approx(0.05, abs=1e-12)  # what a press leaves behind
-
-
 def test_the_play_is_the_force_less_a_stop_that_gives_way() -> None:
     force = forces(400, 3, seed=1)
     felt = PressResponse(3, 0.1, 0.0, 20.0).advance(1e-3, force)

@@ -122,13 +122,6 @@ def test_shipped_scenarios_play_on_the_plates_they_are_for_and_refuse_others_in_
             assert np.isfinite(pressing.force_newton).all()
 
 
-def test_a_position_on_a_site_is_that_site() -> None:
-    touch = Touch(start_s=0.0, position_mm=(-0.5, 2.0), force_newton=1.0)
-    assert sites_at(Scenario((touch,), None, QUARTZ), 0.5) == [7]
-    beside = touch.model_copy(update={"position_mm": (-0.5, 2.001)})
-    assert sites_at(Scenario((beside,), None, QUARTZ), 0.5) == [None]
-
-
 def findings(tmp_path: Path, text: str) -> list[str]:
     """Return the keys of the messages about a file, in the order of the alphabet."""
     path = tmp_path / "mine.toml"

@@ -58,19 +58,6 @@ def test_ideal_sites_without_noise_feel_the_force_and_nothing_else() -> None:
     assert [frames.relative_shift.shape, frames.sensitivity_factor.shape] == [(30, SITES + 1), (30, SITES, 4)]
 
 
-def test_a_warm_finger_heats_the_touched_site_and_not_the_plate() -> None:
-    sites = made(PLATE, physics(temperature_coefficient=-3e-7))
-    advance(sites, 1)
-    contact = np.full((5000, SITES), math.nan)
-    contact[:, [0, 2]] = 305.15
-    frames = advance(sites, 5000, contact_kelvin=contact)
-    warmer = 7 * (1 - math.exp(-4.9995 / 5))
-    assert frames.kelvin[-1, 2] == pytest.approx(REFERENCE_KELVIN + warmer, abs=1e-6)
-    assert frames.relative_shift[-1, 2] / -3e-7 == pytest.approx(warmer, rel=1e-6)
-    assert frames.plate_kelvin == pytest.approx(np.full(5000, REFERENCE_KELVIN), abs=1e-8)
-    assert np.all(np.abs(np.delete(frames.relative_shift, [0, 2], axis=1)) < 1e-14)
-
-
 def test_ageing_is_logarithmic_in_days() -> None:
     sites = made(PLATE, physics(ageing=2e-7))
     before = advance(sites, 864, dt_s=100.0).relative_shift

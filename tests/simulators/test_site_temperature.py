@@ -25,12 +25,6 @@ def test_at_rest_the_shift_is_the_cubic(above_kelvin: float, shift: float) -> No
     assert relative_shift == pytest.approx(np.full((3, 2), shift), abs=1e-17)
 
 
-def test_each_site_has_coefficients_of_its_own() -> None:
-    own = SiteTemperature(np.array([[1e-7, 0, 0], [0, 1e-8, 0], [0, 0, 1e-9]]), 0.0, REFERENCE_KELVIN, 5.0)
-    shift = own.advance(1e-3, np.array([REFERENCE_KELVIN - 2]), untouched(1, 3)).relative_shift
-    assert shift[0] == pytest.approx([-2e-7, 4e-8, -8e-9], abs=1e-18)
-
-
 def test_the_transient_is_the_derivative_of_the_temperature() -> None:
     random = np.random.default_rng(1)
     around = REFERENCE_KELVIN + np.repeat(random.normal(size=10), 200)

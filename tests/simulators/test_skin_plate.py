@@ -7,7 +7,7 @@ from tone_fields import counted_fields
 from resonator_daemon.arrays import Floats
 from resonator_daemon.plate import load_plate
 from simulators.contact import pressed_signals
-from simulators.scenario import Scenario, Touch
+from simulators.scenario import Scenario
 from simulators.skin_plate import SkinPlate
 
 GATE_TICKS = 2_500_000
@@ -49,20 +49,3 @@ def test_noise_of_each_corner_is_what_its_code_says(still: dict[str, Floats]) ->
     assert (found / stated).std() == pytest.approx(
         np.hypot((2 ** (1 / 16) - 1) / np.sqrt(3), 1 / np.sqrt(298)), rel=0.1
     )
-
-
-def test_truth_has_the_contact_and_its_stick_radius() -> None:
-    touch = Touch.model_validate(
-        {"start_s": 0.0, "site": 496, "force_newton": 0.512, "rise_s": 0.5, "hold_s": 2.0, "fall_s": 0.5}
-        | {"shear": {"peak_ratio": 0.875, "direction_deg": 90.0}}
-    )
-    plate = SkinPlate(PLATE, Scenario((touch,), None, PLATE), seed=4)
-    middle_ticks = round(1.5 * 250e6 * (1 + 1.5e-6)) - GATE_TICKS // 2
-    (frame,) = plate.count(0, middle_ticks, GATE_TICKS, 1)
-    (contact,) = frame.contacts
-    assert contact.site == 496
-    assert contact.position_m == pytest.approx(PLATE.site_positions_m[495])
-    assert contact.force_newton == pytest.approx((0.0, 0.875 * 0.5 * 0.512, 0.512))
-    assert contact.radius_m == pytest.approx(2.5e-3 * 0.8)
-    assert contact.stick_radius_m == pytest.approx(2.5e-3 * 0.8 * 0.5)  # (1 - 0.875)^(1/3)
-    assert contact.friction_coefficient == 0.5

@@ -68,26 +68,3 @@ def test_sums_scatter_together_as_those_of_stamps(jitter_ticks: float, q2_tolera
     assert sums.q2_ticks2[chosen].std() == pytest.approx(
         q2.std(), rel=q2_tolerance
     )  # little jitter: rounding is not quite white
-
-
-def test_stamps_go_on_across_gates_and_calls() -> None:
-    random = np.random.default_rng(2)
-    counter = StrideCounter(4, 10, random, strides=2**32 // 10 - 3_000)
-    board_ticks = 2**32 - 5 * GATE_TICKS
-    rows = []
-    for frames in (3, 1, 7, 2):
-        period = 1000.0 + random.random((frames, 4))
-        strides = counter.count(board_ticks, GATE_TICKS, period, np.zeros((frames, 4), np.bool_))
-        rows.append(with_jitter(strides, 0.3, random))
-        gate_starts = board_ticks + GATE_TICKS * np.arange(frames)[:, np.newaxis]
-        assert np.all(rows[-1].first_ticks >= gate_starts - 2)
-        assert np.all(rows[-1].first_ticks + rows[-1].span_ticks <= gate_starts + GATE_TICKS + 2)
-        assert np.all(np.abs(rows[-1].stamps - GATE_TICKS / period) < 1.0)
-        board_ticks += frames * GATE_TICKS
-    first_edge, first_ticks, stamps, span = (
-        np.concatenate([getattr(row, name) for row in rows])
-        for name in ("first_edge", "first_ticks", "stamps", "span_ticks")
-    )
-    assert np.array_equal(first_edge[1:], first_edge[:-1] + 10 * stamps[:-1])
-    assert first_edge.max() > 2**32 > first_edge.min()
-    assert np.all(np.abs(first_ticks[1:] - first_ticks[:-1] - span[:-1] - 1000.5) < 3.0)
