@@ -182,44 +182,6 @@ async def test_what_a_role_may_read(name: str, door: str, topic_filter: str, pla
     assert {message.topic for message in client.got if not message.retained} == reads
 
 
-async def test_decoders_share_signals_and_nothing_else(plates: Plates) -> None:
-    source = await plates.client("", "tests")
-    decoders = [await plates.client("decoder", "people") for _ in range(2)]
-    for client in decoders:
-        await client.subscribe("$share/decoders/resonator/+/signals", qos=1)
-        await client.subscribe("$share/decoders/resonator/+/cmd/+", qos=1)
-    for _ in range(10):
-        await source.send_all(below(*BOTH, paths={"signals", "cmd/tare"}))
-    for client in decoders:
-        await client.subscribe("later", qos=1)
-    got = [[message.topic for message in client.got] for client in decoders]
-    assert sorted(got[0] + got[1]) == ["resonator/left/signals"] * 10 + ["resonator/right/signals"] * 10
-    assert got[0]
-    assert got[1]
-
-
-@pytest.mark.parametrize(
-    ("name", "door", "topic", "allowed"),
-    [
-        ("left", "certificates", "resonator/left/state/daemon", True),
-        ("left", "certificates", "resonator/right/state/daemon", False),
-        ("left", "this computer", "resonator/left/state/daemon", True),
-        ("decoder", "people", "resonator/decoder/a/state", True),
-        ("decoder", "people", "resonator/left/state/daemon", False),
-        ("operator", "people", "resonator/left/state/daemon", False),
-        ("subscriber", "people", "resonator/left/state/daemon", False),
-    ],
-)
-async def test_whose_last_will_is_published(name: str, door: str, topic: str, allowed: bool, plates: Plates) -> None:
-    witness = await plates.client("", "tests")
-    await witness.subscribe("#", qos=1)
-    dying = await plates.client(name, door, will=topic, identifier="dying")
-    dying.abort()
-    await plates.client(name, door, identifier="dying")  # by when the broker has dealt with the connection before
-    await witness.subscribe("later", qos=1)
-    assert [(message.topic, message.payload) for message in witness.got] == ([(topic, b"will")] if allowed else [])
-
-
 @pytest.mark.parametrize(("name", "door"), [("operator", "this computer"), ("left", "people"), ("left", "nobody")])
 async def test_a_name_of_another_door_does_not_get_in(name: str, door: str, plates: Plates) -> None:
     broker = plates.way_in(name, "people").anonymous() if door == "nobody" else plates.way_in(name, door)

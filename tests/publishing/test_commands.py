@@ -151,19 +151,6 @@ async def test_correlation_data_that_are_too_long_are_refused(bench: Bench) -> N
     assert (said["error"]["code"], bench.sent[0].correlation, bench.asked) == ("correlation", None, [])
 
 
-async def test_what_changes_something_needs_permission(bench: Bench) -> None:
-    bench.make(allowed=("identify",))
-    (said,) = await bench.ask(incoming("mark", b'{"text": "a"}'))
-    assert said["error"] == {
-        "code": "not_permitted",
-        "message": "mark is not permitted",
-        "hint": 'add "mark" to allow in [commands] of its configuration, then: resonatord reload NAME',
-    }
-    assert bench.asked == []
-    (said,) = await bench.ask(incoming("ping"))  # changes nothing
-    assert said["ok"] is True
-
-
 @pytest.mark.parametrize("verb", ["x" * 200, "#", "a/b", "é", "\ud800", ""])
 async def test_a_strange_verb_does_not_get_into_topics(bench: Bench, verb: str) -> None:
     (said,) = await bench.ask(incoming(verb))

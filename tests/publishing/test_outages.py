@@ -1,7 +1,6 @@
 """A broker that dies, freezes, forgets or is slow: no event lost, all accounted for."""
 
 import asyncio
-import json
 import random
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -17,7 +16,6 @@ from mqtt_helpers import (
     happen,
     heard_events,
     publishing,
-    scripted_broker,
     until,
 )
 from observer import observe
@@ -110,25 +108,6 @@ async def test_events_wait_for_the_first_subscriber(mosquitto, tmp_path: Path, l
         assert [(event["seq"], event["replayed"]) for event in events] == [
             (n, n < max(late, 1)) for n in range(late + 2)
         ]
-
-
-async def test_events_on_their_way_when_the_connection_ends_are_sent_again(tmp_path: Path) -> None:
-    async with scripted_broker() as (url, script), publishing(url, spool_directory=tmp_path) as left:
-        script.answer = lambda number: 0 if number <= 3 else None
-        await until(lambda: left.connected)
-        for number in range(8):
-            left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
-        await until(lambda: len(script.received) == 8 and left.account.acknowledged == 3)
-        assert left.account.waiting == 5
-        script.answer = lambda number: 0
-        script.hang_up()
-        await until(lambda: not left.connected)
-        assert (left.account.unknown_at_disconnect, left.account.resent, left.account.enqueued) == (5, 5, 13)
-        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(8))
-        await until(lambda: left.account.waiting == 0)
-        assert left.account.acknowledged == 9
-        told = [(event["seq"], event["replayed"]) for event in (json.loads(m.payload) for m in script.received)]
-        assert told == [(n, False) for n in range(8)] + [(n, True) for n in range(3, 9)]
 
 
 async def test_a_frozen_broker_stalls_nobody_and_every_message_is_accounted_for(

@@ -29,15 +29,6 @@ HANDLERS: dict[str, Handler] = {"mark": mark}
 ALLOWED = ("mark",)
 
 
-async def test_a_command_is_answered(broker: Mosquitto | Amqtt) -> None:
-    async with commanded(broker.url, HANDLERS, ALLOWED) as daemon:
-        await until(lambda: daemon.publisher.connected)
-        answer = await request(Mqtt(url=broker.url), "left", "mark", {"text": "warm", "id": "7"})
-        assert answer == {"verb": "mark", "ok": True, "id": "7", "t_ns": "4"}
-        answer = await request(Mqtt(url=broker.url), "left", "explode", {})
-        assert answer["error"]["code"] == "unknown_verb"
-
-
 async def test_response_topic_and_correlation_of_mqtt_5_are_honoured(mosquitto: Mosquitto) -> None:
     host, port = mosquitto.url.removeprefix("mqtt://").split(":")
     async with (
