@@ -101,24 +101,6 @@ def test_the_example_passes_its_own_check(config_path: Path, resonatord: Resonat
     assert load_config(config_path).measurement.window_s == pytest.approx(0.01)
 
 
-def test_every_mistake_at_once_and_78(config_path: Path, resonatord: Resonatord) -> None:
-    text = (
-        config_path.read_text()
-        .replace("window_ms", "window_s")
-        .replace("prefix", "prefx")
-        .replace("quartz16", "quarz16")
-    )
-    config_path.write_text(text)
-    assert json.loads(resonatord("check", str(config_path), "--json").stdout)["error"]["code"] == "config"
-    run = resonatord("check", str(config_path))
-    assert run.returncode == 78
-    assert "did you mean window_ms?" in run.stderr
-    assert "did you mean prefix?" in run.stderr
-    assert "quartz16" in run.stderr
-    assert len(run.stderr.splitlines()) == 3
-    assert resonatord("run", "--config", str(config_path)).returncode == 78
-
-
 @pytest.mark.parametrize(
     "arguments", [("--help",), ("plan", "--help"), ("repair", "-h"), ("emulate", "--scenario-schema"), ("schema",)]
 )

@@ -3,7 +3,6 @@
 import json
 import socket
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,8 @@ from resonator_daemon.commands import main
 from resonator_daemon.links import usb_devices
 from resonator_daemon.links.carriers import serial as serial_carrier
 from resonator_daemon.links.port_holders import Holders
-from resonator_daemon.links.table import parse_link
 from resonator_daemon.session import probe as port_inquiry
 from simulators.emulator import EmulatorOptions
-
-AMPLE_S = 30.0
 
 
 @pytest.fixture
@@ -95,20 +91,6 @@ def test_what_looks_like_a_board_is_told_without_opening_it(
 ) -> None:
     present.append(serial_port("/dev/null", **printed))
     assert asked(capsys, "ports")[1]["ports"][0]["looks_like_a_board"] is expected
-
-
-@pytest.mark.parametrize("by", ["tcp", "serial"])
-def test_a_board_that_another_program_holds_is_in_use(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], by: str
-) -> None:
-    place: dict[str, Any] = {"tcp": ("127.0.0.1", 0)} if by == "tcp" else {"pty": tmp_path / "board"}
-    with (
-        emulated(EmulatorOptions("quartz16", **place)) as emulator,
-        closing(parse_link(emulator.link.address).open()) as served,
-    ):
-        port_inquiry.probe(served)
-        code, printed = asked(capsys, "identify", emulator.link.address)
-    assert (code, printed["error"]["code"]) == (69, "port_in_use")
 
 
 def test_for_programs_it_is_one_object(board: str, capsys: pytest.CaptureFixture[str]) -> None:

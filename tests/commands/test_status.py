@@ -65,14 +65,6 @@ def listening(home: Path, instance: str) -> socket.socket:
     return silent
 
 
-def test_nothing_runs_and_it_says_where_it_looked(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["status"]) == 1
-    assert capsys.readouterr() == (
-        "",
-        f"resonatord: no daemon runs on this computer, by what is in {home}; start one: resonatord run\n",
-    )
-
-
 @pytest.mark.parametrize("name", ["left-index", "hand", "etc/hand.toml"])
 async def test_one_of_many_by_its_name_or_its_files(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     async with daemons(status_samples.status(), status_samples.status(instance="foot", name="sole")):

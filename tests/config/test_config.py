@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from plates import plate_head, site
 
 from resonator_daemon.config import example_config, load_config
-from resonator_daemon.errors import ConfigurationError, ExitCode
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.links.carriers.recording import RecordingTarget
 from resonator_daemon.links.carriers.serial import SerialTarget
 from resonator_daemon.links.carriers.tcp import TcpTarget
@@ -69,12 +69,6 @@ def test_the_fourier_decoder_is_refused_on_scattered_sites_alone(tmp_path: Path)
 def test_a_link_reads_as_it_is_written(text: str, link: LinkTarget) -> None:
     assert parse_link(text) == link
     assert str(link) == text
-
-
-def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"gone\.toml: no such file") as caught:
-        load_config(tmp_path / "gone.toml")
-    assert caught.value.exit_code is ExitCode.CONFIG
 
 
 def test_every_mistake_comes_at_once(tmp_path: Path) -> None:

@@ -48,15 +48,6 @@ async def ask(path: Path) -> bytes:
             writer.close()
 
 
-async def test_one_json_object_and_a_line_break(path: Path) -> None:
-    async with serving(path):
-        await until(lambda: listens(path))
-        answer = await ask(path)
-    assert answer.endswith(b"}\n")
-    assert Status.model_validate_json(answer) == status_samples.status()
-    assert json.loads(answer)["health"]["clock_drift_ppm"] == 3.25
-
-
 async def test_what_a_killed_daemon_left_is_replaced(path: Path) -> None:
     path.parent.mkdir()
     with socket.socket(socket.AF_UNIX) as dead:

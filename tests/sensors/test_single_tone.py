@@ -68,16 +68,6 @@ def test_a_new_touch_is_followed_by_a_window_that_grows_from_two_gates_to_ten():
     assert noise[0] > 5 * noise[9]
 
 
-def test_no_window_mixes_two_tones():
-    # A capture switch that is not flagged, at every phase of the step: no force but the true one is ever given.
-    for phase in range(5):
-        bench = Bench().untouched()
-        bench.hold(UNTOUCHED, phase)
-        for reading in bench.hold(PLATE.loaded_hz(4, 3.0), 30) + bench.hold(PLATE.loaded_hz(8, 1.0), 30):
-            for force in reading.sites:
-                assert force.force_newton == pytest.approx({4: 3.0, 8: 1.0}[force.site], abs=0.03)
-
-
 def test_a_held_press_is_never_tared_away():
     bench = Bench().untouched()
     pressed = bench.hold(PLATE.loaded_hz(5, 1.0), 3000)

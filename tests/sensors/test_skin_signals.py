@@ -63,13 +63,6 @@ def noisy(comb, array, physical, common_mode, seed, known=ALL):
     return array.shifts(comb.offset_hz(physical, common_mode) + noise, np.where(known, EVEN, np.inf))
 
 
-def test_an_untouched_plate_gives_the_common_mode():
-    comb, array = Comb(), Comb().array()
-    for seed in range(200):
-        common_mode = array.untouched_common_mode(noisy(comb, array, np.zeros((3, SITES)), 2.5e-5, seed))
-        assert common_mode == pytest.approx(2.5e-5, abs=1e-10)
-
-
 def test_one_bad_tone_does_not_pass_for_a_touch():
     comb, array = Comb(), Comb().array()
     offset = comb.offset_hz(np.zeros((3, SITES)), 1e-5)

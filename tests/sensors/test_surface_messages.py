@@ -232,15 +232,6 @@ def test_a_frame_that_was_not_decoded_says_so(skin_reporter: SkinReporter, statu
     assert (contacts["status"], contacts["contacts"]) == (status, [])
 
 
-def test_contacts_of_a_skin_are_the_contracts_literal(skin_reporter: SkinReporter) -> None:
-    frame = decoded((3, 32, 32), displacement=False)
-    reading_of_skin = surface(frame, contacts=(skin_contact(), skin_contact(id=4)))
-    said = literal(skin_reporter.skin_contacts(MEASURED_OF_SKIN, GATE_MIDDLE, reading_of_skin))
-    assert said["t_ns"] == "1788999999995000123"
-    assert said["status"] == "ok"
-    assert said["contacts"] == [CONTACT_LITERAL, CONTACT_LITERAL | {"id": 4}]
-
-
 @pytest.mark.parametrize("word", ["onset", "incipient_slip", "gross_slip", "release"])
 def test_an_event_of_a_skin_tells_of_its_contact_with_its_peak(skin_reporter: SkinReporter, word: Any) -> None:
     said = literal(skin_reporter.skin_event(SkinEvent(word, skin_contact()), MEASURED_OF_SKIN, GATE_MIDDLE))
