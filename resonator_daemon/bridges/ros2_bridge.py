@@ -31,6 +31,7 @@ from resonator_daemon.publishing.topics import (
     HEALTH,
     SIGNALS,
     STATE_DAEMON,
+    TONES,
     TOPICS,
     Topic,
 )
@@ -183,7 +184,7 @@ async def _serve(broker: Mqtt, plate: str | None, full_rate: bool, bridge: Ros2B
     following: dict[Topic[Any], asyncio.Task[None]] = {}
     try:
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(follow(*(topic for topic in TOPICS.values() if topic not in _STREAMS)))
+            tasks.create_task(follow(*(topic for topic in TOPICS.values() if topic not in (*_STREAMS, TONES))))
             tasks.create_task(_report(bridge))
             while True:
                 wanted = [topic for topic in _STREAMS if bridge.is_read(topic.path)]

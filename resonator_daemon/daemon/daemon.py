@@ -223,7 +223,7 @@ class Service:
             last_message=self._plate_publisher.last_message,
             sensor=self._measuring_sensor,
             locate=self._reader.blink,
-            streams=tuple(topic.path for topic in self._pipeline.sensor.streams),
+            streams=tuple(topic.path for topic in self._pipeline.sensor.streams if topic.slow_hz),
             publish_rates=self._publish_rates,
             answers_for=self._daemon.answers_for,
             stored_events=self._plate_publisher.stored_events,

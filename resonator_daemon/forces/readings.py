@@ -6,7 +6,7 @@ from typing import Literal
 from resonator_daemon.arrays import Floats
 from resonator_daemon.forces.contacts import Contact, ContactEvent
 from resonator_daemon.forces.site_identification import SiteForce
-from resonator_daemon.reasons import Reason
+from resonator_daemon.reasons import Reason, ReasonCode
 
 SensorStatus = Literal[
     "ok",
@@ -40,12 +40,32 @@ class Compensation:
     response: Literal["on", "off"]
 
 
+CapturedTone = Literal["none", "pilot", "site", "unidentified"]
+
+
+@dataclass(frozen=True, slots=True)
+class CornerTone:
+    """Tone that one corner captured, common mode taken out; NaN where it is not known.
+
+    `site`, an index, is None unless a site's tone is `captured`. `noise_hz`, one standard deviation, is that of counter
+    and oscillator. `residual` is the tone's relative shift less that of the identified force, over its standard error.
+    """
+
+    captured: CapturedTone
+    site: int | None
+    frequency_hz: float
+    noise_hz: float
+    residual: float
+    reason_code: ReasonCode | None = None
+
+
 @dataclass(slots=True)  # not frozen, which takes three times as long to make: one for each step
 class ForceReading:
     """Forces and contacts from one window; NaN or absent where unknown, with `status` and `reason`.
 
     `board_ticks` is the end of the last gate in the window. `at_step` is false between two steps, where only events
-    are new. `beats` are channels whose tone beats with the counter's reference: their noise counts for more.
+    are new. `beats` are channels whose tone beats with the counter's reference: their noise counts for more. `tones`
+    are those of the corners, where they are due.
     """
 
     sequence: int
@@ -59,6 +79,7 @@ class ForceReading:
     events: tuple[ContactEvent, ...]
     compensation: Compensation
     beats: tuple[int, ...] = ()
+    tones: tuple[CornerTone, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)

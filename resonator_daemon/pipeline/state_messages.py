@@ -143,13 +143,15 @@ class StateMessages:
             grid=self._grid(),
             skin=self._skin(),
             calibration=self._calibration(),
+            codes=self._sensor.site_codes,
+            pilot_hz=self._sensor.pilot_hz,
         )
 
     def _rates_hz(self, further_hz: Mapping[str, Collection[int]]) -> dict[str, float]:
         rate_hz = self._sensor.rate_hz
         rates_hz = {}
         for topic in self._sensor.streams:
-            rates_hz[topic.path] = rate_hz
+            rates_hz[topic.path] = rate_hz if topic.rate_max_hz is None else min(rate_hz, topic.rate_max_hz)
             fixed = () if topic.slow_hz is None else (topic.slow_hz,)
             for slow_hz in (*fixed, *further_hz.get(topic.path, ())):
                 rates_hz[topic.path_at(slow_hz)] = min(rate_hz, slow_hz)

@@ -1,9 +1,10 @@
 """Messages about what presses on a plate: forces, contacts, and what a skin senses and a decoder makes of it."""
 
-from typing import Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.publishing.payload_types import (
     Float,
     Float32Array,
@@ -19,7 +20,7 @@ from resonator_daemon.publishing.payload_types import (
     optional,
     optional_number,
 )
-from resonator_daemon.publishing.words import Baseline, ContactChange, ResponseCompensation
+from resonator_daemon.publishing.words import Baseline, CapturedTone, ContactChange, ResponseCompensation
 from resonator_daemon.reasons import ReasonCode
 
 _SLIP_UNKNOWN = "null with a code in `slip_reason_code`"
@@ -81,6 +82,34 @@ class Forces(Measured):
     sites: tuple[SiteForce, ...] = Field(description="those on which something presses")
     beats: tuple[int, ...] | None = optional(
         "channels whose tone beats with the board's reference clock; `noise_newton` includes the effect"
+    )
+
+
+class CornerTone(Message):
+    """Tone that one corner has captured."""
+
+    captured: CapturedTone = Field(description="what tone it is")
+    site: int | None = Field(description="the site whose tone it is; null unless `captured` is `site`")
+    frequency_hz: Float = Field(
+        description="the tone, common mode taken out: to be compared with `codes` and `pilot_hz` of `info`; null with "
+        "the cause in `reason_code`"
+    )
+    noise_hz: Float = Field(description="one standard deviation of what averages out, from the counts themselves")
+    residual: Float = Field(
+        description="of the identified site: the tone's relative shift less that of the fitted force, in standard "
+        "deviations of all its errors; null where no force is fitted"
+    )
+    reason_code: ReasonCode | None = optional("why the tone is null, for programs")
+
+
+class Tones(Measured):
+    """Tones of the corners in one window, and the site that each is assigned to."""
+
+    window_s: float = Field(description="length of the window that was counted")
+    status: Status = Field(description="of the identification, as in `forces`")
+    reason_code: ReasonCode | None = optional(_REASON_CODE + "; the sentence is in `forces`")
+    corners: Annotated[tuple[CornerTone, ...], Field(min_length=CHANNEL_COUNT, max_length=CHANNEL_COUNT)] = Field(
+        description="in the order of the channels"
     )
 
 

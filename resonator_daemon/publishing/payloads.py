@@ -8,6 +8,7 @@ from resonator_daemon.publishing.measured_payloads import (
     Contact,
     ContactEvent,
     Contacts,
+    CornerTone,
     Decoded,
     DecodedSummary,
     EventContact,
@@ -16,6 +17,7 @@ from resonator_daemon.publishing.measured_payloads import (
     Patch,
     Signals,
     SiteForce,
+    Tones,
 )
 from resonator_daemon.publishing.payload_types import (
     BoardHeader,
@@ -46,11 +48,12 @@ from resonator_daemon.publishing.state_payloads import (
     MessageAccount,
     OutageInfo,
     RecordingInfo,
+    SiteCode,
     SiteInfo,
     SkinInfo,
     State,
 )
-from resonator_daemon.publishing.words import Baseline, ContactChange, CounterType, ResponseCompensation
+from resonator_daemon.publishing.words import Baseline, CapturedTone, ContactChange, CounterType, ResponseCompensation
 from resonator_daemon.reasons import ReasonCode
 
 WITH_ARRAYS: Final = (Signals, Decoded)  # these are CBOR, all others JSON
@@ -61,12 +64,14 @@ __all__ = [
     "BoardHeader",
     "BootInfo",
     "CalibrationInfo",
+    "CapturedTone",
     "Compensation",
     "Condition",
     "Contact",
     "ContactChange",
     "ContactEvent",
     "Contacts",
+    "CornerTone",
     "CounterType",
     "Decoded",
     "DecodedSummary",
@@ -97,11 +102,13 @@ __all__ = [
     "ResponseCompensation",
     "SignalArray",
     "Signals",
+    "SiteCode",
     "SiteForce",
     "SiteInfo",
     "SkinInfo",
     "State",
     "Status",
+    "Tones",
     "Vector2",
     "Vector3",
 ]

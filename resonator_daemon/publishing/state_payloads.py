@@ -4,7 +4,7 @@ from pydantic import Field
 
 from resonator_daemon.conditions import Condition
 from resonator_daemon.publishing.measured_payloads import Compensation, Grid
-from resonator_daemon.publishing.payload_types import BoardHeader, Float, Int64, Message, optional
+from resonator_daemon.publishing.payload_types import BoardHeader, Float, Int64, Message, PerChannel, optional
 from resonator_daemon.publishing.words import CounterType, ResponseCompensation
 from resonator_daemon.reasons import ReasonCode
 
@@ -49,6 +49,14 @@ class SiteInfo(Message):
 
     site: int = Field(description="number of the site in the plate file")
     position_m: tuple[float, float] = Field(description="x, y in the plate's plane")
+
+
+class SiteCode(Message):
+    """Frequency code of a site, by channel."""
+
+    site: int = Field(description="number of the site in the plate file")
+    f0_hz: PerChannel = Field(description="its tone on each channel while nothing presses")
+    full_load_hz: PerChannel = Field(description="the same under `force_max_newton`")
 
 
 class GridInfo(Grid):
@@ -109,6 +117,10 @@ class Info(BoardHeader):
     grid: GridInfo | None = Field(description="of the sites; null where they are scattered")
     skin: SkinInfo | None = Field(description="null on a plate of force sites")
     calibration: CalibrationInfo = Field(description="where the plate's numbers come from")
+    codes: tuple[SiteCode, ...] | None = optional(
+        "of a single-tone counter: what the tones of the corners are compared with, in the order of the sites"
+    )
+    pilot_hz: float | None = optional("of a single-tone counter: the tone of the untouched plate")
 
 
 class MessageAccount(Message):

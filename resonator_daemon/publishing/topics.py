@@ -19,9 +19,10 @@ from resonator_daemon.publishing.payloads import (
     Message,
     Signals,
     State,
+    Tones,
 )
 
-SCHEMA_VERSION: Final = "2.0"  # of all payloads; minor: keys were added, major: anything else was changed
+SCHEMA_VERSION: Final = "2.1"  # of all payloads; minor: keys were added, major: anything else was changed
 JSON: Final = "application/json"
 CBOR: Final = "application/cbor"
 
@@ -36,6 +37,8 @@ class Topic(Generic[MessageT]):
     ----------
     slow_hz
         Rate of a decimated topic next to it, on `slow_path`; None where there is none.
+    rate_max_hz
+        Most messages a second of the topic itself; None: as many as there are readings.
     expiry_s
         Time after which a message is of no use, sent to the broker with MQTT 5; None where it stays true.
     """
@@ -45,6 +48,7 @@ class Topic(Generic[MessageT]):
     qos: Literal[0, 1] = 0
     retained: bool = False
     slow_hz: int | None = None
+    rate_max_hz: int | None = None
     expiry_s: int | None = None
 
     @cached_property
@@ -76,6 +80,7 @@ INFO: Final = Topic("info", Info, qos=1, retained=True)
 CONTACT_EVENT: Final = Topic("contacts/event", ContactEvent, qos=1)
 FORCES: Final = Topic("forces", Forces, slow_hz=20, expiry_s=_STREAM_EXPIRY_S)
 CONTACTS: Final = Topic("contacts", Contacts, slow_hz=20, expiry_s=_STREAM_EXPIRY_S)
+TONES: Final = Topic("tones", Tones, rate_max_hz=20, expiry_s=_STREAM_EXPIRY_S)
 SIGNALS: Final = Topic("signals", Signals, slow_hz=5, expiry_s=_STREAM_EXPIRY_S)
 DECODED: Final = Topic("decoded", Decoded, slow_hz=5, expiry_s=_STREAM_EXPIRY_S)
 DECODED_SUMMARY: Final = Topic("decoded/summary", DecodedSummary, slow_hz=20, expiry_s=_STREAM_EXPIRY_S)
@@ -93,6 +98,7 @@ TOPICS: Final[dict[str, Topic[Message]]] = {
         CONTACT_EVENT,
         FORCES,
         CONTACTS,
+        TONES,
         SIGNALS,
         DECODED,
         DECODED_SUMMARY,

@@ -31,6 +31,7 @@ DIMENSIONLESS: Final = frozenset(
         "noise",
         "poisson_ratio",
         "position_correlation",
+        "residual",
         "sensitivity",
         "signals",
         "slip_margin",

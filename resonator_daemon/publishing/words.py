@@ -18,6 +18,15 @@ class ResponseCompensation(Word):
     OFF = "off", "they were not calibrated; `systematic_newton` includes their typical size"
 
 
+class CapturedTone(Word):
+    """What tone a corner has captured."""
+
+    NONE = "none", "no tone can be counted, or not for a whole window yet; `reason_code` states which"
+    PILOT = "pilot", "that of the untouched plate"
+    SITE = "site", "that of the site in `site`"
+    UNIDENTIFIED = "unidentified", "another tone, which is not assigned to a site; the message's `status` states why"
+
+
 class ContactChange(Word):
     """What happens to a contact."""
 

@@ -45,7 +45,7 @@ async def subscribe(
         Its name; None: all plates of the broker.
     topics
         One or several of `state/daemon`, `state/link`, `state/sensor`, `info`, `contacts/event`, `forces`, `contacts`,
-        `signals`, `decoded`, `decoded/summary` and `health`; None: all.
+        `tones`, `signals`, `decoded`, `decoded/summary` and `health`; None: all.
     full_rate
         Whether streams come with every message; else those of 20 Hz (arrays: 5 Hz), as people can follow.
 

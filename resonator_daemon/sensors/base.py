@@ -8,6 +8,7 @@ from resonator_daemon.arrays import Floats
 from resonator_daemon.config import Decoding, Measurement
 from resonator_daemon.forces.readings import ForceReading, SkinReading
 from resonator_daemon.plate import Plate
+from resonator_daemon.publishing.payloads import SiteCode
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.reasons import Reason
 from resonator_daemon.sensors.expected_tones import ExpectedTones
@@ -61,6 +62,16 @@ class Sensor(ABC, Generic[Reading]):
     @abstractmethod
     def streams(self) -> tuple[Topic[Any], ...]:
         """Topics that are published continually, decimated topics aside."""
+
+    @property
+    def site_codes(self) -> tuple[SiteCode, ...] | None:
+        """Codes that identify a site by the captured tones; None if the tones of all sites are counted."""
+        return None
+
+    @property
+    def pilot_hz(self) -> float | None:
+        """Tone that corners capture while nothing is touched; None if there is none."""
+        return None
 
     @property
     @abstractmethod

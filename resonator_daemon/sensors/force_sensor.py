@@ -8,11 +8,12 @@ from resonator_daemon.arrays import Floats
 from resonator_daemon.config import Measurement
 from resonator_daemon.forces.contacts import ContactEvent
 from resonator_daemon.forces.readings import Compensation, ForceReading
-from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, FORCES, Topic
+from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, FORCES, TONES, Topic
 from resonator_daemon.reasons import Reason
 from resonator_daemon.sensors.base import Sensor
 from resonator_daemon.sensors.force_messages import ForceMessages
 from resonator_daemon.sensors.output import MessageOutput
+from resonator_daemon.sensors.tone_messages import tones_message
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.compatibility import oscillator_hz
 from resonator_daemon.session.frames import BoardOnline, Frame
@@ -104,12 +105,14 @@ class ForceSensor(Sensor[ForceReading]):
         compensation = reading.compensation
         output.state.update(reading.status, reading.reason, compensation.common_mode, gate_middle.utc_ns, compensation)
         if output.is_late(gate_middle):
-            output.skip(FORCES, CONTACTS)
+            output.skip(FORCES, CONTACTS, *(() if reading.tones is None else (TONES,)))
             return
         messages = self._messages
         header = messages.header(reading, gate_middle)
         output.publish_result(FORCES, messages.forces(header, reading, gate_middle), gate_middle)
         output.publish(CONTACTS, messages.contacts(header, reading, gate_middle))
+        if reading.tones is not None:
+            output.publish(TONES, tones_message(self.plate, output.headers.next_seq(TONES), header, reading))
 
     def end_contacts(self, reason: Reason) -> None:
         if self._processing is not None:

@@ -1,12 +1,16 @@
 """Sensor whose counter captures one tone per corner: the loudest, of the pilot or of a touched site."""
 
-from typing import Final
+import math
+from typing import Any, Final
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.publishing.payloads import SiteCode
+from resonator_daemon.publishing.topics import TONES, Topic
 from resonator_daemon.sensors.expected_tones import ExpectedTones, captured_tones
 from resonator_daemon.sensors.force_sensor import ForceSensor
 from resonator_daemon.sensors.plate_sites import force_sites
 from resonator_daemon.sensors.single_tone_processing import SingleToneProcessing
+from resonator_daemon.sensors.tone_messages import site_codes
 from resonator_daemon.tones.tone_detector import CapturedToneDetector, ToneDetector, capture_band_hz
 
 _ONSET_S: Final = 0.005  # an onset waits no longer for the frames after it
@@ -16,6 +20,18 @@ class SingleToneSensor(ForceSensor):
     """Force sites, of which the touched one takes the place of the pilot on each corner."""
 
     _processing: SingleToneProcessing | None = None
+
+    @property
+    def streams(self) -> tuple[Topic[Any], ...]:
+        return *super().streams, TONES
+
+    @property
+    def site_codes(self) -> tuple[SiteCode, ...]:
+        return site_codes(self.plate)
+
+    @property
+    def pilot_hz(self) -> float:
+        return self.plate.pilot_hz
 
     @property
     def wake_frames(self) -> tuple[int, ...]:
@@ -45,6 +61,7 @@ class SingleToneSensor(ForceSensor):
             window_frames=self.window_frames,
             step_frames=self.step_frames,
             load_sharing_exponent=plate.load_sharing_exponent,
+            tones_period_frames=math.ceil(plate.counter.frame_rate_hz / (TONES.rate_max_hz or math.inf)),
         )
 
 

@@ -12,14 +12,16 @@ from resonator_daemon.forces.contacts import ContactEvent, ContactTracker, Touch
 from resonator_daemon.forces.force import cell_std_m, hidden_fraction
 from resonator_daemon.forces.force_sites import ForceSites
 from resonator_daemon.forces.overload_latch import OverloadLatch
-from resonator_daemon.forces.readings import Compensation, ForceReading, SensorStatus
+from resonator_daemon.forces.readings import Compensation, CornerTone, ForceReading, SensorStatus
 from resonator_daemon.forces.site_errors import SiteErrors
 from resonator_daemon.forces.site_identification import Match, Matcher, SiteForce
 from resonator_daemon.reasons import Reason, ReasonCode
+from resonator_daemon.sensors.corner_tones import CornerTones
+from resonator_daemon.sensors.counted_window import CountedWindow
 from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED, COMMON_MODE_PENDING
 from resonator_daemon.session.frames import Frame, SingleToneFrame
-from resonator_daemon.tones.frequency_estimators import Sums, oscillator_std
-from resonator_daemon.tones.gate_block import GateBlock, WindowSums
+from resonator_daemon.tones.frequency_estimators import oscillator_std
+from resonator_daemon.tones.gate_block import GateBlock
 from resonator_daemon.tones.record_checks import CAPTURE_SWITCH, FAULTS_IN_WORDS
 from resonator_daemon.tones.tone_count import NO_TONE, ToneCount, count_tone
 from resonator_daemon.tones.tone_detector import PILOT_TOLERANCE, capture_band_hz
@@ -49,8 +51,12 @@ class SingleToneProcessing:
         window_frames: int,
         step_frames: int,
         load_sharing_exponent: float | None = None,
+        tones_period_frames: int | None = None,
     ) -> None:
-        """Initialise with a plate's sites; a touch loads them by distance^-exponent, None: they are touched singly."""
+        """Initialise with a plate's sites; a touch loads them by distance^-exponent, None: they are touched singly.
+
+        Readings have the tones of the corners once in `tones_period_frames`; None: never.
+        """
         if step_frames < 1:
             raise ValueError(f"step of {step_frames} frames, at least 1")
         channels = sites.f0_hz.shape[1]
@@ -77,6 +83,7 @@ class SingleToneProcessing:
         apart_hz = codes_hz.min(axis=0) if len(codes_hz) else np.full(channels, np.inf)
         self._apart_hz: list[float] = (apart_hz - shifted_hz).tolist()
         self._latch = OverloadLatch()
+        self._corner_tones = CornerTones(sites, tones_period_frames)
         self._errors = SiteErrors(sites)
         self._positions_m: list[tuple[float, float]] = [(x, y) for x, y in sites.positions_m.tolist()]
         self._covariance_m2 = [np.diag(std_m**2) for std_m in cell_std_m(sites.positions_m, sites.outline_m)]
@@ -165,7 +172,7 @@ class SingleToneProcessing:
         self._last = first_sequence + count - 1, board_ticks[-1]
         steps = range(-(first_sequence + 1) % step, count, step)
         windows = self._windows_at(block, sorted({*steps, *changed}))
-        between: dict[int, _Window] = {}  # of gates that may show an onset: made on request
+        between: dict[int, CountedWindow] = {}  # of gates that may show an onset: made on request
         readings = []
         for gate in range(count):
             at_step = gate in steps
@@ -186,7 +193,7 @@ class SingleToneProcessing:
                 readings.append(reading)
         return readings
 
-    def _windows_at(self, block: GateBlock, gates: Sequence[int]) -> "dict[int, _Window]":
+    def _windows_at(self, block: GateBlock, gates: Sequence[int]) -> dict[int, CountedWindow]:
         """Return the windows that end with these gates, by gate."""
         if not gates:
             return {}
@@ -198,7 +205,7 @@ class SingleToneProcessing:
         ]
         sums = block.windows(gates, frames)
         return {
-            gate: _Window(block, gate, length, sums, index)
+            gate: CountedWindow(block, gate, length, sums, index)
             for index, (gate, length) in enumerate(zip(gates, frames, strict=True))
         }
 
@@ -234,7 +241,7 @@ class SingleToneProcessing:
             if sum([other and count >= onset for other, count in zip(off, held, strict=True)]) >= 2
         ]
 
-    def _read(self, sequence: int, board_ticks: int, window: "_Window", *, at_step: bool) -> ForceReading:
+    def _read(self, sequence: int, board_ticks: int, window: CountedWindow, *, at_step: bool) -> ForceReading:
         frames, measured_hz = window.frames, window.frequency_hz
         pilot_hz, tolerance, unknown = self._pilot_hz, PILOT_TOLERANCE, math.nan
         off = [f / pilot_hz - 1 for f in measured_hz]
@@ -266,6 +273,8 @@ class SingleToneProcessing:
         else:
             status, reason = self._silent(tones, pilots, window)
 
+        tones_due = at_step and self._corner_tones.due(sequence)
+        corner_tones = self._tones(window, measured_hz, pilot, forces) if tones_due else None
         touches: list[Touch] = []
         if forces:
             time_s = board_ticks / self._reference_hz
@@ -287,9 +296,19 @@ class SingleToneProcessing:
             events,
             self._compensation(untouched=untouched),
             beats,
+            corner_tones,
         )
 
-    def _follow(self, board_ticks: int, pilot: tuple[float, ...], window: "_Window", *, untouched: bool) -> None:
+    def _tones(
+        self, window: CountedWindow, measured_hz: Sequence[float], pilot: Sequence[float], forces: Sequence[SiteForce]
+    ) -> tuple[CornerTone, ...]:
+        counts = self._counted(window, measured_hz, self._no_pilot)  # the pilot's channels, too
+        held = [fault is None for fault in window.faults]
+        common_mode = self._common_mode.value, self._common_mode.std
+        oscillator = oscillator_std(window.frames * self._gate_s)
+        return self._corner_tones.tones(counts, pilot, held, forces, common_mode, oscillator)
+
+    def _follow(self, board_ticks: int, pilot: tuple[float, ...], window: CountedWindow, *, untouched: bool) -> None:
         """Update the baseline with the pilot while nothing is touched; otherwise increase its uncertainty."""
         before = board_ticks if self._evaluated_ticks is None else self._evaluated_ticks
         self._evaluated_ticks = board_ticks
@@ -305,7 +324,7 @@ class SingleToneProcessing:
                 for g, before, now in zip(pilot, self._pilot_attenuation_db, window.attenuation_db, strict=True)
             ]
 
-    def _counted(self, window: "_Window", measured_hz: Sequence[float], pilot: Sequence[float]) -> list[ToneCount]:
+    def _counted(self, window: CountedWindow, measured_hz: Sequence[float], pilot: Sequence[float]) -> list[ToneCount]:
         """Return what each channel with another tone than the pilot counts, and how well."""
         counts = [NO_TONE] * len(pilot)
         attenuation_db = window.attenuation_db
@@ -372,12 +391,12 @@ class SingleToneProcessing:
             "off" if self._sites.response is None else "on",
         )
 
-    def _estimating(self, pilots: int, window: "_Window") -> tuple[SensorStatus, Reason | None]:
+    def _estimating(self, pilots: int, window: CountedWindow) -> tuple[SensorStatus, Reason | None]:
         if pilots == self._windows.channels or self._settling(window):
             return "settling", COMMON_MODE_PENDING
         return "pilot_lost", self._missing(window)
 
-    def _silent(self, tones: int, pilots: int, window: "_Window") -> tuple[SensorStatus, Reason | None]:
+    def _silent(self, tones: int, pilots: int, window: CountedWindow) -> tuple[SensorStatus, Reason | None]:
         """Return the status where too few channels have a signal to distinguish a touch from none."""
         if self._settling(window):
             return "settling", self._missing(window)
@@ -387,12 +406,12 @@ class SingleToneProcessing:
             return "rejected", self._tones_alike("no tone is the strongest for long", window)
         return ("pilot_lost" if pilots else "no_signal"), self._missing(window)
 
-    def _settling(self, window: "_Window") -> bool:
+    def _settling(self, window: CountedWindow) -> bool:
         return any(
             fault is None and held < self._window_frames for fault, held in zip(window.faults, window.held, strict=True)
         )
 
-    def _missing(self, window: "_Window") -> Reason | None:
+    def _missing(self, window: CountedWindow) -> Reason | None:
         """Name the channels that give no frequency, each with its cause; None if there are none."""
         if min(window.held) == self._window_frames:
             return None
@@ -404,37 +423,6 @@ class SingleToneProcessing:
         silent = any(fault is not None for fault in window.faults)
         return Reason(ReasonCode.CHANNELS_SILENT if silent else ReasonCode.WINDOW_NOT_FULL, ", ".join(causes))
 
-    def _tones_alike(self, text: str, window: "_Window") -> Reason:
+    def _tones_alike(self, text: str, window: CountedWindow) -> Reason:
         missing = self._missing(window)
         return Reason(ReasonCode.TONES_ALIKE, f"{text}: {missing.text if missing else ''}")
-
-
-class _Window:
-    """What the channels have counted in the last gates of a block, up to one of them."""
-
-    def __init__(self, block: GateBlock, gate: int, frames: int, sums: WindowSums, index: int) -> None:
-        self.frames = frames
-        self.held = block.held[gate]
-        self.crowded: Sequence[int] = ()
-        self._block, self._gate = block, gate
-        self._sums, self._index = sums, index
-
-    @property
-    def frequency_hz(self) -> list[float]:
-        return self._sums.frequency_hz(self._index)
-
-    @property
-    def sums(self) -> list[Sums | None]:
-        return self._sums.sums(self._index)
-
-    @property
-    def gates(self) -> tuple[list[list[float]], list[list[float]]]:
-        return self._block.last(self._gate, self.frames)
-
-    @property
-    def faults(self) -> list[str | None]:
-        return self._block.fault_names(self._gate)
-
-    @property
-    def attenuation_db(self) -> list[float]:
-        return self._block.attenuation_db(self._gate)

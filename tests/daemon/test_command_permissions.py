@@ -114,7 +114,7 @@ async def test_each_command_does_what_it_says(bench: Bench) -> None:
         assert service.link_counters.lost.total == 0
         await heard.client.publish("resonator/hand/cmd/ping", "{}", qos=1)  # without a response topic
         await heard.until_count("resonator/hand/rsp/ping", 1)
-    measured = {"forces", "forces/20hz", "forces/25hz", "contacts", "contacts/20hz"}
+    measured = {"forces", "forces/20hz", "forces/25hz", "contacts", "contacts/20hz", "tones"}
     commands = {f"cmd/{verb}" for verb in VERBS} | {f"rsp/{verb}/+" for verb in VERBS} | {"rsp/ping"}
     assert check_all(heard) == ALWAYS | measured | commands
 

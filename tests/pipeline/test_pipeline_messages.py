@@ -214,7 +214,7 @@ def test_info_of_a_plate_of_force_sites(tmp_path: Path) -> None:
         "firmware": "1.2.3",
         "counter": "single-tone",
         "transducers_m": [[0.0, 0.0], [0.02, 0.0], [0.02, 0.01], [0.0, 0.01]],
-        "rates_hz": {"forces": 250.0, "forces/20hz": 20.0, "contacts": 250.0, "contacts/20hz": 20.0},
+        "rates_hz": {"forces": 250.0, "forces/20hz": 20.0, "contacts": 250.0, "contacts/20hz": 20.0, "tones": 20.0},
         "commands": ["ping", "health", "snapshot", "events"],
         "grid": None,
         "skin": None,
@@ -243,7 +243,7 @@ def test_further_rates_have_their_topics_in_info(tmp_path: Path) -> None:
     said = literal(
         Messages(configured(tmp_path, FORCE_PLATE)).states.info(BOARD, {"forces": [10, 5], "contacts": [900]}, 1)
     )
-    fixed = {"forces": 200.0, "forces/20hz": 20.0, "contacts": 200.0, "contacts/20hz": 20.0}
+    fixed = {"forces": 200.0, "forces/20hz": 20.0, "contacts": 200.0, "contacts/20hz": 20.0, "tones": 20.0}
     assert said["rates_hz"] == fixed | {"forces/10hz": 10.0, "forces/5hz": 5.0, "contacts/900hz": 200.0}
 
 

@@ -21,6 +21,7 @@ from resonator_daemon.publishing.payloads import (
     Message,
     Signals,
     State,
+    Tones,
 )
 
 M = TypeVar("M", bound=Message)
@@ -37,6 +38,7 @@ class Messages:
 
     forces = staticmethod(numbered(Forces))
     contacts = staticmethod(numbered(Contacts))
+    tones = staticmethod(numbered(Tones))
     summary = staticmethod(numbered(DecodedSummary))
     info = staticmethod(numbered(Info))
     health = staticmethod(numbered(Health))
@@ -86,6 +88,7 @@ class Messages:
             "contacts/event": Messages.event(2),
             "forces": Messages.forces(3),
             "contacts": Messages.contacts(4),
+            "tones": Messages.tones(4),
             "signals": Messages.signals(5),
             "decoded": Messages.decoded(6),
             "decoded/summary": Messages.summary(7),

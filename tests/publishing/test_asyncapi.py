@@ -35,6 +35,7 @@ DELIVERY = {
     PLATE + "contacts": STREAM,
     PLATE + "contacts/20hz": STREAM,
     PLATE + "contacts/{rate_hz}hz": STREAM,
+    PLATE + "tones": STREAM,
     PLATE + "signals": STREAM,
     PLATE + "signals/5hz": STREAM,
     PLATE + "signals/{rate_hz}hz": STREAM,

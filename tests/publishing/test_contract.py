@@ -28,7 +28,7 @@ COPIES = {
 }
 ACKNOWLEDGED = {"state/daemon", "state/link", "state/sensor", "info", "schema", "contacts/event"}
 RETAINED = ACKNOWLEDGED - {"contacts/event"}
-EXPIRY_S = {"health": 60} | {path: 10 for copied in COPIES.items() for path in copied}
+EXPIRY_S = {"health": 60, "tones": 10} | {path: 10 for copied in COPIES.items() for path in copied}
 DECODER = "resonator/decoder/host-1"
 
 
@@ -113,7 +113,7 @@ async def test_payload_quality_of_service_and_properties_of_each_topic(way: Way)
             left_s = told.pop("MessageExpiryInterval", None)  # the broker takes off what has gone by
             assert (left_s is None) == (expiry_s is None), topic
             assert expiry_s is None or expiry_s - 5 <= left_s <= expiry_s, topic
-            assert told.pop("UserProperty") == [("schema_version", "2.0")], topic
+            assert told.pop("UserProperty") == [("schema_version", "2.1")], topic
             json_type = {"ContentType": "application/json", "PayloadFormatIndicator": 1}
             assert told == ({"ContentType": "application/cbor"} if path in CBOR_TOPICS else json_type), topic
 

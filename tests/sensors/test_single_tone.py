@@ -68,6 +68,29 @@ def test_a_new_touch_is_followed_by_a_window_that_grows_from_two_gates_to_ten():
     assert noise[0] > 5 * noise[9]
 
 
+def test_tones_of_the_corners_are_those_of_the_sites_that_each_captured():
+    bench = Bench(error=CLOCK_ERROR, tones_period_frames=50)
+    (unknown,) = [reading.tones for reading in bench.hold(UNTOUCHED, 50) if reading.tones]
+    assert {(tone.captured, tone.reason_code) for tone in unknown} <= {
+        ("none", ReasonCode.WINDOW_NOT_FULL),
+        ("pilot", ReasonCode.COMMON_MODE_PENDING),
+    }
+    bench.untouched()
+    two_hz = np.where([True, True, False, False], PLATE.loaded_hz(3, 2.5), PLATE.loaded_hz(9, 1.0))
+    expected = [(UNTOUCHED, [None] * 4), (PLATE.loaded_hz(6, 1.5), [6] * 4), (two_hz, [3, 3, 9, 9])]
+    for true_hz, sites in expected:
+        told = [reading.tones for reading in bench.hold(true_hz, 200) if reading.tones]
+        assert len(told) == 4  # of 40 readings
+        assert [tone.site for tone in told[-1]] == sites
+        for tone, hz in zip(told[-1], true_hz, strict=True):
+            assert abs(tone.frequency_hz - hz) < 6 * tone.noise_hz < 1.0
+            assert (tone.captured == "pilot") == math.isnan(tone.residual)
+            assert not abs(tone.residual) > 4
+    silent = [reading.tones for reading in bench.hold(two_hz, 50, (NO_SIGNAL, 0, 0, 0)) if reading.tones][-1][0]
+    assert (silent.captured, silent.site, silent.reason_code) == ("none", None, ReasonCode.CHANNELS_SILENT)
+    assert math.isnan(silent.frequency_hz)
+
+
 def test_a_held_press_is_never_tared_away():
     bench = Bench().untouched()
     pressed = bench.hold(PLATE.loaded_hz(5, 1.0), 3000)

@@ -28,6 +28,7 @@ class Bench:
         contact_std_kelvin=0.0,
         slope=0.0,
         board=None,
+        tones_period_frames=None,
         **calibration,
     ):
         self.board = board or Board(seed)
@@ -52,6 +53,7 @@ class Bench:
             window_frames=window_frames,
             step_frames=step_frames,
             load_sharing_exponent=exponent,
+            tones_period_frames=tones_period_frames,
         )
 
     def hold(self, frequency_hz, frames, flags=(0, 0, 0, 0)):

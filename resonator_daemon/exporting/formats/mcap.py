@@ -10,7 +10,7 @@ from resonator_daemon.exporting.geometry import Geometry
 from resonator_daemon.exporting.mcap_output import McapOutput
 from resonator_daemon.exporting.tables import WITH_TABLE
 from resonator_daemon.publishing.payloads import Message
-from resonator_daemon.publishing.topics import INFO, Topic
+from resonator_daemon.publishing.topics import INFO, TONES, Topic
 from resonator_daemon.recording.reader import MARKS, PLATE_FILE, SETTINGS_FILE, Mark, encode_mark
 from resonator_daemon.replay.recorded_pipeline import Moment
 
@@ -18,7 +18,7 @@ from resonator_daemon.replay.recorded_pipeline import Moment
 class Format(McapOutput):
     """The channels of the live bridge, each message at the time when it was published."""
 
-    available = (*WITH_TABLE, INFO.path)
+    available = (*WITH_TABLE, INFO.path, TONES.path)
     schema_encoding = "jsonschema"
     message_encoding = "json"
 

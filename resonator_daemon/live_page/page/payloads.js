@@ -4,6 +4,7 @@ import { decodeCbor } from "./cbor.js";
 
 const TEXT = new TextDecoder();
 const MAJOR_VERSION = "2";
+const CORNERS = 4;
 
 export const number = (value) => (typeof value === "number" && Number.isFinite(value) ? value : NaN);
 const text = (value) => (typeof value === "string" ? value : "");
@@ -89,6 +90,20 @@ function siteForce(value) {
   };
 }
 
+function cornerTone(value) {
+  const payload = object(value);
+  return {
+    captured: text(payload.captured) || "none",
+    site: payload.site ?? null,
+    frequency: number(payload.frequency_hz),
+    noise: number(payload.noise_hz),
+    residual: number(payload.residual),
+    reasonCode: text(payload.reason_code),
+  };
+}
+
+const code = (value) => ({ site: object(value).site, f0: vector(object(value).f0_hz, CORNERS), full: vector(object(value).full_load_hz, CORNERS) });
+
 function info(payload) {
   const version = text(payload.schema_version);
   const calibration = object(payload.calibration);
@@ -114,6 +129,8 @@ function info(payload) {
       .map((site) => ({ site: object(site).site, position: vector(object(site).position_m, 2) }))
       .filter((site) => site.position.every(Number.isFinite)),
     grid: grid(payload.grid),
+    codes: list(payload.codes).map(code).filter(({ f0, full }) => [...f0, ...full].every(Number.isFinite)),
+    pilot: number(payload.pilot_hz),
     skin: payload.skin ? object(payload.skin) : null,
     calibration: {
       id: text(calibration.id),
@@ -176,6 +193,7 @@ const READERS = {
   forces: (payload) => ({ ...header(payload), window: number(payload.window_s), sites: list(payload.sites).map(siteForce) }),
   contacts: (payload) => ({ ...header(payload), contacts: list(payload.contacts).map(contact) }),
   "contacts/event": (payload) => ({ ...header(payload), event: text(payload.event), contact: contact(payload.contact) }),
+  tones: (payload) => ({ ...header(payload), corners: list(payload.corners).slice(0, CORNERS).map(cornerTone) }),
   decoded: (payload) => ({
     ...header(payload),
     traction: rows(payload.traction_pascal),

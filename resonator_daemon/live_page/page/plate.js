@@ -1,6 +1,7 @@
 // The plate as drawn: outline, transducers, sites; touched sites with their force, contacts with their position.
 
 import { MAPS, css, theme } from "./colours.js";
+import { Ladder } from "./ladder.js";
 import { Scene } from "./scene.js";
 import { UNKNOWN, fixed, make, plusMinus, setText, words } from "./text.js";
 
@@ -13,6 +14,7 @@ export class PlatePanel {
     this.scene = new Scene(root.querySelector("canvas"), (context, scene) => this.#drawStill(context, scene));
     this.touched = root.querySelector(".touched");
     this.identification = root.querySelector(".identification");
+    this.ladder = new Ladder(this.identification);
     this.caption = root.querySelector(".caption");
     this.byNumber = new Map();
     this.info = null;
@@ -27,6 +29,7 @@ export class PlatePanel {
     const parts = info ? [info.plate, `${size} ${info.skin ? "sites under a skin" : "force sites"}`, info.counter, info.product] : [];
     setText(this.caption, info ? parts.filter(Boolean).join(" · ") : "No description of this plate was published yet.");
     this.identification.hidden = info?.counter !== "single-tone";
+    this.ladder.setInfo(info);
   }
 
   #drawStill(context, scene) {
@@ -181,6 +184,9 @@ export class PlatePanel {
     const shifts = model.states.sensor?.compensation?.commonMode ?? [];
     const corners = shifts.map((shift, index) => `corner ${index + 1}: ${fixed(1e6 * shift, 2)} ppm`).join(", ");
     setText(this.identification.querySelector(".result"), forces?.reason || identified(forces, model.newest("contacts")));
+    const tones = model.newest("tones");
+    this.ladder.describe(tones);
+    this.identification.classList.toggle("without-tones", !tones || !this.info.codes.length);
     setText(this.identification.querySelector(".corners"), corners ? `Common shift of the tones, taken out: ${corners}.` : "");
   }
 }

@@ -7,7 +7,7 @@ const HISTORY_POINTS = 1200;
 const EVENTS = 50;
 const TRUTHS = 64;
 const STALE_S = 1.5;
-export const STREAMS = ["forces", "contacts", "decoded", "decoded/summary", "health"];
+export const STREAMS = ["forces", "contacts", "tones", "decoded", "decoded/summary", "health"];
 
 /** Force over the last minute, oldest first: rows of time, normal force, its standard deviation, shear, true force. */
 class History {
