@@ -37,7 +37,7 @@ FAILURES: Final = {
     "no_board": "the link cannot be opened, no board answers, or none sends frames",
     "port_in_use": "another program holds the port, the device, or the board's only connection",
     "refused": "the board can never serve this plate; or, in Python, the daemon refused without a code of its own",
-    "listen": "the address to listen on is taken, or is none of this computer",
+    "listen": "the address to listen on is in use, or this computer does not have it",
     "dds": "the DDS domain cannot be joined",
     "no_broker": "no broker answers at the address",
     "no_daemon": "no such daemon runs",
@@ -130,6 +130,13 @@ class MissingLibraryError(UserError):
     """Optional library that is needed only here, and is not installed."""
 
     code = "missing_library"
+
+
+class ListenError(UserError):
+    """Address to listen on that another process uses, or that this computer does not have."""
+
+    exit_code = ExitCode.FAILED  # it may be free later: systemd starts a service again
+    code = "listen"
 
 
 class IncompatibleBoardError(UserError):

@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
+from resonator_daemon.errors import ListenError
+
 _BAUD = 4_000_000
 _SPARE = 1.25  # of the bits of frames, for other messages
 _READ_BYTES = 65536
@@ -140,8 +142,8 @@ class TcpLink:
 
     Raises
     ------
-    OSError
-        The address cannot be listened on.
+    ListenError
+        The address is in use, or not this computer's.
     """
 
     def __init__(self, host: str, port: int, clock: Callable[[], float] = time.monotonic) -> None:
@@ -211,9 +213,7 @@ class TcpLink:
                 self._listener = socket.create_server((self._host, self._port), family=family)
             except OSError as error:
                 why = str(error.strerror or error).partition(" (while")[0]  # what Python adds
-                raise type(error)(
-                    f"{self.address} cannot be listened on: {why}; name another address or port"
-                ) from error
+                raise ListenError(f"cannot listen on {self.address}: {why}; --tcp selects another address") from error
             self._listener.setblocking(False)
             self._port = self._listener.getsockname()[1]
             self._list_descriptors()

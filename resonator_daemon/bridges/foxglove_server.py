@@ -14,7 +14,7 @@ from contextlib import aclosing, suppress
 from typing import Any, Final
 
 from resonator_daemon.config import Listen, Mqtt
-from resonator_daemon.errors import ExitCode, MissingLibraryError, UserError
+from resonator_daemon.errors import ListenError, MissingLibraryError
 from resonator_daemon.exporting.foxglove_messages import ChannelMessage, FoxgloveMessages
 from resonator_daemon.exporting.geometry import Geometry
 from resonator_daemon.host.printable import how_to_install
@@ -35,13 +35,6 @@ _SILENT: Final = (Condition.OFFLINE, Condition.WAITING, Condition.STALLED, Condi
 log = logging.getLogger(__name__)
 
 
-class ListenError(UserError):
-    """The address cannot be listened on."""
-
-    exit_code = ExitCode.UNAVAILABLE
-    code = "listen"
-
-
 async def serve(broker: Mqtt, listen: Listen, *, plate: str | None = None, full_rate: bool = True) -> None:
     """Serve plates below the broker's prefix until SIGINT, SIGTERM or SIGHUP.
 
@@ -59,8 +52,8 @@ async def serve(broker: Mqtt, listen: Listen, *, plate: str | None = None, full_
 
     Raises
     ------
-    UserError
-        The address cannot be used.
+    ListenError
+        The address is in use, or not this computer's.
     """
     serving = asyncio.create_task(_serve(broker, listen, plate, full_rate))
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

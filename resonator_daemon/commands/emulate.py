@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from resonator_daemon.commands._argument_types import check_plate_name, options_of, positive
+from resonator_daemon.commands._argument_types import check_plate_name, host_and_port, options_of, positive
 from resonator_daemon.errors import ExitCode, UsageError, UserError
 from resonator_daemon.host.system_limits import reason_of
 
@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plate", required=True, metavar="NAME|FILE", help="a shipped plate or a plate file")
     link = parser.add_mutually_exclusive_group(required=True)
     link.add_argument("--pty", type=Path, metavar="LINKPATH", help="symbolic link to keep pointing at the terminal")
-    link.add_argument("--tcp", type=_host_and_port, metavar="HOST:PORT", help="where to listen; port 0 picks one")
+    link.add_argument("--tcp", type=host_and_port, metavar="HOST:PORT", help="where to listen; port 0 picks one")
     link.add_argument(
         "--usb", action="store_true", help="an emulated USB device, for programs that are started as it is printed"
     )
@@ -85,10 +85,3 @@ class _PrintScenarioSchema(argparse.Action):
         sys.stdout.write(json.dumps(scenario_schema()) + "\n")
         sys.stdout.flush()
         parser.exit()
-
-
-def _host_and_port(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal() or int(port) > 65_535:
-        raise argparse.ArgumentTypeError(f"{text!r} is not HOST:PORT (try 127.0.0.1:0; port 0 picks a free one)")
-    return host.strip("[]"), int(port)

@@ -11,6 +11,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+from resonator_daemon.commands._argument_types import host_and_port
 from resonator_daemon.commands._broker import add_broker, broker_of
 from resonator_daemon.commands._output import print_json
 from resonator_daemon.errors import ExitCode, MissingLibraryError, NoRecordingError, UsageError
@@ -24,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_broker(parser)
     parser.add_argument(
         "--listen",
-        type=_host_and_port,
+        type=host_and_port,
         default=("127.0.0.1", 8600),
         metavar="HOST:PORT",
         help="address of the page; port 0 selects a free one (default: 127.0.0.1:8600)",
@@ -105,10 +106,3 @@ def _check(arguments: argparse.Namespace) -> None:
                 pass
         except LinkUnavailableError as error:
             raise NoRecordingError(str(error)) from error
-
-
-def _host_and_port(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal() or int(port) > 65_535:
-        raise argparse.ArgumentTypeError(f"{text!r} is not HOST:PORT (try 127.0.0.1:8600; port 0 selects a free one)")
-    return host.strip("[]"), int(port)

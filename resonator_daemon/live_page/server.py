@@ -13,7 +13,7 @@ from typing import Final
 from aiohttp import web
 
 from resonator_daemon.config.mqtt import is_this_computer
-from resonator_daemon.errors import ExitCode, UsageError, UserError
+from resonator_daemon.errors import ListenError, UsageError
 from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.host.systemd import ServiceManager
 from resonator_daemon.live_page.access import Access
@@ -22,13 +22,6 @@ from resonator_daemon.live_page.hub import Hub, Sources
 BROWSERS_MAX: Final = 32
 
 _ALIVE_S: Final = 1.0
-
-
-class ListenError(UserError):
-    """The address cannot be listened on now."""
-
-    exit_code = ExitCode.FAILED
-    code = "listen"
 
 
 @dataclass(frozen=True)

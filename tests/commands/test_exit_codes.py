@@ -34,6 +34,7 @@ FAILING = """
 1 differs: compare run.mcap cut.mcap | export cut.mcap --output out.npz | replay cut.mcap --to out.jsonl
 1 differs: replay --check case
 1 fault: doctor tcp://127.0.0.1:9 --seconds 1
+1 listen: emulate --plate quartz16 --tcp 192.0.2.1:7000
 1 install: install --prefix run.mcap
 1 no_plan: plan codes --grid 10x10 --pitch-mm 5 --touches 100
 78 output: record board.toml --output run.mcap
