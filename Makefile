@@ -223,7 +223,7 @@ soak: .venv/test-stamp  ## MINUTES=60 of faults; brokers frozen, dead, slow; kil
 	printf '\n== long tests\n'
 	OMP_NUM_THREADS=1 .venv/bin/pytest -m 'soak and not browser'
 	$(MAKE) build/browser .venv/browser-stamp
-	.venv/bin/pytest -m 'soak and browser' tests/live_page/browser
+	.venv/bin/pytest -o faulthandler_timeout=900 -m 'soak and browser' tests/live_page/browser
 
 pins: .venv/run-stamp  ## make the requirements files anew from pyproject.toml
 	@.venv/bin/python -m pip install --quiet --require-hashes -r .ci/requirements/pins.txt
