@@ -211,35 +211,15 @@ def test_touches_are_limited() -> None:
     assert ask(presses, PRESS | {"press": "more"})["ok"]
 
 
-def test_a_client_presses_with_two_touches_releases_one_and_disconnects(tmp_path: Path) -> None:
-    with pressed(tmp_path) as (_, host, control):
-        assert control.stat().st_mode & 0o777 == 0o600
-        host.read_until(lambda: len(host.frames) >= 20)
-        assert forces_at_last(tmp_path) == []  # a plate that clients press is still by itself
-        client = Client(control)
-        assert client.ask(PRESS)["ok"]
-        host.read_until(lambda: forces_at_last(tmp_path) == [1.0])
-        assert client.ask(PRESS | {"press": "b", "position_m": OTHER, "force_newton": [0.0, 0.0, 2.5]})["ok"]
-        host.read_until(lambda: forces_at_last(tmp_path) == [1.0, 2.5])
-        answer = client.ask({"truth": True})["truth"]
-        assert [contact["force_newton"][2] for contact in answer["contacts"]] == [1.0, 2.5]
-        described = client.ask({"info": True})
-        assert (described["plate"], described["serial_number"], described["skin"]) == ("quartz16", "EMU-0001", False)
-        assert (described["low_m"], described["force_max_newton"]) == ([-0.01, -0.01], 20.0)
-        assert client.ask({"release": "a"})["ok"]
-        host.read_until(lambda: forces_at_last(tmp_path) == [2.5])
-        client.close()
-        host.read_until(lambda: forces_at_last(tmp_path) == [])
-    assert not control.exists()
-
-
 def test_the_example_of_the_page_presses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = Path(__file__).parents[2] / "docs" / "reference" / "emulator.md"
     (example,) = re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
     with pressed(tmp_path) as (_, host, control):
+        assert control.stat().st_mode & 0o777 == 0o600
         host.read_until(lambda: len(host.frames) >= 20)
         exec(example.replace("/tmp/press", str(control)), {})
         host.read_until(lambda: forces_at_last(tmp_path) == [])
+    assert not control.exists()
     first, refused, last = capsys.readouterr().out.splitlines()
     assert first == "{'ok': True, 'press': 'thumb', 'contact_id': 1000001}"
     assert refused == "outside_plate"

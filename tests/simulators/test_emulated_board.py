@@ -5,15 +5,12 @@ import pytest
 from fake_plate import FakePlate, fake_board
 
 from firmware_protocol.host import (
-    Described,
     Frame,
     FramePart,
     HostEvent,
     HostSession,
-    HostState,
     Pong,
     Rebooted,
-    Started,
 )
 from firmware_protocol.messages import BoardStatus, Configuration, CounterKind, ResetCause
 from simulators.board import MadeFrame, Outgoing
@@ -59,28 +56,6 @@ def frames_in(events: list[HostEvent]) -> list[Frame]:
     return [event for event in events if isinstance(event, Frame)]
 
 
-def test_handshake_then_a_frame_for_each_gate_numbered_from_0() -> None:
-    bench = Bench()
-    bench.advance(12_345)
-    events = bench.start()
-    assert [type(event) for event in events] == [Described, Started]
-    assert isinstance(events[0], Described)
-    assert events[0].boot_id == 77
-    assert bench.board.next_frame_ticks == 12_345 + GATE_TICKS
-    assert bench.advance(GATE_TICKS - 1) == []
-    made = bench.advance(1)
-    made += bench.advance(2 * GATE_TICKS)
-    frames = frames_in(bench.exchange())
-    assert [frame.sequence for frame in frames] == [0, 1, 2]
-    assert [frame.board_ticks for frame in frames] == [12_345 + k * GATE_TICKS for k in (1, 2, 3)]
-    assert [(m.sequence, m.board_ticks, m.end_ticks) for m in made] == [
-        (k, 12_345 + (k + 1) * GATE_TICKS, 12_345 + (k + 1) * GATE_TICKS) for k in range(3)
-    ]
-    assert made[0].contacts[0].force_newton == (0.0, 0.0, 1.0)
-    assert made[0].plate_kelvin == 300.0
-    assert bench.board.frames_made == 3
-
-
 def test_a_full_queue_drops_its_oldest_frames_and_says_so_before_the_next_that_goes_out() -> None:
     bench = Bench(queue_limit_bytes=3 * FRAME_BYTES + 20)
     bench.start()
@@ -94,27 +69,6 @@ def test_a_full_queue_drops_its_oldest_frames_and_says_so_before_the_next_that_g
     assert [type(event) for event in bench.exchange()] == [Frame, Frame]
     bench.advance(5 * GATE_TICKS)
     assert bench.exchange()[0] == BoardStatus(9, bytes_discarded=0)
-
-
-def test_a_reboot_is_a_board_that_knows_nothing() -> None:
-    bench = Bench()
-    bench.advance(100)
-    bench.start()
-    bench.advance(5 * GATE_TICKS)
-    bench.board.reboot(78, bench.now, ResetCause.WATCHDOG)
-    assert bench.board.frames_queued == 0
-    assert bench.advance(5 * GATE_TICKS) == []
-    bench.host.ping(b"12345678")
-    events = bench.exchange()
-    assert events[:2] == [Rebooted(78), Pong(b"12345678", 5 * GATE_TICKS)]
-    assert bench.host.state is HostState.DESCRIBED
-    bench.plate.asked.clear()
-    bench.start()
-    (made,) = bench.advance(GATE_TICKS)
-    assert (made.sequence, made.board_ticks) == (0, 6 * GATE_TICKS)
-    assert made.end_ticks == 100 + 11 * GATE_TICKS
-    # The plate went on: its scenario began with the first run.
-    assert bench.plate.asked == [(5 * GATE_TICKS, 10 * GATE_TICKS, GATE_TICKS, 4)]
 
 
 @pytest.mark.parametrize("ticks", [2**32 + 7, -50_000])

@@ -5,9 +5,8 @@ from typing import get_args
 import pytest
 from fake_plate import fake_board
 
-from firmware_protocol.host import Described, HostEvent, HostSession, Rebooted
 from firmware_protocol.layouts import MessageType
-from firmware_protocol.messages import Configuration, Description, Identity, ResetCause, decode_message, encode_message
+from firmware_protocol.messages import Configuration, Description, Identity, decode_message, encode_message
 from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
 from simulators.board import Board
 from simulators.faults.misbehaviour import Misbehaviour
@@ -18,18 +17,6 @@ GATE_TICKS = 1000
 
 def liar(*lies: Violation) -> Board:
     return fake_board(misbehaviour=Misbehaviour(lies))
-
-
-def talk(board: Board, host: HostSession, now_ticks: int = 0) -> list[HostEvent]:
-    events: list[HostEvent] = []
-    while True:
-        if request := host.data_to_send():
-            board.receive(request, now_ticks)
-        outgoing = board.next_output()
-        if outgoing is None and not request:
-            return events
-        if outgoing is not None:
-            events += host.receive(outgoing.data)
 
 
 def answer(board: Board, kind: MessageType, payload: bytes = b"") -> Packet:
@@ -82,14 +69,3 @@ def test_gates_that_were_not_asked_for(lie: Violation, confirmed: int, counted: 
     answer(board, MessageType.START)
     frames = board.advance(4 * GATE_TICKS)
     assert [frame.board_ticks for frame in frames] == list(range(counted, 4001, counted))
-
-
-def test_a_boot_id_that_is_used_again_hides_the_boot() -> None:
-    for lies, hidden in (((), False), (("same_boot_id",), True)):
-        board, host = liar(*lies), HostSession()
-        talk(board, host)
-        board.reboot(78, 500, ResetCause.SOFTWARE)
-        host.ping(b"12345678")
-        events = talk(board, host, 500)
-        assert any(isinstance(event, Rebooted) for event in events) != hidden
-        assert any(isinstance(event, Described) for event in events) != hidden

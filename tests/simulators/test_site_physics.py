@@ -47,17 +47,6 @@ def made(plate: Plate, of: Physics, seed: int = 1) -> SitePhysics:
     return SitePhysics(plate, of, np.random.default_rng(seed))
 
 
-def test_ideal_sites_without_noise_feel_the_force_and_nothing_else() -> None:
-    force = np.random.default_rng(1).random((30, SITES))
-    frames = advance(made(PLATE, physics(sensitivity_scatter=0.0)), 30, force_newton=force, touch_id=3, kelvin=303.0)
-    assert frames.felt_newton == pytest.approx(force, abs=1e-15)
-    assert np.all(frames.relative_shift == 0)
-    assert np.all(frames.sensitivity_factor == 1)
-    assert frames.kelvin == pytest.approx(np.full((30, SITES), 303.0))
-    assert frames.plate_kelvin == pytest.approx(np.full(30, 303.0))
-    assert [frames.relative_shift.shape, frames.sensitivity_factor.shape] == [(30, SITES + 1), (30, SITES, 4)]
-
-
 def test_ageing_is_logarithmic_in_days() -> None:
     sites = made(PLATE, physics(ageing=2e-7))
     before = advance(sites, 864, dt_s=100.0).relative_shift
