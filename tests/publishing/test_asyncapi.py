@@ -20,36 +20,6 @@ from resonator_daemon.publishing.verbs import VERBS
 OFFICIAL = json.loads((Path(__file__).parent / "asyncapi" / "3.0.0.json").read_text())
 DOCUMENT = json.loads(asyncapi.encoded())
 PLATE = "{prefix}/{name}/"
-# QoS, retained, expiry; a topic without an entry here is one that nobody agreed on
-STATE, EVENT, STREAM = (1, True, None), (1, False, None), (0, False, 10)
-DELIVERY = {
-    PLATE + "state/daemon": STATE,
-    PLATE + "state/link": STATE,
-    PLATE + "state/sensor": STATE,
-    PLATE + "info": STATE,
-    PLATE + "schema": STATE,
-    PLATE + "contacts/event": EVENT,
-    PLATE + "forces": STREAM,
-    PLATE + "forces/20hz": STREAM,
-    PLATE + "forces/{rate_hz}hz": STREAM,
-    PLATE + "contacts": STREAM,
-    PLATE + "contacts/20hz": STREAM,
-    PLATE + "contacts/{rate_hz}hz": STREAM,
-    PLATE + "tones": STREAM,
-    PLATE + "signals": STREAM,
-    PLATE + "signals/5hz": STREAM,
-    PLATE + "signals/{rate_hz}hz": STREAM,
-    PLATE + "decoded": STREAM,
-    PLATE + "decoded/5hz": STREAM,
-    PLATE + "decoded/{rate_hz}hz": STREAM,
-    PLATE + "decoded/summary": STREAM,
-    PLATE + "decoded/summary/20hz": STREAM,
-    PLATE + "decoded/summary/{rate_hz}hz": STREAM,
-    PLATE + "health": (0, False, 60),
-    "{prefix}/decoder/{id}/state": (1, True, 3600),
-    "{prefix}/decoder/{id}/health": (0, False, 60),
-    **{PLATE + f"rsp/{verb}": EVENT for verb in (*VERBS, "unknown")},
-}
 
 
 def resolved(reference: str) -> Any:
@@ -86,7 +56,14 @@ def test_every_topic_is_there_with_its_delivery() -> None:
             delivery = operation["bindings"]["mqtt"]
             address = resolved(operation["channel"]["$ref"])["address"]
             told[address] = (delivery["qos"], delivery["retain"], delivery.get("messageExpiryInterval"))
-    assert told == DELIVERY
+    deliveries = {"schema": (1, True, None), **{f"rsp/{verb}": (1, False, None) for verb in (*VERBS, "unknown")}}
+    for path, topic in TOPICS.items():
+        copies = (topic.slow_path, f"{path}/{{rate_hz}}hz") if topic.slow_hz else ()
+        deliveries |= dict.fromkeys((path, *copies), (topic.qos, topic.retained, topic.expiry_s))
+    of_decoders = {"state": (1, True, 3600), "health": (0, False, 60)}
+    assert told == {PLATE + path: delivery for path, delivery in deliveries.items()} | {
+        f"{{prefix}}/decoder/{{id}}/{path}": delivery for path, delivery in of_decoders.items()
+    }
 
 
 def test_every_verb_is_there_with_its_answers() -> None:

@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mqtt_helpers import EVENTS, Messages, happen, publishing, until
+from mqtt_helpers import happen, publishing, until
 from observer import observe
 from small_disk import small_disk
 
 from resonator_daemon.publishing import event_history, event_queue
-from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.event_history import UNWRITTEN_MAX, HistoryPage, UnknownRunError
 from resonator_daemon.publishing.spool import Spool, SpoolError
 
@@ -56,25 +55,6 @@ def stored(directory: Path, column: str = "seq FROM history") -> set[Any]:
         return set()
     finally:
         found.close()
-
-
-async def test_a_client_gets_exactly_what_it_missed(broker: Any, tmp_path: Path) -> None:
-    async with publishing(broker.url, spool_directory=tmp_path, boot_id="a") as left:
-        async with observe(broker.url) as observer:
-            await until(lambda: left.connected)
-            await happen(left, range(10))
-            await observer.until_count(EVENTS, 10)
-            have = observer.payloads(EVENTS)
-        await happen(left, range(10, 25))  # while the client is away
-        await until(lambda: left.account.waiting == 0)
-        page = await left.stored_events(None, have[-1]["seq"], LARGE)
-        assert page[1:] == (True, 0, 24, None)
-        missed = [json.loads(payload) for payload in page.payloads]
-        assert [event["seq"] for event in have + missed] == list(range(25))
-        assert all(event["replayed"] for event in missed)
-        assert missed[0] | {"replayed": False} == json.loads(encode(Messages.event(10)))
-        for boot_id, after_seq in (("a", 24), (None, 10**15)):
-            assert await left.stored_events(boot_id, after_seq, LARGE) == ((), True, 0, 24, None)
 
 
 async def test_pages_join_without_a_gap(tmp_path: Path) -> None:

@@ -5,15 +5,13 @@ import json
 import logging
 
 import pytest
-from mqtt_helpers import IMPATIENT, LEFT, Messages, assert_exact, make_will, publishing, scripted_broker, until
+from mqtt_helpers import IMPATIENT, LEFT, Messages, assert_exact, publishing, scripted_broker, until
 from observer import observe
 
-from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing import outbox, topics
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.event_queue import IN_MEMORY_MAX
 from resonator_daemon.publishing.mqtt_messages import Outgoing
-from resonator_daemon.publishing.publisher import Publisher
 
 ONLINE = Messages.state("online", "all is well")
 
@@ -64,21 +62,6 @@ async def test_the_last_word_may_wait_for_a_broker_that_is_still_to_come(mosquit
             state = await observer.until_last("resonator/left/state/daemon", state="offline")
         assert state["reason"] == "no such plate"
         assert (left.account.acknowledged, left.account.dropped) == (1, {"superseded": 1})
-
-
-async def test_the_last_will_speaks_for_a_daemon_that_vanishes(broker) -> None:
-    async with observe(broker.url) as observer:
-        left = Publisher(Mqtt(url=broker.url), identifier="left", make_will=make_will)
-        running = asyncio.create_task(left.run())
-        left.publish(LEFT, topics.STATE_DAEMON, ONLINE)
-        await observer.until_last("resonator/left/state/daemon", state="online")
-        running.cancel()
-        await observer.until_last("resonator/left/state/daemon", state="offline")
-        will = observer.heard[-1]
-    assert json.loads(will.payload)["reason"] == "connection lost"
-    async with observe(broker.url) as late:
-        await late.until_last("resonator/left/state/daemon", state="offline")
-        assert late.heard[0].retain
 
 
 async def test_a_broker_that_is_absent_at_start(broker, caplog: pytest.LogCaptureFixture) -> None:
