@@ -39,7 +39,7 @@ FAILING = """
 1 no_plan: plan codes --grid 10x10 --pitch-mm 5 --touches 100
 78 output: record board.toml --output run.mcap
 1 no_daemon: reload no-such-plate | status no-such-plate
-2 no_recording: repair run.txt
+2 no_recording: repair run.txt | replay run.txt --to copy | export run.txt --output out.npz | repair gone.mcap
 2 no_mark: replay run.mcap --to out.jsonl --from nope
 """  # exit code and code of the error: command lines
 LINES = [
@@ -131,23 +131,6 @@ def test_an_output_that_is_there_is_not_overwritten(
     assert exit_code(*shlex.split(line)) == 78
     assert "exists already" in capsys.readouterr().err
     assert (tmp_path / "there").read_bytes() == b"mine"
-
-
-@pytest.mark.parametrize("line", ["replay run.mcap --to copy", "export run.mcap --output out.npz", "repair run.mcap"])
-@pytest.mark.parametrize("content", [None, b"", b"MZ" * 100, RECORDING.read_bytes()[:40]])
-def test_what_is_no_recording_is_a_matter_of_usage(
-    line: str,
-    content: bytes | None,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    if content is not None:
-        (tmp_path / "run.mcap").write_bytes(content)
-    assert exit_code(*shlex.split(line), "--json") == 2
-    printed = capsys.readouterr()
-    assert (printed.err.count("\n"), printed.out.count("\n"), '"code": ' in printed.out) == (1, 1, True)
 
 
 @pytest.mark.parametrize("line", ["check gone.toml", "tare --wrong"])

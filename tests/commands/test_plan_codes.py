@@ -50,6 +50,16 @@ def test_a_planned_plate_passes_check_and_comes_back_as_it_was_shown(
     assert found["trials"]["one_touch"]["wrong"] == 0
 
 
+def test_tables_list_the_ladder_from_the_highest_tone_down(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "codes", *FEW, *GRID]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()[1:17]]
+    assert [int(row[0]) for row in rows] == list(range(1, 17))
+    tones_hz = [float(row[4]) for row in rows]
+    assert tones_hz == sorted(tones_hz, reverse=True)
+    # f0 / (1 - K F) at 10 N.
+    assert float(rows[0][6]) == pytest.approx(tones_hz[0] / (1 - 10e-6 * float(rows[0][5])), abs=1.0)
+
+
 @pytest.mark.parametrize("extra", [(), ("--step-ppm", "400"), ("--seed", "5")])
 def test_the_numbers_of_quartz16_give_a_ladder_without_collisions(
     extra: tuple[str, ...], capsys: pytest.CaptureFixture[str], tmp_path: Path
@@ -63,6 +73,8 @@ def test_the_numbers_of_quartz16_give_a_ladder_without_collisions(
     np.testing.assert_array_equal(plate.tones.sensitivity, shipped.tones.sensitivity)
     assert plate.load_sharing_exponent == shipped.load_sharing_exponent
     assert found["neighbours_too_near"] == []
+    assert found["link"]["single-tone"]["share_of_baud"] == pytest.approx(0.51)
+    assert found["link"]["channelised"]["frame_bytes"] == 4 * (28 + 8 + 16 * 12)
     trials = found["trials"]
     assert (trials["plates_overlapping"], trials["one_touch"]["wrong"], trials["two_touches"]["wrong"]) == (0, 0, 0)
     if "400" in extra:
@@ -95,18 +107,6 @@ def test_a_plate_says_what_no_option_says(capsys: pytest.CaptureFixture[str], tm
     code, found, _ = plan(capsys, "--plate", str(path), "--counter-tick-ns", "1", "--temperature-span-kelvin", "10")
     assert found["guard_band_ppm"]["temperature"] == pytest.approx(6 * 0.01 * 10)
     assert found["force_noise"]["one_channel"]["counter_newton"] < 0.4 * counter_std / 4e-6
-
-
-def test_the_codes_of_quartz16_are_judged_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
-    code, found, complaints = plan(capsys, "--plate", "quartz16", "--keep-codes")
-    assert (code, complaints) == (0, [])
-    assert found["overlaps"] == []
-    assert found["trials"]["plates"] == 1
-    assert 350 < found["step_ppm"] < 400
-    assert [site["code"] for site in found["sites"]][:3] == [6, 4, 16]
-    assert found["link"]["single-tone"]["bytes_per_s"] == 204_000
-    assert found["link"]["single-tone"]["share_of_baud"] == pytest.approx(0.51)
-    assert found["link"]["channelised"]["frame_bytes"] == 4 * (28 + 8 + 16 * 12)
 
 
 def test_kept_codes_that_overlap_for_the_forces_asked_for_are_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,9 +10,7 @@ from resonator_daemon.forces.code_trials import (
     nearest_wrong,
     one_touch,
     overlaps,
-    two_touches,
 )
-from resonator_daemon.plate import load_plate
 
 SCATTER = Scatter(
     force_max_newton=10.0,
@@ -40,21 +38,6 @@ def test_between_two_bands_a_common_shift_is_wrong_by_the_share_beyond_the_middl
     codes = ladder(100e-6, np.full(2, -6e-6))
     share = nearest_wrong(codes, 10.0, 30e-6, 400_000, np.random.default_rng(1)) / 400_000
     assert share == pytest.approx(10 / 60 / 2, abs=2e-3)
-
-
-def test_quartz16_names_no_wrong_site() -> None:
-    tones = load_plate("quartz16").tones
-    codes = Codes(tones.f0_hz, tones.sensitivity)
-    random = np.random.default_rng(0)
-    one = one_touch(codes, SCATTER, 20_000, random)
-    assert (one.touches, one.wrong, one.partly) == (20_000, 0, 0)
-    assert one.right > 0.99 * one.touches
-    two = two_touches(codes, SCATTER, 500, random)
-    assert (two.touches, two.wrong) == (500, 0)
-    # All four channels hear the same one of two with odds of 1 : 7; then the other cannot be known.
-    assert two.partly / two.touches == pytest.approx(1 / 8, abs=0.045)
-    assert two.right / two.touches == pytest.approx(7 / 8, abs=0.06)
-    assert not overlaps(codes, SCATTER, 1.2e-7)
 
 
 def test_sites_of_one_code_cannot_be_told_apart() -> None:

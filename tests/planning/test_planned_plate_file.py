@@ -7,34 +7,9 @@ import pytest
 
 from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.planning.plate_file import (
-    PlateDraft,
     grid_layout,
-    planned_plate,
-    plate_file_text,
-    plate_layout,
     read_layout,
 )
-from resonator_daemon.plate import load_plate
-
-
-def test_a_plate_comes_back_from_its_file(tmp_path: Path) -> None:
-    known = load_plate("quartz16")
-    draft = PlateDraft("again", 10.0, 1e9, 1000.0, 24.0, 0.17, codes_may_overlap=True, load_sharing_exponent=4.0)
-    text = plate_file_text(plate_layout(known), known.tones.f0_hz, known.tones.sensitivity, draft)
-    path = tmp_path / "again.toml"
-    path.write_text(text)
-    read = load_plate(str(path))
-    assert read == planned_plate(text)
-    for name in ("site_positions_m", "outline_m", "transducers_m", "site_ids"):
-        np.testing.assert_array_equal(getattr(read, name), getattr(known, name))
-    np.testing.assert_array_equal(read.tones.f0_hz, known.tones.f0_hz)
-    np.testing.assert_array_equal(read.tones.sensitivity, known.tones.sensitivity)
-    assert read.counter.codes_may_overlap
-    assert (read.counter.reference_hz, read.counter.frame_rate_hz) == (1e9, 1000.0)
-    assert read.pilot_hz == pytest.approx(1.001 * known.tones.f0_hz.max(), abs=0.1)
-    assert read.thermal.range_kelvin == pytest.approx((286.15, 310.15))
-    assert read.calibration.sensitivity_std == 0.17
-    assert read.load_sharing_exponent == 4.0
 
 
 def test_a_grid_is_centred_with_half_a_pitch_around_it() -> None:

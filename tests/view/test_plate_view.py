@@ -15,13 +15,6 @@ def view() -> PlateView:
     return PlateView("left")
 
 
-def test_a_measurement_is_current_for_a_second(view: PlateView) -> None:
-    view.add("forces", forces(), NOW_NS)
-    assert view.current(FORCES, NOW_NS + 9 * S // 10) is not None
-    assert view.current(FORCES, NOW_NS + 11 * S // 10) is None
-    assert view.last(FORCES) is not None
-
-
 def test_rate_is_messages_that_arrived_within_the_last_second(view: PlateView) -> None:
     for number in range(250):  # 200/s for 0.5 s, then 100/s for 1.5 s
         at_ns = NOW_NS + (number * S // 200 if number < 100 else S // 2 + (number - 100) * S // 100)

@@ -32,18 +32,6 @@ def panel(lines: list[str], title_line: int, column: int) -> np.ndarray:
     return np.array([[" .:-=+*#%@".index(letter) for letter in row] for row in rows])
 
 
-def test_the_best_set_resolves_normal_load_and_shear() -> None:
-    shown = plan("p_n", "xz", "yz")
-    resolved = shown.as_json()["resolved"]
-    array = SensorArray(SensorSet(HalfSpace(2e5, 0.5), ("p_n", "xz", "yz"), 1e-3), 0.4e-3, 30.0)
-    for load, found in resolved.items():
-        omega = np.pi / found["finest_m"]
-        assert float(array.load_to_error(load, omega, 0.0)) >= 1.0
-        assert found["even_loads"] is True
-        assert found["coarsest_m"] is None
-        assert found["finest_in_best_direction_m"] <= found["finest_m"] * 1.0001
-
-
 @pytest.mark.parametrize(
     ("components", "array", "words"),
     [
