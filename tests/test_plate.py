@@ -92,14 +92,6 @@ def test_a_file_is_given_in_si_units(tmp_path: Path) -> None:
     np.testing.assert_allclose(plate.site_positions_m, [[0.006, 0.004], [0.0125, 0.004]])
 
 
-def test_explicit_tones_keep_the_order_of_the_file(tmp_path: Path) -> None:
-    tones = load_plate(written(tmp_path, FORCE_PLATE)).tones
-    np.testing.assert_array_equal(tones.site_index, [0, 1])
-    np.testing.assert_array_equal(tones.signal_index, [0, 0])
-    np.testing.assert_array_equal(tones.f0_hz[1], [9992000.0, 9992001.0, 9992002.0, 9992003.0])
-    np.testing.assert_array_equal(tones.sensitivity[0], [-6.3e-6, -6.2e-6, -6.1e-6, 6.0e-6])
-
-
 def test_explicit_skin_sites_index_the_published_signals(tmp_path: Path) -> None:
     head = GRID_PLATE[: GRID_PLATE.index("[grid]")]
     plate = load_plate(written(tmp_path, head + SKIN_SITE))
@@ -254,21 +246,6 @@ def test_what_a_calibration_says(tmp_path: Path) -> None:
     ):
         (message,) = refusals(tmp_path, text.replace(before, after))
         assert f"calibration.{key}: got" in message
-
-
-def test_every_finding_comes_at_once(tmp_path: Path) -> None:
-    """A site that cannot be read does not hide what its neighbours have wrong."""
-    text = FORCE_PLATE.replace("9996000.0", "-1.0").replace("[12.5, 4.0]", "[12.5, 40.0]").replace("pilot", "pilott")
-    text = text.replace("name =", "nam =")
-    expected = [
-        " name: missing",
-        "2: nam: unknown key; did you mean name?",
-        "10: counter.pilott_hz: unknown key; did you mean pilot_hz?",
-        "16: sites[0].tones[0].f0_hz[0]: got -1.0",
-        "20: sites[1].position_mm: got [12.5, 40.0]; lies outside outline_mm",
-    ]
-    for message, start in zip(refusals(tmp_path, text), expected, strict=True):
-        assert message.startswith(start)
 
 
 def test_a_concave_outline_has_its_notch_outside(tmp_path: Path) -> None:

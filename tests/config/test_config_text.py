@@ -3,23 +3,16 @@
 from datetime import date
 from pathlib import Path
 
-import pytest
 from config_files import loaded
 from plates import with_counter
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.config.text import config_of, load_plate_text, load_settings_text, plate_text, settings_text
 from resonator_daemon.links.carriers.recording import RecordingTarget
-from resonator_daemon.plate import Coupling, load_plate, shipped_plates
+from resonator_daemon.plate import Coupling, load_plate
 
 ORIGIN = Path("run.mcap/plate.toml")
 LINK = RecordingTarget("run.mcap")
-
-
-@pytest.mark.parametrize("name", shipped_plates())
-def test_a_shipped_plate_loads_back_equal(name: str) -> None:
-    plate = load_plate(name)
-    assert load_plate_text(plate_text(plate), ORIGIN) == plate
 
 
 def test_a_calibrated_plate_loads_back_equal() -> None:

@@ -1,6 +1,5 @@
 """`resonatord doctor` as a user meets it: verdict, report, exit code."""
 
-import io
 import json
 import re
 import socket
@@ -56,24 +55,6 @@ def test_a_report_fits_the_terminal_and_cannot_steer_it() -> None:
     assert max(map(len, text.splitlines())) <= WIDTH
     assert "\x1b" not in text
     assert "\r" not in text
-
-
-@pytest.mark.parametrize(("terminal", "no_color", "marks"), [(True, "", 3), (True, "1", 0), (False, "", 0)])
-def test_outcomes_have_colour_on_a_terminal(
-    terminal: bool, no_color: str, marks: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("NO_COLOR", no_color)
-    monkeypatch.setenv("TERM", "xterm")
-    stream, report = io.StringIO(), Report([WIRE.fault("w", "FAULT  ok"), HOST.ok("h")])
-    monkeypatch.setattr(stream, "isatty", lambda: terminal)
-    report.write(stream)
-    printed = stream.getvalue()
-    assert [printed.count(sign) for sign in ("\x1b[1;31m", "\x1b[1;32m", "\x1b[0m")] == [
-        marks - marks // 3,
-        marks // 3,
-        marks,
-    ]
-    assert re.sub("\x1b\\[[0-9;]*m", "", printed) == report.as_text()
 
 
 async def test_a_board_and_a_broker_that_are_well(

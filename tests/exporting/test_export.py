@@ -7,13 +7,11 @@ import signal
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from export_bench import played, recording
 
 from resonator_daemon.commands import main
-from resonator_daemon.publishing.codec import decoded
 from resonator_daemon.replay.recorded_pipeline import RecordingReplay
 
 FORMATS = ("parquet", "csv", "npz", "mcap", "ros2")
@@ -87,21 +85,6 @@ def test_one_topic_is_the_file_that_was_named(tmp_path: Path, capsys: pytest.Cap
     printed = capsys.readouterr()
     assert printed.out == ""
     assert f"{path}: " in printed.err
-
-
-def test_a_part_is_that_part(tmp_path: Path) -> None:
-    begun_ns = played("touches").moments[0].now.monotonic_ns
-    assert export(recording("touches"), "--output", tmp_path / "part.npz", "--from", 0.5, "--until", 0.9) == 0
-    expected = [
-        decoded(topic.payload, message).seq
-        for moment in played("touches").moments
-        if 0.5e9 <= moment.now.monotonic_ns - begun_ns < 0.9e9
-        for topic, message in moment.messages
-        if topic.path == "forces"
-    ]
-    with np.load(tmp_path / "part.npz") as archive:
-        assert archive["forces/seq"].tolist() == expected
-    assert 5 < len(expected) < 200
 
 
 def test_of_a_file_that_was_cut_off_all_that_is_whole_is_exported(

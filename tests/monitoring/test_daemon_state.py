@@ -67,15 +67,6 @@ def test_strangers_who_claim_to_be_thousands_are_not_listed(state: DaemonState, 
     assert len(state.snapshot.reason.text) < 400
 
 
-def test_another_daemon_is_told_of_once(state: DaemonState, said: list[DaemonSnapshot]) -> None:
-    state.receive(incoming("bb", "online"))
-    state.receive(incoming("bb", "online"))
-    (conflict,) = said
-    assert conflict.condition is Condition.ONLINE
-    assert conflict.reason.code is ReasonCode.NAME_CONFLICT
-    assert "boot id bb" in conflict.reason.text
-
-
 def test_of_two_daemons_one_answers_for_a_run(state: DaemonState) -> None:
     connected_ns = state.snapshot.connected_utc_ns or 0
     for other, owns in (

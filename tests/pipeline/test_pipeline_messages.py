@@ -1,6 +1,5 @@
 """Messages made from readings: names, times and numbers against hand-worked ones, in the words of the wire."""
 
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -102,23 +101,6 @@ def test_forces_are_the_contracts_literal(messages: Messages) -> None:
     }
 
 
-@pytest.mark.parametrize(
-    ("window_s", "middle"),
-    [(0.01, 1_788_999_999_995_000_123), (0.001, 1_788_999_999_999_500_123), (1.0, 1_788_999_999_500_000_123)],
-)
-def test_measured_messages_are_dated_at_the_middle_of_the_window(
-    messages: Messages, window_s: float, middle: int
-) -> None:
-    measured = reading(window_s=window_s)
-    for message in (
-        messages.force.forces(measured, GATE_MIDDLE),
-        messages.force.contacts(measured, GATE_MIDDLE),
-        messages.force.event(ContactEvent("onset", 1, contact(), None), measured, GATE_MIDDLE),
-    ):
-        assert message.t_ns == middle
-        assert message.t_uncertainty_ns == 42_000
-
-
 def test_contacts_are_the_contracts_literal(messages: Messages) -> None:
     said = literal(messages.force.contacts(reading(contacts=(contact(), contact(2, number=13))), GATE_MIDDLE))
     first, second = said["contacts"]
@@ -201,35 +183,6 @@ def test_forces_of_an_expired_calibration_are_marked(tmp_path: Path, expiry: str
     assert literal(messages.force.contacts(measured, GATE_MIDDLE))["contacts"][0]["status"] == status
     said = literal(messages.states.info(BOARD, {}, 1))["calibration"]
     assert (said["id"], said["date"], said["expiry"], said["response"]) == ("c1", "2019-01-01", expiry, "off")
-
-
-def test_info_of_a_plate_of_force_sites(tmp_path: Path) -> None:
-    config = configured(tmp_path, FORCE_PLATE, measurement={"window_ms": 20, "step_ms": 4})
-    said = literal(Messages(config).states.info(BOARD, {}, 1))
-    expected = {
-        "daemon_version": version("resonatord"),
-        "plate": "three",
-        "link": str(config.link),
-        "product": "quartz board",
-        "firmware": "1.2.3",
-        "counter": "single-tone",
-        "transducers_m": [[0.0, 0.0], [0.02, 0.0], [0.02, 0.01], [0.0, 0.01]],
-        "rates_hz": {"forces": 250.0, "forces/20hz": 20.0, "contacts": 250.0, "contacts/20hz": 20.0, "tones": 20.0},
-        "commands": ["ping", "health", "snapshot", "events"],
-        "grid": None,
-        "skin": None,
-        "serial_number": "0042",
-        "frame_rate_hz": 1000.0,
-        "window_s": 0.02,
-        "step_s": 0.004,
-        "force_max_newton": 10.0,
-        "outline_m": [[0.0, 0.0], [0.02, 0.0], [0.02, 0.01], [0.0, 0.01]],
-    }
-    assert said | expected == said
-    assert [site["site"] for site in said["sites"]] == [70, 30, 12]
-    np.testing.assert_allclose(
-        [site["position_m"] for site in said["sites"]], [[6e-3, 4e-3], [12.5e-3, 4e-3], [3e-3, 8e-3]], rtol=1e-12
-    )
 
 
 def test_info_needs_no_file(messages: Messages, monkeypatch: pytest.MonkeyPatch) -> None:

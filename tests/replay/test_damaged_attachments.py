@@ -4,12 +4,9 @@ import json
 from pathlib import Path
 
 import pytest
-from mcap.writer import Writer
 
 from resonator_daemon.commands import main
-from resonator_daemon.config.text import load_plate_text, plate_text
-from resonator_daemon.plate import Plate
-from resonator_daemon.recording.reader import Origin, open_recording
+from resonator_daemon.recording.reader import open_recording
 
 RECORDING = Path(__file__).parents[1] / "corpus" / "touches" / "recording.mcap"
 WHOLE = RECORDING.read_bytes()
@@ -83,33 +80,3 @@ def test_each_byte_counts(tmp_path: Path, name: bytes) -> None:
             assert (recording.settings_text is None) == (name == b"settings.toml")
             next(recording.events())
             assert recording.damage is None
-
-
-def carrying(path: Path, plate: Plate, text: bytes) -> Path:
-    """A recording whose plate file has a right check sum, whatever is in it."""
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start("resonatord")
-        writer.add_metadata("recording", Origin(plate, "tcp://board:1").metadata)
-        writer.add_attachment(0, 0, "plate.toml", "application/toml", text)
-        writer.add_attachment(0, 0, "settings.toml", "application/toml", b"[measurement]\n[decoding]\n")
-        writer.finish()
-    return path
-
-
-def test_advice_is_not_about_a_file_that_lies_in_the_recording(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with open_recording(str(RECORDING)) as recording:
-        plate = load_plate_text(recording.plate_text or "", RECORDING)
-    good = plate_text(plate).encode()
-    for text in (good.replace(b" = ", b" 9 ", 1), b"\xff" + good):
-        path = carrying(tmp_path / "run.mcap", plate, text)
-        assert run("replay", path, "--to", "-") == 78
-        line = f"{path}: its attachment plate.toml is damaged; give plate and settings with --config FILE"
-        assert capsys.readouterr().err == f"resonatord: {line}\n"
-    path = carrying(tmp_path / "run.mcap", plate, good.replace(FORCE_MAX, b"force_mix_newton = "))
-    assert run("replay", path, "--to", "-") == 78
-    said = capsys.readouterr().err
-    assert "force_mix_newton" in said
-    assert said.endswith(f"\nresonatord: {path}: its plate.toml cannot be used; give --config FILE\n")
