@@ -18,7 +18,7 @@ def test_states_are_recorded_and_what_is_measured_where_it_is_wanted(include_mes
     published = messages()
     for path, message in published.items():
         recorded.record(TOPICS[path], message)
-    measured = {"forces", "contacts", "contacts/event", "decoded/summary", "health"}
+    measured = {"forces", "contacts", "contacts/event", "tones", "decoded/summary", "health"}
     assert {one.topic for one in taken if one.retained} == {"state/daemon", "state/link", "state/sensor", "info"}
     assert {one.topic for one in taken if not one.retained} == (measured if include_messages else set())
     for one in taken:
