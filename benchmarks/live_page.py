@@ -1,8 +1,8 @@
 """Processor time of `resonatord view` while 0, 1 and 5 browsers follow skin32's streams at full rate.
 
 Run it with `make bench`, or `python benchmarks/live_page.py [SECONDS]`: each case lasts so long (default 10). A program
-publishes 100 frames a second, each a map of 37 kB and its contacts, to a Mosquitto. Each browser is sent at most 60 a
-second. "stalled" is a browser that never reads: the other one next to it receives the same. Exit code 1 where five
+publishes 100 frames a second, each a map of 37 kB and its contacts, to a Mosquitto. Each browser receives at most 60 a
+second. "stalled" is a browser that never reads: the other one next to it receives the same. Exit code 1 if five
 browsers cost more than 5 % of a core.
 """
 
@@ -27,7 +27,7 @@ from resonator_daemon.demo.processes import PYTHON
 SIZES = {"decoded": 37_200, "decoded/summary": 283, "contacts": 211}  # bytes of skin32's messages with one contact
 SIGNALS_BYTES = 24_800
 FRAME_RATE_HZ = 100
-_ASKED_PERCENT = 5.0
+_LIMIT_PERCENT = 5.0
 _TOPICS = sorted(SIZES)
 
 
@@ -60,7 +60,7 @@ async def follow(url: str, seconds: float, topics: list[str]) -> int:
 
 
 async def stall(url: str) -> tuple[aiohttp.ClientSession, ClientWebSocketResponse]:
-    """Connect a browser that never reads: aiohttp stops to receive after 64 kB that nobody takes."""
+    """Connect a browser that never reads: aiohttp stops receiving after 64 kB that are not read."""
     session = aiohttp.ClientSession()
     browser = await session.ws_connect(f"{url}ws", max_msg_size=0)
     await browser.send_str(json.dumps({"watch": {"plate": "bench", "topics": _TOPICS}}))
@@ -104,7 +104,7 @@ async def run(seconds: float) -> int:
         percent, rate_hz = await measure(view, url, 1, seconds, _TOPICS)
         print(f"{'1, stalled':>10} {'map, contacts':>22} {percent:>12.1f} {rate_hz:>12.1f}")
         await session.close()
-    return int(five > _ASKED_PERCENT)
+    return int(five > _LIMIT_PERCENT)
 
 
 if __name__ == "__main__":

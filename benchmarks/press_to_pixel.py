@@ -3,8 +3,8 @@
 Run it with `python benchmarks/press_to_pixel.py [--presses N]`, after `make test-browser` has installed the browser.
 It starts an emulated skin32, Mosquitto, a daemon, `view` and a browser without a window, and presses at random
 moments. The time of a press is that of its `pointerdown` event; the pixel is 0.8 mm away from the press, outside the
-marks that the page itself draws there, and is read in each frame after the page has drawn. Exit code 1 if the median is
-longer than 40 ms, the 95th percentile longer than 80 ms, or the first paint later than 1 s.
+marks that the page itself draws there. It is read in each frame after the page has drawn. Exit code 1 if the median is
+above 40 ms, the 95th percentile above 80 ms, or the first paint above 1 s.
 """
 
 import argparse

@@ -21,19 +21,19 @@ class ExitCode(IntEnum):
 FAILURES: Final = {
     "usage": "wrong arguments, or arguments that contradict each other",
     "config": "errors in a configuration or plate file, no such file, or a file that does not suit the command",
-    "interrupted": "ended by Ctrl-C or SIGTERM before it was done; the object has what there is by then",
-    "system": "an error of the operating system, as a file that cannot be read, or a full disk",
+    "interrupted": "ended by Ctrl-C or SIGTERM before its end; the object has the partial result",
+    "system": "an error of the operating system, for example an unreadable file or a full disk",
     "open_files": "this process may open fewer than 64 files",
     "missing_library": "an optional library is not installed",
     "output": "the output exists already, or cannot be created or written",
     "install": "a file cannot be placed or removed, or a step failed",
-    "no_recording": "no such file, or it is no recording that can be used here",
+    "no_recording": "the file does not exist, or is not a recording that can be used here",
     "no_column": "in Python: the table does not have this column",
     "no_mark": "the recording does not have this mark",
     "no_span": "the span ends before it begins",
     "differs": "a recording is damaged, or its replay differs from what is recorded or expected",
     "not_repaired": "nothing of the recording can be kept, or no copy can be made",
-    "ended": "the recording ended before its time: its file takes nothing more, or the reader failed",
+    "ended": "the recording ended early: its file cannot be written any more, or the reader failed",
     "no_board": "the link cannot be opened, no board answers, or none sends frames",
     "port_in_use": "another program holds the port, the device, or the board's only connection",
     "refused": "the board can never serve this plate; or, in Python, the daemon refused without a code of its own",
@@ -63,7 +63,7 @@ class UserError(Exception):
     messages
         A line each.
     so_far
-        What there is of the command's result: keys of the JSON object next to the error.
+        Partial result of the command: keys of the JSON object next to the error.
 
     Attributes
     ----------

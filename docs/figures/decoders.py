@@ -31,7 +31,7 @@ def wiener(noise_over_prior: ArrayLike) -> Complexes:
 
 
 class Decoders:
-    """Decoders told a noise: their set-up takes seconds, so that figures bring their signals to this noise."""
+    """Decoders for one noise: their set-up takes seconds, so that figures bring their signals to this noise."""
 
     def __init__(self, noise_std: float) -> None:
         self.noise_std = noise_std

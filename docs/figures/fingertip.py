@@ -53,7 +53,7 @@ def fingertip(folder: Path) -> None:
     ) * np.array([[1.5 / skin.youngs_modulus_pascal], [1.0], [1.0]])
     rng = np.random.default_rng(1)
     noise_std = float(np.sqrt(np.mean(exact**2))) * 10.0 ** (-SIGNAL_TO_NOISE_DB / 20.0)
-    gains = rng.normal(1.0, GAIN_ERROR, exact.shape)  # that the decoders are not told
+    gains = rng.normal(1.0, GAIN_ERROR, exact.shape)  # unknown to the decoders
     signals = exact * gains + noise_std * rng.standard_normal(exact.shape)
 
     low, high = plate.outline_m.min(axis=0), plate.outline_m.max(axis=0)

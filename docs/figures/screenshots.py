@@ -1,4 +1,4 @@
-"""Takes pictures of the live page in Debian's chromium: emulated plates that are pressed with the mouse."""
+"""Take pictures of the live page in Debian's chromium: emulated plates that are pressed with the mouse."""
 
 import asyncio
 import tempfile

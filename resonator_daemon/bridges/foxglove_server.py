@@ -64,7 +64,7 @@ async def serve(broker: Mqtt, listen: Listen, *, plate: str | None = None, full_
 
 
 class FoxgloveServer:
-    """Serves channels to viewers, from `start` to `close`; a channel begins with its first message.
+    """Server of channels to viewers, from `start` to `close`; a channel begins with its first message.
 
     Parameters
     ----------

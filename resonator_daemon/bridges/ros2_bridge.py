@@ -85,7 +85,7 @@ async def serve(
 
 
 class Ros2Bridge:
-    """Plates as topics of one node of ROS, from its making to `close`.
+    """Plates as topics of one node of ROS, until `close`.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class Ros2Bridge:
         self._node.write(DIAGNOSTICS_TOPIC, bytes(self._store.serialize_cdr(array, DIAGNOSTICS)))
 
     def is_read(self, path: str) -> bool:
-        """Whether anybody has subscribed to what comes of a topic below any plate."""
+        """Return whether a topic made from this one, of any plate, has a subscriber."""
         topics = {topic for plate in self._plates.values() for topic in plate.topics([path])}
         return any(self._node.has_readers(topic) for topic in topics)
 

@@ -32,7 +32,7 @@ DEPTH: Final = 10  # messages that a slow reader finds; older ones are replaced
 _DISCOVERY: Final = "ros_discovery_info"
 _DISCOVERY_KIND: Final = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 _GID: Final = "rmw_dds_common/msg/Gid"
-# A writer never waits: where a reader is behind, it misses messages.
+# A writer never waits: if a reader is behind, it misses messages.
 _RELIABLE: Final = Policy.Reliability.Reliable(max_blocking_time=0)
 
 
@@ -44,7 +44,7 @@ class DomainError(UserError):
 
 
 class Ros2Node:
-    """Publishes messages in CDR to every subscriber of ROS 2 in a domain, from its making to `close`.
+    """Node that publishes messages in CDR to all subscribers of ROS 2 in a domain, until `close`.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class Ros2Node:
         self._announce()
 
     def advertise(self, topics: Mapping[str, str]) -> None:
-        """Make the topics known, as `/left_index/wrench`, with their types; those that are known stay."""
+        """Announce topics, for example `/left_index/wrench`, with their types; those announced before stay."""
         new = {topic: kind for topic, kind in topics.items() if topic not in self._writers}
         for topic, kind in new.items():
             durability = (Policy.Durability.Volatile, Policy.History.KeepLast(DEPTH))
@@ -90,13 +90,13 @@ class Ros2Node:
             self._announce()
 
     def withdraw(self, topics: Iterable[str]) -> None:
-        """Remove topics that are known."""
+        """Remove advertised topics."""
         for topic in topics:
             del self._writers[topic]
         self._announce()
 
     def has_readers(self, topic: str) -> bool:
-        """Whether anybody has subscribed to a topic that is known."""
+        """Return whether an advertised topic has a subscriber."""
         return topic in self._writers and bool(self._writers[topic].get_matched_subscriptions())
 
     def write(self, topic: str, data: bytes) -> None:

@@ -240,7 +240,7 @@ def notes(plate: Plate, request: LoadRequest, outcome: Outcome, record: Record) 
         found.append(
             f"hysteresis and creep were not fitted (--response): at the pace of the holds sites may creep by "
             f"{100 * outcome.creep_share:.2g} % more, which is in sensitivity_std and residuals; loads from zero do "
-            "not show hysteresis, and nothing here holds it"
+            "not show hysteresis, and no error of this result includes it"
         )
     if sentence := compare_with_width(plate, record.coupling):
         found.append(sentence)

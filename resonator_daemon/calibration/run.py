@@ -277,10 +277,10 @@ def _accept(session: Session, staged: dict[str, Any], console: Console, config_p
         raise CalibrationRefusedError(f"{source} has changed since it was calibrated; --abort, and calibrate again")
     write_plate_file(staged["plate_file"], output)
     session.archive(staged["id"])
-    line = f"accepted: {output} holds calibration {staged['id']}"
+    line = f"accepted: calibration {staged['id']} is in {output}"
     if config_path is not None:
         name_plate(config_path, output)
-        line += f"; {config_path} names it; a running daemon uses it after a restart"
+        line += f", which {config_path} now refers to; a running daemon uses it after a restart"
     elif source != output:
         line += f'; set plate = "{output}" in the configuration'
     console.object(result("accepted", staged), line)

@@ -100,7 +100,7 @@ def in_words(result: Mapping[str, Any]) -> str:
             f"  touches: {found} of {plate['contacts_true']} found{at_site}" + f", {late} of them late" * bool(late)
         )
         if by_hand := plate["contacts_by_hand"]:
-            lines.append(f"  touches by hand: {by_hand}; neither they nor what was touched at the same time are scored")
+            lines.append(f"  touches by hand: {by_hand}; they, and touches at the same time, are not scored")
         if (error := plate["force_error_newton_rms"]) is not None:
             lines.append(f"  force error: {1e3 * error:.2f} mN rms")
         if (error := plate["position_error_mm_rms"]) is not None:

@@ -48,7 +48,7 @@ class ChannelMessage(NamedTuple):
 
 
 class FoxgloveMessages:
-    """Makes the channels' messages of one plate.
+    """Translation of one plate's messages to those of its channels.
 
     Parameters
     ----------

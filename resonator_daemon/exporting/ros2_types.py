@@ -100,7 +100,7 @@ resonator_msgs/Patch[] patches
 
 
 def make_typestore(*, humble: bool = False) -> Typestore:
-    """Return the types of ROS 2, and those of `resonator_msgs`; of Humble, whose ids of nodes are longer, or newer."""
+    """Return the types of ROS 2 and `resonator_msgs`; with `humble`, ids of nodes have the length of Humble."""
     store = get_typestore(Stores.ROS2_HUMBLE if humble else Stores.ROS2_JAZZY)
     types: dict[str, Any] = {}
     for kind, definition in DEFINITIONS.items():
@@ -110,6 +110,6 @@ def make_typestore(*, humble: bool = False) -> Typestore:
 
 
 def ros_name(text: str) -> str:
-    """Return the text as a name that ROS takes: letters, digits and underscores, no digit first."""
+    """Return the text as a name that ROS accepts: letters, digits and underscores, no digit first."""
     name = re.sub(r"[^A-Za-z0-9_]", "_", text)
     return name if re.match(r"[A-Za-z]", name) else f"plate_{name}"

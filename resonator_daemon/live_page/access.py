@@ -45,8 +45,8 @@ class Access:
     host
         The address that the server listens on.
     token
-        That browsers have to send once, and programs as `Authorization: Bearer`; None: everybody may open the page who
-        reaches it.
+        That browsers have to send once, and programs as `Authorization: Bearer`; None: everybody
+        who reaches the page may open it.
     tls
         Whether cookies are sent over TLS only.
     """
@@ -80,13 +80,13 @@ class Access:
         origin = request.headers.get(hdrs.ORIGIN)
         if origin is not None and urlsplit(origin).netloc.lower() != request.host.lower():
             return _refused(403, "wrong_origin", "another site's page may not use this server")
-        if self._token is None or request.path == LOGIN or self._knows(request):
+        if self._token is None or request.path == LOGIN or self._is_authorized(request):
             return None
         if "text/html" in request.headers.get(hdrs.ACCEPT, ""):
             return _form(401, "This page needs the token of the person who runs it.")
         return _refused(401, "no_token", "send the token as `Authorization: Bearer TOKEN`")
 
-    def _knows(self, request: web.Request) -> bool:
+    def _is_authorized(self, request: web.Request) -> bool:
         kind, _, token = request.headers.get(hdrs.AUTHORIZATION, "").partition(" ")
         return request.cookies.get(COOKIE) in self._sessions or (kind == "Bearer" and self._is_token(token))
 

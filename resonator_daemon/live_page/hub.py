@@ -248,4 +248,4 @@ class Hub:
         if path is None:
             raise RefusedRequest("not_pressable", f"plate: {press.plate!r} is no emulated plate; see --press")
         key = "press" if isinstance(press, Press) else "release"
-        return await browser.touches.ask(path, {key: press.name, **(press.model_extra or {})})
+        return await browser.touches.request(path, {key: press.name, **(press.model_extra or {})})

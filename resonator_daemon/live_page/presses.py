@@ -33,9 +33,9 @@ class ControlConnection:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
-        self._asking = asyncio.Lock()
+        self._busy = asyncio.Lock()
 
-    async def ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
+    async def request(self, content: Mapping[str, Any]) -> dict[str, Any]:
         """Return the emulator's answer.
 
         Raises
@@ -43,13 +43,13 @@ class ControlConnection:
         OSError
             There is no emulator at the socket, or it does not answer.
         """
-        async with self._asking:
+        async with self._busy:
             try:
                 async with asyncio.timeout(_ANSWER_S):
                     if self._streams is None:
                         self._streams = await asyncio.open_unix_connection(self._path, limit=_LINE_BYTES_MAX)
                     reader, writer = self._streams
-                    writer.write(json.dumps(request).encode() + b"\n")
+                    writer.write(json.dumps(content).encode() + b"\n")
                     await writer.drain()
                     line = await reader.readline()
                     if not line:
@@ -103,7 +103,7 @@ class Emulators:
         while True:
             connection = ControlConnection(path)
             try:
-                answer = await connection.ask({"info": True})
+                answer = await connection.request({"info": True})
                 if answer.get("ok") is not True:
                     raise ConnectionAbortedError(str(answer.get("error", {}).get("message")))
                 problem = ""
@@ -122,12 +122,12 @@ class Emulators:
         try:
             while True:
                 if board in self.wanted:
-                    truth = (await connection.ask({"truth": True})).get("truth")
+                    truth = (await connection.request({"truth": True})).get("truth")
                     if isinstance(truth, dict):
                         self._on_truth(board, truth)
                     await asyncio.sleep(TRUTH_S)
                 else:
-                    await connection.ask({"info": True})  # so that its end is noticed
+                    await connection.request({"info": True})  # so that its end is noticed
                     await asyncio.sleep(AGAIN_S / 4)
         finally:
             self.boards.pop(board, None)
@@ -140,7 +140,7 @@ class Touches:
     def __init__(self) -> None:
         self._connections: dict[Path, ControlConnection] = {}
 
-    async def ask(self, path: Path, request: Mapping[str, Any]) -> dict[str, Any]:
+    async def request(self, path: Path, content: Mapping[str, Any]) -> dict[str, Any]:
         """Send a request to an emulator; return its answer.
 
         Raises
@@ -150,7 +150,7 @@ class Touches:
         """
         connection = self._connections.setdefault(path, ControlConnection(path))
         try:
-            answer = await connection.ask(request)
+            answer = await connection.request(content)
         except (OSError, TimeoutError) as error:
             raise RefusedRequest("no_emulator", f"no emulator at {path}: {meaning_of(error)}") from None
         if answer.get("ok") is not True:

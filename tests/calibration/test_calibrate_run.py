@@ -25,7 +25,8 @@ from simulators.emulator import EmulatorOptions
 MASSES = (0.1, 0.3, 0.5)
 SPEED = 10.0
 TIMEOUT_S = 60
-NOTHING_STAGED = {"result": "aborted", "id": None, "output": None, "record": None, "notes": [], "staged": False}
+ABORTED = {"verb": "calibrate", "ok": True, "result": "aborted"}
+NOTHING_STAGED = {**ABORTED, "id": None, "output": None, "record": None, "notes": [], "staged": False}
 LOADS = ("--sites", "7", "--masses-grams", "100,300,500", "--hold-s", "0.3")
 
 

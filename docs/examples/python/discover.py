@@ -29,7 +29,7 @@ async def discover():
 
 
 def describe(name, info, state):
-    """Return what one wants to know of a plate, a line each."""
+    """Return a description of a plate, one line for each property."""
     condition = state.state if state else "unknown"
     calibration = info.calibration
     valid = f"valid until {calibration.expiry}" if calibration.expiry else "no expiry date"

@@ -1,4 +1,4 @@
-"""What is the matter with a plate? Told from its retained states alone: python situation.py [HOST [PORT [NAME]]]."""
+"""Print what is the matter with a plate, from its retained states alone: python situation.py [HOST [PORT [NAME]]]."""
 
 import asyncio
 import json

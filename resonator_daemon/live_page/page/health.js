@@ -1,4 +1,4 @@
-// How the daemon fares: situation, three states with their reasons, rates, losses, latency, clock, calibration.
+// Health of the daemon: situation, three states with their reasons, rates, losses, latency, clock, calibration.
 
 import { situation } from "./situation.js";
 import { UNKNOWN, duration, fixed, make, setRows, setText, words } from "./text.js";
@@ -12,7 +12,7 @@ const EXPLAINED = {
   host_overrun: "lost by the serial port's driver",
   queue_overflow: "discarded before measuring",
   publish_dropped: "messages not written to the broker",
-  skipped_late: "messages left out as late",
+  skipped_late: "messages omitted because they were late",
 };
 
 /** Upper bound in ms of the bin in which a share of the messages lies, of those between two messages of health. */
