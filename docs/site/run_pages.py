@@ -134,9 +134,9 @@ def work_through(name: str) -> int:
                 except PageError as error:
                     failed += 1
                     print(f"{name}:{step.line}: {step.text.splitlines()[0]}\n      {error}", flush=True)
-    left_out = sum(step.kind == "not run" for step in steps((ROOT / name).read_text()))
+    omitted = sum(step.kind == "not run" for step in steps((ROOT / name).read_text()))
     verdict = f"{failed} FAILED" if failed else "ok"
-    print(f"{name}: {count} run, {left_out} not run, {time.monotonic() - begin:.0f} s: {verdict}", flush=True)
+    print(f"{name}: {count} run, {omitted} not run, {time.monotonic() - begin:.0f} s: {verdict}", flush=True)
     return failed
 
 

@@ -17,7 +17,7 @@ _BASES: Final[dict[str, Any]] = {
 
 
 class DdsTypes:
-    """Makes the DDS type of each type of ROS, with the names that ROS uses on the network.
+    """DDS types of the types of ROS, with the names that ROS uses on the network.
 
     Parameters
     ----------

@@ -156,7 +156,7 @@ class FoxgloveServer:
 
 
 class _Subscriptions(ServerListener):  # type: ignore[misc]
-    """Receives subscriptions in a thread of the library, and reports them on the event loop."""
+    """Listener that the library calls in a thread of its own; reports subscriptions on the event loop."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, report: Callable[[str], None]) -> None:
         self._loop = loop

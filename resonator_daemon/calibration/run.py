@@ -183,7 +183,7 @@ class _Calibration:
         }
 
     def _fit_so_far(self, step: Step) -> tuple[float | None, str]:
-        """How far a load lies from the fit of its site, None where that has no meaning; and a text."""
+        """Return how far a load lies from the fit of its site, None where that has no meaning; and a text."""
         loads = [load for load in self._procedure.loadings.values() if load.step.site_id == step.site_id]
         if len(loads) < 3 or step.at_temperature:
             return None, ""  # two always fit

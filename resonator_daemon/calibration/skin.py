@@ -60,7 +60,7 @@ def calibrate_skin(config_path: Path, seconds: float, *, as_json: bool) -> ExitC
     Raises
     ------
     UserError
-        The configuration cannot be used or its plate has no skin; no broker can be reached; too few frames hold load.
+        The configuration cannot be used or its plate has no skin; no broker can be reached; too few frames have load.
     """
     config = load_config(config_path)
     skin = config.plate.required_skin
@@ -71,7 +71,7 @@ def calibrate_skin(config_path: Path, seconds: float, *, as_json: bool) -> ExitC
     captured = {"plate": capture.plate, "frames": len(capture.frames), "frames_with_load": capture.loaded}
     if found is None:
         raise CalibrationRefusedError(
-            f"{capture.loaded} of {len(capture.frames)} frames hold load, must be at least {FEWEST_FRAMES}: "
+            f"{capture.loaded} of {len(capture.frames)} frames have load, must be at least {FEWEST_FRAMES}: "
             + ("press and shear the skin while they are captured" if capture.frames else _silence(config)),
             so_far={**captured, "fit": None},
         )
@@ -84,7 +84,7 @@ def calibrate_skin(config_path: Path, seconds: float, *, as_json: bool) -> ExitC
 
 
 async def _capture(config: Config, seconds: float) -> Capture:
-    """Frames at least 0.2 s apart by their own time, for some seconds from the first one."""
+    """Return frames at least 0.2 s apart by their own time, for some seconds from the first one."""
     await reach(config.mqtt)
     capture = Capture(config.name)
     first_ns = next_ns = report_ns = 0

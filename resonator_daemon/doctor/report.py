@@ -44,7 +44,7 @@ class Report:
         return ExitCode.FAILED if self.faulty else ExitCode.DONE
 
     @property
-    def judgement(self) -> str:
+    def verdict_text(self) -> str:
         """The verdict in words, with the first fault."""
         if self.cause is None:
             return self.verdict
@@ -79,18 +79,18 @@ class Report:
         stream.write(_OUTCOME.sub(paint, self.as_text(whole=whole)))
 
     @property
-    def _left_out(self) -> dict[str, list[Finding]]:
+    def _omitted(self) -> dict[str, list[Finding]]:
         """What was not checked, by the reason."""
-        left_out: dict[str, list[Finding]] = {}
+        omitted: dict[str, list[Finding]] = {}
         for finding in self.findings:
             if finding.outcome is Outcome.NOT_CHECKED:
-                left_out.setdefault(finding.evidence, []).append(finding)
-        return left_out
+                omitted.setdefault(finding.evidence, []).append(finding)
+        return omitted
 
     @property
     def _shared_reasons(self) -> dict[str, list[str]]:
         """Why several things were not checked, each reason with the ids of these."""
-        shared = {reason: findings for reason, findings in self._left_out.items() if len(findings) > 1}
+        shared = {reason: findings for reason, findings in self._omitted.items() if len(findings) > 1}
         return {reason: [finding.id for finding in findings] for reason, findings in shared.items()}
 
     def _not_checked_together(self) -> Iterator[str]:
@@ -130,10 +130,10 @@ class Report:
             )
         )
         yield f"{len(self.findings)} checks: {counts}"
-        for reason, left_out in self._left_out.items():
-            stages = ", ".join(dict.fromkeys(finding.stage.value for finding in left_out))
-            yield from _wrapped("not checked: ", f"{len(left_out)} of {stages}: {reason}")
-        yield from _wrapped("verdict: ", self.judgement)
+        for reason, omitted in self._omitted.items():
+            stages = ", ".join(dict.fromkeys(finding.stage.value for finding in omitted))
+            yield from _wrapped("not checked: ", f"{len(omitted)} of {stages}: {reason}")
+        yield from _wrapped("verdict: ", self.verdict_text)
 
 
 def _named(finding: Finding) -> str:

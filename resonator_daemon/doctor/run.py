@@ -91,7 +91,7 @@ def doctor(options: DoctorOptions) -> ExitCode:
         report.write(sys.stdout)
         return report.exit_code
     if report.cause is not None:
-        raise FaultError(report.judgement, so_far=report.as_json())
+        raise FaultError(report.verdict_text, so_far=report.as_json())
     sys.stdout.write(json.dumps(report.as_json()) + "\n")
     return ExitCode.DONE
 

@@ -17,7 +17,7 @@ _OF_SIGNALS: Final = ("p_n", "eps_xz", "eps_yz")  # the rows of `signals`
 
 
 class Clouds:
-    """Makes clouds of the messages of one plate.
+    """Translation of one plate's messages to point clouds.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ STALE: Final = 3  # as diagnostic_msgs/DiagnosticStatus counts
 
 
 class Diagnostics:
-    """Makes statuses of one plate.
+    """Translation of one plate's states and health to statuses.
 
     Parameters
     ----------

@@ -68,7 +68,7 @@ class Translated(NamedTuple):
 
 
 class Translation:
-    """Makes messages of ROS of those of one plate.
+    """Translation of one plate's messages to those of ROS.
 
     Coordinates are the plate's: x to the right, y downwards, z into the plate; metres. Frames are the plate, with its
     name, and one at each contact, with parallel axes: `NAME_contact_0` and so on, numbered from the lowest free number.

@@ -167,11 +167,11 @@ def _add_verb(channels: Object, operations: Object, verb: Verb) -> None:
 
 
 def _add_unknown(channels: Object, operations: Object) -> None:
-    about = "The refusal of a command that there is not, with the `verb` `unknown` and the code `unknown_verb`."
+    about = "The refusal of an unknown command, with the `verb` `unknown` and the code `unknown_verb`."
     channels[_UNKNOWN] = _channel(f"{_PLATE}rsp/unknown", about, Refusal.__name__)
     delivery = _BINDING | {"qos": 1, "retain": False}
     operations[_UNKNOWN] = _operation("send", _UNKNOWN, delivery, Refusal.__name__) | {
-        "summary": "Refuses a command that there is not, where it names no response topic."
+        "summary": "Refuses an unknown command that has no response topic."
     }
 
 

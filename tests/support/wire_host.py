@@ -1,4 +1,4 @@
-"""A host for emulated boards, in a test's own hands: reads until told otherwise."""
+"""A host for emulated boards, in a test's own hands: reads until stopped."""
 
 import json
 import os
@@ -17,7 +17,7 @@ _SILENCE_S = 0.1  # after which a host asks
 
 
 class Host:
-    """Reads an emulated board until told otherwise."""
+    """Reads an emulated board until stopped."""
 
     def __init__(self, fd: int, gate_ticks: int) -> None:
         self.fd = fd
