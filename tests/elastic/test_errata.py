@@ -159,10 +159,7 @@ def test_eq03_determinant():
         assert abs(found / printed - 1) > 0.01
 
 
-# --- determinants (a)-(g) of section 3.2.1
-
-XX, YY, ZZ, XY, XZ, YZ, P_N = range(7)
-
+XY = 3  # row of the strains
 
 # --- the estimator: eq (5), its functional, its prior
 

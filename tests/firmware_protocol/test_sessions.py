@@ -3,29 +3,14 @@
 from dataclasses import replace
 
 import pytest
-from protocol_sessions import BOOT, DESCRIPTION, GATE, IDENTITY, RECORD, RECORDS, exchange, new_device, running
+from protocol_sessions import BOOT, DESCRIPTION, GATE, IDENTITY, RECORDS, exchange, new_device, running
 
 from firmware_protocol.device import DeviceSession
-from firmware_protocol.host import Described, Frame, HostSession, Located, Started
+from firmware_protocol.host import HostSession, Located, Started
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.messages import Configuration, Refusal, RefusalCode
 from firmware_protocol.packets import encode_packet
-from firmware_protocol.states import BoardState, HostState
-
-
-def test_handshake_reaches_frames() -> None:
-    host, device = HostSession(), new_device()
-    assert exchange(host, device) == [Described(IDENTITY, DESCRIPTION, 0x1234)]
-    assert host.state is HostState.DESCRIBED
-    host.configure(GATE)
-    assert exchange(host, device) == [Started(GATE)]
-    assert (host.state, device.state) == (HostState.RUNNING, BoardState.RUNNING)
-    raw = device.frame(0, 123, RECORDS)
-    assert len(raw) == 204
-    (frame,) = host.receive(raw)
-    assert frame == Frame(0, 123, 204, RECORDS)
-    assert isinstance(frame, Frame)
-    assert frame.records == (RECORD,) * 4
+from firmware_protocol.states import HostState
 
 
 def test_lost_answers_are_asked_for_again_without_a_second_run() -> None:

@@ -154,3 +154,4 @@ def test_each_key_has_a_description_and_numbers_have_their_unit() -> None:
     for name in (*EXAMPLES, "Signals", "Decoded", "Header", "Measured", "SiteForce", "Contact"):
         for key, told in own_schema(name)["properties"].items():
             assert told.get("description") or f"- `{key}`: " in schemas[name]["description"], (name, key)
+            assert "number" not in str(told.get("type")) or "x-unit" in told, (name, key)

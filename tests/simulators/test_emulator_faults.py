@@ -7,12 +7,11 @@ from collections import Counter
 from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
 from emulation import emulated
-from wire_host import Host, opened, truths, wait_for
+from wire_host import Host, opened, wait_for
 
-from firmware_protocol.host import Described, Frame, Pong
-from firmware_protocol.messages import BoardStatus, ResetCause
+from firmware_protocol.host import Described
+from firmware_protocol.messages import ResetCause
 from simulators.emulator import OTHER_SERIAL_NUMBER, SERIAL_NUMBER, Emulator, EmulatorOptions
 from simulators.faults import FaultPlan, parse_faults
 
@@ -58,35 +57,6 @@ def test_all_that_happens_to_bytes_at_once_is_what_the_report_says(tmp_path: Pat
     assert passed <= set(counts["frame_sequences_delayed"])
     for count in ("bursts", "garbage_bursts", "packets_duplicated", "chunks_lost", "chunks_reordered", "bits_flipped"):
         assert counts[count] > 0, count
-
-
-def pongs_late(host: Host) -> list[Pong]:
-    start_ticks = host.frames[0].board_ticks
-    return [event for event in host.events if isinstance(event, Pong) and event.board_ticks - start_ticks > 10**9]
-
-
-def test_a_frozen_board_leaves_its_port_open_and_its_gates_go_on(tmp_path: Path) -> None:
-    path, truth_path = tmp_path / "board", tmp_path / "truth.jsonl"
-    options = quartz(path, "freeze_at_s=0.1,freeze_for_s=3", truth=truth_path, speed=10.0)
-    with emulated(options) as emulator, opened(path) as host:
-        host.read_until(
-            lambda: len(host.frames) > 100 and host.frames[-1].sequence > 3100 and len(pongs_late(host)) > 0
-        )
-    numbers = np.array(sequences(host))
-    gap = int(np.diff(numbers).argmax())
-    # What it was asked meanwhile, it read when it had thawed.
-    assert min(pong.board_ticks for pong in pongs_late(host)) >= host.frames[0].board_ticks + 3_098_000_000
-    assert numbers[gap + 1] - numbers[gap] > 1000  # the queue holds 1285, and 3000 were made
-    told = received = 0
-    for event in host.events:
-        if isinstance(event, BoardStatus):
-            told = event.frames_dropped
-        elif isinstance(event, Frame):
-            assert event.sequence == told + received
-            received += 1
-    assert [line["sequence"] for line in truths(truth_path)[:3000]] == list(range(3000))
-    assert add_up(emulator)["freezes"] == 1
-    assert emulator.report()["dropped_by_cause"]["queue_full"] >= told
 
 
 def test_a_brown_out_cuts_a_frame_and_the_board_says_why_it_began_anew(tmp_path: Path) -> None:
