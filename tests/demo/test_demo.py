@@ -147,8 +147,8 @@ async def test_a_terminal_shows_the_address_of_a_page_in_which_the_plate_is_pres
             await page.send_json({"watch": {"source": "live", "plate": "quartz16", "topics": []}})
             await page.send_json({"id": 1, "press": press})
             async for message in page:
-                told = json.loads(message.data) if message.type is aiohttp.WSMsgType.TEXT else {}
-                if any(contact["id"] > 1_000_000 for contact in told.get("truth", {}).get("contacts", ())):
+                content = json.loads(message.data) if message.type is aiohttp.WSMsgType.TEXT else {}
+                if any(contact["id"] > 1_000_000 for contact in content.get("truth", {}).get("contacts", ())):
                     break
         demo.send_signal(signal.SIGINT)
         assert await result == "1"

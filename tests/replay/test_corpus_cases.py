@@ -105,14 +105,14 @@ def test_a_difference_is_printed_and_ends_with_a_failure(tmp_path: Path, capsys:
 
     case = retold(tmp_path, online)
     assert exit_code("replay", "--check", case, CORPUS / "overload") == ExitCode.FAILED
-    said = capsys.readouterr()
-    assert said.out.startswith("DIFFERS refused: 1 differences\n        state/link at ")
-    assert 's: state: expected "online", got "refused"\n' in said.out
-    assert "ok      overload: " in said.out
-    assert said.err.endswith("2 fixtures, 1 differ\n")
+    output = capsys.readouterr()
+    assert output.out.startswith("DIFFERS refused: 1 differences\n        state/link at ")
+    assert 's: state: expected "online", got "refused"\n' in output.out
+    assert "ok      overload: " in output.out
+    assert output.err.endswith("2 fixtures, 1 differ\n")
     assert exit_code("replay", "--check", case, "--json") == ExitCode.FAILED
-    told = json.loads(capsys.readouterr().out)
-    assert (told["ok"], told["error"]["code"], told["cases"][0]["differences"]) == (False, "differs", 1)
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["ok"], printed["error"]["code"], printed["cases"][0]["differences"]) == (False, "differs", 1)
 
 
 @pytest.mark.parametrize(

@@ -38,11 +38,11 @@ def counted(messages: list[dict[str, Any]]) -> dict[str, int]:
 
 
 async def replay_to(capsys: pytest.CaptureFixture[str], url: str, *arguments: object) -> dict[str, Any]:
-    """Run the verb in a thread, as its event loop is its own; return what it told."""
+    """Run the verb in a thread, as its event loop is its own; return what it printed."""
     code = await asyncio.to_thread(replay, TOUCHES, "--url", url, "--json", *arguments)
-    said = capsys.readouterr()
-    told: dict[str, Any] = json.loads(said.out)
-    return told | {"code": code, "stderr": said.err}
+    printed = capsys.readouterr()
+    result: dict[str, Any] = json.loads(printed.out)
+    return result | {"code": code, "stderr": printed.err}
 
 
 def heard_of(heard: Observer, name: str, path: str) -> list[Any]:
@@ -52,10 +52,10 @@ def heard_of(heard: Observer, name: str, path: str) -> list[Any]:
 def test_all_messages_go_to_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "run.jsonl"
     assert replay(TOUCHES, "--to", output, "--json") == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["verb"], told["ok"], told["messages"]) == ("replay", True, COUNTS)
-    assert (told["differences"], told["damage"]) == (0, None)
-    assert told["seconds"] == pytest.approx(4.2, abs=0.3)
+    result = json.loads(capsys.readouterr().out)
+    assert (result["verb"], result["ok"], result["messages"]) == ("replay", True, COUNTS)
+    assert (result["differences"], result["damage"]) == (0, None)
+    assert result["seconds"] == pytest.approx(4.2, abs=0.3)
     assert counted(lines(output)) == COUNTS
     assert lines(output)[-1]["payload"]["daemon_boot_id"] == "0123456789abcdef"
 
@@ -78,16 +78,16 @@ async def test_a_replay_at_a_broker_is_like_its_daemon_but_says_that_it_is_none(
     broker: Mosquitto | Amqtt, capsys: pytest.CaptureFixture[str]
 ) -> None:
     async with observe(broker.url) as heard:
-        told = await replay_to(capsys, broker.url, "--speed", "max")
+        result = await replay_to(capsys, broker.url, "--speed", "max")
         last = await heard.until_last("resonator/left-index/state/daemon", state="offline")
-        assert (told["code"], told["name"], told["messages"]) == (0, "left-index", COUNTS), told
-        assert told["dropped"] == {}
+        assert (result["code"], result["name"], result["messages"]) == (0, "left-index", COUNTS), result
+        assert result["dropped"] == {}
         for path, count in COUNTS.items():
             await heard.until_count(f"resonator/left-index/{path}", count)
             assert [payload["seq"] for payload in heard_of(heard, "left-index", path)] == list(range(count))
     assert last["reason"] == "replaying recording.mcap: over"
     states = heard_of(heard, "left-index", "state/daemon")
-    assert any((said["state"], said["reason"]) == ("online", "replaying recording.mcap") for said in states)
+    assert any((state["state"], state["reason"]) == ("online", "replaying recording.mcap") for state in states)
     ids = {payload["daemon_boot_id"] for path in COUNTS for payload in heard_of(heard, "left-index", path)}
     assert ids == {last["daemon_boot_id"]} != {"0123456789abcdef"}
 
@@ -104,8 +104,8 @@ async def test_beside_a_live_daemon_a_replay_needs_another_name(
             "resonatord: a daemon publishes as resonator/left-index (online: measuring); stop it, or give --name\n"
         )
         assert len(heard_of(heard, "left-index", "state/daemon")) == 1
-        told = await replay_to(capsys, mosquitto.url, "--name", "again", "--speed", "max")
-        assert told["code"] == 0
+        result = await replay_to(capsys, mosquitto.url, "--name", "again", "--speed", "max")
+        assert result["code"] == 0
         await heard.until_last("resonator/again/state/daemon", state="offline")
 
 
@@ -117,20 +117,20 @@ def test_step_by_step_waits_for_enter(tmp_path: Path) -> None:
         os.close(theirs)
         os.write(ours, b"\n\n")
         os.write(ours, b"\x04")  # the end of the input
-        said = process.communicate(timeout=60)[1]
+        printed = process.communicate(timeout=60)[1]
     os.close(ours)
     assert process.returncode == 0
-    assert said.startswith("0.000 s  state/link, state/sensor  [Enter] ")
-    assert said.count("[Enter]") == 3
+    assert printed.startswith("0.000 s  state/link, state/sensor  [Enter] ")
+    assert printed.count("[Enter]") == 3
     assert 2 <= len(lines(output)) <= 6
 
 
 @pytest.mark.parametrize("case", ["cut-off", "bit-flipped"])
 def test_a_damaged_file_is_played_up_to_there(case: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert replay(CORPUS / case / "recording.mcap", "--to", "-") == 1
-    said = capsys.readouterr()
-    assert said.out.count('"topic":"forces"') >= 30
-    assert said.err.splitlines()[-1].endswith("; resonatord repair FILE copies all complete parts")
+    printed = capsys.readouterr()
+    assert printed.out.count('"topic":"forces"') >= 30
+    assert printed.err.splitlines()[-1].endswith("; resonatord repair FILE copies all complete parts")
 
 
 @pytest.mark.parametrize(

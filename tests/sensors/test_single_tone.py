@@ -51,11 +51,11 @@ def test_an_onset_is_told_at_once_between_two_steps(phase):
     bench = Bench().untouched()
     bench.hold(UNTOUCHED, phase)
     captured_ticks = bench.board.board_ticks
-    told = [reading for reading in bench.hold(PLATE.loaded_hz(3, 1.0), 20) if reading.events]
-    assert events(told) == [("onset", 3)]
-    assert told[0].board_ticks - captured_ticks <= 4 * GATE_TICKS
-    assert told[0].at_step == ((told[0].sequence + 1) % 5 == 0)
-    assert told[0].contacts[0].touch.force_newton == pytest.approx(1.0, abs=6 * told[0].sites[0].noise_newton)
+    readings = [reading for reading in bench.hold(PLATE.loaded_hz(3, 1.0), 20) if reading.events]
+    assert events(readings) == [("onset", 3)]
+    assert readings[0].board_ticks - captured_ticks <= 4 * GATE_TICKS
+    assert readings[0].at_step == ((readings[0].sequence + 1) % 5 == 0)
+    assert readings[0].contacts[0].touch.force_newton == pytest.approx(1.0, abs=6 * readings[0].sites[0].noise_newton)
 
 
 def test_a_new_touch_is_followed_by_a_window_that_grows_from_two_gates_to_ten():
@@ -72,10 +72,10 @@ def test_tones_of_the_corners_are_those_of_the_sites_that_each_captured():
     bench = Bench(error=CLOCK_ERROR, tones_period_frames=50).untouched()
     two_hz = np.where([True, True, False, False], PLATE.loaded_hz(3, 2.5), PLATE.loaded_hz(9, 1.0))
     for true_hz, sites in ((UNTOUCHED, [None] * 4), (PLATE.loaded_hz(6, 1.5), [6] * 4), (two_hz, [3, 3, 9, 9])):
-        told = [reading.tones for reading in bench.hold(true_hz, 200) if reading.tones]
-        assert len(told) == 4  # of 40 readings
-        assert [tone.site for tone in told[-1]] == sites
-        for tone, hz in zip(told[-1], true_hz, strict=True):
+        tones = [reading.tones for reading in bench.hold(true_hz, 200) if reading.tones]
+        assert len(tones) == 4  # of 40 readings
+        assert [tone.site for tone in tones[-1]] == sites
+        for tone, hz in zip(tones[-1], true_hz, strict=True):
             assert abs(tone.frequency_hz - hz) < 6 * tone.noise_hz < 1.0
             assert (tone.captured == "pilot") == math.isnan(tone.residual)
             assert not abs(tone.residual) > 4
