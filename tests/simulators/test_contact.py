@@ -31,12 +31,6 @@ def midpoints(count: int, pitch: float) -> tuple[Floats, Floats]:
     return x, y
 
 
-def test_shear_beyond_friction_slides() -> None:
-    radii, forces = hertz_parts([3.0, 4.0, 2.0], RADIUS, FRICTION)
-    assert radii[1] == 0
-    np.testing.assert_allclose(forces, np.array([[0.6, 0.8, 2.0], [0, 0, 0]]), atol=1e-15)
-
-
 @pytest.mark.parametrize("force", [[0.2, 0.1, 0.0], [0.2, 0.1, -1.0], [0.0, 0.0, 0.0]])
 def test_nothing_acts_without_pressing(force: list[float]) -> None:
     radii, forces = hertz_parts(force, RADIUS, FRICTION)

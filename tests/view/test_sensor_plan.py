@@ -36,9 +36,7 @@ def panel(lines: list[str], title_line: int, column: int) -> np.ndarray:
     ("components", "array", "words"),
     [
         ("xx,yy,zz", {}, ["incompressible", "give rank 2; add p_n", "only along 0° and 90°"]),
-        ("zz,xz,yz", {}, ["incompressible", "without friction from ", " mm down to 0.4 mm"]),
         ("xy,xx,yy", {"nu": 0.3}, ["compatibility"]),
-        ("xz,sigma_xz", {"nu": 0.3}, ["follow from each other and give rank 1"]),
         ("p_n,zz,xy", {}, ["resolves normal load down to", "only along 45° and 135°, where the rank drops"]),
         ("p_n", {}, ["resolves the normal load of a touch without friction", "one signal gives rank 1"]),
         (
