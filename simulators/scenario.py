@@ -20,9 +20,9 @@ _SHORTEST_RAMP_S = 1e-9  # stands for an instant
 
 
 class Scenario:
-    """The touches of a scenario on one plate, besides those of clients; time counts from the first frame.
+    """The touches of a scenario on one plate, or those of clients; time counts from the first frame.
 
-    `presses` are what clients hold: it presses at all moments that are asked for while it is held.
+    `presses` are what clients hold: it alone presses at all moments that are asked for while it is held.
     """
 
     def __init__(
@@ -86,7 +86,11 @@ class Scenario:
             kelvin = np.where(force_newton[..., 2] > 0.0, self._kelvin, np.nan)
         ids = self._first_ids + round_number.astype(np.int64) * self._ids_per_round
         pressing = Pressing(ids, force_newton, position_m, kelvin, self.whole_plate, self._radius_m, self._friction)
-        return pressing if self._presses is None else joined(pressing, self._presses.at(len(times_s)))
+        if self._presses is None:
+            return pressing
+        if self._presses.held:
+            pressing = pressing._replace(force_newton=np.zeros_like(force_newton))
+        return joined(pressing, self._presses.at(len(times_s)))
 
     def _force_newton(self, since_s: Floats, touch: npt.NDArray[np.intp]) -> Floats:
         """Return the force (n, k, 3) of touches (k,) at times (n, k) since their start."""

@@ -273,6 +273,8 @@ class PlateScore:
         if by_hand:
             self.by_hand |= by_hand
             self._by_hand_ns = line.t_ns
+            for touch in self._touches.values():  # lifted before it can have been found
+                touch.scored &= touch.crossed_ns is None or touch.crossed_ns < line.t_ns - FOUND_WITHIN_NS
         for contact in line.contacts:
             touch = self._touches.setdefault(contact["id"], TrueTouch(contact["site"]))
             if line.t_ns < self._by_hand_ns + _AFTER_HAND_NS:

@@ -1,6 +1,6 @@
 // Contacts as numbers: force, position, moments, slip margin, beside the ground truth; events; force over a minute.
 
-import { UNKNOWN, clockTime, fixed, make, metres, plusMinus, setRows, setText, words } from "./text.js";
+import { UNKNOWN, absence, clockTime, fixed, make, metres, plusMinus, setRows, setText, words } from "./text.js";
 import { onTheme, theme } from "./colours.js";
 
 const CARDS = 6;
@@ -36,8 +36,7 @@ export class ContactsPanel {
       const card = this.cards.children[index] ?? this.cards.appendChild(this.template.content.firstElementChild.cloneNode(true));
       this.#fill(card, contact, takeNearest(truths, contact.position));
     });
-    const idle = message ? "Nothing touches the plate." : "No contacts were published yet.";
-    setText(this.more, contacts.length > CARDS ? `and ${contacts.length - CARDS} more` : contacts.length ? "" : idle);
+    setText(this.more, contacts.length > CARDS ? `and ${contacts.length - CARDS} more` : contacts.length ? "" : absence(message));
     this.#describeEvents(model);
     this.#drawChart(model);
   }

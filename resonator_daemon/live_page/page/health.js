@@ -34,8 +34,8 @@ export class HealthPanel {
     this.rates = new Map();
   }
 
-  describe(model, page, nowMs) {
-    const found = situation(model.states, model.source === "live");
+  describe(model, page, nowMs, hasBroker) {
+    const found = situation(model.states, model.source === "live", hasBroker);
     const { banner } = this;
     if (banner.dataset.situation !== found.code) {
       banner.dataset.situation = found.code;

@@ -31,6 +31,10 @@ class App {
     requestAnimationFrame((now) => this.#frame(now));
   }
 
+  get hasBroker() {
+    return this.broker.connected !== false;
+  }
+
   get isOpen() {
     return this.link.state === "open";
   }
@@ -137,7 +141,7 @@ class App {
     let text = "";
     if (this.link.state === "closed") text = "No connection to the page's server; trying again. The last values are shown.";
     else if (this.link.state === "connecting") text = "Connecting…";
-    else if (this.broker.connected === false && this.views.some(({ isLive }) => isLive)) {
+    else if (!this.hasBroker && this.views.some(({ isLive }) => isLive)) {
       text = `No connection to the MQTT broker: ${this.broker.reason || this.broker.reason_code || "no reason given"}`;
     }
     setText(notice, text);

@@ -3,7 +3,7 @@
 import { MAPS, css, theme } from "./colours.js";
 import { Ladder } from "./ladder.js";
 import { Scene } from "./scene.js";
-import { UNKNOWN, fixed, make, plusMinus, setText, words } from "./text.js";
+import { UNKNOWN, absence, fixed, make, plusMinus, setText, words } from "./text.js";
 
 const NUMBERED_SITES = 64;
 const SHEAR_PX = 60; // of the largest force of the plate
@@ -168,7 +168,7 @@ export class PlatePanel {
       }
     }
     while (this.touched.children.length > Math.max(1, rows.length)) this.touched.lastChild.remove();
-    if (!rows.length) rows.push([model.newest("contacts") ? "Nothing touches the plate." : "No contacts were published yet.", "", ""]);
+    if (!rows.length) rows.push([absence(model.newest("contacts")), "", ""]);
     rows.forEach(([name, value, status], index) => {
       const item = this.touched.children[index] ?? this.touched.appendChild(make("li"));
       if (!item.firstChild) item.append(make("b"), " ", make("span"), " ", make("em", "status"));

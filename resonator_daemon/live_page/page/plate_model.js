@@ -1,6 +1,7 @@
 // What one plate of one source has published last. Streams are decoded when they are drawn, not when they arrive.
 
 import { readPayload } from "./payloads.js";
+import { isMeasured } from "./text.js";
 
 const HISTORY_S = 60;
 const HISTORY_POINTS = 1200;
@@ -141,10 +142,10 @@ export class PlateModel {
     const contacts = this.newest("contacts");
     if (!contacts || !(contacts.time > 0) || contacts === this.sampled) return;
     this.sampled = contacts;
-    let normal = 0;
+    let normal = contacts.contacts.length || isMeasured(contacts) ? 0 : NaN; // a gap in the curve
     let variance = 0;
-    let x = 0;
-    let y = 0;
+    let x = normal;
+    let y = normal;
     for (const { force, noise, systematic } of contacts.contacts) {
       normal += force[2];
       variance += noise[2] ** 2 + (systematic || 0) ** 2;

@@ -14,6 +14,7 @@ const SITUATIONS = {
   board_rebooted: ["Working; the board restarted", "reboot", "note"],
   sensor_drifting: ["The sensor drifts", "drift", "warn"],
   recording_over: ["End of the recording", "stop", "off"],
+  no_broker: ["Not known", "broker", "warn"],
   other: ["Not ready", "other", "warn"],
 };
 
@@ -51,9 +52,11 @@ function detail(found, { daemon, link, sensor }) {
     case "board_hung":
       return link.reason;
     case "board_rebooted":
-      return `Boot ${link.boots}${outage ? `, since ${clockTime(outage.end)}: ${outage.reason}` : ""}.`;
+      return `${outage ? `Measures again since ${clockTime(outage.end)}. Before: ${outage.reason}. ` : ""}This is boot ${link.boots}.`;
     case "sensor_drifting":
       return sensor.reason;
+    case "no_broker":
+      return "The page has no connection to the broker. It shows the last values.";
     default: {
       const parts = Object.entries({ daemon, link, sensor }).filter(([, state]) => state?.state !== "online");
       return parts.map(([part, state]) => `${part}: ${state ? state.reason || words(state.state) : "unknown"}`).join("; ");
@@ -62,9 +65,9 @@ function detail(found, { daemon, link, sensor }) {
 }
 
 /** Situation of a plate from its states by part: {code, title, icon, kind, detail}. Recordings lack that of the daemon. */
-export function situation({ daemon, link, sensor }, isLive) {
+export function situation({ daemon, link, sensor }, isLive, hasBroker) {
   const states = { daemon: daemon ?? (isLive ? undefined : { state: "online" }), link, sensor };
-  const found = code(states);
+  const found = isLive && !hasBroker ? "no_broker" : code(states);
   const [title, icon, kind] = SITUATIONS[found];
   return { code: found, title, icon, kind, detail: detail(found, states) };
 }

@@ -47,6 +47,20 @@ export function clockTime(seconds) {
 
 export const words = (code) => code.replaceAll("_", " ");
 
+/** Statuses of a message without contacts that something touches all the same; the site is not known. */
+const TOUCHED = new Set(["rejected", "ambiguous", "possibly_more"]);
+
+/** What a message of contacts without a contact means; null: there was no message. */
+export function absence(message) {
+  if (!message) return "No contacts were published yet.";
+  const { status, reasonCode } = message;
+  if (TOUCHED.has(status)) return `Touched, but no site is identified: ${words(reasonCode || status)}. Press one site at a time.`;
+  return isMeasured(message) ? "Nothing touches the plate." : `Contacts are not known: ${words(reasonCode || status)}.`;
+}
+
+/** Whether the absence of contacts in a message means that the plate is untouched. */
+export const isMeasured = ({ status }) => ["ok", "settling", "constraint_dropped", "uncalibrated"].includes(status);
+
 /** Set an element's text only where it differs: unchanged text costs no layout, and is not announced again. */
 export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;

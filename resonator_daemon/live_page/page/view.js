@@ -118,7 +118,7 @@ export class View {
     this.plate.describe(model);
     if (model.isSkin) this.surface.describe(model);
     this.contacts.describe(model);
-    this.health.describe(model, this.app.page, clockMs);
+    this.health.describe(model, this.app.page, clockMs, this.app.hasBroker);
     this.commands?.describe(this.selected, this.app.hello.commands, model);
     const canPress = this.#pressable();
     root.classList.toggle("pressable", canPress);
@@ -147,7 +147,7 @@ export class View {
     }
     names.forEach((name, index) => {
       const button = this.tabs.children[index];
-      const found = situation(this.app.model(this.source.source, name).states, this.isLive);
+      const found = situation(this.app.model(this.source.source, name).states, this.isLive, this.app.hasBroker);
       button.dataset.kind = found.kind;
       if (button.title !== found.title) button.title = found.title;
       button.setAttribute("aria-pressed", name === this.selected);

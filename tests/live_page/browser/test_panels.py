@@ -77,6 +77,15 @@ async def test_plate_shows_touched_sites_with_uncertainty(fake: FakeLivePage, op
     await expect(page.locator(".surface-panel")).to_be_hidden()
 
 
+async def test_a_touch_whose_site_is_not_identified_is_no_absence(fake: FakeLivePage, open_page: Open) -> None:
+    await fake.send("info", info())
+    page = await open_page()
+    await fake.send("contacts", header(status="rejected", reason_code="tones_alike", contacts=[]))
+    for panel in (".contacts-panel", ".plate-panel"):
+        await expect(page.locator(panel)).to_contain_text("tones alike")
+        await expect(page.locator(panel)).not_to_contain_text("Nothing touches")
+
+
 async def test_surface_has_the_colours_of_its_scale(fake: FakeLivePage, open_page: Open) -> None:
     await fake.send(
         "info", info(skin=True, grid={"origin_m": [-0.0062, -0.0062], "pitch_m": 0.0004, "shape": [32, 32]})
