@@ -3,6 +3,7 @@
 import asyncio
 import os
 import signal
+import socket
 import ssl
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -80,7 +81,8 @@ class LivePage:
         try:
             await self._listen(runner, host)
             _, port, *_ = runner.addresses[0]
-            on_ready(f"{'https' if self._options.tls else 'http'}://{f'[{host}]' if ':' in host else host}:{port}/")
+            name = socket.gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+            on_ready(f"{'https' if self._options.tls else 'http'}://{name}:{port}/")
             await self._serve()
         finally:
             await self._hub.disconnect_all()
