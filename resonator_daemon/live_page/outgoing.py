@@ -17,7 +17,7 @@ class Outgoing:
         Messages of streams that were replaced by newer ones before they were sent.
     overflowed
         Whether a message other than those of streams was dropped, because too many waited: the browser has to begin
-        anew.
+        again.
     """
 
     def __init__(self) -> None:

@@ -1,10 +1,10 @@
 """Makes the golden corpus: short recordings of emulated boards in every trouble, and what each of them is to become.
 
-    .venv/bin/python tests/corpus/make.py             # expectations anew, of the recordings that are there
-    .venv/bin/python tests/corpus/make.py record      # all recordings anew, too; `record NAME...`: those alone
+    .venv/bin/python tests/corpus/make.py             # expectations again, of the recordings that are there
+    .venv/bin/python tests/corpus/make.py record      # all recordings again, too; `record NAME...`: those alone
 
 What is emulated follows from fixed seeds; when bytes arrive does not, so that each recording is another. Expectations
-are what the present version makes of a recording: look at what `replay --check` says before they are made anew.
+are what the present version makes of a recording: look at what `replay --check` says before they are made again.
 """
 
 import shutil
@@ -195,7 +195,7 @@ def record(case: Case, path: Path, folder: Path) -> None:
 
 
 def make(name: str) -> None:
-    """Record a case anew."""
+    """Record a case again."""
     with tempfile.TemporaryDirectory() as temporary:
         recording = Path(temporary) / "run.mcap"
         record(CASES[name], recording, Path(temporary))

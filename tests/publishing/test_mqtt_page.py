@@ -57,7 +57,7 @@ def test_every_topic_is_described() -> None:
 
 
 def test_tables_of_keys_and_words_are_those_of_the_models() -> None:
-    assert key_tables.with_tables(PAGE) == PAGE, "python docs/tables/key_tables.py writes them anew"
+    assert key_tables.with_tables(PAGE) == PAGE, "python docs/tables/key_tables.py writes them again"
 
 
 def test_each_set_of_words_has_a_table() -> None:

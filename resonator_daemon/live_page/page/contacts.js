@@ -1,4 +1,4 @@
-// Contacts as numbers: force, position, moments, slip margin, beside the ground truth; events; force over a minute.
+// Contacts as numbers: force, position, moments, slip margin, next to the ground truth; events; force over a minute.
 
 import { UNKNOWN, absence, clockTime, fixed, make, metres, plusMinus, setRows, setText, words } from "./text.js";
 import { onTheme, theme } from "./colours.js";

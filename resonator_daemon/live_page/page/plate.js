@@ -152,7 +152,7 @@ export class PlatePanel {
     }
   }
 
-  /** Text beside the drawing, a few times a second. */
+  /** Text next to the drawing, a few times a second. */
   describe(model) {
     const { info } = this;
     const rows = [];

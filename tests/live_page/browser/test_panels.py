@@ -84,6 +84,7 @@ async def test_a_touch_whose_site_is_not_identified_is_no_absence(fake: FakeLive
     for panel in (".contacts-panel", ".plate-panel"):
         await expect(page.locator(panel)).to_contain_text("tones alike")
         await expect(page.locator(panel)).not_to_contain_text("Nothing touches")
+    await expect(page.locator(".chart-summary")).to_have_text("normal force now – N")
 
 
 async def test_surface_has_the_colours_of_its_scale(fake: FakeLivePage, open_page: Open) -> None:
@@ -113,7 +114,7 @@ async def test_error_against_the_truth_is_zero_where_the_map_is_right(fake: Fake
         await expect(page.locator("option[value=error]")).to_be_enabled()
         await page.select_option(".surface-panel select", "error")
         await drawn(page)
-        red, green, blue = (await colour(page, SURFACE, 0.0006, 0.0006)).tolist()  # beside the marks of the truth
+        red, green, blue = (await colour(page, SURFACE, 0.0006, 0.0006)).tolist()  # next to the marks of the truth
         if force_newton == 1.0:
             assert np.abs(np.array([red, green, blue]) - WHITE).max() <= 3
         else:
@@ -315,6 +316,7 @@ async def test_connects_again_and_watches_again(fake: FakeLivePage, open_page: O
     await fake.until("watch", watched + 1)
     await expect(page.locator("#notice")).to_be_hidden()
     await fake.tell(broker={"connected": False, "reason_code": "no_broker", "reason": "no broker answers"})
+    await expect(page.locator(".situation")).to_have_attribute("data-situation", "no_broker")
     await expect(page.locator("#notice")).to_contain_text("no broker answers")
 
 
