@@ -84,7 +84,7 @@ async def test_a_touch_whose_site_is_not_identified_is_no_absence(fake: FakeLive
     for panel in (".contacts-panel", ".plate-panel"):
         await expect(page.locator(panel)).to_contain_text("tones alike")
         await expect(page.locator(panel)).not_to_contain_text("Nothing touches")
-    await expect(page.locator(".chart-summary")).to_have_text("normal force now – N")
+    await expect(page.locator(".chart-summary")).to_have_text("normal force now \N{EN DASH} N")
 
 
 async def test_surface_has_the_colours_of_its_scale(fake: FakeLivePage, open_page: Open) -> None:
