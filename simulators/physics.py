@@ -40,7 +40,7 @@ class Physics(BaseModel):
         0.01, description="Half width of the hysteresis, as a share of the plate's largest force."
     )
     creep_fraction: Share = Field(
-        0.005, description="Share of a force that a site feels only after a while, and for a while afterwards."
+        0.005, description="Share of a force that acts on a site with a delay, at its start and at its end."
     )
     creep_time_s: Positive = Field(20.0, description="Time constant of creep.")
     temperature_coefficient: Number = Field(

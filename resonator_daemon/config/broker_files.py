@@ -11,7 +11,6 @@ MAX_PASSWORD_BYTES: Final = 65_535  # what MQTT can carry
 
 _CREDENTIAL: Final = "credential:"
 _PEM_REMEDY: Final = "name a PEM file"
-_PASSWORD_REMEDY: Final = "write the password into it, alone on one line"
 
 
 class UnusableFileError(OSError):
@@ -45,22 +44,23 @@ def broker_file(name: str, directory: Path) -> BrokerFile:
     return BrokerFile(name, Path(given) / credential if given else None)
 
 
-def read_password(file: BrokerFile) -> str:
-    """Return the one line of a file, without its end.
+def read_password(file: BrokerFile, what: str = "password") -> str:
+    """Return the one line of a file, without its end; `what` it is, for messages.
 
     Raises
     ------
     UnusableFileError
         The file is missing, not readable, empty, or more than a password.
     """
+    remedy = f"write the {what} into it, alone on one line"
     try:
-        password = _read(file, _PASSWORD_REMEDY).decode().removesuffix("\n").removesuffix("\r")
+        password = _read(file, remedy).decode().removesuffix("\n").removesuffix("\r")
     except UnicodeDecodeError:
-        raise UnusableFileError(f"{file}: not UTF-8; {_PASSWORD_REMEDY}") from None
+        raise UnusableFileError(f"{file}: not UTF-8; {remedy}") from None
     if not password:
-        raise UnusableFileError(f"{file}: is empty; {_PASSWORD_REMEDY}")
+        raise UnusableFileError(f"{file}: is empty; {remedy}")
     if "\n" in password or "\0" in password or len(password.encode()) > MAX_PASSWORD_BYTES:
-        raise UnusableFileError(f"{file}: more than a password; {_PASSWORD_REMEDY}")
+        raise UnusableFileError(f"{file}: more than a {what}; {remedy}")
     return password
 
 

@@ -13,7 +13,7 @@ from resonator_daemon.reasons import Reason, ReasonCode
 ONSET_NEWTON: Final = 0.020
 RELEASE_NEWTON: Final = 0.010
 _UNKNOWN: Final = Reason(ReasonCode.UNKNOWN_TOO_LONG, "its state was unknown for too long")
-_GONE: Final = Reason(ReasonCode.NOT_DETECTED, "no longer felt")
+_GONE: Final = Reason(ReasonCode.NOT_DETECTED, "no touch is detected there any more")
 _FELL: Final = Reason(ReasonCode.FORCE_FELL, f"below {RELEASE_NEWTON:g} N")
 
 

@@ -13,7 +13,7 @@ from aiohttp import hdrs, web
 
 from resonator_daemon.config.mqtt import is_this_computer
 
-COOKIE: Final = "resonatord_view"
+COOKIE: Final = "resonatord_view_{}"  # with the port: browsers send the cookies of a host to all of its ports
 LOGIN: Final = "/login"
 TOKEN_CHARACTERS_MIN: Final = 16
 
@@ -88,7 +88,7 @@ class Access:
 
     def _is_authorized(self, request: web.Request) -> bool:
         kind, _, token = request.headers.get(hdrs.AUTHORIZATION, "").partition(" ")
-        return request.cookies.get(COOKIE) in self._sessions or (kind == "Bearer" and self._is_token(token))
+        return request.cookies.get(_cookie(request)) in self._sessions or (kind == "Bearer" and self._is_token(token))
 
     def _is_token(self, token: str) -> bool:
         return self._token is not None and hmac.compare_digest(token.strip().encode(), self._token)
@@ -102,8 +102,12 @@ class Access:
         if len(self._sessions) > _SESSIONS_MAX:
             self._sessions.popitem(last=False)
         response = web.Response(status=303, headers={hdrs.LOCATION: "/"})
-        response.set_cookie(COOKIE, session, httponly=True, samesite="Strict", secure=self._tls)
+        response.set_cookie(_cookie(request), session, httponly=True, samesite="Strict", secure=self._tls)
         return response
+
+
+def _cookie(request: web.Request) -> str:
+    return COOKIE.format(request.url.port)
 
 
 def _names_this_computer(host: str) -> bool:

@@ -17,6 +17,7 @@ from resonator_daemon.publishing.topics import TOPICS, full_topic, split_topic
 
 CONNECTING, CONNECTED, DENIED = "connecting", "connected", "denied"
 NO_BROKER, REFUSED, LOST = "no_broker", "broker_refuses", "connection_lost"
+RETAINED_S: Final = 1.0  # after a subscription: retained messages that have not arrived by then are gone
 STREAMS: Final = frozenset(path for path, topic in TOPICS.items() if topic.qos == 0)
 
 log = logging.getLogger(__name__)
@@ -49,6 +50,8 @@ class BrokerRelay:
         self._streams: BrokerConnection | None = None  # while connected
         self._streams_version: MQTTProtocolVersion | None = MQTT_3  # its packets cost half of those of version 5
         self._connected = False
+        self._retained: set[tuple[str, str]] = set()  # plate and path: relayed, and not cleared since
+        self._delivered: set[tuple[str, str]] = set()  # of these, what this connection has delivered
 
     async def run(self) -> None:
         """Relay until cancelled."""
@@ -93,11 +96,16 @@ class BrokerRelay:
     async def _serve_states(self, connection: BrokerConnection, _at_once: bool) -> None:
         topics = [topic for topic in TOPICS.values() if topic.qos]
         filters = topic_filters(self._broker.prefix, topics, plate=EVERY_PLATE, full_rate=True)
+        self._delivered = set()
         for topic_filter, qos in filters.items():
             connection.subscribe(topic_filter, qos)
         self._connected = True
         self._set_status(True, CONNECTED, "")
-        await asyncio.wait([connection.lost])
+        over, _ = await asyncio.wait([connection.lost], timeout=RETAINED_S)
+        if not over:
+            for plate, path in self._retained - self._delivered:  # the broker has lost them
+                self._relay(plate, path, b"")
+            await asyncio.wait([connection.lost])
 
     async def _serve_streams(self, connection: BrokerConnection, _at_once: bool) -> None:
         self._streams = connection
@@ -113,7 +121,16 @@ class BrokerRelay:
         if path in STREAMS and (plate, path) not in self._watched:  # of a subscription that has just ended
             return
         if path in TOPICS:  # amqtt delivers retained messages of other topics, too
-            self._on_message(plate, path, message.payload)
+            self._relay(plate, path, message.payload)
+
+    def _relay(self, plate: str, path: str, payload: bytes) -> None:
+        if TOPICS[path].retained:
+            self._delivered.add((plate, path))
+            if payload:
+                self._retained.add((plate, path))
+            else:
+                self._retained.discard((plate, path))
+        self._on_message(plate, path, payload)
 
     def _failed(self, error: Exception) -> None:
         was_connected, self._connected = self._connected, False

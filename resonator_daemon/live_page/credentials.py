@@ -24,7 +24,7 @@ def read_token(path: Path) -> str:
         The file cannot be read, or the token can be guessed.
     """
     try:
-        token = read_password(BrokerFile(str(path), path))
+        token = read_password(BrokerFile(str(path), path), "token")
     except UnusableFileError as error:
         raise ConfigurationError(f"--token-file {error}") from None
     if len(token) < TOKEN_CHARACTERS_MIN:

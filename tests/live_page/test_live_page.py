@@ -14,7 +14,7 @@ import aiomqtt
 import pytest
 from brokers import Mosquitto
 from emulation import emulated
-from page_client import Browser, browser, served
+from page_client import Browser, Frame, browser, served
 from wire_host import opened
 
 from resonator_daemon.commands import main
@@ -96,6 +96,8 @@ async def test_a_browser_that_does_not_read_delays_nobody_and_misses_only_stream
 
 
 async def test_a_broker_that_vanishes_and_returns_is_reported_by_codes(mosquitto: Mosquitto) -> None:
+    for plate in ("left", "right"):
+        await publish(mosquitto, f"{plate}/info", info("quartz16"), retain=True)
     async with served(Sources(Mqtt(url=mosquitto.url))) as url, browser(url) as tab:
         await tab.key("broker", lambda it: it["connected"] and it["reason_code"] == "connected")
         await tab.watch("left", "forces")
@@ -104,8 +106,12 @@ async def test_a_broker_that_vanishes_and_returns_is_reported_by_codes(mosquitto
         assert gone["reason_code"] in ("connection_lost", "no_broker")
         await tab.key("broker", lambda it: it["reason_code"] == "no_broker")
         await mosquitto.start()
-        await tab.key("broker", lambda it: it["connected"])
+        await publish(mosquitto, "right/info", info("comb16"), retain=True)  # again, as its daemon does
         await subscribed(mosquitto, tab, "left/forces")
+        emptied = await tab.until(lambda it: isinstance(it, Frame) and not it.payload)
+        assert emptied.address == "live/left/info"  # the broker has lost it
+        async with browser(url) as later:
+            assert await later.frame("live/right/info")
 
 
 @pytest.mark.parametrize(
@@ -211,6 +217,7 @@ async def test_who_may_open_the_page(mosquitto: Mosquitto) -> None:
         assert await status() == (401, "no_token")
         async with session.post(f"{url}login", data={"token": token}) as response:
             assert (response.status, response.url.path) == (200, "/")
+        assert all(port in cookie.key for cookie in session.cookie_jar)  # the host's other ports have their own
         assert await status() == (200, None)  # by the cookie
 
 
@@ -220,6 +227,7 @@ async def test_who_may_open_the_page(mosquitto: Mosquitto) -> None:
         (["--listen", "0.0.0.0:0"], ExitCode.USAGE),
         (["--tls-key", "key.pem"], ExitCode.USAGE),
         (["--token-file", "short"], ExitCode.CONFIG),
+        (["--token-file", "missing"], ExitCode.CONFIG),
         (["--listen", "127.0.0.1:{taken}"], ExitCode.FAILED),
         (["missing.mcap"], ExitCode.USAGE),
         (["missing.mcap", "--url", "mqtt://127.0.0.1"], ExitCode.USAGE),
@@ -239,4 +247,5 @@ def test_a_page_that_cannot_be_served_ends_with_its_exit_code(
         assert main(["view", "--json", *(word.format(taken=port) for word in words)]) == code
     answer = json.loads(capsys.readouterr().out)
     assert (answer["verb"], answer["ok"]) == ("view", False)
+    assert "password" not in answer["error"]["message"]
     assert os.listdir(tmp_path) == ["short"]

@@ -219,7 +219,7 @@ class ParametricDecoder:
         covariance = self._covariance(best)[:2, :2]
         std_m = float(np.sqrt(np.linalg.eigvalsh(covariance).max())) if np.isfinite(covariance).all() else np.inf
         if std_m > _STD_LIMIT_DEPTHS * float(self._model.depth_m.max()):
-            return f"the contact is near ({x:.1f}, {y:.1f}) mm or elsewhere: too few sites feel it"
+            return f"the contact is near ({x:.1f}, {y:.1f}) mm or elsewhere: too few sites measure it"
         for other in others:
             apart = other.parameters[:2] - best.parameters[:2]
             near = apart @ np.linalg.solve(covariance, apart) < _RIVAL_STD**2

@@ -1,6 +1,6 @@
 // Contacts as numbers: force, position, moments, slip margin, next to the ground truth; events; force over a minute.
 
-import { UNKNOWN, absence, clockTime, fixed, make, metres, plusMinus, setRows, setText, words } from "./text.js";
+import { UNKNOWN, absence, clockTime, fixed, make, metres, plusMinus, quantity, setRows, setText, words } from "./text.js";
 import { onTheme, theme } from "./colours.js";
 
 const CARDS = 6;
@@ -50,7 +50,7 @@ export class ContactsPanel {
     setText(card.querySelector(".status"), contact.status === "ok" ? "" : words(contact.status) + (contact.reasonCode ? `: ${words(contact.reasonCode)}` : ""));
     setText(card.querySelector(".normal"), normal);
     const difference = truth ? force[2] - truth.force[2] : NaN;
-    setText(card.querySelector(".true"), truth ? `true ${fixed(truth.force[2], 3)} N, off by ${fixed(1e3 * difference, 0)} mN` : "");
+    setText(card.querySelector(".true"), truth ? `true ${quantity(truth.force[2], 3, "N")}${Number.isFinite(difference) ? `, off by ${quantity(1e3 * difference, 0, "mN")}` : ""}` : "");
     drawVector(card.querySelector("svg"), force, truth);
     const rows = [];
     if (hasShear) {
@@ -75,7 +75,7 @@ export class ContactsPanel {
     const bar = gauge.querySelector(".bar");
     const shown = Math.max(0, Math.min(1, known ? slipMargin : 0));
     bar.firstElementChild.style.width = `${100 * shown}%`;
-    const word = !known ? `not known${slipReason ? `: ${words(slipReason)}` : ""}` : slipMargin <= 0 ? "slips" : slipMargin < INCIPIENT ? "begins to slip" : "holds";
+    const word = !known ? `not known${slipReason ? `: ${words(slipReason)}` : ""}` : slipMargin <= 0 ? "slips" : slipMargin < INCIPIENT ? "begins to slip" : "sticks";
     gauge.dataset.kind = !known ? "off" : slipMargin < INCIPIENT ? "bad" : "good";
     setText(gauge.querySelector("output"), known ? `${plusMinus(slipMargin, slipMarginStd, "")}, ${word}` : word);
     if (known) bar.setAttribute("aria-valuenow", shown.toFixed(2));

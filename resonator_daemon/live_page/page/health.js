@@ -1,7 +1,7 @@
 // Health of the daemon: situation, three states with their reasons, rates, losses, latency, clock, calibration.
 
 import { situation } from "./situation.js";
-import { UNKNOWN, duration, fixed, make, setRows, setText, words } from "./text.js";
+import { UNKNOWN, duration, fixed, make, plusMinus, quantity, setRows, setText, words } from "./text.js";
 
 const KINDS = { online: "good", starting: "note", offline: "off", waiting: "warn", stalled: "bad", lost: "bad", drifting: "warn", pressed_at_start: "warn", uncalibrated: "warn", refused: "bad" };
 const SIGNS = { good: "✓", note: "…", off: "■", warn: "!", bad: "✕" };
@@ -25,6 +25,10 @@ export function quantile(latency, before, share) {
   return latency.bounds[bin] ?? Infinity;
 }
 
+const clock = (ppm, uncertainty) => {
+  const drift = Number.isFinite(ppm) ? `${fixed(Math.abs(ppm), 1)} ppm ${ppm < 0 ? "slow" : "fast"}` : "drift not known";
+  return Number.isFinite(uncertainty) ? `${drift}, times ± ${fixed(1e6 * uncertainty, 0)} µs` : drift;
+};
 const bound = (ms) => (ms === Infinity ? "longer than all bins" : `≤ ${fixed(ms, ms < 10 ? 1 : 0)} ms`);
 
 export class HealthPanel {
@@ -80,25 +84,25 @@ export class HealthPanel {
     const main = model.isSkin && model.newest("decoded") ? "decoded" : "forces";
     const rows = [];
     const rate = this.#rate(model, main, nowMs);
-    rows.push(["Frames of the board", health ? `${fixed(health.frameRate, 0)} of ${fixed(info?.frameRate, 0)} /s` : UNKNOWN]);
-    rows.push([main === "decoded" ? "Decoded maps" : "Messages of forces", Number.isFinite(rate) ? `${fixed(rate, 0)} /s` : UNKNOWN]);
+    rows.push(["Frames of the board", Number.isFinite(health?.frameRate) ? `${fixed(health.frameRate, 0)} of ${quantity(info?.frameRate, 0, "/s")}` : UNKNOWN]);
+    rows.push([main === "decoded" ? "Decoded maps" : "Messages of forces", quantity(rate, 0, "/s")]);
     for (const [path, latency] of Object.entries(health?.latency ?? {})) {
       const [half, most] = [0.5, 0.99].map((share) => bound(quantile(latency, before?.latency[path], share)));
       rows.push([`Latency of ${path}`, `${half} for half, ${most} for 99 %`]);
     }
     const message = model.newest(main) ?? model.newest("contacts");
     if (message && model.source === "live") rows.push(["Age when shown", `${fixed(1e3 * Math.max(0, nowMs / 1000 - message.time), 0)} ms (both clocks)`]);
-    rows.push(["Clock of the board", health ? `${fixed(health.clockDrift, 1)} ppm fast, times ± ${fixed(1e6 * (message?.timeUncertainty ?? NaN), 0)} µs` : UNKNOWN]);
+    rows.push(["Clock of the board", clock(health?.clockDrift, message?.timeUncertainty)]);
     const { compensation } = model.states.sensor ?? {};
     if (compensation) {
       rows.push(["Baseline", words(compensation.baseline) || UNKNOWN]);
       const { kelvin, kelvinStd } = compensation;
-      rows.push(["Temperature", Number.isFinite(kelvin) ? `${fixed(kelvin, 2)} ± ${fixed(kelvinStd, 2)} K above reference` : "not measured by this counter"]);
+      rows.push(["Temperature", Number.isFinite(kelvin) ? `${plusMinus(kelvin, kelvinStd, "K")} above reference` : "not measured by this counter"]);
     }
     rows.push(this.#calibration(info));
     if (health) {
-      const decoder = health.decoder ? `, decoder ${fixed(health.decoder.cpu, 0)} %` : "";
-      rows.push(["Processor", `${fixed(health.cpu, 0)} % of a core${decoder}; ${fixed(health.memory, 0)} MB`]);
+      const decoder = health.decoder ? `, decoder ${quantity(health.decoder.cpu, 0, "%")}` : "";
+      rows.push(["Processor", `${quantity(health.cpu, 0, "% of a core")}${decoder}; ${quantity(health.memory, 0, "MB")}`]);
       rows.push(["Recording", health.recording.failure || (health.recording.file ? `${health.recording.file}, ${fixed(health.recording.bytes / 1e6, 1)} MB` : "no"), health.recording.failure ? "bad" : ""]);
     }
     if (info) rows.push(["Link", info.link]);
@@ -111,7 +115,7 @@ export class HealthPanel {
     const days = (text) => Math.floor((Date.now() - Date.parse(text)) / 86400e3);
     if (!date || !Number.isFinite(days(date))) return ["Calibration", info ? "not calibrated" : UNKNOWN];
     const isOver = days(expiry) > 0;
-    return ["Calibration", `${days(date)} days old, ${isOver ? "expired" : "valid"} ${expiry ? `until ${expiry}` : ""}`, isOver ? "bad" : ""];
+    return ["Calibration", `${days(date)} days old, ${isOver ? "expired" : "valid"}${expiry ? ` until ${expiry}` : ""}`, isOver ? "bad" : ""];
   }
 
   #describeLosses(model) {

@@ -67,6 +67,7 @@ export class PlateModel {
     if (bytes.length === 0) {
       if (path === "info") this.info = null, (this.infoVersion += 1);
       else if (path.startsWith("state/")) delete this.states[path.slice(6)];
+      if (!this.info && !Object.keys(this.states).length) this.#clearRun("");
       this.version += 1;
       return;
     }

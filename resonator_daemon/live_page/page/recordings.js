@@ -91,7 +91,10 @@ export class CommandPanel {
     root.querySelector("form").addEventListener("submit", (event) => {
       event.preventDefault();
       const input = root.querySelector("input");
-      if (input.value.trim()) this.#send("mark", { text: input.value.trim() }).then((ok) => ok && (input.value = ""));
+      const text = input.value.trim();
+      if (text) return this.#send("mark", { text }).then((ok) => ok && (input.value = ""));
+      this.#report("Enter the text of the mark first.");
+      input.focus();
     });
   }
 
@@ -113,8 +116,12 @@ export class CommandPanel {
   async #send(verb, args) {
     const answer = await this.connection.request({ command: { plate: this.plate, verb, arguments: args } });
     const text = answer.ok ? answer.message || DONE[verb] : `Refused: ${answer.error?.message ?? "no reason given"}`;
+    this.#report(text);
+    return answer.ok;
+  }
+
+  #report(text) {
     setText(this.root.querySelector("output"), text);
     this.announce(text);
-    return answer.ok;
   }
 }

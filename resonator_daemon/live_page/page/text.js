@@ -8,6 +8,9 @@ export function fixed(value, digits) {
   return Number(text) === 0 ? text.replace("-", "") : text.replace("-", "−");
 }
 
+/** A number with its unit; a dash alone for what is not known. */
+export const quantity = (value, digits, unit) => (Number.isFinite(value) ? `${fixed(value, digits)} ${unit}` : UNKNOWN);
+
 /** Decimal places at which a standard deviation has two digits. */
 function places(std, fallback) {
   if (!(std > 0)) return fallback;

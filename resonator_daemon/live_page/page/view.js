@@ -106,7 +106,7 @@ export class View {
     // Messages of recordings keep their times: the present is then that of the newest.
     const clockMs = this.isLive ? Date.now() : 1000 * (model?.newest("contacts")?.time ?? NaN);
     root.querySelector(".panels").hidden = !model;
-    root.querySelector(".empty").hidden = Boolean(model);
+    root.querySelector(".empty").hidden = Boolean(model) || !this.app.hasBroker;
     root.querySelector(".situation").hidden = !model;
     if (!model) return;
     const isPlaying = this.isLive || this.recording.position.playing;
@@ -128,6 +128,7 @@ export class View {
 
   #describeTabs() {
     const names = this.app.plates(this.source.source);
+    if (!names.includes(this.selected)) this.selected = this.model = null; // its topics were cleared
     if (!this.selected && names.length) this.select(this.app.preferred(names));
     const key = names.join("/");
     if (this.tabKey !== key) {

@@ -158,6 +158,7 @@ async def test_health_shows_losses_latency_and_calibration(fake: FakeLivePage, o
     await expect(page.locator(".losses")).to_contain_text("3 never arrived from the board")
     await expect(page.locator(".figures")).to_contain_text("≤ 2.0 ms for half, ≤ 10 ms for 99 %")
     await expect(page.locator(".figures")).to_contain_text("999 of 1000 /s")
+    await expect(page.locator(".figures")).to_contain_text("drift not known")
     await expect(page.locator(".figures")).to_contain_text("expired until 2021-01-01")
 
 
@@ -298,6 +299,9 @@ async def test_commands_that_both_permit(fake: FakeLivePage, open_page: Open) ->
     await expect(page.locator(".record")).to_be_disabled()  # the daemon does not list it
     await page.locator(".tare").click()
     await expect(page.locator(".command-panel output")).to_have_text("Refused: sites are touched")
+    await page.locator("button.mark").click()
+    await expect(page.locator(".command-panel output")).to_contain_text("Enter the text")
+    await expect(page.get_by_label("Text of the mark")).to_be_focused()
     await page.get_by_label("Text of the mark").fill("here")
     await page.locator("button.mark").click()
     commands = await fake.until("command", 2)
@@ -318,6 +322,9 @@ async def test_connects_again_and_watches_again(fake: FakeLivePage, open_page: O
     await fake.tell(broker={"connected": False, "reason_code": "no_broker", "reason": "no broker answers"})
     await expect(page.locator(".situation")).to_have_attribute("data-situation", "no_broker")
     await expect(page.locator("#notice")).to_contain_text("no broker answers")
+    await fake.tell(broker={"connected": True, "reason_code": "connected", "reason": ""})
+    await fake.send("info", b"")  # the broker has lost it
+    await expect(page.get_by_text("No plate has published yet")).to_be_visible()
 
 
 TONE = {"captured": "site", "site": 2, "frequency_hz": 10007900.0, "noise_hz": 0.04, "residual": -0.5}
@@ -400,7 +407,8 @@ async def test_phone_width_and_accessibility(fake: FakeLivePage, open_page: Open
     fake.hello |= {"press": ["p"], "commands": ["tare"]}
     await fake.send("info", info(skin=skin, link="serial:/dev/serial/by-id/" + 60 * "x", codes=codes(16)))
     await send_states(fake, ONLINE | {"sensor": {"state": "drifting", "reason": 200 * "y"}})
-    page = await open_page(viewport={"width": 360, "height": 740}, color_scheme=scheme)
+    page = await open_page(viewport={"width": 360, "height": 740}, color_scheme=scheme, has_touch=True, is_mobile=True)
+    await expect(page.get_by_text("a finger")).to_be_visible()
     slip = {"slip_margin": 0.1, "slip_margin_std": 0.04} if skin else {}
     await fake.send("contacts", header(status="ambiguous", contacts=[contact((0.1, 0.2, 1.3), **slip)]))
     await fake.send("contacts/event", header(event="onset", contact=contact()))
