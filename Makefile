@@ -66,7 +66,11 @@ help:  ## list the targets
 setup: .venv/run-stamp  ## leave .venv/bin/resonatord, from pinned and hashed packages; PYTHON=python3.13 chooses
 
 demo: .venv/run-stamp  ## two emulated plates, a broker, the daemon and a live view
-	@exec .venv/bin/resonatord demo
+	@.venv/bin/resonatord demo || {
+	  code=$$?
+	  [ $$code -ne 1 ] || echo "make demo: something was lost or missed, as the lines above state; make reports it as Error 1" >&2
+	  exit $$code
+	}
 
 test: .venv/test-stamp  ## linter, formatter check, type checker, import contracts and all tests
 	$(debian-packages)

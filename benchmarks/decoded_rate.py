@@ -22,7 +22,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from stage_cost_parts import child, tree_s
 from system_parts import free_port, mosquitto_command
 
-from resonator_daemon.demo.processes import HostLoad
+from resonator_daemon.demo.host_load import HostLoad
 
 DECODED_MIN, CORES_MAX = 0.98, 0.8
 ROOT = Path(__file__).resolve().parents[1]

@@ -83,6 +83,19 @@ def delays(plate: Mapping[str, Any]) -> list[str]:
     return clauses
 
 
+def cause(load: str, *, overloaded: bool) -> tuple[str, str]:
+    """Return why a run failed, by the load of the computer, and what to do."""
+    if overloaded:
+        return (
+            f"cause: this computer is overloaded; {load}",
+            "remedy: end other programs and repeat the demo, or run one plate: resonatord demo --plate quartz16",
+        )
+    return (
+        f"cause: not the average load of this computer, a short one is possible; {load}",
+        "remedy: repeat the demo; if it fails again, open an issue with the output of resonatord demo --json",
+    )
+
+
 def in_words(result: Mapping[str, Any]) -> str:
     """Return the result as lines of text."""
     lines = [f"measured for {result['seconds']:.0f} s, broker {result['broker']}, cores used: {result['cores']:.2f}"]

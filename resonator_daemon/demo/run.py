@@ -21,18 +21,18 @@ from rich.console import Console, RenderableType
 from rich.live import Live
 
 from resonator_daemon.config import Mqtt
+from resonator_daemon.demo.host_load import HostLoad
 from resonator_daemon.demo.local_broker import BROKER_PART, local_broker
 from resonator_daemon.demo.processes import (
     Child,
     Emulator,
-    HostLoad,
     cpu_s,
     raise_if_ended,
     start_daemons,
     start_emulator,
     start_live_page,
 )
-from resonator_daemon.demo.results import delays, failures, in_words, percentiles, plate_result
+from resonator_daemon.demo.results import cause, delays, failures, in_words, percentiles, plate_result
 from resonator_daemon.demo.score import SCORED, PlateScore
 from resonator_daemon.demo.subscription import Subscription
 from resonator_daemon.demo.truth import TruthTable, site_traction, surface_traction
@@ -294,10 +294,12 @@ class _Demo:
         )
         for line in late:
             print_note(line)
-        if late:
-            print_note(self._load.in_words(sum(self._usage.values()), self._pids))
+        own_s = sum(self._usage.values())
+        load = self._load.in_words(own_s, self._pids)
         if failed:
-            raise LossError(*failed, so_far=result)
+            raise LossError(*failed, *cause(load, overloaded=self._load.overloaded(own_s, self._pids)), so_far=result)
+        if late:
+            print_note(load)
         if self._options.json:
             sys.stdout.write(json.dumps(result) + "\n")
         return ExitCode.DONE

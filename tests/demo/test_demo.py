@@ -73,7 +73,8 @@ def test_both_plates_against_the_truth() -> None:
         for plate in (quartz, skin)
     )
     assert run.returncode == (0 if complete else 1)
-    assert ("processor cores" in run.stderr) == bool(re.search(r"\b(late|not received)\b", run.stderr))
+    assert ("processor cores" in run.stderr) == bool(re.search(r"\b(late|not received|missed|lost)\b", run.stderr))
+    assert ("\nresonatord: remedy: " in run.stderr) == (not complete)
 
 
 def test_without_mosquitto_amqtt_is_the_broker() -> None:
