@@ -1,11 +1,13 @@
 """Requests of the page: one JSON object a message, checked; what cannot be read is refused with a code."""
 
 import json
+import re
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from resonator_daemon.live_page.broker_relay import STREAMS
+from resonator_daemon.toml_files.reading import shown
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Source = Literal["live", "a", "b"]
@@ -117,14 +119,23 @@ def read_request(text: str) -> Request:
     try:
         content = KINDS[found[0]].model_validate(whole[found[0]])
     except ValidationError as error:
-        raise _refused(error) from None
+        raise _refused(found[0], error) from None
     if isinstance(content, Watch) and (unknown := content.topics - STREAMS):
         raise RefusedRequest("bad_value", f"topics: {sorted(unknown)[0]!r}; must be of {', '.join(sorted(STREAMS))}")
     return Request(read_number(text), content)
 
 
-def _refused(error: ValidationError) -> RefusedRequest:
+def _refused(verb: str, error: ValidationError) -> RefusedRequest:
     first = error.errors(include_url=False)[0]
-    key = ".".join(map(str, first["loc"]))
-    codes = {"extra_forbidden": "unknown_key", "missing": "missing_key", "finite_number": "not_finite"}
-    return RefusedRequest(codes.get(first["type"], "bad_value"), f"{key}: {first['msg']}")
+    where, keys = ".".join(map(str, (verb, *first["loc"]))), ", ".join(KINDS[verb].model_fields)
+    got = f"{where}: got {shown(first['input'])}"
+    match first["type"]:
+        case "model_type":
+            return RefusedRequest("bad_value", f"{got}; must be an object with keys of {keys}")
+        case "extra_forbidden":
+            return RefusedRequest("unknown_key", f"{where}: unknown key; allowed: {keys}")
+        case "missing":
+            return RefusedRequest("missing_key", f"{where}: missing; {verb} has the keys {keys}")
+        case found:
+            must = re.sub(r"^(Input|String) should", "must", first["msg"])
+            return RefusedRequest("not_finite" if found == "finite_number" else "bad_value", f"{got}; {must}")

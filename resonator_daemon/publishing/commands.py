@@ -200,10 +200,11 @@ class Commands:
             raise command.refused
         verb, handler = VERBS[command.verb], self._handlers[command.verb]
         if verb.changes and command.verb not in self.allowed:
+            name = self._base.rpartition("/")[2]
             raise CommandRefusedError(
                 "not_permitted",
                 f"{command.verb} is not permitted",
-                f'add "{command.verb}" to allow in [commands] of its configuration, then: resonatord reload NAME',
+                f'add "{command.verb}" to allow in [commands] of its configuration, then: resonatord reload {name}',
             )
         return handler(_request(verb, command.payload))
 

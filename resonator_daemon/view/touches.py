@@ -96,7 +96,10 @@ class TouchesPanel:
         return "no touch" if self._forces is not None and self._forces.status is Status.OK else self._status()
 
     def _status(self) -> str:
-        return "forces unknown: none arrive" if self._forces is None else f"status {self._forces.status}"
+        if self._forces is None:
+            return "forces unknown: none arrive"
+        because = f" ({self._forces.reason})" if self._forces.reason else ""
+        return f"status {self._forces.status}{because}"
 
     def _all_touches(self) -> Iterator[_Touch]:
         measured: dict[int, _Force | SiteForce] = {}

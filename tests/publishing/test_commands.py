@@ -126,6 +126,7 @@ async def test_each_answer_repeats_the_id_of_its_request(bench: Bench, id_: str)
         *(incoming(verb, asked) for verb in ("mark", "fly", "identify")),
     )
     assert bench.codes == ["done", "payload", "not_permitted", "unknown_verb", "not_located"]
+    assert answers[2]["error"]["hint"].endswith("resonatord reload left")
     assert [answer["id"] for answer in answers] == [id_] * 5
     assert answers[-1]["error"] == {"code": "not_located", "message": "no board", "hint": "plug it in"}
     bench.sent.clear()

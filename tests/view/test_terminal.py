@@ -110,11 +110,11 @@ def test_true_forces_stand_beside_the_measured() -> None:
 def test_an_overload_and_an_unknown_force_are_no_numbers() -> None:
     beyond = site_force(7, math.nan, status="overload", at_least_newton=10.0)
     unknown = site_force(13, math.nan, status="ambiguous", noise_newton=math.nan)
-    text = words(page(quartz16(("forces", forces(beyond, unknown, status="overload")))))
+    text = words(page(quartz16(("forces", forces(beyond, unknown, status="overload", reason="beyond 10 N")))))
     assert "7 at least 10.000 N overload" in text
     assert "13 - ambiguous" in text
     assert "?7" in text
-    assert "status overload" in text
+    assert "status overload (beyond 10 N)" in text
     assert "nan" not in text
 
 

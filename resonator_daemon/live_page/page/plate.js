@@ -159,7 +159,7 @@ export class PlatePanel {
     if (!info?.skin) {
       for (const { site, force, std, bound, atLeast, status } of model.newest("forces")?.sites ?? []) {
         const value = Number.isFinite(atLeast) ? `more than ${fixed(atLeast, 1)} N` : plusMinus(force, std, "N");
-        const extra = bound > 0 ? `, up to ${fixed(bound, 2)} N more if touched between sites` : "";
+        const extra = bound > 0 ? `; beside the site at most ${fixed(bound, 2)} N would not be detected` : "";
         rows.push([`Site ${site}`, `${value}${extra}`, status === "ok" ? "" : words(status)]);
       }
     } else {
