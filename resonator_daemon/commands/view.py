@@ -1,12 +1,14 @@
 """Serve a live page of what plates publish, or of recordings, for a browser, until stopped.
 
 The page is at http://127.0.0.1:8600/ and only for this computer, and it is read-only. Other addresses need a token and
-TLS. `--press` lets browsers press an emulated plate. docs/reference/live-page.md has examples.
+TLS. Recordings are shown instead of a broker, or in addition to that of `--url` or `--config`; those of a directory are
+opened from the page. `--press` lets browsers press an emulated plate. docs/reference/live-page.md has examples.
 
 Example: resonatord view --url mqtt://127.0.0.1:1883
 """
 
 import argparse
+import os
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -20,7 +22,11 @@ from resonator_daemon.host.printable import how_to_install
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "files", type=Path, nargs="*", metavar="FILE.mcap", help="one recording, or two to compare, instead of a broker"
+        "recordings",
+        type=Path,
+        nargs="*",
+        metavar="RECORDING",
+        help="one recording, two to compare, or a directory whose recordings browsers may open",
     )
     add_broker(parser)
     parser.add_argument(
@@ -61,11 +67,14 @@ def run(arguments: argparse.Namespace) -> ExitCode:
             raise MissingLibraryError(f"the live page needs {error.name}: {how_to_install('aiohttp')}") from error
 
         _check(arguments)
+        directory = next((path for path in arguments.recordings if path.is_dir()), None)
+        needs_broker = not arguments.recordings or arguments.url or arguments.config
         host, port = arguments.listen
         options = LivePageOptions(
             Sources(
-                None if arguments.files else broker_of(arguments),
-                arguments.files,
+                broker_of(arguments) if needs_broker else None,
+                [] if directory else arguments.recordings,
+                directory,
                 arguments.press,
                 arguments.allow_commands,
             ),
@@ -90,19 +99,26 @@ def _check(arguments: argparse.Namespace) -> None:
     """Raise UserError where arguments contradict each other, or a recording cannot be shown."""
     if (arguments.tls_certificate is None) != (arguments.tls_key is None):
         raise UsageError("--tls-certificate and --tls-key go together; give both, or neither")
-    if not arguments.files:
+    paths = arguments.recordings
+    if len(paths) > 2 or (len(paths) == 2 and any(path.is_dir() for path in paths)):
+        raise UsageError(f"{len(paths)} paths; name one recording, two to compare, or one directory of recordings")
+    if not paths:
         return
-    if len(arguments.files) > 2:
-        raise UsageError(f"{len(arguments.files)} recordings; the page shows one, or two to compare")
-    for option in ("url", "config", "prefix", "press", "allow_commands"):
-        if getattr(arguments, option):
-            raise UsageError(f"--{option.replace('_', '-')} is for plates of a broker; a recording needs none")
+    for option in ("prefix", "press", "allow_commands"):
+        if getattr(arguments, option) and not (arguments.url or arguments.config):
+            raise UsageError(f"--{option.replace('_', '-')} is for plates of a broker; add --url or --config")
+    from resonator_daemon.host.system_limits import meaning_of
     from resonator_daemon.links.link import LinkUnavailableError
     from resonator_daemon.replay.source import open_replay
 
-    for path in arguments.files:
+    for path in paths:
         try:
+            if path.is_dir():
+                os.listdir(path)
+                continue
             with open_replay(path):
                 pass
         except LinkUnavailableError as error:
             raise NoRecordingError(str(error)) from error
+        except OSError as error:
+            raise NoRecordingError(f"directory {path}: {meaning_of(error)}") from error

@@ -16,13 +16,16 @@ from resonator_daemon.errors import UserError
 from resonator_daemon.live_page.broker_relay import CONNECTING, BrokerRelay
 from resonator_daemon.live_page.client import Client
 from resonator_daemon.live_page.frames import LIVE, payload_frame, text_frame
-from resonator_daemon.live_page.player import Player
+from resonator_daemon.live_page.library import Library
+from resonator_daemon.live_page.player import Player, play
 from resonator_daemon.live_page.presses import Board, Emulators, Touches
 from resonator_daemon.live_page.recorded import Recorded
 from resonator_daemon.live_page.requests import (
     Command,
+    Open,
     Play,
     Press,
+    Recordings,
     RefusedRequest,
     Release,
     Request,
@@ -46,7 +49,9 @@ class Sources:
     broker
         Whose plates are shown; None: only recordings are.
     recordings
-        At most two.
+        At most two, which each browser has open first.
+    directory
+        Whose recordings browsers may open.
     presses
         Control sockets of emulators.
     allow_commands
@@ -55,6 +60,7 @@ class Sources:
 
     broker: Mqtt | None
     recordings: Sequence[Path] = ()
+    directory: Path | None = None
     presses: Sequence[Path] = ()
     allow_commands: bool = False
 
@@ -62,9 +68,25 @@ class Sources:
 class _Browser:
     """What belongs to one browser besides its connection."""
 
-    def __init__(self, client: Client, recordings: Sequence[Recorded]) -> None:
+    def __init__(self, client: Client) -> None:
         self.touches = Touches()
-        self.players = {recorded.source: Player(recorded, client.outgoing, client.watches) for recorded in recordings}
+        self.opened: Sequence[Path] = ()
+        self.players: dict[str, Player] = {}
+        self.openings = 0
+        self._client = client
+
+    def show(self, opened: Sequence[Path], recordings: Sequence[Recorded]) -> None:
+        """Play other recordings, all from their beginnings."""
+        client = self._client
+        for source in self.players:
+            client.outgoing.clear_streams(f"{source}/")
+            client.watched.pop(source, None)
+        self.opened = opened
+        self.players = {
+            source: Player(source, recorded, client.outgoing, client.watches)
+            for source, recorded in zip("ab", recordings, strict=False)
+        }
+        self.openings += 1
 
 
 class Hub:
@@ -78,9 +100,7 @@ class Hub:
         self._status: dict[str, Any] = {"connected": False, "reason_code": CONNECTING, "reason": ""}
         broker = sources.broker
         self._relay = None if broker is None else BrokerRelay(broker, self._relay_message, self._set_status)
-        self._recordings = [
-            Recorded(source, path, self._send_hello) for source, path in zip("ab", sources.recordings, strict=False)
-        ]
+        self._library = Library(sources.directory, self._send_hello)
         self._emulators = Emulators(sources.presses, self._send_hello, self._send_truth)
 
     @property
@@ -90,32 +110,38 @@ class Hub:
 
     async def run(self) -> None:
         """Receive from all sources until cancelled."""
-        async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._report())
-            tasks.create_task(self._emulators.run())
-            for recorded in self._recordings:
-                tasks.create_task(recorded.run())
-            if self._relay is not None:
-                tasks.create_task(self._relay.run())
+        self._library.exchange((), self._sources.recordings)  # decoded once, and kept
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._report())
+                tasks.create_task(self._emulators.run())
+                if self._relay is not None:
+                    tasks.create_task(self._relay.run())
+        finally:
+            for browser in self._browsers.values():
+                browser.show((), self._library.exchange(browser.opened, ()))
+            await self._library.close()
 
     async def connect(self, request: web.Request) -> web.StreamResponse:
         """Serve a browser until it disconnects."""
         client = Client(self._answer)
-        browser = _Browser(client, self._recordings)
-        client.outgoing.put(self._hello())
+        browser = _Browser(client)
+        recordings = self._sources.recordings
+        browser.show(recordings, self._library.exchange((), recordings))
+        client.outgoing.put(self._hello(browser))
         if self._relay is not None:
             client.outgoing.put(text_frame("broker", self._status))
         for message in self._retained.values():
             client.outgoing.put(message)
         self._browsers[client] = browser
-        playing = [asyncio.create_task(player.run()) for player in browser.players.values()]
+        playing = asyncio.create_task(play(lambda: browser.players.values()))
         try:
             return await client.run(request)
         finally:
             del self._browsers[client]
             browser.touches.release_all()
-            for task in playing:
-                task.cancel()
+            playing.cancel()
+            self._library.exchange(browser.opened, ())
             self._update_watched()
 
     async def disconnect_all(self) -> None:
@@ -123,21 +149,24 @@ class Hub:
         for client in list(self._browsers):
             await client.close(WSCloseCode.GOING_AWAY, "stopping")
 
-    def _hello(self) -> str:
+    def _hello(self, browser: _Browser) -> str:
         sources: list[dict[str, Any]] = []
         if self._sources.broker is not None:
             sources.append({"source": LIVE, "url": self._sources.broker.anonymous().url})
-        sources += [recorded.describe() for recorded in self._recordings]
+        for source, player in browser.players.items():
+            sources.append({"source": source, "opening": browser.openings} | player.recorded.describe())
         hello = {
             "version": version("resonatord"),
             "sources": sources,
+            "directory": self._library.name,
             "commands": COMMANDS if self._sources.allow_commands and self._relay else (),
             "press": [plate for plate, board in self._boards.items() if board in self._emulators.boards],
         }
         return text_frame("hello", hello)
 
     def _send_hello(self) -> None:
-        self._send_to_all(self._hello())
+        for client, browser in self._browsers.items():
+            client.outgoing.put(self._hello(browser))
 
     def _send_to_all(self, message: str | bytes) -> None:
         for client in self._browsers:
@@ -203,7 +232,16 @@ class Hub:
                 self._player(browser, play.source).play(play.playing, play.speed)
             case Seek() as seek:
                 self._player(browser, seek.source).seek(seek.t_s)
+            case Recordings():
+                return await self._library.listing()
+            case Open() as wanted:
+                await self._open(client, browser, wanted.names)
         return {}
+
+    async def _open(self, client: Client, browser: _Browser, names: Sequence[str]) -> None:
+        found = await self._library.find(names)
+        browser.show(found, self._library.exchange(browser.opened, found))
+        client.outgoing.put(self._hello(browser))
 
     def _player(self, browser: _Browser, source: str) -> Player:
         if source not in browser.players:

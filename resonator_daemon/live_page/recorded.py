@@ -11,13 +11,15 @@ from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 from resonator_daemon.host.parent_death import ended_with_parent
-from resonator_daemon.live_page.recording_entries import DONE, ENTRY, PATHS, SCANNED, TIME
+from resonator_daemon.host.system_limits import meaning_of
+from resonator_daemon.live_page.recording_entries import DONE, ENTRY, FAILED, PATHS, SCANNED, TIME
 
 _WORKER: Final = "resonator_daemon.live_page.recording_worker"
-_FAILED: Final = "its decoding ended before its end; all before that is shown"
+_ENDED: Final = "its decoding ended before its end; all before that is shown"
+_UNREAD: Final = "its decoding ended before anything was read"
 
 
 @dataclass
@@ -37,12 +39,10 @@ class Recorded:
 
     Parameters
     ----------
-    source
-        `a` or `b`.
     path
         Of the file.
-    on_scanned
-        Called when plate, duration and marks are known.
+    on_change
+        Called when plate, duration and marks are known, or the failure.
 
     Attributes
     ----------
@@ -50,33 +50,35 @@ class Recorded:
         Name that its messages are shown under.
     truncated
         What is wrong with the file; None: nothing, or it is not known yet.
+    failure
+        Why nothing of the file can be shown; None: something can, or it is not known yet.
     decoded_ns
         Time since the beginning up to which messages are there.
     complete
         Whether no more messages come.
     """
 
-    def __init__(self, source: str, path: Path, on_scanned: Callable[[], None]) -> None:
-        self.source = source
+    def __init__(self, path: Path, on_change: Callable[[], None]) -> None:
         self.plate = ""
         self.truncated: str | None = None
+        self.failure: str | None = None
         self.decoded_ns = 0
         self.complete = False
         self.tracks = {path: Track() for path in PATHS}
         self._path = path
-        self._on_scanned = on_scanned
+        self._on_change = on_change
         self._duration_s: float | None = None
         self._marks: list[dict[str, Any]] = []
-        self._file = tempfile.TemporaryFile()  # noqa: SIM115 - `run` closes it
+        self._file: IO[bytes] | None = None
 
     def describe(self) -> dict[str, Any]:
-        """Return its entry in `sources` of `hello`."""
+        """Return its entry in `sources` of `hello`, but for the source."""
         return {
-            "source": self.source,
             "file": self._path.name,
             "plate": self.plate or None,
             "duration_s": self._duration_s,
             "marks": self._marks,
+            "failure": self.failure,
         }
 
     @property
@@ -87,11 +89,26 @@ class Recorded:
     def read(self, path: str, number: int) -> bytes:
         """Return the payload of a message."""
         offset, length = self.tracks[path].places[number]
-        return os.pread(self._file.fileno(), length, offset)
+        return b"" if self._file is None else os.pread(self._file.fileno(), length, offset)
 
     async def run(self) -> None:
         """Decode, then keep the messages until cancelled."""
-        number = self._file.fileno()
+        try:
+            with tempfile.TemporaryFile() as self._file:
+                await self._decode(self._file.fileno())
+                if not self.plate and self.failure is None:
+                    self._fail(_UNREAD)
+                self.complete = True
+                await asyncio.get_running_loop().create_future()
+        except OSError as error:  # descriptors, memory or the disk
+            self._fail(meaning_of(error))
+
+    def _fail(self, failure: str) -> None:
+        self.failure = failure
+        self.complete = True
+        self._on_change()
+
+    async def _decode(self, number: int) -> None:
         process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-P", "-m", _WORKER, str(self._path), str(number)),
             stdin=DEVNULL,
@@ -103,13 +120,10 @@ class Recorded:
         try:
             if process.stdout is not None:
                 await self._receive(process.stdout)
-            self.complete = True
-            await asyncio.get_running_loop().create_future()
         finally:
             if process.returncode is None:
                 process.kill()
             await process.wait()
-            self._file.close()
 
     async def _receive(self, stream: asyncio.StreamReader) -> None:
         try:
@@ -123,6 +137,9 @@ class Recorded:
                     self.decoded_ns = t_ns
                 else:
                     content = json.loads(await stream.readexactly(length))
+                    if kind == FAILED:
+                        self._fail(content["failure"])
+                        return
                     if content["truncated"] is not None:
                         self.truncated = content["truncated"]
                     if kind == DONE:
@@ -130,6 +147,6 @@ class Recorded:
                     if kind == SCANNED:
                         self.plate, self._duration_s = content["plate"], content["duration_s"]
                         self._marks = content["marks"]
-                        self._on_scanned()
+                        self._on_change()
         except asyncio.IncompleteReadError:
-            self.truncated = self.truncated or _FAILED
+            self.truncated = self.truncated or _ENDED

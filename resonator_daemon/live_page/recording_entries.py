@@ -7,4 +7,4 @@ from resonator_daemon.publishing.topics import TOPICS
 
 PATHS: Final = tuple(TOPICS)
 ENTRY: Final = struct.Struct("<Bqqi")  # index of the path, time since the beginning in ns, offset and length
-SCANNED, DONE, TIME = 255, 254, 253  # instead of a path; the first two are followed by JSON of this length
+SCANNED, DONE, FAILED, TIME = 255, 254, 253, 252  # instead of a path; all but TIME are followed by JSON of this length

@@ -6,7 +6,9 @@ import sys
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
-from resonator_daemon.live_page.recording_entries import DONE, ENTRY, PATHS, SCANNED, TIME
+from resonator_daemon.errors import UserError
+from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.live_page.recording_entries import DONE, ENTRY, FAILED, PATHS, SCANNED, TIME
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.recording.reader import Mark, damage_in_words, open_recording
 from resonator_daemon.replay.source import open_replay
@@ -34,9 +36,7 @@ def decode(path: Path, payloads: BinaryIO, entries: BinaryIO, bytes_max: int = F
     """Write the payloads of a recording's messages to one file and their entries to the other, after its scan."""
 
     def report(kind: int, content: dict[str, Any]) -> None:
-        text = json.dumps(content).encode()
-        entries.write(ENTRY.pack(kind, 0, 0, len(text)) + text)
-        entries.flush()
+        _report(entries, kind, content)
 
     found = scan(path)
     offset, begun_ns, ends_early = 0, None, False
@@ -69,7 +69,18 @@ def decode(path: Path, payloads: BinaryIO, entries: BinaryIO, bytes_max: int = F
     report(DONE, {"truncated": wrong})
 
 
+def _report(entries: BinaryIO, kind: int, content: dict[str, Any]) -> None:
+    text = json.dumps(content).encode()
+    entries.write(ENTRY.pack(kind, 0, 0, len(text)) + text)
+    entries.flush()
+
+
 if __name__ == "__main__":  # RECORDING and the descriptor of the file for the payloads
     os.nice(5)
     with open(int(sys.argv[2]), "wb") as payloads:
-        decode(Path(sys.argv[1]), payloads, sys.stdout.buffer)
+        recording = Path(sys.argv[1])
+        try:
+            decode(recording, payloads, sys.stdout.buffer)
+        except (LinkUnavailableError, UserError) as error:  # the directory is not for browsers
+            failure = str(error).replace(str(recording), recording.name)
+            _report(sys.stdout.buffer, FAILED, {"failure": failure})

@@ -75,6 +75,16 @@ class Seek(Content):
     t_s: Annotated[Finite, Field(ge=-1e9, le=1e9)]
 
 
+class Recordings(Content):
+    """List the recordings of the page's directory."""
+
+
+class Open(Content):
+    """Show these recordings of the directory, from their beginnings, instead of those before; none: close them."""
+
+    names: Annotated[list[str], Field(max_length=2)]
+
+
 KINDS: Final[dict[str, type[Content]]] = {
     "watch": Watch,
     "command": Command,
@@ -82,6 +92,8 @@ KINDS: Final[dict[str, type[Content]]] = {
     "release": Release,
     "play": Play,
     "seek": Seek,
+    "recordings": Recordings,
+    "open": Open,
 }
 
 

@@ -52,6 +52,10 @@ class Browser:
         await self.socket.send_str(request if isinstance(request, str) else json.dumps(request))
         return await self.key("answer")
 
+    async def refusal(self, request: object) -> str:
+        """Send a request that is refused, return the code."""
+        return str((await self.ask(request))["error"]["code"])
+
     async def watch(self, plate: str, *topics: str, source: str = "live") -> dict[str, Any]:
         return await self.ask({"id": 0, "watch": {"source": source, "plate": plate, "topics": topics}})
 

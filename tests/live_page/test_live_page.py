@@ -149,14 +149,12 @@ async def test_commands_are_those_of_the_list_and_for_plates_that_are_there(mosq
         assert "tare" in (await tab.key("hello"))["commands"]
         await tab.frame("live/left/info")
         for plate, verb, code in (("left", "reload", "unknown_verb"), ("right", "tare", "unknown_plate")):
-            answer = await tab.ask({"id": 1, "command": {"plate": plate, "verb": verb}})
-            assert answer["error"]["code"] == code
+            assert await tab.refusal({"command": {"plate": plate, "verb": verb}}) == code
         address = Mqtt(url=mosquitto.url)
         async with aiomqtt.Client(address.host, address.port) as daemon:
             await daemon.subscribe("resonator/left/cmd/mark")
-            await tab.socket.send_str(
-                json.dumps({"id": 7, "command": {"plate": "left", "verb": "mark", "arguments": {"text": "here"}}})
-            )
+            mark = {"plate": "left", "verb": "mark", "arguments": {"text": "here"}}
+            await tab.socket.send_json({"id": 7, "command": mark})
             async for message in daemon.messages:
                 asked = json.loads(message.payload)
                 assert asked["text"] == "here"
@@ -185,8 +183,7 @@ async def test_a_browser_presses_an_emulated_plate_until_it_disconnects(mosquitt
         async with browser(url) as tab:
             await tab.key("hello", lambda it: it["press"] == ["left"])
             assert (await tab.ask({"id": 1, "press": press}))["ok"]
-            refused = await tab.ask({"id": 2, "press": press | {"position_m": [1.0, 0.0]}})
-            assert refused["error"]["code"] == "outside_plate"
+            assert await tab.refusal({"press": press | {"position_m": [1.0, 0.0]}}) == "outside_plate"
             ((contact,),) = ((await watching.key("truth", lambda it: it["contacts"]))["contacts"],)
             assert (contact["site"], contact["force_newton"]) == (7, [0.0, 0.0, 1.5])
         await watching.key("truth", lambda it: not it["contacts"])  # the other has disconnected
@@ -233,6 +230,8 @@ async def test_who_may_open_the_page(mosquitto: Mosquitto) -> None:
         (["--listen", "127.0.0.1:{taken}"], ExitCode.FAILED),
         (["missing.mcap"], ExitCode.USAGE),
         (["missing.mcap", "--url", "mqtt://127.0.0.1"], ExitCode.USAGE),
+        ([".", "--allow-commands"], ExitCode.USAGE),
+        ([".", "missing.mcap"], ExitCode.USAGE),
     ],
 )
 def test_a_page_that_cannot_be_served_ends_with_its_exit_code(

@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import shutil
 from pathlib import Path
 
 from page_client import browser, served
@@ -52,6 +53,32 @@ async def test_two_recordings_play_and_the_one_that_is_cut_off_reports_it() -> N
         await tab.ask({"id": 4, "seek": {"source": "a", "t_s": 1e9}})  # beyond the end: at the end
         sent = json.loads(await tab.frame(f"{address}/forces"))
         assert sent["name"] == whole["plate"]
-        assert (await tab.ask({"id": 5, "command": {"plate": whole["plate"], "verb": "tare"}}))["error"][
-            "code"
-        ] == "read_only"
+        assert await tab.refusal({"command": {"plate": whole["plate"], "verb": "tare"}}) == "read_only"
+
+
+async def test_recordings_of_a_directory_are_opened_compared_and_closed(tmp_path: Path) -> None:
+    shutil.copy(WHOLE, tmp_path / "whole.mcap")
+    shutil.copy(CUT_OFF, tmp_path / "cut-off.mcap")
+    (tmp_path / "text.mcap").write_text("no recording")
+    (tmp_path / "link.mcap").symlink_to(WHOLE)
+    async with served(Sources(None, directory=tmp_path)) as url, browser(url) as tab, browser(url) as other:
+        hello = await tab.key("hello")
+        assert (hello["sources"], hello["directory"]) == ([], tmp_path.name)
+        listed = (await tab.ask({"id": 1, "recordings": {}}))["recordings"]
+        assert {it["name"] for it in listed} == {"whole.mcap", "cut-off.mcap", "text.mcap"}
+        for name in (f"../{tmp_path.name}/whole.mcap", str(WHOLE), "link.mcap", "gone.mcap"):
+            assert await tab.refusal({"open": {"names": [name]}}) == "unknown_recording"
+        assert (await tab.ask({"id": 2, "open": {"names": ["whole.mcap"]}}))["ok"]
+        await tab.key("position", lambda it: it["decoded_s"] > 1.0)
+        assert (await tab.ask({"id": 3, "open": {"names": ["whole.mcap", "cut-off.mcap"]}}))["ok"]
+        await tab.key("position", lambda it: it["source"] == "b" and it["t_s"] > 0.1)
+        for source in "ab":  # the first, which is decoded, has waited for the second
+            await tab.socket.send_json({"play": {"source": source, "playing": False}})
+        one = await tab.key("position", lambda it: it["source"] == "a" and not it["playing"])
+        two = await tab.key("position", lambda it: it["source"] == "b" and not it["playing"])
+        assert abs(one["t_s"] - two["t_s"]) < 0.1
+        assert (await tab.ask({"id": 4, "open": {"names": ["text.mcap"]}}))["ok"]
+        (failed,) = (await tab.key("hello", lambda it: it["sources"] and it["sources"][0]["failure"]))["sources"]
+        assert "no recording" in failed["failure"]
+        assert str(tmp_path) not in failed["failure"]
+        assert await other.refusal({"play": {"source": "a", "playing": True}}) == "unknown_source"

@@ -30,25 +30,15 @@ def array(values: ArrayLike) -> cbor2.CBORTag:
 
 
 def header(**keys: Any) -> dict[str, Any]:
-    return {
-        "name": "p",
-        "seq": 1,
-        "daemon_boot_id": "run",
-        "t_ns": str(time.time_ns()),
-        "t_uncertainty_ns": 42000,
-        "lost": {},
-    } | keys
+    known = {"name": "p", "seq": 1, "daemon_boot_id": "run", "t_ns": str(time.time_ns()), "t_uncertainty_ns": 42000}
+    return known | {"lost": {}} | keys
 
 
 def info(skin: bool = False, sites: int = 2, **keys: Any) -> dict[str, Any]:
     """Description of a plate of 20 mm, sites in a row; of a skin with a map of 32 x 32."""
     places = [{"site": n + 1, "position_m": [-0.008 + 0.016 * n / max(1, sites - 1), 0.004]} for n in range(sites)]
-    known = {
-        "plate": "p",
-        "schema_version": "2.0",
-        "counter": "channelised" if skin else "single-tone",
-        "sites": places,
-    }
+    known = {"plate": "p", "schema_version": "2.0", "counter": "channelised" if skin else "single-tone"}
+    known |= {"sites": places}
     known |= {"outline_m": OUTLINE, "transducers_m": OUTLINE, "force_max_newton": 10, "commands": ["tare", "mark"]}
     known |= {"frame_rate_hz": 1000, "skin": {"depth_m": 0.001} if skin else None, "units": {"m": "m"}}
     return header(**known | keys)

@@ -1,7 +1,7 @@
 // Health of the daemon: situation, three states with their reasons, rates, losses, latency, clock, calibration.
 
 import { situation } from "./situation.js";
-import { UNKNOWN, duration, fixed, make, plusMinus, quantity, setRows, setText, words } from "./text.js";
+import { UNKNOWN, bytes, duration, fixed, make, plusMinus, quantity, setRows, setText, words } from "./text.js";
 
 const KINDS = { online: "good", starting: "note", offline: "off", waiting: "warn", stalled: "bad", lost: "bad", drifting: "warn", pressed_at_start: "warn", uncalibrated: "warn", refused: "bad" };
 const SIGNS = { good: "✓", note: "…", off: "■", warn: "!", bad: "✕" };
@@ -103,7 +103,7 @@ export class HealthPanel {
     if (health) {
       const decoder = health.decoder ? `, decoder ${quantity(health.decoder.cpu, 0, "%")}` : "";
       rows.push(["Processor", `${quantity(health.cpu, 0, "% of a core")}${decoder}; ${quantity(health.memory, 0, "MB")}`]);
-      rows.push(["Recording", health.recording.failure || (health.recording.file ? `${health.recording.file}, ${fixed(health.recording.bytes / 1e6, 1)} MB` : "no"), health.recording.failure ? "bad" : ""]);
+      rows.push(["Recording", health.recording.failure || (health.recording.file ? `${health.recording.file}, ${bytes(health.recording.bytes)}` : "no"), health.recording.failure ? "bad" : ""]);
     }
     if (info) rows.push(["Link", info.link]);
     rows.push(["This page", `${page.clients} open, ${page.skipped} frames skipped as newer ones came${model.unreadable ? `, ${model.unreadable} unreadable` : ""}`]);

@@ -2,6 +2,7 @@
 
 import { startTheme } from "./colours.js";
 import { Connection } from "./connection.js";
+import { Library } from "./library.js";
 import { readTruth } from "./payloads.js";
 import { PlateModel } from "./plate_model.js";
 import { UNKNOWN, make, setText } from "./text.js";
@@ -14,7 +15,7 @@ class App {
   constructor() {
     this.models = new Map();
     this.views = [];
-    this.hello = { sources: [], commands: [], press: [] };
+    this.hello = { sources: [], commands: [], press: [], directory: null };
     this.page = { clients: 1, skipped: 0 };
     this.broker = { connected: true };
     this.link = { state: "connecting", retryMs: 0 };
@@ -27,6 +28,7 @@ class App {
       message: (key, content) => this.#receive(key, content),
       state: (state, retryMs) => this.#setLink(state, retryMs),
     });
+    this.library = new Library(document.querySelector("#library"), this.connection, (text) => this.announce(text));
     document.addEventListener("visibilitychange", () => this.views.forEach((view) => view.watch()));
     requestAnimationFrame((now) => this.#frame(now));
   }
@@ -64,7 +66,10 @@ class App {
 
   #setLink(state, retryMs) {
     this.link = { state, retryMs };
-    if (state === "open") this.views.forEach((view) => view.watch());
+    if (state === "open") {
+      this.views.forEach((view) => view.watch());
+      this.library.reopen();
+    }
     if (state === "closed") this.views.forEach((view) => view.presser.releaseAll());
   }
 
@@ -80,11 +85,13 @@ class App {
     }
   }
 
-  #setHello({ sources, commands, press }) {
+  #setHello({ sources, commands, press, directory }) {
     const known = (Array.isArray(sources) ? sources : []).filter((source) => typeof source?.source === "string");
     const list = (value) => (Array.isArray(value) ? value : []);
-    this.hello = { sources: known.length ? known : [LIVE], commands: list(commands), press: list(press) };
-    const key = this.hello.sources.map(({ source, file, url }) => `${source} ${file} ${url}`).join("\n");
+    const served = typeof directory === "string" ? directory : null;
+    this.hello = { sources: known.length || served !== null ? known : [LIVE], commands: list(commands), press: list(press), directory: served };
+    this.library.describe(served, known);
+    const key = this.hello.sources.map(({ source, file, url, opening }) => `${source} ${file} ${url} ${opening}`).join("\n");
     if (key === this.sourceKey) {
       for (const view of this.views) {
         const source = this.hello.sources.find((other) => other.source === view.source.source);
@@ -93,6 +100,7 @@ class App {
       }
     } else {
       this.sourceKey = key;
+      for (const [name, { source }] of this.models) if (source !== "live") this.models.delete(name);
       const recordings = this.hello.sources.filter(({ source }) => source !== "live");
       this.#show(recordings.length ? recordings : this.hello.sources);
     }

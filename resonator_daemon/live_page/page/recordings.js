@@ -41,6 +41,8 @@ export class RecordingPanel {
         return button;
       }),
     );
+    setText(this.root.querySelector(".failure"), source.failure ? `Nothing of it can be shown: ${source.failure}` : "");
+    this.root.querySelector(".player").hidden = Boolean(source.failure);
     this.#show();
   }
 
@@ -67,11 +69,13 @@ export class RecordingPanel {
   }
 
   #show() {
-    const { t_s, playing, speed, ended, truncated } = this.position;
+    const { t_s, playing, speed, ended, truncated, decoded_s } = this.position;
+    const isBehind = playing && !ended && t_s >= decoded_s;
     if (!this.#isDragging && Number.isFinite(t_s)) this.bar.value = t_s;
-    const time = `${fixed(t_s, 1)} of ${fixed(this.source.duration_s, 1)} s`;
+    const { duration_s } = this.source;
+    const time = `${fixed(t_s, 1)}${Number.isFinite(duration_s) ? ` of ${fixed(duration_s, 1)}` : ""} s`;
     this.bar.setAttribute("aria-valuetext", time);
-    setText(this.root.querySelector(".time"), ended ? `${time}, ended` : time);
+    setText(this.root.querySelector(".time"), ended ? `${time}, ended` : isBehind ? `${time}, waits for decoding` : time);
     setText(this.button, playing ? "Pause" : "Play");
     if (Number.isFinite(speed) && document.activeElement !== this.speed) this.speed.value = String(speed);
     setText(this.root.querySelector(".truncated"), truncated ? `Incomplete: ${truncated}` : "");

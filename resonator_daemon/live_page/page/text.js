@@ -11,6 +11,9 @@ export function fixed(value, digits) {
 /** A number with its unit; a dash alone for what is not known. */
 export const quantity = (value, digits, unit) => (Number.isFinite(value) ? `${fixed(value, digits)} ${unit}` : UNKNOWN);
 
+/** A size of a file. */
+export const bytes = (count) => (count < 1e6 ? quantity(count / 1e3, 0, "kB") : quantity(count / 1e6, 1, "MB"));
+
 /** Decimal places at which a standard deviation has two digits. */
 function places(std, fallback) {
   if (!(std > 0)) return fallback;

@@ -106,7 +106,8 @@ export class View {
     // Messages of recordings keep their times: the present is then that of the newest.
     const clockMs = this.isLive ? Date.now() : 1000 * (model?.newest("contacts")?.time ?? NaN);
     root.querySelector(".panels").hidden = !model;
-    root.querySelector(".empty").hidden = Boolean(model) || !this.app.hasBroker;
+    root.querySelector(".empty").hidden = Boolean(model) || !this.isLive || !this.app.hasBroker;
+    root.querySelector(".reading").hidden = Boolean(model) || this.isLive || Boolean(this.source.failure);
     root.querySelector(".situation").hidden = !model;
     if (!model) return;
     const isPlaying = this.isLive || this.recording.position.playing;

@@ -49,10 +49,8 @@ async def place(page: Page, selector: str, x: float, y: float) -> tuple[float, f
 
 async def send_states(fake: FakeLivePage, states: dict[str, dict[str, Any]]) -> None:
     for part, keys in states.items():
-        await fake.send(
-            f"state/{part}",
-            header(reason_code="measuring", reason="why it is so", since_t_ns="1789000000000000000") | keys,
-        )
+        known = header(reason_code="measuring", reason="why it is so", since_t_ns="1789000000000000000")
+        await fake.send(f"state/{part}", known | keys)
 
 
 async def test_plate_shows_touched_sites_with_uncertainty(fake: FakeLivePage, open_page: Open) -> None:
@@ -88,9 +86,8 @@ async def test_a_touch_whose_site_is_not_identified_is_no_absence(fake: FakeLive
 
 
 async def test_surface_has_the_colours_of_its_scale(fake: FakeLivePage, open_page: Open) -> None:
-    await fake.send(
-        "info", info(skin=True, grid={"origin_m": [-0.0062, -0.0062], "pitch_m": 0.0004, "shape": [32, 32]})
-    )
+    grid = {"origin_m": [-0.0062, -0.0062], "pitch_m": 0.0004, "shape": [32, 32]}
+    await fake.send("info", info(skin=True, grid=grid))
     page = await open_page()
     traction = np.zeros((3, 32, 32))
     traction[2, :16], traction[2, 0, 0] = 50e3, np.nan
@@ -127,9 +124,8 @@ async def test_contacts_show_force_margin_events_and_truth(fake: FakeLivePage, o
     slip = {"slip_margin": 0.21, "slip_margin_std": 0.04, "friction_coefficient": 0.5, "friction_coefficient_std": 0.02}
     touch = contact((0.3, -0.1, 1.25), moment_newton_m=[1e-3, 2e-3, 3e-3], moment_std_newton_m=[1e-6] * 3, **slip)
     await fake.send("contacts", header(status="ok", contacts=[touch]))
-    await fake.tell(
-        truth={"plate": "p", "t_ns": "1", "contacts": [touch | {"force_newton": [0.3, 0, 1.3], "radius_m": 0.002}]}
-    )
+    true = touch | {"force_newton": [0.3, 0, 1.3], "radius_m": 0.002}
+    await fake.tell(truth={"plate": "p", "t_ns": "1", "contacts": [true]})
     await fake.send("contacts/event", header(event="incipient_slip", contact=touch))
     await expect(page.locator(".card .normal")).to_have_text("1.2500 ± 0.0030 N")
     await expect(page.locator(".card .true")).to_have_text("true 1.300 N, off by \u221250 mN")
@@ -137,29 +133,23 @@ async def test_contacts_show_force_margin_events_and_truth(fake: FakeLivePage, o
     await expect(page.locator(".gauge output")).to_contain_text("0.210 ± 0.040, begins to slip")
     await expect(page.locator(".card dl")).to_contain_text("1.000, 2.000, 3.000 mN m")
     await expect(page.locator(".events li")).to_contain_text("Contact 7 begins to slip")
-    await fake.send(
-        "contacts",
-        header(status="ok", seq=2, contacts=[touch | {"slip_margin": None, "slip_reason_code": "friction_unknown"}]),
-    )
+    unknown = touch | {"slip_margin": None, "slip_reason_code": "friction_unknown"}
+    await fake.send("contacts", header(status="ok", seq=2, contacts=[unknown]))
     await expect(page.locator(".gauge output")).to_have_text("not known: friction unknown")
 
 
 async def test_health_shows_losses_latency_and_calibration(fake: FakeLivePage, open_page: Open) -> None:
-    calibration = {"id": "a", "date": "2020-01-01", "expiry": "2021-01-01"}
-    await fake.send("info", info(calibration=calibration))
+    await fake.send("info", info(calibration={"id": "a", "date": "2020-01-01", "expiry": "2021-01-01"}))
     page = await open_page()
     await send_states(fake, ONLINE)
     bins = {"forces": {"bounds_ms": [1.0, 2.0, 10.0], "counts": [5, 93, 2, 0]}}
-    health = header(
-        frame_rate_hz=998.7, latency=bins, lost={"link_gap": 3, "damaged": 40}, cpu_percent=21.0, rss_mb=92.0
-    )
-    await fake.send("health", health)
-    await expect(page.locator(".losses")).to_contain_text("40 arrived damaged")
-    await expect(page.locator(".losses")).to_contain_text("3 never arrived from the board")
-    await expect(page.locator(".figures")).to_contain_text("≤ 2.0 ms for half, ≤ 10 ms for 99 %")
-    await expect(page.locator(".figures")).to_contain_text("999 of 1000 /s")
-    await expect(page.locator(".figures")).to_contain_text("drift not known")
-    await expect(page.locator(".figures")).to_contain_text("expired until 2021-01-01")
+    lost = {"link_gap": 3, "damaged": 40}
+    await fake.send("health", header(frame_rate_hz=998.7, latency=bins, lost=lost, cpu_percent=21.0, rss_mb=92.0))
+    for text in ("40 arrived damaged", "3 never arrived from the board"):
+        await expect(page.locator(".losses")).to_contain_text(text)
+    latency = "≤ 2.0 ms for half, ≤ 10 ms for 99 %"
+    for text in (latency, "999 of 1000 /s", "drift not known", "expired until 2021-01-01"):
+        await expect(page.locator(".figures")).to_contain_text(text)
 
 
 OFFLINE = {"state": "offline", "reason_code": "stopped"}
@@ -172,19 +162,14 @@ OFFLINE = {"state": "offline", "reason_code": "stopped"}
         ({}, "never_started"),
         (ONLINE | {"daemon": OFFLINE}, "clean_stop"),
         (ONLINE | {"daemon": OFFLINE | {"reason_code": "connection_lost", "since_t_ns": None}}, "crash"),
-        (
-            ONLINE | {"daemon": {"state": "online", "connections": 2, "connected_t_ns": "1789000000000000000"}},
-            "broker_restarted",
-        ),
+        (ONLINE | {"daemon": {"state": "online", "connections": 2, "connected_t_ns": "1"}}, "broker_restarted"),
         (ONLINE | {"link": {"state": "waiting"}, "sensor": {"state": "waiting"}}, "cable_out"),
         (ONLINE | {"link": {"state": "stalled"}, "sensor": {"state": "waiting"}}, "board_hung"),
         (ONLINE | {"link": {"state": "online", "boot_count": 2}}, "board_rebooted"),
         (ONLINE | {"sensor": {"state": "drifting"}}, "sensor_drifting"),
     ],
 )
-async def test_situations_are_told_apart(
-    fake: FakeLivePage, open_page: Open, states: dict[str, Any], code: str
-) -> None:
+async def test_situations_differ(fake: FakeLivePage, open_page: Open, states: dict[str, Any], code: str) -> None:
     await fake.send("info", info())
     await send_states(fake, states)
     page = await open_page()
@@ -198,9 +183,7 @@ async def test_situations_are_told_apart(
 
 
 @pytest.mark.parametrize(("skin", "selector"), [(False, PLATE), (True, SURFACE)])
-async def test_mouse_presses_harder_and_releases(
-    fake: FakeLivePage, open_page: Open, skin: bool, selector: str
-) -> None:
+async def test_mouse_presses_and_releases(fake: FakeLivePage, open_page: Open, skin: bool, selector: str) -> None:
     fake.hello["press"] = ["p"]
     await fake.send("info", info(skin=skin))
     page = await open_page()
@@ -217,11 +200,8 @@ async def test_mouse_presses_harder_and_releases(
         await fake.send("decoded", decoded(np.full((3, 32, 32), 4e4)))
     else:
         touched = {"site": 1, "force_newton": 9.0, "noise_newton": 0.1, "systematic_newton": 0, "status": "ok"}
-        await fake.send(
-            "info",
-            info(sites=1, outline_m=[[-0.01, -0.01], [0.01, 0.01]])
-            | {"sites": [{"site": 1, "position_m": [0.002, -0.001]}]},
-        )
+        places = [{"site": 1, "position_m": [0.002, -0.001]}]
+        await fake.send("info", info(outline_m=[[-0.01, -0.01], [0.01, 0.01]]) | {"sites": places})
         await fake.send("forces", header(status="ok", sites=[touched]))
     await drawn(page)
     assert (await colour(page, selector, 0.0015, -0.0015) != empty).any()
@@ -273,9 +253,8 @@ async def test_recordings_play_seek_and_stand_side_by_side(fake: FakeLivePage, o
     page = await open_page()
     await expect(page.locator(".view")).to_have_count(2)
     one = page.locator(".view").first
-    await fake.tell(
-        position={"source": "a", "t_s": 12.3, "playing": False, "speed": 1.0, "ended": False, "truncated": "cut off"}
-    )
+    position = {"source": "a", "t_s": 12.3, "playing": False, "speed": 1.0, "ended": False, "truncated": "cut off"}
+    await fake.tell(position=position)
     await expect(one.locator(".time")).to_have_text("12.3 of 60.0 s")
     await expect(one.locator(".truncated")).to_have_text("Incomplete: cut off")
     await fake.send("state/link", header(state="lost", reason_code="recording_over"), source="a")
@@ -289,6 +268,32 @@ async def test_recordings_play_seek_and_stand_side_by_side(fake: FakeLivePage, o
     await one.locator(".together").uncheck()
     await one.get_by_role("slider").fill("30")
     assert (await fake.until("seek", 3))[-1] == {"source": "a", "t_s": 30}
+
+
+async def test_recordings_of_the_directory_are_opened_compared_and_closed(fake: FakeLivePage, open_page: Open) -> None:
+    listed = [{"name": f"{name}.mcap", "bytes": 1_234_567, "modified_s": 1.7e9} for name in ("one", "two")]
+    fake.answer = lambda _: {"ok": True, "recordings": listed, "omitted": 0}
+    fake.hello |= {"sources": [], "directory": "recordings"}
+    page = await open_page()
+    await page.get_by_role("button", name="Open one.mcap").click()
+    source = {
+        "source": "a",
+        "file": "one.mcap",
+        "duration_s": None,
+        "marks": [],
+        "failure": "it is empty",
+        "opening": 1,
+    }
+    await fake.tell(hello=fake.hello | {"sources": [source]})
+    await expect(page.locator(".failure")).to_contain_text("it is empty")
+    await expect(page.locator(".recording-panel input[type=range]")).to_be_hidden()
+    await page.locator("#library summary").click()
+    await page.get_by_role("button", name="Compare with two.mcap").click()
+    await fake.until("open", 2)
+    await fake.tell(hello=fake.hello | {"sources": [source | {"source": s, "opening": 2} for s in "ab"]})
+    await expect(page.locator(".view")).to_have_count(2)
+    await fake.disconnect()  # the server closes what was open
+    assert await fake.until("open", 3) == [{"names": ["one.mcap"]}, *2 * [{"names": ["one.mcap", "two.mcap"]}]]
 
 
 async def test_commands_that_both_permit(fake: FakeLivePage, open_page: Open) -> None:
@@ -355,10 +360,8 @@ async def test_each_ladder_has_the_tone_and_its_site(fake: FakeLivePage, open_pa
 
 
 ODD: list[tuple[str, Any]] = [
-    *(
-        (path, {})
-        for path in ("info", "state/daemon", "state/sensor", "forces", "contacts", "health", "decoded/summary")
-    ),
+    *((path, {}) for path in ("info", "state/daemon", "state/sensor", "forces", "contacts", "health")),
+    ("decoded/summary", {}),
     *((path, b"{") for path in ("info", "contacts", "decoded")),
     ("info", b"null"),
     ("decoded", decoded(np.zeros((3, 3)), traction_pascal=None, grid=None)),
@@ -366,10 +369,7 @@ ODD: list[tuple[str, Any]] = [
     ("decoded", decoded(np.zeros((3, 7)))[:200]),
     ("decoded", decoded(np.zeros((3, 10_000)), grid=None)),
     ("forces", {"sites": [None, {"site": "x", "force_newton": "y"}, {"site": 1, "force_newton": -3}], "lost": None}),
-    (
-        "contacts",
-        {"contacts": [{}, None, contact((None, None, None), position_m=[None, None], position_covariance_m2=None)]},
-    ),
+    ("contacts", {"contacts": [{}, None, contact(3 * [None], position_m=[None, None], position_covariance_m2=None)]}),
     ("contacts/event", {"event": "unheard_of", "contact": None}),
     ("state/link", {"state": "unheard_of", "last_outage": {}, "new_key": 1}),
     ("info", info(skin=True, sites=10_000, schema_version="3.0")),
@@ -404,11 +404,14 @@ async def test_nothing_throws(fake: FakeLivePage, open_page: Open) -> None:
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 async def test_phone_width_and_accessibility(fake: FakeLivePage, open_page: Open, skin: bool, scheme: str) -> None:
     """No horizontal scroll at 360 px, and no serious finding of axe."""
-    fake.hello |= {"press": ["p"], "commands": ["tare"]}
+    fake.hello |= {"press": ["p"], "commands": ["tare"], "directory": 40 * "d"}
+    fake.answer = lambda _: {"ok": True, "recordings": [{"name": 80 * "n", "bytes": 1, "modified_s": 0}]}
     await fake.send("info", info(skin=skin, link="serial:/dev/serial/by-id/" + 60 * "x", codes=codes(16)))
     await send_states(fake, ONLINE | {"sensor": {"state": "drifting", "reason": 200 * "y"}})
     page = await open_page(viewport={"width": 360, "height": 740}, color_scheme=scheme, has_touch=True, is_mobile=True)
     await expect(page.get_by_text("a finger")).to_be_visible()
+    await page.locator("#library summary").click()
+    await expect(page.locator("#library li")).to_be_visible()
     slip = {"slip_margin": 0.1, "slip_margin_std": 0.04} if skin else {}
     await fake.send("contacts", header(status="ambiguous", contacts=[contact((0.1, 0.2, 1.3), **slip)]))
     await fake.send("contacts/event", header(event="onset", contact=contact()))
