@@ -115,7 +115,7 @@ class PatchFinder:
     def regions(self, pressure_pascal: Floats, std_pascal: Floats) -> list[Indices]:
         """Return the places of each patch on a map of pressure and its standard deviation, (m,) each; NaN has none."""
         peak = float(pressure_pascal.max())
-        if not peak > 0.0:
+        if not peak > 0.0 or peak < _SIGNIFICANCE * float(std_pascal.min()):
             return []
         above = pressure_pascal > _THRESHOLD * peak
         places = np.flatnonzero(above)

@@ -6,8 +6,9 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Final, Generic, NamedTuple, TypeVar
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -53,6 +54,7 @@ _PROBLEMS_NAMED = 3  # in the reason of a state
 log = logging.getLogger(__name__)
 
 DECODERS_MAX: Final = 4  # of some 80 MB; equal skins share one
+TOGETHER_MAX: Final = 16  # frames of equal skins whose maps are computed together
 
 Origin = TypeVar("Origin")
 
@@ -65,10 +67,13 @@ class _Frame(Generic[Origin]):
     skin: SkinPlate
     signals: Floats
     noise_std: Floats
+    shows_load: bool = False  # by a map that was computed together with others
 
 
 class SharedStage(Generic[Origin]):
     """Decoder in a thread of its own; signals that come while it is busy replace those of their plate that wait.
+
+    Waiting frames of equal skins are decoded together; those that show a load wait again, and are decoded one by one.
 
     Parameters
     ----------
@@ -101,7 +106,7 @@ class SharedStage(Generic[Origin]):
         self._announce = announce
         self._refuse = refuse
         self._newest: dict[str, _Frame[Origin]] = {}  # by plate, whose turn it is first
-        self._busy_with: str | None = None
+        self._busy_with: set[str] = set()
         self._offered = asyncio.Event()
         self._decoders: list[tuple[tuple[object, ...], SkinDecoder]] = []  # by geometry, the one used last at the end
         self.skipped: Counter[str] = Counter()
@@ -110,7 +115,7 @@ class SharedStage(Generic[Origin]):
 
     def waiting(self, plate: str) -> int:
         """Frames of a plate that are being decoded, or are next."""
-        return (self._busy_with == plate) + (plate in self._newest)
+        return (plate in self._busy_with) + (plate in self._newest)
 
     def offer(self, plate: str, origin: Origin, skin: SkinPlate, signals: Floats, noise_std: Floats) -> None:
         """Queue one frame of a plate, both arrays (3, sites); never waits."""
@@ -123,8 +128,7 @@ class SharedStage(Generic[Origin]):
         self._newest.pop(plate, None)
         self.served.pop(plate, None)
         del self.skipped[plate], self.unusable[plate]
-        if self._busy_with == plate:
-            self._busy_with = None
+        self._busy_with.discard(plate)
 
     async def run(self) -> None:
         """Decode until cancelled."""
@@ -138,29 +142,47 @@ class SharedStage(Generic[Origin]):
                         await self._decode_next(pool)
             finally:
                 self.skipped.update(self._newest.keys())
-                self.skipped.update([self._busy_with] if self._busy_with is not None else [])
-                self._newest, self._busy_with = {}, None
+                self.skipped.update(self._busy_with)
+                self._newest, self._busy_with = {}, set()
                 await asyncio.to_thread(pool.shutdown)
 
     async def _decode_next(self, pool: ThreadPoolExecutor) -> None:
         plate = next(iter(self._newest))
         frame = self._newest.pop(plate)
-        self._busy_with = plate
+        self._busy_with = {plate}
         decoder = await self._decoder_for(plate, frame, pool)
-        if self._busy_with is None:  # the plate was removed meanwhile
+        if not self._busy_with:  # the plate was removed meanwhile
             return
         if decoder is None:
             self.unusable[plate] += 1
-            self._busy_with = None
+            self._busy_with.clear()
             return
-        self.served[plate] = frame.skin
-        reading = await asyncio.get_running_loop().run_in_executor(
-            pool, _decode, decoder, frame.signals, frame.noise_std
+        frames = {plate: frame} | ({} if frame.shows_load else self._alike(frame, decoder))
+        for name in frames.keys() - {plate}:
+            del self._newest[name]
+        self._busy_with = set(frames)
+        self.served |= {name: each.skin for name, each in frames.items()}
+        readings = await asyncio.get_running_loop().run_in_executor(pool, _decode, decoder, list(frames.values()))
+        for (name, each), reading in zip(frames.items(), readings, strict=True):
+            if name not in self._busy_with:
+                continue
+            self._busy_with.remove(name)
+            if reading is not None:
+                self._deliver(name, each.origin, reading)
+            elif name in self._newest:  # a newer frame takes its turn
+                self.skipped[name] += 1
+            else:
+                self._newest[name] = replace(each, shows_load=True)
+
+    def _alike(self, frame: _Frame[Origin], decoder: SkinDecoder) -> dict[str, _Frame[Origin]]:
+        """Return waiting frames, by plate, that the decoder of a frame serves, too."""
+        geometry = frame.skin.geometry
+        alike = (
+            (name, each)
+            for name, each in self._newest.items()
+            if not each.shows_load and each.skin.geometry == geometry and decoder.fits(each.noise_std)
         )
-        if self._busy_with is None:
-            return
-        self._busy_with = None
-        self._deliver(plate, frame.origin, reading)
+        return dict(islice(alike, TOGETHER_MAX - 1))
 
     async def _decoder_for(self, plate: str, frame: _Frame[Origin], pool: ThreadPoolExecutor) -> SkinDecoder | None:
         geometry = frame.skin.geometry
@@ -183,7 +205,7 @@ class SharedStage(Generic[Origin]):
         except CANNOT_DECODE as error:
             log.error("%s: nothing is decoded: %s", plate, error_text(error))
             self._announce(None)
-            if self._busy_with is not None:
+            if self._busy_with:
                 self._refuse(plate, Reason(ReasonCode.UNDECODABLE, f"nothing is decoded: {error_text(error)}"))
             return None
         self._announce(None)
@@ -195,11 +217,15 @@ class SharedStage(Generic[Origin]):
         return decoder
 
 
-def _decode(decoder: SkinDecoder, signals: Floats, noise_std: Floats) -> SurfaceReading:
+def _decode(decoder: SkinDecoder, frames: Sequence[_Frame[Any]]) -> Sequence[SurfaceReading | None]:
+    """Decode a frame, or those among several that show no load; None for the others."""
     try:
-        return decoder.decode_alone(signals, noise_std)
+        if len(frames) == 1:
+            return [decoder.decode_alone(frames[0].signals, frames[0].noise_std)]
+        signals, noise_std = (np.array([getattr(f, key) for f in frames]) for key in ("signals", "noise_std"))
+        return decoder.decode_untouched(signals, noise_std)
     except Exception as error:  # noqa: BLE001  whatever one frame does, the next one is decoded
-        return failed(decoder, error)
+        return [failed(decoder, error)] if len(frames) == 1 else [None] * len(frames)
 
 
 class _Origin(NamedTuple):

@@ -65,6 +65,7 @@ class Substitute:
 
     name, shape = "substitute", (144,)
     built: list[tuple[float, float]]
+    together: list[list[float]]  # what was decoded at once
     released = threading.Semaphore()
 
     def __init__(self, of: Skin, noise_std: Floats) -> None:
@@ -80,13 +81,18 @@ class Substitute:
             raise ZeroDivisionError("seven")
         return SurfaceReading(self.name, Decoded(signals, signals, None, False, 0.0, 1.0, "ok", ""))
 
+    def decode_untouched(self, signals: Floats, noise_std: Floats) -> list[SurfaceReading | None]:
+        """Frames of a value above 0 show a load."""
+        self.together.append(signals[:, 0, 0].tolist())
+        return [None if one[0, 0] > 0.0 else self.decode_alone(one, noise_std[0]) for one in signals]
+
     def reset(self, reason: str) -> tuple[()]:
         return ()
 
 
 @pytest.fixture
 def substitute(monkeypatch: pytest.MonkeyPatch) -> type[Substitute]:
-    Substitute.built = []
+    Substitute.built, Substitute.together = [], []
     Substitute.released = threading.Semaphore(0)
 
     def put(of: Skin, _wanted: DecodingOptions, noise_std: Floats, _progress: Callable[[str], None]) -> Substitute:
@@ -112,6 +118,22 @@ async def test_plates_take_turns_and_of_each_the_newest_is_decoded(substitute: t
         substitute.released.release(4)
         await until(lambda: len(stage.delivered) == 4)
     assert [(plate, number) for plate, number, _ in stage.delivered] == [("a", 0), ("a", 4), ("b", 4), ("c", 4)]
+
+
+async def test_waiting_frames_of_equal_skins_are_decoded_together_but_for_those_that_show_a_load(
+    substitute: type[Substitute],
+) -> None:
+    async with Stage().running() as stage:
+        stage.offer("first", 0, marked(0.0))
+        await until(lambda: stage.stage.waiting("first") == 1 and bool(substitute.built))
+        stage.offer("deep", 1, marked(0.0), of=skin(2e-3))
+        for number in range(20):
+            stage.offer(f"plate {number}", number, marked(float(number == 3)))
+        substitute.released.release(100)
+        await until(lambda: len(stage.delivered) == 22)
+    assert [len(values) for values in substitute.together] == [16, 4]
+    assert [plate for plate, _, _ in stage.delivered].index("plate 3") == 21
+    assert stage.stage.skipped.total() == stage.stage.unusable.total() == 0
 
 
 async def test_equal_skins_share_a_decoder_and_others_do_not(substitute: type[Substitute]) -> None:

@@ -17,7 +17,8 @@ from resonator_daemon.decoding.contact_physics.support_problem import SupportPro
 from resonator_daemon.decoding.contact_physics.support_rows import Model, SupportRows
 from resonator_daemon.decoding.contact_physics.surface_view import SurfacePlaces, SurfaceView
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
-from resonator_daemon.decoding.open_plane.linear_map import Estimate, Surface
+from resonator_daemon.decoding.open_plane.linear_map import Estimate
+from resonator_daemon.decoding.open_plane.surface import Surface
 from resonator_daemon.decoding.parameters import GAIN_FLOOR
 
 _PRIOR_VARIANCE = 0.24  # of f_z in the support, over the linear map's mean square ...

@@ -187,8 +187,9 @@ class OpenPlaneDecoder:
         Parameters
         ----------
         signals
-            Shape (..., 3, n), or (..., 3, ny, nx) for a grid; dimensionless. A signal that is NaN, infinite or beyond
-            10 counts as lost and drops out of the model, alone; the error bars around it widen.
+            Shape (..., 3, n), or (..., 3, ny, nx) for a grid; dimensionless. The frames next to it change a frame's
+            result by rounding only. A signal that is NaN, infinite or beyond 10 counts as lost and drops out of the
+            model, alone; the error bars around it widen.
         displacement
             Also the surface displacement that the decoded traction causes, alone on the plane.
 
@@ -208,13 +209,19 @@ class OpenPlaneDecoder:
             Signals of another shape, or not numbers.
         """
         frames, leading, shape = self._frames(signals)
-        decoded = [self._map.estimate(frame, shape).decoded(displacement) for frame in frames]
-        return Decoded.stack(decoded, leading, shape) if leading else decoded[0]
+        if not leading:
+            return self._map.estimate(frames[0], shape).decoded(displacement)
+        return self._map.decoded(frames, shape, displacement).reshaped(leading)
 
     def estimate(self, signals: ArrayLike) -> Estimate:
         """Estimate the surface from one frame, (3, n) or (3, ny, nx), as `decode` does, as far as it is asked for."""
         (frame,), _, shape = self._frames(signals)
         return self._map.estimate(frame, shape)
+
+    def estimates(self, signals: ArrayLike, *, displacement: bool) -> list[Estimate]:
+        """Estimate the surfaces from frames (k, 3, n) or (k, 3, ny, nx) together: as `estimate`, but for rounding."""
+        frames, _, shape = self._frames(signals)
+        return self._map.estimates(frames, shape, displacement)
 
     def anomaly_scores(self, signals: ArrayLike) -> Floats:
         """Deviation of each signal from what all others predict, in standard deviations, of the shape of the signals.

@@ -2,9 +2,8 @@
 
 import math
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,8 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from resonator_daemon.arrays import Bools, Floats, Indices, Singles
 from resonator_daemon.decoding.decoded import Decoded, stated
 from resonator_daemon.decoding.open_plane.modes import Modes
-from resonator_daemon.decoding.open_plane.scale_grid import Choice, ScaleGrid
+from resonator_daemon.decoding.open_plane.scale_grid import Choice, Choices, ScaleGrid, row_energies
+from resonator_daemon.decoding.open_plane.surface import Surface, SurfaceStack
 from resonator_daemon.decoding.parameters import (
     CHI2_LIMIT,
     GAIN_FLOOR,
@@ -23,10 +23,9 @@ from resonator_daemon.decoding.parameters import (
 )
 from resonator_daemon.reasons import Reason, ReasonCode
 
-_SUPPORT_SHARE = 0.1  # of the peak of f_z: under a contact, or next to it
-_BORDER_RATIO = 1.5  # over that, at the border: the load goes on beyond
 _SIGNIFICANT = 3.0  # standard deviations
 _LOST_SETS = 8  # sets of lost signals of which the solution is kept
+_STACK = 16  # frames at once: many more would not stay in the processor's cache
 
 
 class LostSignals:
@@ -111,6 +110,16 @@ class ModeSet(NamedTuple):
     scale_grid: ScaleGrid
 
 
+class _Stack(NamedTuple):
+    """Frames that are estimated together."""
+
+    frames: Indices  # which ones of those given, (k,)
+    whitened: Singles  # (k, 3 n)
+    energy: Floats  # (k,)
+    choices: Choices
+    surfaces: SurfaceStack
+
+
 @dataclass(frozen=True)
 class Estimate:
     """Estimate from one frame of 3 n signals at m places; the surface is computed as far as it is asked for.
@@ -126,7 +135,7 @@ class Estimate:
     chi2: float
     status: str
     reason: Reason | None
-    surface: "Surface | None" = None
+    surface: Surface | None = None
 
     def decoded(self, displacement: bool) -> Decoded:
         """Return all that the linear decoder gives, the displacement only where asked for."""
@@ -134,60 +143,9 @@ class Estimate:
         if self.surface is None:
             return Decoded.unknown(self.shape, displacement, *outcome, self.reason)
         traction = self.surface.traction.astype(np.float64).reshape(self.shape)
-        moved = self.surface.displacement().reshape(self.shape) if displacement else None
+        moved = self.surface.displacement.astype(np.float64).reshape(self.shape) if displacement else None
         std, at_border = self.surface.std().reshape(self.shape), self.surface.reaches_border
         return Decoded(traction, std, moved, at_border, *outcome, *stated(self.reason))
-
-
-@dataclass(frozen=True)
-class Surface:
-    """Surface of a frame, out of its modes."""
-
-    modes: Modes
-    amplitudes: Singles  # of the modes, (r,)
-    declared_std: Floats  # posterior standard deviation of the traction at the declared noise, (3, m)
-    excess: float  # factor of the standard deviation by noise beyond the declared one
-    contact_factor: float  # further factor under a contact
-    least_pressure: float  # that a contact may have
-    border: Indices  # places at the border
-
-    @cached_property
-    def traction(self) -> Singles:
-        """Traction, (3 m,)."""
-        return self.modes.traction(self.amplitudes)
-
-    @cached_property
-    def pressure(self) -> Singles:
-        """f_z, (m,)."""
-        whole = self.__dict__.get("traction")
-        return self.modes.pressure(self.amplitudes) if whole is None else whole[-whole.size // 3 :]
-
-    def displacement(self) -> Floats:
-        """Return the displacement, (3 m,)."""
-        return self.modes.displacement(self.amplitudes).astype(np.float64)
-
-    def std(self) -> Floats:
-        """Return the standard deviation of the traction, (3, m)."""
-        under = self.pressure > self._threshold
-        return self.declared_std * np.where(under, self.excess * self.contact_factor, self.excess)
-
-    @cached_property
-    def significance(self) -> float:
-        """Largest pressure over its standard deviation."""
-        highest = int(self.pressure.argmax())
-        std = float(self.declared_std[2, highest]) * self.excess
-        pressure = float(self.pressure[highest])
-        return pressure / (std * self.contact_factor if pressure > self._threshold else std)
-
-    @property
-    def reaches_border(self) -> bool:
-        """Whether the load goes on beyond the border."""
-        at_border = float(self.pressure.take(self.border).max(initial=0.0))
-        return at_border > _BORDER_RATIO * self._threshold
-
-    @cached_property
-    def _threshold(self) -> float:
-        return max(_SUPPORT_SHARE * float(self.pressure.max()), self.least_pressure)
 
 
 class LinearMap:
@@ -224,7 +182,7 @@ class LinearMap:
         scales = mode_sets[-1].scale_grid.scales
         explained = mode_sets[-1].modes.explained_variance(scales)
         self._std = np.sqrt(np.maximum(scales[:, None] * prior_variance - explained, 0.0))
-        self._least_std = self._std[:, -self._std.shape[1] // 3 :].min(axis=1).tolist()
+        self._least_std = self._std[:, -self._std.shape[1] // 3 :].min(axis=1)
         self._contact_factor = contact_factor
         self._border = np.flatnonzero(border)
         self._sound_energy = (SIGNAL_LIMIT / noise_std.max()) ** 2  # below it no signal exceeds the limit
@@ -262,10 +220,88 @@ class LinearMap:
             std.reshape(3, -1),
             excess,
             self._contact_factor,
-            _SIGNIFICANT * excess * self._least_std[choice.scale],
+            _SIGNIFICANT * excess * float(self._least_std[choice.scale]),
             self._border,
         )
         return Estimate(*frame, choice.log_evidence, choice.chi2, "ok", lost, surface)
+
+    def estimates(self, signals: Floats, shape: tuple[int, ...], displacement: bool) -> list[Estimate]:
+        """Estimate the surfaces from frames (k, 3 n) together: as `estimate` does for each, but for rounding."""
+        found: dict[int, Estimate] = {}
+        for stack in self._stacks(signals):
+            for number, surface in enumerate(stack.surfaces.separate(displacement)):
+                found[int(stack.frames[number])] = Estimate(
+                    shape,
+                    stack.whitened[number],
+                    None,
+                    float(stack.energy[number]),
+                    float(stack.choices.log_evidence[number]),
+                    float(stack.choices.chi2[number]),
+                    "ok",
+                    None,
+                    surface,
+                )
+        return [found[n] if n in found else self.estimate(frame, shape) for n, frame in enumerate(signals)]
+
+    def decoded(self, signals: Floats, shape: tuple[int, ...], displacement: bool) -> Decoded:
+        """Return what is decoded of frames (k, 3 n) together, with a leading axis."""
+        count = len(signals)
+        fields = np.empty((3 if displacement else 2, count, *shape))
+        flat = fields.reshape(len(fields), count, 3, -1)
+        is_at_border, outcome, rest = np.zeros(count, np.bool_), np.empty((2, count)), np.ones(count, np.bool_)
+        for stack in self._stacks(signals):
+            surfaces, first, size = stack.surfaces, int(stack.frames[0]), len(stack.frames)
+            is_run = stack.frames[-1] - first == size - 1
+            rows = slice(first, first + size) if is_run else stack.frames  # slices are written faster
+            flat[0, rows] = surfaces.traction.reshape(size, 3, -1)
+            flat[1, rows] = surfaces.std()
+            if displacement:
+                flat[2, rows] = surfaces.displacement().reshape(size, 3, -1)
+            is_at_border[rows] = surfaces.reaches_border
+            outcome[:, rows] = stack.choices.log_evidence, stack.choices.chi2
+            rest[rows] = False
+        texts = [("ok", "", "")] * count  # status, reason, its code
+        for row in np.flatnonzero(rest).tolist():
+            one = self.estimate(signals[row], shape).decoded(displacement)
+            fields[:2, row] = one.traction_pascal, one.traction_std_pascal
+            if one.displacement_m is not None:
+                fields[2, row] = one.displacement_m
+            is_at_border[row], outcome[:, row] = one.border_contact, (one.log_evidence, one.chi2)
+            texts[row] = str(one.status), str(one.reason), str(one.reason_code)
+        moved = fields[2] if displacement else None
+        status, reason, code = (
+            np.array(column, np.str_) for column in (zip(*texts, strict=True) if texts else [[]] * 3)
+        )
+        return Decoded(fields[0], fields[1], moved, is_at_border, outcome[0], outcome[1], status, reason, code)
+
+    def _stacks(self, signals: Floats) -> Iterator[_Stack]:
+        """Yield together those frames (k, 3 n) that the same modes serve; none of lost signals or that are rejected."""
+        levels = [mode_set.level for mode_set in self._mode_sets[:-1]]
+        for begin in range(0, len(signals), _STACK):
+            whitened = signals[begin : begin + _STACK].astype(np.float32) * self._whiten
+            energy = row_energies(whitened)
+            whole = energy <= self._sound_energy  # False for NaN
+            of_level = np.searchsorted(levels, energy / self._whiten.size)
+            for level in np.unique(of_level[whole]).tolist():
+                rows = np.flatnonzero(whole & (of_level == level))
+                mode_set = self._mode_sets[level]
+                of_rows = whitened if rows.size == len(whitened) else whitened[rows]
+                modes = mode_set.modes.project(of_rows)
+                choices = mode_set.scale_grid.choose_each(modes, energy[rows], 1.0 + self._gain_floor * energy[rows])
+                if (choices.chi2 > CHI2_LIMIT).any():
+                    continue
+                excess = np.sqrt(choices.excess)
+                surfaces = SurfaceStack(
+                    mode_set.modes,
+                    mode_set.scale_grid.gain[choices.scale].T * modes,
+                    self._std,
+                    choices.scale,
+                    excess,
+                    self._contact_factor,
+                    _SIGNIFICANT * excess * self._least_std[choices.scale],
+                    self._border,
+                )
+                yield _Stack(begin + rows, of_rows, energy[rows], choices, surfaces)
 
     def anomaly_scores(self, signals: Floats) -> Floats:
         """Residual of each signal against the prediction from all others, in its standard deviations, (3 n,)."""

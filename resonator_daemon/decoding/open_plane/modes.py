@@ -18,7 +18,7 @@ _POWER_RATIO = 1e5
 class Modes(ABC):
     """Whitened signals have the covariance q V diag(L) V' + 1 for a prior of scale q, the surface q F V' with them.
 
-    Built in double precision, applied in single precision.
+    Built in double precision, applied in single precision. k frames at once have modes (r, k) and fields (k, 3 m).
     """
 
     eigenvalues: Floats  # L, (r,)
@@ -28,7 +28,7 @@ class Modes(ABC):
 
     @abstractmethod
     def project(self, whitened: Singles) -> Singles:
-        """V' times the whitened signals: (3 n,) to the modes (r,)."""
+        """V' times the whitened signals: (3 n,) to the modes (r,), or (k, 3 n) to (r, k)."""
 
     @abstractmethod
     def explained_variance(self, scales: Floats) -> Floats:
@@ -63,12 +63,12 @@ class DenseModes(Modes):
         scaled = self._vectors / noise_std[:, None]
         self._traction = (traction @ scaled).astype(np.float32)
         self._project = np.ascontiguousarray(self._vectors.T, np.float32)
-        self.traction = partial(np.matmul, self._traction)
-        self.pressure = partial(np.matmul, self._traction[-len(self._traction) // 3 :])
-        self.displacement = partial(np.matmul, (displacement @ scaled).astype(np.float32))
+        self.traction = partial(_field, self._traction)
+        self.pressure = partial(_field, self._traction[-len(self._traction) // 3 :])
+        self.displacement = partial(_field, (displacement @ scaled).astype(np.float32))
 
     def project(self, whitened: Singles) -> Singles:
-        return self._project @ whitened
+        return self._project @ whitened.T
 
     def explained_variance(self, scales: Floats) -> Floats:
         gain = scales[:, None] ** 2 / (scales[:, None] * self.eigenvalues + 1.0)
@@ -76,3 +76,8 @@ class DenseModes(Modes):
 
     def rows(self, signals: Indices) -> Floats:
         return self._vectors[signals]
+
+
+def _field(matrix: Singles, modes: Singles) -> Singles:
+    field: Singles = (matrix @ modes).T
+    return field

@@ -19,6 +19,15 @@ class Choice(NamedTuple):
     log_evidence: float
 
 
+class Choices(NamedTuple):
+    """The scales that explain each of k frames best, (k,) each; see `Choice`."""
+
+    scale: Indices
+    chi2: Floats
+    excess: Floats
+    log_evidence: Floats
+
+
 class ScaleGrid:
     """Scales q of the prior, and what each makes of whitened signals with covariance q V diag(L) V' + 1.
 
@@ -70,6 +79,29 @@ class ScaleGrid:
                 scale += round(_STRIDE * 0.5 * (before - after) / (before - 2.0 * here + after))
         return self._choice(scale, mode_energy, noise_energy, floor, samples, self._constant)
 
+    def choose_each(self, modes: Singles, energy: Floats, floor: Floats) -> Choices:
+        """Choose as `choose` does for each of k frames: modes (r, k), energy and floor (k,)."""
+        by_frame, samples = np.ascontiguousarray(modes.T), self._samples
+        noise_energy = energy - row_energies(by_frame)
+        by_frame = by_frame * by_frame
+        scale = np.zeros(energy.size, np.intp)
+        if self.scales.size > 1:
+            left = (self._left_coarse @ by_frame.T).astype(np.float64)
+            innovation = (left + noise_energy) / (samples * floor)
+            excess = np.maximum(innovation, 1.0)
+            deviance = self._log_det_coarse[:, None] + samples * (np.log(excess) + innovation / excess)
+            best = deviance.argmin(axis=0)
+            inner = np.flatnonzero((best > 0) & (best < len(deviance) - 1))
+            before, here, after = deviance[best[inner] + np.array([[-1], [0], [1]]), inner]
+            scale = best * _STRIDE
+            scale[inner] += np.rint(_STRIDE * 0.5 * (before - after) / (before - 2.0 * here + after)).astype(np.intp)
+        left = (self._left[scale][:, None] @ by_frame[..., None]).ravel().astype(np.float64)
+        chi2 = (left + noise_energy) / (samples * floor)
+        excess = np.maximum(chi2, 1.0)
+        deviance = self._log_det[scale] + samples * (np.log(excess) + chi2 / excess)
+        deviance += samples * np.log(2.0 * np.pi * floor) + self._constant
+        return Choices(scale, chi2, floor * excess, -0.5 * deviance)
+
     def judge(self, scale: int, modes: Singles, energy: float, floor: float, lost: Indices, log_det: float) -> Choice:
         """Likelihood of one scale where lost signals were filled in by the others' prediction.
 
@@ -88,3 +120,8 @@ class ScaleGrid:
         deviance = float(self._log_det[scale]) + samples * (math.log(excess) + chi2 / excess)
         deviance += samples * math.log(2.0 * math.pi * floor) + constant
         return Choice(scale, chi2, floor * excess, -0.5 * deviance)
+
+
+def row_energies(rows: Singles) -> Floats:
+    """Return the sum of squares of each row, (k, n) to (k,), rounded as that of a single one."""
+    return np.asarray((rows[:, None, :] @ rows[:, :, None]).ravel(), np.float64)
