@@ -1,5 +1,7 @@
 """Measure one board and publish, until stopped.
 
+A second `run` of the same file waits up to 10 s for the end of the first one, then fails.
+
 Example: resonatord run left-index.toml
 """
 

@@ -32,7 +32,7 @@ from resonator_daemon.monitoring.health import HealthMonitor
 from resonator_daemon.monitoring.liveness import DECLARED_WAITING, LivenessMonitor
 from resonator_daemon.monitoring.metrics_server import MetricsServer
 from resonator_daemon.monitoring.status import BrokerStatus, Status
-from resonator_daemon.monitoring.status_server import SOCKET_NAME, StatusServer
+from resonator_daemon.monitoring.status_server import SOCKET_NAME, AlreadyRunningError, StatusServer
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.pipeline.control_requests import ControlRequests, SetWindow
 from resonator_daemon.plate import Plate
@@ -374,11 +374,18 @@ class Service:
             "decoding": self._pipeline.sensor.run(),
             "watchdog": self._keep_watch(),
             "reloading": self._keep_reloading(),
-            "status": StatusServer(socket, self._config_path, self._status).run(),
+            "status": self._answer_status(StatusServer(socket, self._config_path, self._status)),
         }
         if (listen := self._config.metrics.listen) is not None:
             helpers["metrics"] = MetricsServer(listen, self._status).run()
         return helpers
+
+    async def _answer_status(self, server: StatusServer) -> None:
+        try:
+            await server.run()
+        except AlreadyRunningError as error:
+            self._fatal = error
+            self._end()
 
     async def _keep_watch(self) -> None:
         """Report readiness and liveness to the service manager."""

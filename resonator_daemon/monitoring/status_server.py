@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.places import make_private
 from resonator_daemon.host.system_limits import reason_of
 from resonator_daemon.monitoring.status import Status
@@ -36,6 +37,18 @@ class StatusTimes(NamedTuple):
     check_s: float = 5.0  # for which a removed socket may go unnoticed
     send_s: float = 1.0  # an answer of usual size goes into the socket's buffer at once, read or not
     pause_s: float = 0.05
+    overlap_s: float = 10.0  # for which two daemons may have one configuration file, as while a service restarts
+
+
+class AlreadyRunningError(UserError):
+    """Another process runs with the same configuration file, and does not end."""
+
+    exit_code = ExitCode.FAILED  # which a service manager starts again: the other one may end
+    code = "already_running"
+
+
+class _ConfigInUseError(OSError):
+    """The lock is held by a daemon with the same configuration file."""
 
 
 class StatusServer:
@@ -62,13 +75,28 @@ class StatusServer:
         self._problem: str | None = None
 
     async def run(self) -> None:
-        """Answer until cancelled."""
+        """Answer until cancelled.
+
+        Raises
+        ------
+        AlreadyRunningError
+            Another daemon with the same configuration file did not end within `overlap_s` of the start.
+        """
+        loop, listened = asyncio.get_running_loop(), False
+        until_s = loop.time() + self._times.overlap_s
         while True:
             try:
                 with self._listening() as listening:
+                    listened = True
                     await self._serve(listening)
                 log.warning("%s or its lock was removed or replaced: made again", self._path)
             except OSError as error:
+                if isinstance(error, _ConfigInUseError) and not listened:
+                    if loop.time() >= until_s:
+                        raise AlreadyRunningError(f"{error}; stop it, or use a configuration of its own") from None
+                    self._log_change(f"{error}; waiting up to {self._times.overlap_s:g} s for its end")
+                    await asyncio.sleep(min(self._times.retry_s, max(until_s - loop.time(), 0.0)))
+                    continue
                 self._log_change(f"`resonatord status` does not see this daemon: {reason_of(error)}")
                 await asyncio.sleep(self._times.retry_s)
 
@@ -176,10 +204,9 @@ def _alone(path: Path, config: bytes) -> Iterator[Path]:
         except BlockingIOError:
             others = os.pread(lock, _CONFIG_BYTES_MAX, 0)
             if others == config:
-                what = "runs with this configuration file already; stop one of both"
-            else:
-                named = f" ({os.fsdecode(others)})" if others else ""
-                what = f"runs with a configuration file of the same name{named}; rename one of both files"
+                raise _ConfigInUseError(f"{_listener(path)} runs with this configuration file already") from None
+            named = f" ({os.fsdecode(others)})" if others else ""
+            what = f"runs with a configuration file of the same name{named}; rename one of both files"
             raise OSError(f"{_listener(path)}, which answers on {path}, {what}") from None
         os.ftruncate(lock, 0)
         os.pwrite(lock, config, 0)

@@ -16,7 +16,7 @@ from observer import until
 from status_samples import listens
 
 from resonator_daemon.monitoring.status import Status
-from resonator_daemon.monitoring.status_server import PATH_BYTES_MAX, StatusServer, StatusTimes
+from resonator_daemon.monitoring.status_server import PATH_BYTES_MAX, AlreadyRunningError, StatusServer, StatusTimes
 
 DEADLINE_S = 20.0
 CONFIG = Path("hand.toml")
@@ -69,7 +69,7 @@ asyncio.run(StatusServer(path, config, lambda: status_samples.status(instance="o
 """
 
 
-@pytest.mark.parametrize(("config", "remedy"), [("hand.toml", "stop one"), ("other/hand.toml", "rename one")])
+@pytest.mark.parametrize(("config", "remedy"), [("hand.toml", "waiting up to 10 s"), ("other/hand.toml", "rename one")])
 async def test_a_living_daemons_socket_is_not_taken_and_becomes_free_when_it_ends(
     path: Path, caplog: pytest.LogCaptureFixture, config: str, remedy: str
 ) -> None:
@@ -83,8 +83,11 @@ async def test_a_living_daemons_socket_is_not_taken_and_becomes_free_when_it_end
                     await asyncio.sleep(0.01)  # tries again, and says nothing new
                 assert json.loads(await ask(path))["instance"] == "other"
                 assert len(caplog.records) == 1
-                assert f"process {other.pid}, which answers on {path}, " in caplog.text
+                assert f"process {other.pid}" in caplog.text
                 assert remedy in caplog.text
+                if config == str(CONFIG):
+                    with pytest.raises(AlreadyRunningError, match=f"process {other.pid} runs with this configuration"):
+                        await StatusServer(path, CONFIG, status_samples.status, StatusTimes(overlap_s=0.01)).run()
                 other.kill()
                 await until(lambda: other.poll() is not None)
                 await until(lambda: listens(path))
