@@ -133,10 +133,10 @@ def coupling_error(record: Record) -> float:
     """Largest departure from the share below a point load, of those whose sensitivity was calibrated."""
     place = {site.id: np.array(site.position_mm) for site in COMB_TRUE.sites}
     loaded = {site.site_id for site in record.sites}
-    squares = (((place[felt.pressed] - place[felt.heard]) ** 2).sum() for felt in record.coupling)
+    squares = (((place[felt.pressed] - place[felt.measured]) ** 2).sum() for felt in record.coupling)
     shares = [(1 + square / 2.5**2) ** -1.5 for square in squares]
     pairs = zip(record.coupling, shares, strict=True)
-    return max(abs(felt.ratio - share) for felt, share in pairs if felt.heard in loaded)
+    return max(abs(felt.ratio - share) for felt, share in pairs if felt.measured in loaded)
 
 
 def print_drawn_masses() -> None:

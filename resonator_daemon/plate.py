@@ -242,7 +242,7 @@ class Coupling(Table):
     """Share of the force on one site that another one feels."""
 
     pressed: Count
-    heard: Count
+    measured: Count
     ratio: Number
 
 

@@ -232,7 +232,7 @@ def test_what_a_calibration_says(tmp_path: Path) -> None:
         "[response]\nhysteresis_newton = 0.1\ncreep_fraction = 0.005\ncreep_time_s = 20\n"
         '[calibration]\nid = "c1"\ndate = 2026-11-01\nmodel_error = 0.01\n'
         "validity = { force_newton = [0.5, 5.0], kelvin = [293, 303] }\n"
-        "coupling = [{ pressed = 7, heard = 3, ratio = 0.02 }]\n"
+        "coupling = [{ pressed = 7, measured = 3, ratio = 0.02 }]\n"
     )
     plate = load_plate(written(tmp_path, text))
     assert plate.response is not None

@@ -21,7 +21,7 @@ SENSITIVITY = {"p_n": "-2.0e-11", "eps_xz": "2.7e-6", "eps_yz": "2.7e-6"}  # 1/P
 
 HEAD = """\
 # 400 sites of three signals under the soft skin of a fingertip, placed irregularly and denser in the middle; all
-# 1200 tones are heard at once. Made by docs/plates/fingertip400.py.
+# 1200 tones are received at once. Made by docs/plates/fingertip400.py.
 # Tone k, in the order of this file, lies at {f0_mhz:g} MHz + {spacing_khz:g} kHz k. Tones of two sites within
 # {near:g} mm of each other lie at least {apart_khz:g} kHz apart.
 format = 1

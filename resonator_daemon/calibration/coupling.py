@@ -30,9 +30,13 @@ def find_coupling(
         ratio = force @ newton / (force @ force)
         std = OSCILLATOR_STD / np.sqrt(square / sensitivity.shape[1]) / np.sqrt(force @ force)
         found += [
-            Coupling(pressed=int(plate.site_ids[pressed]), heard=int(plate.site_ids[heard]), ratio=float(ratio[heard]))
-            for heard in np.flatnonzero(np.abs(ratio) > SIGMAS * std)
-            if heard != pressed
+            Coupling(
+                pressed=int(plate.site_ids[pressed]),
+                measured=int(plate.site_ids[measured]),
+                ratio=float(ratio[measured]),
+            )
+            for measured in np.flatnonzero(np.abs(ratio) > SIGMAS * std)
+            if measured != pressed
         ]
     return tuple(found)
 
@@ -60,7 +64,7 @@ def compare_with_width(plate: Plate, coupling: Sequence[Coupling]) -> str:
     return (
         f"coupling fits a spread of {found_mm:.3g} mm, spread_width_mm = {1e3 * plate.spread_width_m:g} "
         f"{'agrees' if agrees else 'differs'}; the largest departure from the file's is {off.max():.2g} of the force, "
-        f"of site {worst.heard} with site {worst.pressed} pressed"
+        f"of site {worst.measured} with site {worst.pressed} pressed"
     )
 
 
@@ -77,7 +81,7 @@ def _moved(procedure: LoadProcedure, loading: Loading) -> Floats:
 
 def _distances(plate: Plate, coupling: Sequence[Coupling]) -> Floats:
     index = {int(site_id): row for row, site_id in enumerate(plate.site_ids)}
-    pairs = np.array([(index[pair.pressed], index[pair.heard]) for pair in coupling])
+    pairs = np.array([(index[pair.pressed], index[pair.measured]) for pair in coupling])
     distance: Floats = np.linalg.norm(np.diff(plate.site_positions_m[pairs], axis=1)[:, 0], axis=1)
     return distance
 

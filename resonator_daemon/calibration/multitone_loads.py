@@ -56,22 +56,22 @@ class MultitoneLoads:
             Touched within the first second.
         """
         time_s, tone = reading.time_s, self._codes.tone
-        heard_hz = reading.frequency_hz[tone]  # (m, 4)
-        faults = tuple(self._fault(channel) if reading.complete else "frames are missing" for channel in heard_hz.T)
+        received_hz = reading.frequency_hz[tone]  # (m, 4)
+        faults = tuple(self._fault(channel) if reading.complete else "frames are missing" for channel in received_hz.T)
         if any(faults):
             return _nothing(time_s, faults)
         if self.untouched_hz is None:
-            self._begin(heard_hz)
+            self._begin(received_hz)
             return None
-        return self._compare(time_s, self.untouched_hz, heard_hz, reading.std[tone])
+        return self._compare(time_s, self.untouched_hz, received_hz, reading.std[tone])
 
-    def _fault(self, heard_hz: Floats) -> str | None:
-        silent = [str(self._site_ids[site]) for site in np.flatnonzero(~np.isfinite(heard_hz))]
+    def _fault(self, received_hz: Floats) -> str | None:
+        silent = [str(self._site_ids[site]) for site in np.flatnonzero(~np.isfinite(received_hz))]
         return f"without sites {', '.join(silent)}" if silent else None
 
-    def _begin(self, heard_hz: Floats) -> None:
+    def _begin(self, received_hz: Floats) -> None:
         """Add one reading of the untouched plate."""
-        self._resting.append(heard_hz)
+        self._resting.append(received_hz)
         shift = np.array(self._resting) / self._resting[0] - 1.0
         moved = self._force(shift - shift.mean(axis=1, keepdims=True))
         self._refuse_touch(np.ptp(moved, axis=0), self._touch_newton)
@@ -93,8 +93,8 @@ class MultitoneLoads:
         force: Floats = (shift / self._codes.sensitivity).mean(axis=-1)
         return force
 
-    def _compare(self, time_s: float, f0_hz: Floats, heard_hz: Floats, std: Floats) -> LoadReading:
-        shift = 1.0 - f0_hz / heard_hz
+    def _compare(self, time_s: float, f0_hz: Floats, received_hz: Floats, std: Floats) -> LoadReading:
+        shift = 1.0 - f0_hz / received_hz
         force = self._force(shift - self._rest)
         site = int(force.argmax())
         touched = force[site] > self._touch_newton

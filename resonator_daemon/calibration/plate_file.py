@@ -239,7 +239,7 @@ def _coupling(coupling: tuple[Coupling, ...]) -> Any:
     for pressed, others in groupby(coupling, key=lambda pair: pair.pressed):
         for number, pair in enumerate(others):
             line = tomlkit.inline_table()
-            line.update({"pressed": pressed, "heard": pair.heard, "ratio": float(f"{pair.ratio:.3g}")})
+            line.update({"pressed": pressed, "measured": pair.measured, "ratio": float(f"{pair.ratio:.3g}")})
             lines.add_line(line, indent="" if number else "    ", newline=not number)
     lines.add_line(indent="")
     return lines

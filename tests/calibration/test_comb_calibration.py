@@ -52,7 +52,7 @@ def sensitivity_errors(record: Record) -> Any:
 def true_ratio(felt: Coupling) -> float:
     """Boussinesq's share below a point load, comb16's cover of 2.5 mm."""
     place = {site.id: np.array(site.position_mm) for site in COMB_TRUE.sites}
-    squared = float(((place[felt.pressed] - place[felt.heard]) ** 2).sum())
+    squared = float(((place[felt.pressed] - place[felt.measured]) ** 2).sum())
     return 1 / (1 + squared / 6.25) ** 1.5
 
 
@@ -86,11 +86,11 @@ def test_sites_that_were_not_loaded_get_their_f0_and_keep_their_sensitivity(tmp_
     assert {IDS[row] for row in np.flatnonzero(changed)} == {1, 7, 12}
     assert set(plate.calibration.sites) == {1, 7, 12}
     assert len(plate.calibration.residuals) == 3
-    assert [(felt.pressed, felt.heard) for felt in plate.calibration.coupling] == [
-        (felt.pressed, felt.heard) for felt in record.coupling
+    assert [(felt.pressed, felt.measured) for felt in plate.calibration.coupling] == [
+        (felt.pressed, felt.measured) for felt in record.coupling
     ]
     assert {felt.pressed for felt in record.coupling} == {1, 7, 12}
-    assert all(felt.pressed != felt.heard for felt in record.coupling)
+    assert all(felt.pressed != felt.measured for felt in record.coupling)
     assert "not loaded, sensitivities kept: sites 3, 9" in " ".join(printed)
 
 

@@ -23,7 +23,7 @@ def test_a_calibrated_plate_loads_back_equal() -> None:
             "date": date(2026, 1, 2),
             "sites": (1, 2),
             "residuals": (1e-15, 0.1 + 0.2),
-            "coupling": (Coupling(pressed=1, heard=2, ratio=-1 / 3),),
+            "coupling": (Coupling(pressed=1, measured=2, ratio=-1 / 3),),
         }
     )
     plate = plate.model_copy(update={"calibration": calibration})
