@@ -18,6 +18,7 @@ from resonator_daemon.publishing.topics import TOPICS, full_topic, split_topic
 CONNECTING, CONNECTED, DENIED = "connecting", "connected", "denied"
 NO_BROKER, REFUSED, LOST = "no_broker", "broker_refuses", "connection_lost"
 RETAINED_S: Final = 1.0  # after a subscription: retained messages that have not arrived by then are gone
+ROUND_S: Final = 1 / 60  # a display shows no more
 STREAMS: Final = frozenset(path for path, topic in TOPICS.items() if topic.qos == 0)
 
 log = logging.getLogger(__name__)
@@ -83,11 +84,13 @@ class BrokerRelay:
     def _full(self, plate: str, path: str) -> str:
         return full_topic(self._broker.prefix, plate, path)
 
-    def _make_connection(self, version: MQTTProtocolVersion) -> BrokerConnection:
-        return BrokerConnection(self._broker, version, on_message=self._receive, on_denied=self._denied)
+    def _make_connection(self, version: MQTTProtocolVersion, *, read_pause_s: float = 0.0) -> BrokerConnection:
+        return BrokerConnection(
+            self._broker, version, on_message=self._receive, on_denied=self._denied, read_pause_s=read_pause_s
+        )
 
     def _make_streams_connection(self, version: MQTTProtocolVersion) -> BrokerConnection:
-        return self._make_connection(self._streams_version or version)
+        return self._make_connection(self._streams_version or version, read_pause_s=ROUND_S)
 
     def _streams_failed(self, error: Exception) -> None:
         if code_of(error) == UNSUPPORTED_VERSION:

@@ -19,7 +19,6 @@ from resonator_daemon.live_page.requests import (
 
 REQUEST_BYTES_MAX: Final = 64 * 1024
 HEARTBEAT_S: Final = 20.0  # a browser that does not answer a ping is disconnected
-ROUND_S: Final = 1 / 60  # a display shows no more
 
 _SEND_BUFFER_BYTES: Final = 256 * 1024  # of the system: what is in it is old when it arrives
 _TOGETHER_MAX: Final = 16  # requests of one browser that wait for an answer
@@ -75,13 +74,11 @@ class Client:
         with suppress(OSError):  # it has disconnected, which `run` notices
             while not self.outgoing.overflowed:
                 await self.outgoing.wait()
-                next_s = asyncio.get_running_loop().time() + ROUND_S
                 while (message := self.outgoing.pop()) is not None:
                     if isinstance(message, str):
                         await self._socket.send_str(message)
                     else:
                         await self._socket.send_bytes(message)
-                await asyncio.sleep(next_s - asyncio.get_running_loop().time())
             await self.close(WSCloseCode.TRY_AGAIN_LATER, "too_slow")
 
     async def _receive(self, kind: WSMsgType, data: Any) -> None:

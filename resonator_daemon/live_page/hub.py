@@ -177,9 +177,10 @@ class Hub:
         if message is None:
             return
         if not TOPICS[path].qos:
+            stream = f"{LIVE}/{plate}/{path}"
             for client in self._browsers:
                 if client.watches(LIVE, plate, path):
-                    client.outgoing.put_newest(f"{LIVE}/{plate}/{path}", message)
+                    client.outgoing.put_newest(stream, message)
             return
         if TOPICS[path].retained:
             self._retained.pop((plate, path), None)

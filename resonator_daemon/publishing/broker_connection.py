@@ -29,6 +29,7 @@ MQTT_3: Final = MQTTProtocolVersion.MQTTv311
 _NO_DELAY: Final = (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else Nagle and delayed ACK add 40 ms now and then
 # Else the system takes megabytes that a slow broker has not asked for, and what matters waits behind them.
 _UNSENT_BYTES_MAX: Final = (socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, 128 * 1024)
+_MESSAGES_TOGETHER_MAX: Final = 256  # then other tasks run
 _REST: Final = 0  # key of the streams that are partly written; packet identifiers begin at 1
 
 OnCompleted = Callable[["InFlight", int], None]
@@ -96,6 +97,8 @@ class BrokerConnection:
     on_denied
         Called with (topic_filter, reason) when the broker refuses a subscription.
     times
+    read_pause_s
+        Between two readings while messages arrive, so that one reading receives several; 0: none.
 
     Attributes
     ----------
@@ -117,8 +120,10 @@ class BrokerConnection:
         on_message: OnMessage | None = None,
         on_denied: OnDenied | None = None,
         times: ConnectionTimes | None = None,
+        read_pause_s: float = 0.0,
     ) -> None:
         self._broker = broker
+        self._read_pause_s = read_pause_s
         self._times = times or ConnectionTimes()
         self._loop = asyncio.get_running_loop()
         self.version = version
@@ -135,6 +140,7 @@ class BrokerConnection:
         self._on_denied = on_denied
         self._sending = False
         self._socket: socket.socket | None = None  # watched by the event loop
+        self._received = 0  # messages
         self._writing = False  # the event loop waits until the socket takes more
         self._rest = b""  # of stream packets that are partly written
         self._check: asyncio.TimerHandle | None = None
@@ -321,7 +327,7 @@ class BrokerConnection:
         for option in (_NO_DELAY, _UNSENT_BYTES_MAX):
             connection.setsockopt(*option)
         self._socket = connection
-        self._loop.add_reader(connection, self._read)
+        self._loop.add_reader(connection, self._read_together if self._read_pause_s else self._read)
         self._check = self._loop.call_later(self._times.check_s, self._check_times)
         self._flush()
 
@@ -347,6 +353,23 @@ class BrokerConnection:
                 self._client.loop_read()
         except Exception as error:  # noqa: BLE001 - a defect in a callback; `lost` raises it
             self._end(error)
+
+    def _read_together(self) -> None:
+        """Read all messages that have arrived; while some do, do so again after a pause instead of at once."""
+        before = received = self._received
+        for _ in range(_MESSAGES_TOGETHER_MAX):
+            self._read()
+            if self._received == received:
+                break
+            received = self._received
+        if self._socket is None:
+            return
+        number = self._socket.fileno()  # with the socket itself, asyncio makes a text of it each time
+        if received == before:
+            self._loop.add_reader(number, self._read_together)
+        else:
+            self._loop.remove_reader(number)
+            self._loop.call_later(self._read_pause_s, self._read_together)
 
     def _write_on(self) -> None:
         self._progress_s = self._loop.time()
@@ -450,6 +473,7 @@ class BrokerConnection:
             self._on_denied(topic_filter, denied)
 
     def _message_received(self, _client: object, _userdata: object, message: Any) -> None:
+        self._received += 1
         if self._on_message is not None:
             asked = message.properties  # of MQTT 5, else None
             response_topic = getattr(asked, "ResponseTopic", None)

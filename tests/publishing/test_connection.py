@@ -3,11 +3,14 @@
 import asyncio
 import socket
 
+import aiomqtt
 import pytest
+from brokers import Mosquitto
 from mqtt_helpers import QUICK, publishing, said, scripted_broker, until
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection
+from resonator_daemon.publishing.mqtt_messages import Incoming
 
 
 async def test_the_version_is_asked_for_without_name_password_and_will_which_old_brokers_misread() -> None:
@@ -44,3 +47,29 @@ async def test_a_cancelled_attempt_closes_its_socket_and_logs_nothing(caplog: py
     assert connecting.cancelled()
     assert not connection.connected
     assert caplog.records == []
+
+
+async def test_with_a_pause_messages_are_read_together_in_order_and_all(mosquitto: Mosquitto) -> None:
+    broker, found, turns, count = Mqtt(url=mosquitto.url), list[int](), set[object](), 600
+    turn: list[object] = []  # one object for each turn of the event loop in which messages are read
+
+    def receive(message: Incoming) -> None:
+        if not turn:
+            turn.append(object())
+            asyncio.get_running_loop().call_soon(turn.clear)
+        turns.add(turn[0])
+        found.append(int.from_bytes(message.payload[:2], "big"))
+
+    connection = BrokerConnection(broker, MQTT_5, on_message=receive, read_pause_s=0.05)
+    await connection.connect()
+    assert await connection.subscribe("a", qos=0) is None
+    async with aiomqtt.Client(broker.host, broker.port) as client:
+        for number in range(count):
+            await client.publish("a", number.to_bytes(2, "big") + bytes(number % 7 * 10_000))
+        await until(lambda: len(found) == count)
+        assert found == list(range(count))
+        assert len(turns) < count // 4
+        await client.publish("a", bytes(2))  # after a time without messages
+        await until(lambda: len(found) > count)
+    await connection.disconnect()
+    assert not connection.connected
