@@ -10,23 +10,18 @@ import argparse
 import json
 import logging
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from resonator_daemon.commands._answers import print_answer, send_command
-from resonator_daemon.commands._broker import add_broker, broker_of
+from resonator_daemon.commands._broker import add_broker, add_daemon, client_of
 from resonator_daemon.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from resonator_daemon.config import Client
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "name", metavar="NAME|FILE", help="that the daemon publishes under; or its configuration, as left-index.toml"
-    )
+    add_daemon(parser)
     parser.add_argument("verb", metavar="VERB", help="as ping, health, tare or start_recording")
     parser.add_argument("fields", nargs="*", type=_field, metavar="KEY=VALUE", help="fields of the command")
     add_broker(parser)
@@ -44,24 +39,9 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     verb = VERBS.get(arguments.verb)
     if verb is None:
         raise UsageError(f"VERB: got {arguments.verb!r}; {nearest(arguments.verb, list(VERBS))}")
-    client, payload = _client(arguments), _payload(verb.request, arguments.fields)
+    client, payload = client_of(arguments), _payload(verb.request, arguments.fields)
     answer = asyncio.run(send_command(client, verb.name, payload))
     return print_answer(answer, f"{verb.name} not done", as_json=arguments.json)
-
-
-def _client(arguments: argparse.Namespace) -> "Client":
-    from resonator_daemon.config import Client, load_client, plate_name
-
-    if arguments.name.endswith(".toml"):
-        if arguments.config is not None or arguments.url is not None:
-            raise UsageError(f"{arguments.name} names the broker; leave --config and --url out")
-        arguments.config = Path(arguments.name)
-        return load_client(arguments.config).model_copy(update={"mqtt": broker_of(arguments)})
-    try:
-        name = plate_name(arguments.name)
-    except ValueError as error:
-        raise UsageError(f"NAME: got {arguments.name!r}; {error}") from None
-    return Client.model_construct(name=name, link=None, mqtt=broker_of(arguments))
 
 
 def _payload(model: "type[BaseModel]", fields: Sequence[tuple[str, str]]) -> dict[str, Any]:

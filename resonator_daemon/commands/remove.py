@@ -8,14 +8,14 @@ Example: resonatord remove left-index --url mqtt://127.0.0.1:1883
 import argparse
 import sys
 
-from resonator_daemon.commands._broker import add_broker, broker_of
+from resonator_daemon.commands._broker import add_broker, add_daemon, client_of
 from resonator_daemon.commands._output import print_json
 from resonator_daemon.errors import ExitCode, UsageError
 from resonator_daemon.host.printable import printable
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("name", metavar="NAME", help="that the plate is published under")
+    add_daemon(parser)
     add_broker(parser)
     parser.add_argument(
         "--force",
@@ -29,15 +29,12 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     """Print which topics were cleared."""
     import asyncio
 
-    from resonator_daemon.config import plate_name
     from resonator_daemon.publishing.removal import remove_plate
 
-    try:
-        name = plate_name(arguments.name)
-    except ValueError as error:
-        raise UsageError(f"NAME: got {arguments.name!r}; {error}") from None
-    removal = remove_plate(broker_of(arguments), name, force=arguments.force)
-    removed = asyncio.run(removal)
+    client = client_of(arguments)
+    if (name := client.name) is None:
+        raise UsageError(f"{arguments.name} has no name, as the board's serial number is used; give NAME")
+    removed = asyncio.run(remove_plate(client.mqtt, name, force=arguments.force))
     if arguments.json:
         print_json({"verb": "remove", "ok": True, "name": name, "removed": list(removed)})
     else:

@@ -3,7 +3,7 @@
 Right after a start the daemon has no readings yet: a window of untouched ones has to be complete. The command waits
 for it, and for a plate that is touched, as long as --wait allows.
 
-Example: resonatord tare left-index.toml
+Example: resonatord tare left-index
 """
 
 import argparse
@@ -12,13 +12,15 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from resonator_daemon.commands._answers import print_answer, send_command
-from resonator_daemon.commands._argument_types import add_config, number
+from resonator_daemon.commands._argument_types import number
+from resonator_daemon.commands._broker import add_broker, add_daemon, client_of
 from resonator_daemon.errors import ConfigurationError, ExitCode
 from resonator_daemon.host.printable import print_note
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_config(parser, "the daemon's configuration")
+    add_daemon(parser, required=False)
+    add_broker(parser)
     parser.add_argument(
         "--wait", type=number(0, 3600), default=5.0, metavar="S", help="for an untouched reading (default: 5 s)"
     )
@@ -29,14 +31,12 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     """Print what the daemon did, or why it did not."""
     import asyncio
 
-    from resonator_daemon.config import load_client
-
     def waiting(refusal: Mapping[str, object]) -> None:
-        needed = _needed(arguments.config)
+        needed = "" if arguments.config is None else _needed(arguments.config)
         print_note(f"{refusal.get('message')}; waiting up to {arguments.wait:g} s for an untouched reading{needed}")
 
     logging.getLogger().setLevel(logging.WARNING)  # connections are not logged here
-    client = load_client(arguments.config)
+    client = client_of(arguments)
     answer = asyncio.run(send_command(client, "tare", {}, wait_s=arguments.wait, on_wait=waiting))
     return print_answer(answer, "not tared", as_json=arguments.json, only="message")
 

@@ -41,8 +41,8 @@ async def test_what_was_cleared_is_printed(mosquitto: Mosquitto, tmp_path: Path,
     assert (code, reported) == (0, "")
     assert "info, state/daemon" in printed
     config = tmp_path / "board.toml"
-    config.write_text(f'[mqtt]\nurl = "{mosquitto.url}"\nprefix = "lab/two"\n')
-    code, printed, reported = await remove("right", "--config", config, "--prefix", "lab/one", "--json")
+    config.write_text(f'name = "right"\n[mqtt]\nurl = "{mosquitto.url}"\nprefix = "lab/two"\n')
+    code, printed, reported = await remove(config, "--prefix", "lab/one", "--json")
     assert (code, reported) == (0, "")
     assert json.loads(printed) == {"verb": "remove", "ok": True, "name": "right", "removed": ["info", "state/daemon"]}
 

@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 import pytest
 from brokers import Mosquitto, free_port
+from command_line import exit_code
 from commanded import commanded, state
 
 from resonator_daemon.commands import main
@@ -66,11 +67,13 @@ def touched(_: Tare) -> TareAnswer:
     raise CommandRefusedError("not_untouched", "site 7 is touched", "release it")
 
 
-async def test_what_the_daemon_did_is_printed(mosquitto: Mosquitto, tare: Ask) -> None:
+async def test_what_the_daemon_did_is_printed(
+    mosquitto: Mosquitto, tare: Ask, capsys: pytest.CaptureFixture[str]
+) -> None:
     async with daemon(mosquitto.url, tared):
         assert await tare(mosquitto.url) == (0, "common mode taken as untouched\n", "")
-        code, printed, _ = await tare(mosquitto.url, "--json")
-    assert code == 0
+        assert await asyncio.to_thread(exit_code, "tare", "left", "--url", mosquitto.url, "--json") == 0
+        printed = capsys.readouterr().out
     answer = json.loads(printed)
     del answer["id"]
     assert answer == {
