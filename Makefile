@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-firmware test-browser test-schema test-dashboards coverage bench bench-cost docs docs-check figures screenshots fuzz soak pins clean
+.PHONY: help setup demo test test-firmware test-browser test-schema test-dashboards coverage bench bench-cost docs docs-check figures screenshots fuzz soak dist test-dist pins clean
 
 # A user's PATH on Debian lacks the place of mosquitto.
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
@@ -194,6 +194,14 @@ docs: .venv/docs-stamp  ## the documentation as a site with search, in build/sit
 	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet --config-file docs/site/mkdocs.yml
 	echo "open build/site/index.html"
 
+dist: .venv/dist-stamp  ## wheel, source archive and bill of materials of the present commit in dist/, reproducibly
+	@.venv/bin/python .ci/make_dist.py
+
+test-dist: .venv/test-stamp .venv/dist-stamp  ## two builds compared; every command from the wheel alone, in an empty environment
+	$(debian-packages)
+	debian-packages $(BROKER) faketime:faketime git:git
+	.venv/bin/pytest -o faulthandler_timeout=900 -m distribution tests/distribution/test_dist.py
+
 DOCS_TOOLS := mosquitto_sub:mosquitto-clients jq:jq socat:socat unshare:util-linux openssl:openssl
 
 docs-check: .venv/test-stamp docs  ## links, generated pages, sentences; then each command and program of the pages; PAGES=docs/how-to/record.md
@@ -243,6 +251,7 @@ pins: .venv/run-stamp  ## make the requirements files anew from pyproject.toml
 	compile pyproject.toml --extra demo --extra figures --extra test --output-file .ci/requirements/test.txt
 	compile pyproject.toml --extra demo --extra figures --extra test --extra browser --output-file .ci/requirements/browser.txt
 	compile pyproject.toml --extra demo --extra figures --group peers --output-file .ci/requirements/peers.txt
+	compile pyproject.toml --extra demo --group dist --output-file .ci/requirements/dist.txt
 	compile --group pins --output-file .ci/requirements/pins.txt
 
 clean:  ## remove everything that the other targets made
@@ -289,6 +298,11 @@ PATH_FILE := from pathlib import Path; from sysconfig import get_path; \
 .venv/figures-stamp: .venv/run-stamp .ci/requirements/figures.txt
 	$(pip-install)
 	pip-install "packages for pictures" --require-hashes -r .ci/requirements/figures.txt
+	touch $@
+
+.venv/dist-stamp: .venv/run-stamp .ci/requirements/dist.txt
+	$(pip-install)
+	pip-install "packages for distribution" --require-hashes -r .ci/requirements/dist.txt
 	touch $@
 
 .venv/docs-stamp: .venv/run-stamp .ci/requirements/docs.txt

@@ -20,6 +20,7 @@ FIGURES = RUN + EXTRAS["figures"]
 TEST = FIGURES + EXTRAS["test"]
 BROWSER = TEST + EXTRAS["browser"]
 PEERS = FIGURES + PROJECT["dependency-groups"]["peers"]
+DIST = RUN + PROJECT["dependency-groups"]["dist"]
 MAKE_PINS = PROJECT["dependency-groups"]["pins"]
 
 EXACT_AND_HASHED = re.compile(
@@ -50,6 +51,7 @@ def pinned(filename: str) -> dict[str, str]:
         ("test.txt", TEST),
         ("browser.txt", BROWSER),
         ("peers.txt", PEERS),
+        ("dist.txt", DIST),
         ("pins.txt", MAKE_PINS),
     ],
 )
@@ -65,6 +67,7 @@ def test_tests_and_benchmarks_run_on_the_versions_that_users_get() -> None:
     assert pinned("figures.txt").items() <= pinned("test.txt").items()
     assert pinned("test.txt").items() <= pinned("browser.txt").items()
     assert pinned("figures.txt").items() <= pinned("peers.txt").items()
+    assert pinned("run.txt").items() <= pinned("dist.txt").items()
 
 
 def test_no_package_index_is_named() -> None:
