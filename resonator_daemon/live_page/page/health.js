@@ -29,7 +29,7 @@ const clock = (ppm, uncertainty) => {
   const drift = Number.isFinite(ppm) ? `${fixed(Math.abs(ppm), 1)} ppm ${ppm < 0 ? "slow" : "fast"}` : "drift not known";
   return Number.isFinite(uncertainty) ? `${drift}, times ± ${fixed(1e6 * uncertainty, 0)} µs` : drift;
 };
-const bound = (ms) => (ms === Infinity ? "longer than all bins" : `≤ ${fixed(ms, ms < 10 ? 1 : 0)} ms`);
+const bound = (ms) => (ms === Infinity ? "longer than all bins" : Number.isNaN(ms) ? UNKNOWN : `≤ ${fixed(ms, ms < 10 ? 1 : 0)} ms`);
 
 export class HealthPanel {
   constructor(root, banner) {

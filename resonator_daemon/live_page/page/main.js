@@ -150,7 +150,9 @@ class App {
     if (this.link.state === "closed") text = "No connection to the page's server; trying again. The last values are shown.";
     else if (this.link.state === "connecting") text = "Connecting…";
     else if (!this.hasBroker && this.views.some(({ isLive }) => isLive)) {
-      text = `No connection to the MQTT broker: ${this.broker.reason || this.broker.reason_code || "no reason given"}`;
+      const reason = this.broker.reason || this.broker.reason_code || "no reason given";
+      const hasPlates = this.plates("live").length > 0;
+      text = `No connection to the MQTT broker (${reason}); trying again. ${hasPlates ? "The last values are shown." : "Plates appear when it answers; --url of resonatord view selects another broker."}`;
     }
     setText(notice, text);
     notice.hidden = !text;
