@@ -63,7 +63,7 @@ def link_target(text: str) -> object:
 def add_config(parser: argparse.ArgumentParser, meaning: str) -> None:
     """Add the configuration file as an argument and, likewise, as `--config`; one of them has to be given."""
     group = parser.add_mutually_exclusive_group(required=True)
-    group.add_argument("--config", type=Path, metavar="FILE", help="the configuration, likewise")
+    group.add_argument("--config", type=Path, metavar="FILE", help="the same as FILE")
     add_config_argument(group, meaning)
 
 

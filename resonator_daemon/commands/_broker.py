@@ -15,9 +15,9 @@ def add_broker(parser: argparse.ArgumentParser, *, config_is_argument: bool = Fa
     """Add `--url`, `--config` and `--prefix`; with `config_is_argument` the file may stand alone, too."""
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--url", help="the broker (default: mqtt://127.0.0.1:1883)")
-    where.add_argument("--config", type=Path, metavar="FILE", help="whose [mqtt] names broker, prefix and credentials")
+    where.add_argument("--config", type=Path, metavar="FILE", help="a configuration, whose [mqtt] names the broker")
     if config_is_argument:
-        add_config_argument(where, "the configuration, likewise")
+        add_config_argument(where, "a configuration, whose [mqtt] names broker, prefix and credentials")
     parser.add_argument("--prefix", help="first level of the topics (default: that of the configuration, or resonator)")
 
 

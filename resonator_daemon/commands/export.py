@@ -1,4 +1,4 @@
-"""Export what follows from recordings as Parquet, CSV, NumPy or MCAP, the latter also for ROS 2.
+"""Convert recordings to tables (Parquet, CSV, NumPy) or to MCAP for viewers, also for ROS 2.
 
 Example: resonatord export run.mcap --output run.parquet
 """

@@ -1,4 +1,4 @@
-"""List what a board may be connected to, and the line of a configuration that names it.
+"""List the ports that a board may be connected to, each with the line of the configuration that names it.
 
 Example: resonatord ports
 """

@@ -1,4 +1,4 @@
-"""Have a daemon of this computer read its configuration again, and print what changed.
+"""Make a daemon of this computer read its configuration again, and print what changed.
 
 The daemon's user and root may do this. A key that a running daemon does not apply waits for a restart; a file that
 cannot be used changes nothing.

@@ -1,4 +1,4 @@
-"""Measure one board and publish, until stopped.
+"""Measure one board and publish its forces and contacts over MQTT, until stopped.
 
 A second `run` of the same file waits up to 10 s for the end of the first one, then fails.
 

@@ -1,4 +1,6 @@
-"""Show live what plates publish.
+"""Show forces, contacts and states of the plates at a broker, live, until stopped.
+
+A terminal shows a page, a pipe gets lines of text. A plate appears as soon as its daemon (`resonatord run`) publishes.
 
 Example: resonatord watch --url mqtt://127.0.0.1:1883
 """

@@ -95,9 +95,7 @@ def test_the_example_passes_its_own_check(config_path: Path, resonatord: Resonat
     run = resonatord("check", str(config_path), "--json")
     assert run.returncode == 0
     found = json.loads(run.stdout)
-    assert found["ok"] is True
-    assert (found["verb"], found["errors"]) == ("check", [])
-    assert found["notes"] == []
+    assert (found["ok"], found["verb"], found["errors"], found["notes"]) == (True, "check", [], [])
     assert load_config(config_path).measurement.window_s == pytest.approx(0.01)
 
 

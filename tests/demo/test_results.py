@@ -15,19 +15,13 @@ def plate(**changes: Any) -> dict[str, Any]:
     fine = {
         "frames": 20_000,
         "lost": LOST,
-        "frame_rate_hz": 1000.0,
         "latency_ms": {"p50": 1.0, "p99": 4.0},
         "contacts_true": 9,
         "contacts_found": 9,
         "contacts_late": 0,
         "latest_contact_ms": None,
         "sites_right": 9,
-        "force_error_newton_rms": 0.001,
-        "position_error_mm_rms": None,
         "decoded_frames": None,
-        "frames_not_decoded": None,
-        "traction_error": None,
-        "parts_lost": 0,
         "messages_missed": 0,
     }
     return fine | changes

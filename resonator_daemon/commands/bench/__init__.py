@@ -1,1 +1,4 @@
-"""Measure this machine with an emulated plate."""
+"""Measure how fast this computer is, with an emulated plate.
+
+Example: resonatord bench latency --seconds 20
+"""

@@ -1,1 +1,4 @@
-"""Show what plates publish in other programs, until stopped."""
+"""Pass what plates publish on to Foxglove or ROS 2, until stopped.
+
+Example: resonatord bridge foxglove --url mqtt://127.0.0.1:1883
+"""

@@ -5,6 +5,7 @@ recordings; without it, the name of its plate goes before each. Any client that 
 read, without a password.
 
 docs/how-to/viewers.md explains more.
+
 Example: resonatord bridge foxglove --url mqtt://127.0.0.1:1883 --plate left-index
 """
 

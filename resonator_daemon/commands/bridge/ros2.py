@@ -4,6 +4,7 @@ Topics are /NAME/wrench, /NAME/contacts/wrench, /NAME/decoded/cloud and others, 
 in the DDS domain can read them; CYCLONEDDS_URI names the network interface.
 
 docs/how-to/viewers.md explains more.
+
 Example: resonatord bridge ros2 --url mqtt://127.0.0.1:1883 --domain-id 7
 """
 
