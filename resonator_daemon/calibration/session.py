@@ -4,12 +4,13 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.errors import UserError
+from resonator_daemon.host.new_file import make_directory, sync_directory
 from resonator_daemon.host.places import state_directory
 from resonator_daemon.host.system_limits import meaning_of
 
@@ -27,8 +28,9 @@ class Session:
     def recording(self) -> Iterator[None]:
         """Begin again, over what an interrupted calibration left; `write` works within the context."""
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
+            make_directory(self.path.parent)
             self._stream = self.path.open("w", encoding="utf-8", buffering=1)
+            sync_directory(self.path.parent)
         except OSError as error:
             raise UserError(f"{self.path}: cannot be written ({meaning_of(error)}); set XDG_STATE_HOME") from None
         with self._stream:
@@ -62,8 +64,11 @@ class Session:
         """Keep what was captured under the calibration's id."""
         kept = self.path.with_name(f"{calibration_id}.jsonl")
         os.replace(self.path, kept)
+        sync_directory(kept.parent)
         return kept
 
     def discard(self) -> None:
-        """Remove the file."""
-        self.path.unlink(missing_ok=True)
+        """Remove the file; it stays removed after a power failure."""
+        with suppress(FileNotFoundError):
+            self.path.unlink()
+            sync_directory(self.path.parent)

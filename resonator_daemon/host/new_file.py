@@ -76,6 +76,7 @@ class NewFile:
         check_new(self.path)
         os.rename(self._part, self.path)
         self._part = self.path
+        sync_directory(self.path.parent)
         return size_bytes
 
     def discard(self) -> None:
@@ -187,7 +188,7 @@ def replace_file(path: Path, content: bytes, mode: int | None = None) -> None:
     OSError
         It cannot be written; the old one is as before.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_directory(path.parent)
     fresh = fresh_name(path)
     try:
         with fresh.open("wb") as stream:
@@ -200,7 +201,33 @@ def replace_file(path: Path, content: bytes, mode: int | None = None) -> None:
     except OSError:
         fresh.unlink(missing_ok=True)
         raise
-    directory = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    sync_directory(path.parent)
+
+
+def make_directory(path: Path, mode: int = 0o777) -> None:
+    """Make a directory with this mode, and its parents, where they are missing; a power failure does not remove them.
+
+    Raises
+    ------
+    OSError
+        It cannot be made.
+    """
+    missing = [place for place in (path, *path.parents) if not place.exists()]
+    path.mkdir(mode=mode, parents=True, exist_ok=True)
+    for place in missing:
+        with suppress(PermissionError):  # a parent of others that this user cannot list
+            sync_directory(place.parent)
+
+
+def sync_directory(path: Path) -> None:
+    """Wait until the disk has the names in a directory: those that are new, and the removal of others.
+
+    Raises
+    ------
+    OSError
+        The disk failed, or the directory is gone.
+    """
+    directory = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(directory)
     finally:

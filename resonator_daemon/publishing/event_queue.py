@@ -19,6 +19,7 @@ IN_MEMORY_MAX: Final = 1024
 UNWRITTEN_MAX: Final = 4096  # while a disk that works is being written to
 RETRY_S: Final = 5.0
 LOOK_S: Final = 5.0  # how long a removed file may go unnoticed where nothing is written
+SYNC_S: Final = 0.5  # between two fsyncs: how long the operating system alone may have an event
 CLOSE_TIMEOUT_S: Final = 2.0
 SUBSCRIBERS_S: Final = 60.0  # after a connection: how long events wait for the first subscriber
 TRY_AGAIN_S: Final = 1.0
@@ -105,7 +106,7 @@ class EventQueue:
         self._closing = False
         self._on_the_way: set[Event] = set()
         self._unneeded: list[Key] = []  # given to the spool, and over
-        self._paused: set[str] = set()  # what failed lately
+        self._paused: set[str] = set()  # what failed lately, or is not to be done that often
         self._lasting = True  # what is written now is there for the next run
         self._failure: str | None = None  # as long as the disk fails
         self._wake = asyncio.Event()
@@ -289,6 +290,8 @@ class EventQueue:
             await self._try("delete", self._delete(spool, self._run))
         if self._on_disk and len(self._head) <= _READ_TOGETHER // 2 and "read" not in self._paused:
             await self._try("read", self._fetch(spool, self._run))
+        if spool.unsynced and "sync" not in self._paused:
+            await self._try("sync", self._sync(spool))
 
     async def _open(self, spool: Spool) -> None:
         self._run, found = await self._in_thread(spool.open)
@@ -337,6 +340,10 @@ class EventQueue:
         await self._in_thread(spool.delete, keys)
         del self._unneeded[: len(keys)]
 
+    async def _sync(self, spool: Spool) -> None:
+        await self._in_thread(spool.sync)
+        self._pause("sync", SYNC_S)
+
     async def _fetch(self, spool: Spool, run: int) -> None:
         """Read the oldest events into memory; where there are fewer than were written, somebody else deleted them."""
         count = min(self._on_disk, _READ_TOGETHER)
@@ -365,13 +372,16 @@ class EventQueue:
             self._log_change(
                 logging.WARNING, f"events cannot be kept on disk ({error}): memory has the newest {IN_MEMORY_MAX}"
             )
-            self._paused.add(what)
-            asyncio.get_running_loop().call_later(RETRY_S, self._resume, what)
+            self._pause(what, RETRY_S)
         else:
             unwritten = bool(self._to_be_written()) or (self.history is not None and self.history.unwritten)
             if self._failure and self._lasting and not self._paused and not unwritten:
                 self._log_change(logging.INFO, "events can be kept on disk again")
                 self._failure = None
+
+    def _pause(self, what: str, seconds: float) -> None:
+        self._paused.add(what)
+        asyncio.get_running_loop().call_later(seconds, self._resume, what)
 
     def _resume(self, what: str) -> None:
         self._paused.discard(what)

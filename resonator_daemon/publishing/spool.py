@@ -1,8 +1,8 @@
 """The file of events, which outlives the process: those that wait, and those of the last days.
 
 Each batch is one transaction with a write-ahead log, not flushed to the medium (SQLite's `synchronous=NORMAL`): what
-was written survives the end of the process, in whatever way. A power loss can cost what the operating system had
-not flushed by itself, commonly the last 30 s; the file stays in order.
+was written survives the end of the process, in whatever way. What was written before `sync` survives a power failure,
+too, and the file stays in order.
 """
 
 import contextlib
@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple, TypeVar
 
+from resonator_daemon.host.new_file import make_directory
 from resonator_daemon.host.system_limits import meaning_of, reason_of
 
 EVENTS_MAX: Final = 100_000
@@ -19,6 +20,7 @@ BYTES_MAX: Final = 64 * 2**20  # of payloads
 
 FILE: Final = "events.sqlite3"
 _FORMAT: Final = 1
+_SET_FORMAT: Final = f"PRAGMA user_version={_FORMAT}"
 _FULL: Final = sqlite3.SQLITE_FULL
 _DAMAGED: Final = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 _IN_USE: Final = (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED)
@@ -81,6 +83,11 @@ class Spool:
     ----------
     directory
         Made when it is missing.
+
+    Attributes
+    ----------
+    unsynced : bool
+        Something was written since the last `sync`.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -89,6 +96,7 @@ class Spool:
         self._file: tuple[int, int] | None = None  # device and inode of the open database
         self._run: int | None = None
         self._count = self._bytes = 0
+        self.unsynced = False
 
     def open(self) -> tuple[int, int]:
         """Return the number of this run, and how many events are on disk."""
@@ -157,6 +165,10 @@ class Spool:
     def delete(self, keys: Sequence[Key]) -> None:
         self.transact(lambda database: self._delete(database, keys))
 
+    def sync(self) -> None:
+        """Wait until the medium has all that was written."""
+        self.transact(lambda database: database.execute(_SET_FORMAT), durable=True)
+
     def close(self) -> None:
         """Close the file."""
         database, self._database = self._database, None
@@ -186,15 +198,21 @@ class Spool:
                 self._count -= 1
                 self._bytes -= row[0]
 
-    def transact(self, transact: Callable[[sqlite3.Connection], ResultT]) -> ResultT:
-        """Carry out one transaction and return its result, on a database that is opened for it where it is not open."""
+    def transact(self, transact: Callable[[sqlite3.Connection], ResultT], *, durable: bool = False) -> ResultT:
+        """Carry out one transaction and return its result, on a database that is opened for it where it is not open.
+
+        A durable one that writes flushes the log with all earlier ones to the medium.
+        """
         before = None
         try:
             database = self._database or self._open()
+            database.execute(f"PRAGMA synchronous={'FULL' if durable else 'NORMAL'}")
             before = self._count, self._bytes
             database.execute("BEGIN IMMEDIATE")
+            changes_before = database.total_changes
             result = transact(database)
             database.execute("COMMIT")
+            self.unsynced = not durable and (self.unsynced or database.total_changes > changes_before)
         except sqlite3.Error as error:
             if before is not None:
                 self._count, self._bytes = before
@@ -236,18 +254,17 @@ class Spool:
         return SpoolDamagedError(f"{self.path} is damaged ({reason}): set aside as {damaged.name}")
 
     def _open(self) -> sqlite3.Connection:
-        self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        make_directory(self.path.parent, 0o700)
         database = sqlite3.connect(self.path, timeout=0.0, isolation_level=None, check_same_thread=False)
         try:
             database.execute("PRAGMA locking_mode=EXCLUSIVE")  # a second process must not send the same events
             database.execute("PRAGMA auto_vacuum=FULL")
             database.execute("PRAGMA journal_mode=WAL")
-            database.execute("PRAGMA synchronous=NORMAL")
             database.execute("BEGIN IMMEDIATE")
             self._check(database)
             for statement in _CREATE:
                 database.execute(statement)
-            database.execute(f"PRAGMA user_version={_FORMAT}")
+            database.execute(_SET_FORMAT)
             self._count, self._bytes = database.execute(_SIZES).fetchone()
             (newest_run,) = database.execute("SELECT coalesce(max(run), 0) FROM events").fetchone()
             database.execute("COMMIT")

@@ -15,6 +15,7 @@ from typing import Final
 from mcap.stream_reader import StreamReader
 
 from resonator_daemon.errors import UserError
+from resonator_daemon.host.new_file import make_directory
 from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.recording.reader import MAX_RECORD_BYTES, Origin, read_header
@@ -86,7 +87,7 @@ class Series:
             It cannot be made.
         """
         try:
-            self.directory.mkdir(parents=True, exist_ok=True)
+            make_directory(self.directory)
             while os.path.lexists(path := self.path(utc_ns)):  # of a time before the host's clock was set back
                 utc_ns += _MS_NS
         except OSError as error:
@@ -140,7 +141,7 @@ class DiskSpace:
         """
         directory, keep_bytes = self._series.directory, self._series.keep_free_bytes
         try:
-            directory.mkdir(parents=True, exist_ok=True)
+            make_directory(directory)
             free_bytes = shutil.disk_usage(directory).free
         except OSError as error:
             raise UserError(f"{directory} cannot be used: {meaning_of(error)}") from error

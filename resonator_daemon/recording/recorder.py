@@ -5,6 +5,7 @@ import logging
 import threading
 import time
 from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Final, NamedTuple, Self
 
@@ -34,7 +35,7 @@ class RecorderTimes(NamedTuple):
     """Periods of writing and of flushing, and the pause before a new file after a failure."""
 
     batch_s: float = 0.1  # small batches: Python's lock would be held for long by large ones
-    flush_s: float = 0.8  # with a batch, and what writing takes, less than the second that is promised
+    flush_s: float = 0.5  # with a batch, writing and an fsync of 0.3 s, less than the second that is promised
     retry_s: float = 10.0
 
 
@@ -115,7 +116,9 @@ class Recorder:
         self._states: dict[str, Published] = {}
         self._begun_utc_ns = 0  # of the last file, as in its name
         self._retry_s = 0.0
-        self._syncing: list[threading.Thread] = []
+        self._sync_thread = ThreadPoolExecutor(1, thread_name_prefix="recorder-sync")
+        self._syncing: Future[None] | None = None  # of the present file
+        self._sync_is_due = False
         self._ended_bytes = self._ended_events = self._ended_messages = 0  # of the files before
         self._file: RecordingWriter | None = None
         try:
@@ -231,10 +234,11 @@ class Recorder:
             self._write(items)
             if time.monotonic() >= look_s:
                 self._flush()
+                self._sync_is_due = True
                 look_s = time.monotonic() + self._times.flush_s
-        self._end_file(wait=True)
-        for thread in self._syncing:
-            thread.join()
+            self._begin_sync()
+        self._end_file()
+        self._sync_thread.shutdown()
 
     def _write(self, items: deque[Item]) -> None:
         events_missing = messages_missing = 0
@@ -284,7 +288,7 @@ class Recorder:
         if self._file is not None:
             if not self._place.is_over(self._file, snapshot.now.monotonic_ns):
                 return
-            self._end_file(wait=False)
+            self._end_file()
         elif not self._resumes or time.monotonic() < self._retry_s:
             return
         try:
@@ -331,7 +335,7 @@ class Recorder:
                 self._disk_space.keep_budget(self._file)
                 self._disk_space.check(again=False)
         except UserError as error:
-            self._end_file(wait=False)
+            self._end_file()
             self._fail(_code(error), str(error))
         except Exception as error:  # noqa: BLE001 - as above
             self._break_off(error)
@@ -339,7 +343,7 @@ class Recorder:
 
     def _leave(self) -> None:
         """End a file that nobody will find; where the series resumes, the next begins as soon as it can."""
-        self._end_file(wait=False)
+        self._end_file()
         then = "a new file is begun as soon as that can be" if self._resumes else "nothing more is recorded"
         self._report_failure(ReasonCode.FILE_GONE, f"{self.path} was removed, moved or replaced: {then}")
         self._retry_s = 0.0
@@ -355,7 +359,17 @@ class Recorder:
             if self._disk_space is not None:
                 self._counts = self._counts._replace(files_removed=self._disk_space.files_removed)
 
-    def _end_file(self, *, wait: bool) -> None:
+    def _begin_sync(self) -> None:
+        """Have the medium take what was flushed, unless it still takes what was before; nothing waits for it."""
+        if self._file is None or (self._syncing is not None and not self._syncing.done()):
+            return
+        if self._syncing is not None and (error := self._syncing.exception()) is not None:
+            self._break_off(error)
+        elif self._sync_is_due:
+            self._sync_is_due = False
+            self._syncing = self._sync_thread.submit(self._file.sync)
+
+    def _end_file(self) -> None:
         """Write the end of the file; the medium may take seconds for it, which nothing else waits for."""
         if self._file is None:
             return
@@ -365,22 +379,22 @@ class Recorder:
         except Exception as error:  # noqa: BLE001 - as above
             self._break_off(error)
             return
-        file, self._file = self._file, None
-        if wait:
-            self._sync(file)
-        else:
-            self._syncing = [thread for thread in self._syncing if thread.is_alive()]
-            self._syncing.append(threading.Thread(target=self._sync, args=(file,), name="recorder-sync", daemon=True))
-            self._syncing[-1].start()
+        file, self._file, self._syncing = self._file, None, None
+        self._sync_thread.submit(self._close, file)
 
-    def _sync(self, file: RecordingWriter) -> None:
+    def _close(self, file: RecordingWriter) -> None:
         try:
             file.sync()
         except OSError as error:
             self._log_line(logging.WARNING, f"{file.path} may not be on the disk: {meaning_of(error)}")
+        finally:
+            file.close()
 
-    def _break_off(self, error: Exception) -> None:
+    def _break_off(self, error: BaseException) -> None:
         """Leave a file as it is that takes nothing more."""
+        if self._syncing is not None:
+            wait([self._syncing])  # it uses the file
+            self._syncing = None
         if self._file is not None:
             self._file.abandon()
             self._update_counts()
@@ -403,7 +417,7 @@ class Recorder:
             self._log_line(logging.WARNING, text)
 
 
-def _code(error: Exception) -> ReasonCode:
+def _code(error: BaseException) -> ReasonCode:
     cause = error.__cause__ or error
     is_full = isinstance(error, NoRoomError) or (isinstance(cause, OSError) and cause.errno == errno.ENOSPC)
     return ReasonCode.DISK_FULL if is_full else ReasonCode.WRITE_FAILED

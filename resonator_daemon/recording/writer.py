@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple, Self
 from mcap.writer import CompressionType, Writer
 
 from resonator_daemon.errors import UserError
-from resonator_daemon.host.new_file import NoNewFileError
+from resonator_daemon.host.new_file import NoNewFileError, sync_directory
 from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.recording.mcap_messages import CHUNK_BYTES
 from resonator_daemon.recording.reader import (
@@ -101,6 +101,7 @@ class RecordingWriter:
         self.whole = self.filling = Contents()
         self.snapshot_due = False
         self.size_bytes = 0
+        self._is_named = False  # on the medium
         self._channels: dict[str, int] = {}
         self._file = _made(path)
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
@@ -160,16 +161,23 @@ class RecordingWriter:
         self._note_chunk()
 
     def finish(self) -> None:
-        """Write the end of the file; `sync` is to follow."""
+        """Write the end of the file; `sync` and `close` are to follow."""
         self.flush()
         self._writer.finish()
         self._file.flush()
         self.size_bytes = self._file.tell()
 
     def sync(self) -> None:
-        """Wait until the medium has the file, and close it."""
-        with self._file:
-            os.fsync(self._file.fileno())
+        """Wait until the medium has what was handed to the kernel; in any thread."""
+        os.fdatasync(self._file.fileno())
+        if not self._is_named:
+            with suppress(FileNotFoundError):  # removed meanwhile
+                sync_directory(self.path.parent)
+            self._is_named = True
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
 
     def abandon(self) -> None:
         """Close the file, with all that is whole: what is left of a chunk could not be read."""
