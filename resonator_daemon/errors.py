@@ -40,6 +40,8 @@ FAILURES: Final = {
     "listen": "the address to listen on is in use, or this computer does not have it",
     "dds": "the DDS domain cannot be joined",
     "no_broker": "no broker answers at the address",
+    "no_scheduler": "no Dask scheduler answers at the address, or it has ended",
+    "workers_died": "the workers of a Dask cluster died again and again of one chunk of a recording",
     "no_daemon": "no such daemon runs",
     "no_answer": "the daemon does not answer",
     "denied": "the access rules of the broker, or of this computer, do not allow it",

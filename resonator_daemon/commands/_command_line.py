@@ -86,7 +86,7 @@ def command_names(package: ModuleType | None = None) -> Iterator[str]:
     """Yield the names of all commands, as `plan codes`; all are imported."""
     package = package or commands
     for name in _names(package):
-        module = importlib.import_module(f"{package.__name__}.{name}")
+        module = _module(package, name)
         yield from (f"{name} {sub}" for sub in command_names(module)) if hasattr(module, "__path__") else (name,)
 
 
@@ -101,14 +101,18 @@ def parsers(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.Arg
 
 def _names(package: ModuleType) -> list[str]:
     files = os.listdir(package.__path__[0])  # pkgutil costs 10 ms more
-    return sorted(file.removesuffix(".py") for file in files if file[0] not in "._")
+    return sorted(file.removesuffix(".py").replace("_", "-") for file in files if file[0] not in "._")
+
+
+def _module(package: ModuleType, name: str) -> ModuleType:
+    return importlib.import_module(f"{package.__name__}.{name.replace('-', '_')}")
 
 
 def _add_commands(parser: argparse.ArgumentParser, package: ModuleType, words: Sequence[str], group: str = "") -> None:
     sub_parsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     names = _names(package)
     for name in words[:1] if words and words[0] in names else names:
-        module = importlib.import_module(f"{package.__name__}.{name}")
+        module = _module(package, name)
         summary, *paragraphs = (module.__doc__ or name).strip().split("\n\n")
         sub = sub_parsers.add_parser(
             name,

@@ -230,6 +230,15 @@ class SkinDecoder:
             self._estimator.physics.reset()
         return self.contacts.reset(reason)
 
+    def start_cold(self) -> None:
+        """Discard the frames before, and the friction that was estimated, unless a contact is followed."""
+        if self.contacts.tracker.ids:
+            return
+        if self._estimator.physics is not None:
+            self._estimator.physics.reset()
+            self._estimator.physics.friction_estimate = None
+        self.contacts.friction_estimate = None
+
     def number_from(self, last_contact_id: int) -> None:
         """Continue the numbers of contacts after those of an earlier decoder."""
         self.contacts.tracker.last_id = last_contact_id

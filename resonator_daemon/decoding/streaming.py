@@ -110,6 +110,11 @@ class StreamingDecoder:
         self._ended = ()
         return nothing_decoded(self._decoder, "no_signal", reason, events) if events else None
 
+    def start_cold(self) -> None:
+        """Discard the frames before, unless a contact is followed."""
+        if self._decoder is not None:
+            self._decoder.start_cold()
+
     def rebuild(self) -> bool:
         """Update matrices if a contact has moved, and return whether; with `DecodingOptions.background`, call it."""
         try:

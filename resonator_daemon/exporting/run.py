@@ -194,13 +194,17 @@ def _part(replaying: RecordingReplay, span: Span, progress: Progress) -> Iterato
 
 def file_metadata(path: Path, config: Config) -> dict[str, str]:
     """Return what exported tables state about a recording: its file, plate and calibration, and the table of units."""
-    plate = config.plate
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+    return {**table_metadata(path.name, config), "source_sha256": sha256}
+
+
+def table_metadata(source: str, config: Config) -> dict[str, str]:
+    """Return what exported tables state about the plate and calibration of their source, and the table of units."""
+    plate = config.plate
     return {
         "resonatord_version": version("resonatord"),
-        "source": path.name,
-        "source_sha256": sha256,
+        "source": source,
         "name": config.name or plate.name,
         "plate": plate.name,
         "calibration_id": plate.calibration.id or "",

@@ -86,7 +86,8 @@ class ForceReading:
 class SkinReading:
     """Signals of one frame, the dimensionless triple [3 p_n / (2 E), eps_xz, eps_yz] and its noise, both (3, sites).
 
-    `board_ticks` is the end of the gate. NaN where not known, with the cause in `status` and `reason`.
+    `board_ticks` is the end of the gate. NaN where not known, with the cause in `status` and `reason`. `at_rest`: the
+    skin has been untouched for so long that readings to come are those of any beginning before.
     """
 
     sequence: int
@@ -97,3 +98,4 @@ class SkinReading:
     signals: Floats
     noise_std: Floats
     common_mode: float
+    at_rest: bool = False

@@ -107,6 +107,16 @@ def messages(records: Iterator[McapRecord], topics: Collection[str]) -> Iterator
             yield Logged(of_channel[record.channel_id], record.data, record.publish_time, record.log_time)
 
 
+def declared_channels(record: McapRecord) -> dict[int, str]:
+    """Return the topics by number of the channels that a record is, or a chunk contains; ValueError for damage."""
+    if isinstance(record, Channel):
+        return {record.id: record.topic}
+    if not isinstance(record, Chunk):
+        return {}
+    within = StreamReader(BytesIO(chunk_data(record)), skip_magic=True).records
+    return {inner.id: inner.topic for inner in within if isinstance(inner, Channel)}
+
+
 def chunk_data(chunk: Chunk) -> bytes:
     """Return the records of a chunk, never more than MAX_CHUNK_BYTES of them.
 

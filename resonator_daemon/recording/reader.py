@@ -7,14 +7,14 @@ import logging
 import os
 import stat
 import struct
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from importlib.metadata import version
-from itertools import chain
+from itertools import chain, dropwhile
 from typing import IO, Final, NamedTuple, Self
 
 from mcap.exceptions import McapError
-from mcap.records import Attachment, Header, McapRecord, Metadata
+from mcap.records import Attachment, Channel, Header, McapRecord, Metadata
 
 from resonator_daemon.host.printable import printable
 from resonator_daemon.host.system_limits import meaning_of
@@ -23,7 +23,7 @@ from resonator_daemon.plate import Plate
 from resonator_daemon.reasons import ReasonCode
 from resonator_daemon.recording.mcap_messages import ChunkReader, DamagedAttachment, messages
 from resonator_daemon.session.host_time import HostTime
-from resonator_daemon.session.link_events import WireEvent, decode
+from resonator_daemon.session.link_events import SnapshotTaken, WireEvent, decode
 
 log = logging.getLogger(__name__)
 
@@ -189,6 +189,8 @@ class Recording:
     ----------
     damage : str or None
         Why the events ended before the end, once they have; None where the file is whole.
+    receivers : dict of str to callable
+        By topic, receivers of the payload and UTC of each published message that is recorded on it.
     """
 
     path: str
@@ -198,6 +200,8 @@ class Recording:
     _file: IO[bytes]
     _records: Iterator[McapRecord]
     damage: str | None = None
+    receivers: dict[str, Callable[[bytes, int], None]] = field(default_factory=dict)
+    _resumed: bool = False
 
     def __enter__(self) -> Self:
         return self
@@ -228,16 +232,40 @@ class Recording:
             else:
                 yield entry
 
+    def resume_at(self, begin_bytes: int, channels: Mapping[int, str]) -> None:
+        """Go on with the first snapshot of an open link behind this byte, at which a record of the file begins.
+
+        Parameters
+        ----------
+        channels
+            Topics of the channels that records before it have declared.
+        """
+        self._file.seek(begin_bytes)
+        records = ChunkReader(self._file, skip_magic=True, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records
+        declared = (Channel(number, topic, "", {}, 0) for number, topic in channels.items())
+        self._records = chain(declared, records)
+        self._resumed = True
+
     def entries(self) -> Iterator[WireEvent | Mark]:
         """Give events and marks in order, up to the end or to the first damage."""
+        return dropwhile(_is_before_a_snapshot, self._all_entries()) if self._resumed else self._all_entries()
+
+    def _all_entries(self) -> Iterator[WireEvent | Mark]:
         try:
-            for topic, data, publish_ns, log_ns in messages(self._records, (TOPIC, MARKS)):
+            for topic, data, publish_ns, log_ns in messages(self._records, (TOPIC, MARKS, *self.receivers)):
+                if topic in self.receivers:
+                    self.receivers[topic](data, log_ns)
+                    continue
                 yield decode(data, publish_ns, log_ns) if topic == TOPIC else decode_mark(data, publish_ns, log_ns)
         except DAMAGE as error:
             at = self._file.tell()
             whole = self._file.seek(0, 2)
             end = STILL_WRITTEN if is_being_written(self._file) else "cut off"
             self.damage = end if at >= whole else f"damaged before byte {at} of {whole} ({meaning_of(error)})"
+
+
+def _is_before_a_snapshot(entry: WireEvent | Mark) -> bool:
+    return not isinstance(entry, SnapshotTaken) or entry.snapshot.running is None
 
 
 def open_recording(path: str, plate: Plate | None = None) -> Recording:

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from threadpoolctl import threadpool_limits
 
@@ -19,6 +19,9 @@ from resonator_daemon.session.frames import Arrival, BoardRefused, Frame, in_blo
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import WireEvent
 from resonator_daemon.session.link_state_machine import LinkStateMachine
+
+if TYPE_CHECKING:
+    from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding
 
 _FRAME_QUEUE_BYTES: Final = 1 << 30  # what one event brings is taken at once
 _BLOCK_EVENTS: Final = 128  # whose frames are measured together
@@ -51,6 +54,8 @@ class RecordingReplay:
         What to do with it.
     daemon_boot_id
         That messages are to bear.
+    make_decoding
+        As of a `BoardPipeline`.
 
     Attributes
     ----------
@@ -60,14 +65,20 @@ class RecordingReplay:
         Why the board could not be measured, where it could not.
     """
 
-    def __init__(self, recording: Recording, config: Config, daemon_boot_id: str) -> None:
+    def __init__(
+        self,
+        recording: Recording,
+        config: Config,
+        daemon_boot_id: str,
+        make_decoding: "MakeSurfaceDecoding | None" = None,
+    ) -> None:
         self._recording = recording
         self.config = config
         self._messages: list[Published] = []
         self._queue = FrameQueue(_FRAME_QUEUE_BYTES, lambda: None, ())
         self._link = LinkStateMachine(config.plate, self._queue, lambda _: None)
         self._replay = Replay(recording, self._link)
-        self._board = BoardPipeline(config, daemon_boot_id, self._publish)
+        self._board = BoardPipeline(config, daemon_boot_id, self._publish, make_decoding=make_decoding)
         self._waiting: list[tuple[HostTime, list[Arrival]]] = []  # events of which nothing but frames came
         self._waiting_frames: list[Frame] = []  # of all of these: they are adjacent
         self.refused: tuple[str, ...] = ()

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from resonator_daemon.config import Config
-from resonator_daemon.config.text import config_of, load_plate_text, load_settings_text
+from resonator_daemon.config.text import Settings, config_of, load_plate_text, load_settings_text
 from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.host.printable import printable
 from resonator_daemon.links.table import parse_link
+from resonator_daemon.plate import Plate
 from resonator_daemon.recording.reader import PLATE_FILE, SETTINGS_FILE, Recording, open_recording
 from resonator_daemon.replay.recorded_pipeline import RecordingReplay
 
@@ -39,10 +40,14 @@ def open_replay(
         yield RecordingReplay(recording, config or recorded_config(recording), boot_id)
 
 
-def recorded_config(recording: Recording) -> Config:
-    """Return the configuration that a recording carries, as far as it matters to its messages."""
+def recorded_config(recording: Recording, plate: Plate | None = None, settings: Settings | None = None) -> Config:
+    """Return the configuration that a recording carries, as far as it matters to its messages.
+
+    A plate and settings that are given replace those of the recording.
+    """
     path = Path(recording.path)
-    if recording.plate_text is None or recording.settings_text is None:
+    plate_text, settings_text = recording.plate_text, recording.settings_text
+    if (plate is None and plate_text is None) or (settings is None and settings_text is None):
         if recording.damaged_attachments:
             raise _damaged(path, recording.damaged_attachments[0])
         raise ConfigurationError(f"{path} does not carry its plate file and settings; give --config FILE")
@@ -50,8 +55,8 @@ def recorded_config(recording: Recording) -> Config:
         link = parse_link(recording.header.get("link"))
     except ValueError as error:
         raise ConfigurationError(f"{path}: link: {error}") from error
-    plate = _loaded(load_plate_text, recording.plate_text, path, PLATE_FILE)
-    settings = _loaded(load_settings_text, recording.settings_text, path, SETTINGS_FILE)
+    plate = plate or _loaded(load_plate_text, plate_text or "", path, PLATE_FILE)
+    settings = settings or _loaded(load_settings_text, settings_text or "", path, SETTINGS_FILE)
     return config_of(plate, settings, link, name=recording.header.get("name"))
 
 

@@ -43,10 +43,13 @@ class Sensor(ABC, Generic[Reading]):
         Topic of the results whose latency counts.
     adjustable
         Whether the zero can be tared and the window be set.
+    comes_to_rest
+        Whether readings at rest do not depend on what was before; drift of force sites is followed for hours.
     """
 
     result: ClassVar[Topic[Any]]
     adjustable: ClassVar[bool]
+    comes_to_rest: ClassVar[bool] = False
 
     def __init__(self, plate: Plate, measurement: Measurement, decoding: Decoding) -> None:
         self.plate = plate
@@ -72,6 +75,11 @@ class Sensor(ABC, Generic[Reading]):
     def pilot_hz(self) -> float | None:
         """Tone that corners capture while nothing is touched; None if there is none."""
         return None
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether readings to come are those of a sensor that begins now; only one that comes to rest is ever."""
+        return False
 
     @property
     @abstractmethod

@@ -41,6 +41,7 @@ class SkinSensor(Sensor[SkinReading]):
 
     result: ClassVar[Topic[Any]] = DECODED
     adjustable: ClassVar[bool] = False
+    comes_to_rest: ClassVar[bool] = True
     _processing: SkinProcessing | None = None
     _decoding: SurfaceDecoding[Origin] | None = None
 
@@ -102,6 +103,10 @@ class SkinSensor(Sensor[SkinReading]):
         self._decoding = (make_decoding or SequentialDecoding)(settings, self)
 
     @property
+    def at_rest(self) -> bool:
+        return self._processing is not None and self._processing.at_rest
+
+    @property
     def ready(self) -> bool:
         return self._processing is not None
 
@@ -147,7 +152,8 @@ class SkinSensor(Sensor[SkinReading]):
             header = output.header(DECODED, reading, gate_middle)
             contacts_seq = output.headers.next_seq(CONTACTS)
             decoding.offer(
-                (reading, gate_middle), SurfaceFrame(header, contacts_seq, reading.signals, reading.noise_std)
+                (reading, gate_middle),
+                SurfaceFrame(header, contacts_seq, reading.signals, reading.noise_std, reading.at_rest),
             )
 
     def _signals(self, reading: SkinReading, gate_middle: Instant) -> Signals:

@@ -14,6 +14,9 @@ from resonator_daemon.sensors.skin_signals import TONES_MIN, ToneArray
 from resonator_daemon.sensors.usual_reasons import COMMON_MODE_PENDING, NO_TONE
 
 BASELINE_READINGS: Final = 20  # untouched readings before the common mode counts as known
+# Untouched readings in a row after which the common mode is that of any earlier beginning, to the last bit: with the
+# noise below and its walk, each reading leaves 0.4 of what an earlier estimate differed by.
+REST_READINGS: Final = 40
 COMMON_MODE_NOISE: Final = 1e-9  # of one frame, relative: the median of a thousand tones
 _PRESSED: Final = Reason(ReasonCode.PRESSED_AT_START, "touched before the common mode was estimated")
 
@@ -37,10 +40,17 @@ class SkinProcessing:
         self._offset_hz = np.empty((4, len(f0_hz)))
         self._gate_s = gate_s
         self._common_mode = CommonMode(1, needed=BASELINE_READINGS, reading_std=COMMON_MODE_NOISE)
+        self._untouched_readings = 0  # in a row
 
     def restart(self) -> None:
         """Discard the baseline: the board has booted or is configured again."""
         self._common_mode.reset()
+        self._untouched_readings = 0
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether readings to come are those of any earlier or later beginning."""
+        return self._untouched_readings >= REST_READINGS
 
     def push(
         self,
@@ -56,12 +66,15 @@ class SkinProcessing:
         np.multiply(offset_hz16, 2.0**-16, out=self._offset_hz)
         shifts = self._tones.shifts(self._offset_hz, variance_hz2)
         untouched = self._tones.untouched_common_mode(shifts)
+        self._untouched_readings = 0 if untouched is None else self._untouched_readings + 1
         self._common_mode.update([math.nan if untouched is None else untouched], self._gate_s)
         (common_mode,) = self._common_mode.value
         # Without a common mode every signal is NaN, like the common mode itself.
         signals, noise_std = self._tones.signals(shifts, common_mode)
         status, reason = self._status(untouched is not None, int(np.count_nonzero(shifts.information)))
-        return SkinReading(sequence, board_ticks, self._gate_s, status, reason, signals, noise_std, common_mode)
+        return SkinReading(
+            sequence, board_ticks, self._gate_s, status, reason, signals, noise_std, common_mode, self.at_rest
+        )
 
     def _status(self, untouched: bool, detected: int) -> tuple[SensorStatus, Reason | None]:
         if detected == 0:

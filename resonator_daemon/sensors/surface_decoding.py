@@ -68,6 +68,13 @@ class SequentialDecoding(Generic[Origin]):
     Contact physics prepares its matrices while it decodes. Steps of the set-up are not announced: they depend on the
     cache.
 
+    Parameters
+    ----------
+    settings
+    client
+    cold_at_rest
+        Whether the decoder starts cold at each frame at rest. What follows then does not depend on what was before.
+
     Attributes
     ----------
     frames_skipped
@@ -76,10 +83,11 @@ class SequentialDecoding(Generic[Origin]):
         Always 0.
     """
 
-    def __init__(self, settings: SurfaceSettings, client: SurfaceClient[Origin]) -> None:
+    def __init__(self, settings: SurfaceSettings, client: SurfaceClient[Origin], *, cold_at_rest: bool = False) -> None:
         options = replace(settings.options, background=False)
         self._stream = SurfaceStream(replace(settings, options=options), self._publish, _log_step)
         self._client = client
+        self._cold_at_rest = cold_at_rest
         self._origin: Origin | None = None
         self._undecodable = False
         self.frames_skipped = 0
@@ -99,6 +107,8 @@ class SequentialDecoding(Generic[Origin]):
             self.frames_skipped += 1
             return
         self._origin = origin
+        if self._cold_at_rest and frame.at_rest:
+            self._stream.start_cold()
         self._stream.decode(frame)
 
     def skip_late(self) -> None:

@@ -59,12 +59,15 @@ class SurfaceFrame:
         Number `seq` of `contacts`.
     signals, noise_std
         Shape (3, n), dimensionless.
+    at_rest
+        Whether nothing has touched the skin for a while, as of a `SkinReading`.
     """
 
     header: MeasuredFields
     contacts_seq: int
     signals: Floats
     noise_std: Floats
+    at_rest: bool = False
 
 
 class SurfaceStream:
@@ -112,6 +115,10 @@ class SurfaceStream:
             self._publish(CONTACT_EVENT, self._reporter.event(header, event))
         self._publish(DECODED_SUMMARY, self._reporter.summary(header, surface))
         self._publish(CONTACTS, self._reporter.contacts(_numbered(header, frame.contacts_seq), surface))
+
+    def start_cold(self) -> None:
+        """Discard the frames before, unless a contact is followed."""
+        self._decoder.start_cold()
 
     def end_contacts(self, header: Callable[[], MeasuredFields], reason: Reason) -> None:
         """Release all contacts for a reason; `header` returns that of the message on `contacts`, if there is one."""

@@ -1,0 +1,124 @@
+"""Recordings of emulated boards in simulated time: an hour of a skin takes as long as its frames take to be made.
+
+Run as `python benchmarks/simulated_recording.py skin32 60 run.mcap` (plate, minutes, file).
+"""
+
+import sys
+import time
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from resonator_daemon.conditions import Condition
+from resonator_daemon.config import Decoding, Measurement
+from resonator_daemon.config.text import config_of, plate_text, settings_text
+from resonator_daemon.daemon.recorded_messages import RecordedMessages
+from resonator_daemon.links.table import parse_link
+from resonator_daemon.pipeline.board_pipeline import BoardPipeline
+from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.reasons import Reason, ReasonCode
+from resonator_daemon.recording.reader import Origin
+from resonator_daemon.recording.writer import RecordingWriter
+from resonator_daemon.session import link_events as wire
+from resonator_daemon.session.frame_queue import FrameQueue
+from resonator_daemon.session.frames import BoardOnline
+from resonator_daemon.session.host_time import HostTime
+from resonator_daemon.session.link_state_machine import LinkStateMachine
+from simulators.emulator import SERIAL_NUMBER, _emulated_board
+from simulators.faults.misbehaviour import Misbehaviour
+from simulators.scenario import load_scenario
+from simulators.scenario_file import default_scenario
+
+STEP_NS = 10_000_000
+UTC_NS = 1_789_000_000 * 10**9
+BOOT_ID = "0123456789abcdef"
+
+
+def record(
+    path: Path,
+    plate: Plate,
+    seconds: float,
+    *,
+    scenario: str | None = None,
+    include_messages: bool = False,
+    utc_ns: int = UTC_NS,
+    name: str = "left-index",
+    seed: int = 0,
+) -> None:
+    """Record a board for so many simulated seconds; with messages, as a daemon that measures and decodes has them."""
+    link = parse_link("tcp://127.0.0.1:1")
+    config = config_of(plate, _Settings(), link, name=name)  # type: ignore[arg-type]
+    origin = Origin(plate, str(link), name, BOOT_ID, None, plate_text(plate), settings_text(config))
+    writer = RecordingWriter(path, origin, utc_ns)
+    messages = RecordedMessages(writer.publish, include_messages=include_messages)
+    pipeline = BoardPipeline(config, BOOT_ID, messages.record) if include_messages else None
+    events = _OfUse(writer)
+    queue = FrameQueue(1 << 30, lambda: None, ())
+    machine = LinkStateMachine(plate, queue, events.put)
+    played = load_scenario(scenario or default_scenario(plate), plate)
+    board = _emulated_board(plate, played, seed, "sums", Misbehaviour(""))
+    ticks_per_ns = plate.counter.reference_hz * (1.0 + played.physics.reference_error) * 1e-9
+
+    def now(elapsed_ns: int) -> HostTime:
+        return HostTime(10**12 + elapsed_ns, utc_ns - 10**12, 0)
+
+    def send(elapsed_ns: int) -> None:
+        if request := machine.opened.data_to_send():
+            ticks = int((elapsed_ns + 20_000) * ticks_per_ns)
+            machine.apply(wire.Sent(now(elapsed_ns), request))
+            board.advance(ticks)
+            board.receive(request, ticks)
+
+    with threadpool_limits(1):
+        machine.apply(wire.StateAnnounced(now(0), Condition.STARTING, Reason(ReasonCode.OPENING, "opening")))
+        machine.apply(wire.Opened(now(0)))
+        for elapsed_ns in range(0, round(seconds * 1e9), STEP_NS):
+            # Timers make pings, which leave at that time, as those of a reader do; their answers come 50 us later.
+            machine.apply(wire.TimersRun(now(elapsed_ns), idle=elapsed_ns > 0))
+            for start_ns in (elapsed_ns, elapsed_ns + 100_000):  # the second time, answers to what the first brought
+                send(start_ns)
+                board.advance(int((start_ns + 40_000) * ticks_per_ns))
+                while (outgoing := board.next_output()) is not None:
+                    machine.apply(wire.Received(now(start_ns + 50_000), outgoing.data))
+            send(elapsed_ns + 200_000)
+            for arrival in queue.pop_all():
+                if isinstance(arrival, BoardOnline):
+                    writer.name_board(arrival)
+                if pipeline is not None:
+                    pipeline.handle(arrival)
+        machine.apply(wire.Closed(now(round(seconds * 1e9))))
+    writer.finish()
+    writer.sync()
+
+
+class _Settings:
+    """The tables that a recording carries, with their defaults."""
+
+    def __iter__(self):  # type: ignore[no-untyped-def]
+        return iter({"measurement": Measurement(), "decoding": Decoding()}.items())
+
+
+class _OfUse:
+    """Passes events to a file, of the snapshots those that a recorder writes."""
+
+    def __init__(self, writer: RecordingWriter) -> None:
+        self._writer = writer
+
+    def put(self, event: wire.WireEvent) -> None:
+        writer = self._writer
+        of_use = not writer.begun or (writer.snapshot_due and not _is_of_closed_link(event))
+        if not isinstance(event, wire.SnapshotTaken) or of_use:
+            writer.write(event)
+        if event.now.monotonic_ns % 1_000_000_000 < STEP_NS:
+            writer.flush()
+
+
+def _is_of_closed_link(event: wire.WireEvent) -> bool:
+    return isinstance(event, wire.SnapshotTaken) and event.snapshot.running is None
+
+
+if __name__ == "__main__":
+    begun_s = time.monotonic()
+    record(Path(sys.argv[3]), load_plate(sys.argv[1]), 60.0 * float(sys.argv[2]))
+    size_mb = Path(sys.argv[3]).stat().st_size / 1e6
+    print(f"{sys.argv[3]}: {size_mb:.0f} MB in {time.monotonic() - begun_s:.0f} s, board {SERIAL_NUMBER}")

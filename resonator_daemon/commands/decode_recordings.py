@@ -1,0 +1,100 @@
+"""Decode recordings again, with another calibration, prior or decoder, to Parquet partitioned by plate and day.
+
+Chunks of about a minute are decoded independently, by this process or the workers of a Dask cluster. A chunk that is
+done is not decoded again: repeat an interrupted command to continue it.
+
+Example: resonatord decode-recordings 'runs/*.mcap' --output decoded --plate calibrated.toml --workers 4
+"""
+
+import argparse
+import logging
+from pathlib import Path
+from typing import Any
+
+from resonator_daemon.commands._argument_types import number, whole_number
+from resonator_daemon.commands._output import print_json
+from resonator_daemon.errors import ConfigurationError, DifferenceError, ExitCode, UsageError
+from resonator_daemon.host.printable import print_note
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "patterns", nargs="+", metavar="PATTERN", help="recordings, as 'runs/*.mcap', or directories of them"
+    )
+    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="directory of the results")
+    parser.add_argument("--plate", metavar="NAME|FILE", help="plate file instead of the one that each recording has")
+    parser.add_argument(
+        "--settings",
+        type=Path,
+        metavar="FILE",
+        help="TOML with the tables [measurement] and [decoding], instead of those that each recording has",
+    )
+    parser.add_argument(
+        "--topics", metavar="A,B", help="as contacts,contacts/event (default: all that follow from decoding)"
+    )
+    parser.add_argument("--scheduler", metavar="URL", help="of a Dask cluster, as tcp://host:8786")
+    parser.add_argument(
+        "--workers",
+        type=whole_number(1, 1024),
+        metavar="N",
+        help="processes on this computer (default: 1, which needs no Dask)",
+    )
+    parser.add_argument(
+        "--chunk-seconds", type=number(1.0, 1e6), default=60.0, metavar="N", help="of a chunk, at least (default: 60)"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object at the end, and nothing else")
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.config.text import load_settings_text, plate_text
+    from resonator_daemon.host.new_file import interruptible
+    from resonator_daemon.plate import load_plate
+    from resonator_daemon.redecoding.chunks import Job, recordings_of
+    from resonator_daemon.redecoding.run import chosen_topics, decode_all
+
+    logging.getLogger().setLevel(logging.ERROR)  # differences are part of the result
+    if arguments.scheduler is not None and arguments.workers is not None:
+        raise UsageError("--workers are processes on this computer; a cluster with --scheduler has its own")
+    settings = _text(arguments.settings)
+    if settings is not None:
+        load_settings_text(settings, arguments.settings)  # findings are reported before anything begins
+    plate = plate_text(load_plate(arguments.plate)) if arguments.plate is not None else None
+    topics = chosen_topics(arguments.topics)
+    # Workers may run in other directories.
+    job = Job(arguments.output.absolute(), topics, plate, settings, arguments.chunk_seconds)
+    with interruptible("chunks that are done stay; repeat the command to continue"):
+        paths = [path.absolute() for path in recordings_of(arguments.patterns)]
+        progress = not arguments.json
+        result, wrong = decode_all(paths, job, arguments.scheduler, arguments.workers or 1, show_progress=progress)
+    if not arguments.json:
+        _print(result)
+    if wrong:
+        raise DifferenceError(*wrong, so_far=result)
+    if arguments.json:
+        print_json({"verb": "decode-recordings", "ok": True, **result})
+    return ExitCode.DONE
+
+
+def _text(path: Path | None) -> str | None:
+    if path is None:
+        return None
+    try:
+        return path.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"--settings {path} cannot be read: {error}") from error
+
+
+def _print(result: dict[str, Any]) -> None:
+    before = f", {result['chunks_done_before']} of them before" if result["chunks_done_before"] else ""
+    print_note(f"{result['recordings']} recordings, {result['chunks']} chunks{before}, {result['frames']} frames")
+    print_note(f"{result['output']}: {result['files']} files, {result['file_bytes'] / 1e6:.1f} MB")
+    changes = result["changes"]
+    if changes is None:
+        print_note("changes: the recordings store no contacts; record with include_messages to compare")
+        return
+    rms = changes["force_difference_newton_rms"]
+    force = "" if rms is None else f", net force {1e3 * rms:.3g} mN rms"
+    print_note(f"changes: {changes['compared']} messages of contacts compared{force}")
+    for kind, counts in changes["events"].items():
+        if counts["stored"] or counts["decoded"]:
+            print_note(f"  {kind}: {counts['stored']} stored, {counts['gained']} gained, {counts['lost']} lost")

@@ -1,0 +1,133 @@
+"""Files of one chunk: Parquet by topic, plate and day, and the report that makes them count as done."""
+
+import json
+import os
+import shutil
+import tempfile
+from collections import Counter
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.exporting.formats import parquet
+from resonator_daemon.exporting.output import Recorded
+from resonator_daemon.host.new_file import replace_file
+from resonator_daemon.host.system_limits import meaning_of
+from resonator_daemon.publishing.codec import decoded
+from resonator_daemon.publishing.payloads import Message
+from resonator_daemon.replay.recorded_pipeline import Moment
+from resonator_daemon.sensors.calendar import utc_day
+
+REPORTS = "chunks"  # directory of the reports
+_PARTS = ".parts"  # directory of what is not complete
+_NAME = "of.parquet"  # there
+
+
+class OutputFailedError(UserError):
+    """Results cannot be written, as on a full disk."""
+
+    exit_code = ExitCode.FAILED
+    code = "output"
+
+
+def report_path(output: Path, key: str) -> Path:
+    """Return the name of a chunk's report, which exists once all its files do."""
+    return output / REPORTS / f"{key}.json"
+
+
+def read_report(output: Path, key: str) -> dict[str, Any] | None:
+    """Return the report of a chunk that is done; None if it is not."""
+    with suppress(FileNotFoundError, ValueError):
+        report: dict[str, Any] = json.loads(report_path(output, key).read_text())
+        return report
+    return None
+
+
+class ChunkFiles:
+    """Files of one chunk while they are written, in a directory of their own, so that any number may write one chunk.
+
+    Parameters
+    ----------
+    output
+        Directory of the results.
+    key
+        Name of the chunk.
+    topics
+        Paths of the topics to be written.
+    recorded
+        Recording of the chunk.
+    """
+
+    def __init__(self, output: Path, key: str, topics: tuple[str, ...], recorded: Recorded) -> None:
+        self._output = output
+        self._key = key
+        self.topics = topics
+        self._recorded = recorded
+        (output / _PARTS).mkdir(exist_ok=True)
+        self._parts = Path(tempfile.mkdtemp(prefix=f"{key}-", dir=output / _PARTS))
+        self._days: dict[str, parquet.Format] = {}
+        self.rows: Counter[str] = Counter()
+
+    def add(self, moment: Moment) -> list[Message]:
+        """Write the messages of a moment, each by the day of its time; return all of them."""
+        made = [(topic, decoded(topic.payload, message)) for topic, message in moment.messages]
+        for topic, message in made:
+            if topic.path in self.topics:
+                self._day(utc_day(message.t_ns).isoformat()).put(topic, message, moment.now.utc_ns)
+            self.rows[topic.path] += 1
+        return [message for _, message in made]
+
+    def _day(self, day: str) -> parquet.Format:
+        if day not in self._days:
+            (self._parts / day).mkdir()
+            # Two topics at least: the format then names the file of each after its topic.
+            self._days[day] = parquet.Format(self._parts / day / _NAME, ("", *self.topics), self._recorded)
+            self._days[day].begin()
+        return self._days[day]
+
+    def close(self, report: Mapping[str, Any]) -> dict[str, Any]:
+        """Put the files in their places, then the report, which is returned with their sizes."""
+        files: dict[str, int] = {}
+        plate = quote(self._recorded.name, safe="")
+        for day, output in self._days.items():
+            for name, size_bytes in output.close().items():
+                topic = Path(name).stem.removeprefix(f"{Path(_NAME).stem}-")
+                place = self._output / topic / f"plate={plate}" / f"day={day}" / f"{self._key}.parquet"
+                place.parent.mkdir(parents=True, exist_ok=True)
+                os.replace(name, place)
+                _sync_directory(place.parent)
+                files[str(place.relative_to(self._output))] = size_bytes
+        whole = {**report, "files": files}
+        replace_file(report_path(self._output, self._key), json.dumps(whole).encode())
+        self._remove_parts()
+        return whole
+
+    def discard(self) -> None:
+        """Remove what there is of the files."""
+        for output in self._days.values():
+            output.discard()
+        shutil.rmtree(self._parts, ignore_errors=True)
+
+    def _remove_parts(self) -> None:
+        """Remove what killed workers left of this chunk."""
+        for part in (self._output / _PARTS).glob(f"{self._key}-*"):
+            shutil.rmtree(part, ignore_errors=True)
+
+
+def cannot_write(output: Path, error: OSError) -> OutputFailedError:
+    """Return the error for results that cannot be written."""
+    return OutputFailedError(
+        f"{output} cannot be written: {meaning_of(error)}; make room there, and repeat the command: it goes on with "
+        "the chunks that are not done"
+    )
+
+
+def _sync_directory(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

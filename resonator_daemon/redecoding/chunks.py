@@ -1,0 +1,185 @@
+"""Chunks of recordings: parts that are decoded independently, each from a moment at which nothing touches the plate."""
+
+import glob
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from resonator_daemon.config import Config, Decoding
+from resonator_daemon.config.text import Settings, load_plate_text, load_settings_text
+from resonator_daemon.errors import NoRecordingError
+from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.pipeline.board_pipeline import BoardPipeline
+from resonator_daemon.plate import Plate
+from resonator_daemon.recording.event_replay import Replay
+from resonator_daemon.recording.outline import PartStart, read_outline
+from resonator_daemon.recording.reader import Mark, Recording, open_recording
+from resonator_daemon.replay.source import recorded_config
+from resonator_daemon.sensors.kinds import sensor_of
+from resonator_daemon.session.frame_queue import FrameQueue
+from resonator_daemon.session.host_time import HostTime
+from resonator_daemon.session.link_state_machine import LinkStateMachine
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is to be made of recordings.
+
+    Parameters
+    ----------
+    output
+        Directory of the results.
+    topics
+        Paths of the topics to be written.
+    plate_text, settings_text
+        TOML of a plate file, and of the tables [measurement] and [decoding]; None: those of each recording.
+    chunk_s
+        Least length of a chunk in seconds.
+    """
+
+    output: Path
+    topics: tuple[str, ...]
+    plate_text: str | None = None
+    settings_text: str | None = None
+    chunk_s: float = 60.0
+
+    @property
+    def plate(self) -> Plate | None:
+        return None if self.plate_text is None else load_plate_text(self.plate_text, Path("--plate"))
+
+    def config(self, recording: Recording) -> Config:
+        """Return the configuration with which a recording is decoded.
+
+        Raises
+        ------
+        ConfigurationError
+            The recording carries none, or its own and the given one do not suit each other.
+        """
+        settings: Settings | None = None
+        if self.settings_text is not None:
+            settings = load_settings_text(self.settings_text, Path("--settings"))
+        return recorded_config(recording, self.plate, settings)
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """One chunk of a recording; it ends where the next one that comes to rest begins.
+
+    Parameters
+    ----------
+    identity
+        Of the recording.
+    number
+        Of the chunk in it, from 0.
+    starts
+        Of all chunks.
+    channels
+        Topics by number of their channel.
+    """
+
+    path: Path
+    identity: str
+    number: int
+    starts: tuple[PartStart, ...]
+    size_bytes: int
+    channels: dict[int, str]
+
+    @property
+    def key(self) -> str:
+        """Name of the chunk, equal in each run."""
+        return f"{self.identity}-{self.number:05}"
+
+    @property
+    def begin_ns(self) -> int:
+        """UTC of its first message."""
+        return self.starts[self.number].utc_ns
+
+    def end_bytes(self, number: int) -> int:
+        """Return where the bytes of a chunk of this recording end."""
+        return self.starts[number + 1].begin_bytes if number + 1 < len(self.starts) else self.size_bytes
+
+
+def recordings_of(patterns: Sequence[str]) -> list[Path]:
+    """Return the files that match patterns, and those of directories; NoRecordingError where one matches none."""
+    paths: list[Path] = []
+    for pattern in patterns:
+        matches = [Path(name) for name in sorted(glob.glob(pattern, recursive=True))]
+        found = [file for path in matches for file in (sorted(path.glob("*.mcap")) if path.is_dir() else [path])]
+        if not found:
+            raise NoRecordingError(f"no file matches {pattern!r}; name recordings, as 'runs/*.mcap'")
+        paths += found
+    return paths
+
+
+def chunks_of(path: Path, job: Job) -> list[Chunk]:
+    """Return the chunks of a recording; one of a plate that never comes to rest is a chunk as a whole.
+
+    Raises
+    ------
+    LinkUnavailableError
+        It is no recording, or of another plate than that of the job.
+    ConfigurationError
+        It cannot be decoded with what it carries and the job has.
+    """
+    with open_recording(str(path), job.plate) as recording:
+        config = job.config(recording)
+        comes_to_rest = sensor_of(config.plate, config.measurement, config.decoding).comes_to_rest
+    outline = read_outline(path, job.chunk_s if comes_to_rest else float("inf"))
+    starts = outline.starts[: None if comes_to_rest else 1]
+    return [
+        Chunk(path, outline.identity, number, starts, outline.size_bytes, outline.channels)
+        for number in range(len(starts))
+    ]
+
+
+def plan(paths: Sequence[Path], job: Job) -> tuple[list[Chunk], dict[str, str]]:
+    """Return the chunks of all recordings, of equal ones those of the first, and why others cannot be decoded."""
+    chunks: dict[str, Chunk] = {}
+    refused: dict[str, str] = {}
+    for path in paths:
+        try:
+            found = chunks_of(path, job)
+        except LinkUnavailableError as error:
+            refused[str(path)] = str(error)
+            continue
+        if not found:
+            refused[str(path)] = f"{path} has no events; record again"
+        for chunk in found:
+            chunks.setdefault(chunk.key, chunk)
+    return list(chunks.values()), refused
+
+
+def first_rest(chunk: Chunk, number: int, config: Config) -> HostTime | None:
+    """Return when the plate is first at rest in a chunk of this recording; None if it never is.
+
+    It depends on the bytes of that chunk alone, so that the chunk and the one before agree.
+    """
+    with open_recording(str(chunk.path), config.plate) as recording:
+        recording.resume_at(chunk.starts[number].begin_bytes, chunk.channels)
+        undecoded = config.model_copy(update={"decoding": Decoding(method="off")})
+        queue = FrameQueue(1 << 30, lambda: None, ())
+        replay = Replay(recording, LinkStateMachine(config.plate, queue, lambda _: None))
+        board = BoardPipeline(undecoded, "", lambda *_: None)
+        for entry in recording.entries():
+            if recording.read_bytes > chunk.end_bytes(number):
+                break
+            if isinstance(entry, Mark):
+                continue
+            replay.apply(entry)
+            for arrival in queue.pop_all():
+                board.handle(arrival)
+            if board.sensor.at_rest:
+                return entry.now
+    return None
+
+
+def span_of(chunk: Chunk, config: Config) -> tuple[HostTime | None, HostTime | None] | None:
+    """Return when a chunk begins and ends, None for the beginning and end of the recording; None if it has nothing.
+
+    What comes before its first rest belongs to the chunk before.
+    """
+    begin = first_rest(chunk, chunk.number, config) if chunk.number else None
+    if chunk.number and begin is None:
+        return None
+    following = range(chunk.number + 1, len(chunk.starts))
+    return begin, next((rest for number in following if (rest := first_rest(chunk, number, config))), None)

@@ -1,0 +1,88 @@
+"""Decoding of one chunk, in whichever process: a function of the recording and the job alone."""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from resonator_daemon.config import Config
+from resonator_daemon.exporting.output import Recorded
+from resonator_daemon.exporting.run import table_metadata
+from resonator_daemon.publishing.topics import DECODED, FORCES
+from resonator_daemon.recording.reader import Recording, open_recording
+from resonator_daemon.redecoding.changes import STORED_TOPICS, Changes
+from resonator_daemon.redecoding.chunk_files import ChunkFiles, cannot_write, read_report
+from resonator_daemon.redecoding.chunks import Chunk, Job, span_of
+from resonator_daemon.replay.recorded_pipeline import RecordingReplay
+from resonator_daemon.replay.source import UNKNOWN_BOOT_ID
+from resonator_daemon.sensors.surface_decoding import SequentialDecoding, SurfaceClient, SurfaceDecoding
+from resonator_daemon.sensors.surface_stream import SurfaceSettings
+
+_ID_STEP_NS = 10_000  # contacts of a chunk have the numbers from its time on, in these: more than it can have
+
+
+def decode_chunk(chunk: Chunk, job: Job) -> dict[str, Any]:
+    """Decode a chunk unless that is done; return its report.
+
+    Raises
+    ------
+    OutputFailedError
+        The results cannot be written.
+    """
+    done = read_report(job.output, chunk.key)
+    if done is not None:
+        return done
+    with open_recording(str(chunk.path), job.plate) as recording:
+        config = job.config(recording)
+        span = span_of(chunk, config)
+        metadata = table_metadata(chunk.path.name, config) | {"source_chunk": chunk.key}
+        try:
+            files = ChunkFiles(job.output, chunk.key, job.topics, Recorded(config, metadata))
+            try:
+                report = {"chunk": chunk.key, "recording": str(chunk.path), "plate": config.name or config.plate.name}
+                if span is None:
+                    return files.close(report | _NOTHING)
+                begin, end = span
+                changes = Changes(begin and begin.utc_ns, end and end.utc_ns)
+                return files.close(report | _decode(chunk, recording, config, files, changes, span))
+            except BaseException:
+                files.discard()
+                raise
+        except OSError as error:
+            done = read_report(job.output, chunk.key)  # another worker may have been faster, and have tidied up
+            if done is not None:
+                return done
+            raise cannot_write(job.output, error) from error
+
+
+_NOTHING: dict[str, Any] = {"frames": 0, "rows": {}, "differences": 0, "damage": None, "refused": [], "changes": {}}
+
+
+def _decode(
+    chunk: Chunk, recording: Recording, config: Config, files: ChunkFiles, changes: Changes, span: Any
+) -> dict[str, Any]:
+    begin, end = span
+    if begin is not None:
+        recording.resume_at(chunk.starts[chunk.number].begin_bytes, chunk.channels)
+    for topic in STORED_TOPICS:
+        recording.receivers[topic] = partial(changes.add_stored, topic)
+    boot_id = recording.header.get("daemon_boot_id", UNKNOWN_BOOT_ID)
+    last_contact_id = chunk.begin_ns // _ID_STEP_NS
+
+    def make_decoding(settings: SurfaceSettings, client: SurfaceClient[Any]) -> SurfaceDecoding[Any]:
+        return SequentialDecoding(replace(settings, last_contact_id=last_contact_id), client, cold_at_rest=True)
+
+    replaying = RecordingReplay(recording, config, boot_id, make_decoding)
+    for moment in replaying.moments():
+        if end is not None and moment.now.monotonic_ns >= end.monotonic_ns:
+            break
+        if begin is None or moment.now.monotonic_ns >= begin.monotonic_ns:
+            for message in files.add(moment):
+                changes.add_made(message)
+    return {
+        "frames": files.rows[DECODED.path] + files.rows[FORCES.path],
+        "rows": {topic: rows for topic, rows in files.rows.items() if topic in files.topics},
+        "differences": replaying.differences,
+        "damage": replaying.damage,
+        "refused": list(replaying.refused),
+        "changes": changes.numbers(),
+    }

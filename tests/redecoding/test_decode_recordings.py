@@ -1,0 +1,218 @@
+"""`resonatord decode-recordings`: equal results for any chunks, workers and kills, and what cannot be decoded."""
+
+import json
+import os
+import random
+import signal
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pyarrow.dataset as ds
+import pytest
+from simulated_recording import record
+
+from resonator_daemon.commands import main
+from resonator_daemon.config.text import plate_text
+from resonator_daemon.redecoding.chunk_files import REPORTS
+from resonator_daemon.replay.source import open_replay
+
+CORPUS = Path(__file__).parents[1] / "corpus"
+FILE = "recording.mcap"
+CASES = CORPUS / "touches" / FILE, CORPUS / "cut-off" / FILE
+UNDAMAGED = (
+    "touches",
+    "two-touches",
+    "slide",
+    "comb",
+    "warm-finger",
+    "pressed-at-start",
+    "temperature-drift",
+    "overload",
+)
+PERIOD_S, PRESSES = 7.0, 3  # each is followed by more than the 40 untouched frames that a chunk begins with
+PRESS = f"""
+period_s = {PERIOD_S}
+[[touches]]
+start_s = 5.0
+position_mm = [0.2, -0.1]
+force_newton = 0.3
+rise_s = 0.3
+hold_s = 0.8
+fall_s = 0.3
+shear = {{ peak_ratio = 0.9, direction_deg = 30.0 }}
+"""
+COUNTED_FROM_A_BEGINNING = {"seq", "contact_id", "patch_id"}
+
+
+@pytest.fixture(scope="module")
+def skin(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of a small skin, with the messages of its daemon; it begins 14 s before midnight."""
+    folder = tmp_path_factory.mktemp("skin")
+    with open_replay(CORPUS / "skin" / "recording.mcap") as replaying:
+        plate = replaying.config.plate
+    (folder / "press.toml").write_text(PRESS)
+    begin_ns = (1_789_000_000 // 86_400 * 86_400 + 86_400 - 14) * 10**9
+    record(
+        folder / "run.mcap",
+        plate,
+        PERIOD_S * PRESSES,
+        scenario=str(folder / "press.toml"),
+        include_messages=True,
+        utc_ns=begin_ns,
+    )
+    return folder / "run.mcap"
+
+
+def decode(*arguments: object) -> int:
+    return main(["decode-recordings", *map(str, arguments)])
+
+
+def contents(output: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(output)): path.read_bytes() for path in output.rglob("*.parquet")}
+
+
+def columns(output: Path, topic: str) -> dict[str, Any]:
+    table = ds.dataset(output / topic, partitioning="hive").to_table().sort_by("t_ns")
+    return {name: table[name].to_pylist() for name in table.column_names if name not in COUNTED_FROM_A_BEGINNING}
+
+
+@pytest.fixture(scope="module")
+def reference(skin: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    output = tmp_path_factory.mktemp("reference")
+    assert decode(skin, "--output", output, "--chunk-seconds", 6.5) == 0
+    return output
+
+
+def test_results_do_not_depend_on_the_chunks(skin: Path, reference: Path, tmp_path: Path) -> None:
+    assert decode(skin, "--output", tmp_path, "--chunk-seconds", 1e6) == 0
+    assert len(list((tmp_path / REPORTS).iterdir())) == 1
+    assert len(list((reference / "decoded").rglob("*.parquet"))) > PRESSES  # that at midnight has two
+    for topic in ("decoded", "decoded-summary", "contacts", "contacts-event"):
+        np.testing.assert_equal(columns(reference, topic), columns(tmp_path, topic))
+    assert columns(tmp_path, "contacts-event")["event"].count("onset") == PRESSES
+    ids = ds.dataset(reference / "contacts-event").to_table()["contact_id"].to_pylist()
+    assert len(set(ids)) == PRESSES
+
+
+def test_days_and_plate_are_partitions(reference: Path) -> None:
+    found = {part.parent.name + "/" + part.name for part in (reference / "contacts").glob("*/*")}
+    assert found == {"plate=left-index/day=2026-09-10", "plate=left-index/day=2026-09-11"}
+    for day in ("2026-09-10", "2026-09-11"):
+        times = ds.dataset(reference / "contacts" / "plate=left-index" / f"day={day}").to_table()["t_ns"].to_numpy()
+        assert set((times // 10**9).astype("datetime64[s]").astype("datetime64[D]").astype(str)) == {day}
+
+
+def test_what_changes_is_compared_with_what_is_stored(
+    skin: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with open_replay(skin) as replaying:
+        plate = replaying.config.plate
+    weaker = tmp_path / "weaker.toml"
+    grid = plate.grid.model_copy(update={"sensitivity": tuple(2 * part for part in plate.grid.sensitivity)})
+    weaker.write_text(plate_text(plate.model_copy(update={"grid": grid})))
+    assert decode(skin, "--output", tmp_path / "same", "--json") == 0
+    same = json.loads(capsys.readouterr().out)
+    assert same["changes"]["compared"] == same["frames"] == same["changes"]["contacts_stored"]
+    assert same["changes"]["events"]["onset"] == {"stored": PRESSES, "decoded": PRESSES, "gained": 0, "lost": 0}
+    assert same["changes"]["force_difference_newton_rms"] < 0.003
+    assert decode(skin, "--output", tmp_path / "half", "--plate", weaker, "--json") == 0
+    half = json.loads(capsys.readouterr().out)["changes"]["force_difference_newton_rms"]
+    pressed = [force for force in columns(tmp_path / "same", "contacts")["contact_force_z_newton"] if force]
+    normal = (sum(force**2 for force in pressed) / same["frames"]) ** 0.5
+    assert half == pytest.approx(0.5 * normal, rel=0.3)  # twice the sensitivity: half the force; shear adds to it
+
+
+def workers() -> list[psutil.Process]:
+    return [child for child in psutil.Process().children(recursive=True) if "spawn_main" in " ".join(child.cmdline())]
+
+
+def kill_workers(output: Path, done: threading.Event, chances: random.Random, killed: list[int], most: int) -> None:
+    """Kill workers at random times while they decode."""
+    while not done.wait(chances.uniform(0.01, 0.2)) and len(killed) < most:
+        if (running := workers()) and list(output.glob(".parts/*")):
+            victim = chances.choice(running)
+            victim.send_signal(signal.SIGKILL)
+            killed.append(victim.pid)
+
+
+@pytest.mark.parametrize(("source", "kills"), [("corpus", 1), pytest.param("skin", 20, marks=pytest.mark.soak)])
+def test_killed_workers_change_nothing(source: str, kills: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    recordings = [request.getfixturevalue("skin")] if source == "skin" else [CORPUS / case / FILE for case in UNDAMAGED]
+    arguments = [*recordings, "--chunk-seconds", 6.5]
+    assert decode(*arguments, "--output", tmp_path / "undisturbed") == 0
+    chances, killed = random.Random(1), list[int]()
+    while len(killed) < kills:
+        output, done = tmp_path / f"after-{len(killed)}", threading.Event()
+        thread = threading.Thread(target=kill_workers, args=(output, done, chances, killed, kills))
+        thread.start()
+        try:
+            assert decode(*arguments, "--output", output, "--workers", 2) == 0
+        finally:
+            done.set()
+            thread.join()
+        assert contents(output) == contents(tmp_path / "undisturbed")
+        assert os.listdir(output / ".parts") == []
+
+
+def test_an_interrupted_run_goes_on_where_it_was(
+    skin: Path, reference: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert decode(skin, "--output", tmp_path, "--chunk-seconds", 6.5) == 0
+    one, *others = sorted((tmp_path / REPORTS).iterdir())
+    one.unlink()
+    times = {path: path.stat().st_mtime_ns for path in others}
+    capsys.readouterr()
+    assert decode(skin, "--output", tmp_path, "--chunk-seconds", 6.5, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["chunks_done_before"] == len(others)
+    assert contents(tmp_path) == contents(reference)
+    assert times == {path: path.stat().st_mtime_ns for path in others}
+    assert decode(skin, "--output", tmp_path, "--chunk-seconds", 14) == 2  # other settings
+    assert "choose another --output" in capsys.readouterr().err
+
+
+def test_force_plates_are_decoded_as_replayed_and_damage_is_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "runs").mkdir()
+    for number, case in enumerate(CASES):
+        (tmp_path / "runs" / f"{number}.mcap").write_bytes(case.read_bytes())
+    (tmp_path / "runs" / "no.mcap").write_text("no recording")
+    assert decode(tmp_path / "runs" / "*.mcap", "--output", tmp_path / "out", "--json", "--chunk-seconds", 1) == 1
+    printed = json.loads(capsys.readouterr().out)
+    with open_replay(CASES[0]) as replaying:
+        forces = sum(topic.path == "forces" for moment in replaying.moments() for topic, _ in moment.messages)
+    assert printed["error"]["code"] == "differs"
+    assert "no.mcap is no recording" in printed["error"]["message"]
+    assert "the file is cut off" in printed["error"]["message"]
+    assert (printed["recordings"], printed["changes"]) == (2, None)
+    assert printed["rows"]["forces"] > forces
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "word"),
+    [
+        (["nothing/*.mcap"], 2, "no file matches"),
+        ([CASES[0], "--plate", "skin32"], 2, "'quartz16'"),
+        ([CASES[0], "--settings", "missing.toml"], 78, "missing.toml"),
+        ([CASES[0], "--topics", "force"], 2, "forces"),
+        ([CASES[0], "--scheduler", "tcp://127.0.0.1:1"], 69, "no scheduler answers"),
+        ([CASES[0], "--scheduler", "127.0.0.1:1", "--workers", "2"], 2, "--workers"),
+        ([CASES[0], "--output", "/dev/null/out"], 1, "cannot be written"),
+    ],
+)
+def test_what_cannot_be_done_is_one_message(
+    arguments: list[Any],
+    code: int,
+    word: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("resonator_daemon.redecoding.cluster.CONNECT_S", 0.3)
+    assert decode("--output", tmp_path, *arguments) == code
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert word in last
+    assert "Traceback" not in last
