@@ -107,9 +107,9 @@ async def test_a_broker_that_vanishes_and_returns_is_reported_by_codes(mosquitto
         await tab.key("broker", lambda it: it["reason_code"] == "no_broker")
         await mosquitto.start()
         await publish(mosquitto, "right/info", info("comb16"), retain=True)  # again, as its daemon does
-        await subscribed(mosquitto, tab, "left/forces")
         emptied = await tab.until(lambda it: isinstance(it, Frame) and not it.payload)
         assert emptied.address == "live/left/info"  # the broker has lost it
+        await subscribed(mosquitto, tab, "left/forces")
         async with browser(url) as later:
             assert await later.frame("live/right/info")
 
