@@ -6,7 +6,6 @@ seldom. Of a viewer that does not keep up, the oldest messages are dropped.
 
 import asyncio
 import json
-import logging
 import signal
 import time
 from collections.abc import Callable
@@ -20,7 +19,7 @@ from resonator_daemon.exporting.geometry import Geometry
 from resonator_daemon.host.printable import how_to_install
 from resonator_daemon.publishing.payloads import Condition, Info, Message, State
 from resonator_daemon.publishing.subscriber import EVERY_PLATE, subscribe
-from resonator_daemon.publishing.topics import TOPICS
+from resonator_daemon.publishing.topics import INFO, TOPICS
 
 try:
     import foxglove
@@ -32,10 +31,10 @@ BACKLOG_MAX: Final = 256  # messages that wait for one viewer
 
 _SILENT: Final = (Condition.OFFLINE, Condition.WAITING, Condition.STALLED, Condition.LOST, Condition.REFUSED)
 
-log = logging.getLogger(__name__)
 
-
-async def serve(broker: Mqtt, listen: Listen, *, plate: str | None = None, full_rate: bool = True) -> None:
+async def serve(
+    broker: Mqtt, listen: Listen, on_ready: Callable[[str], None], *, plate: str | None = None, full_rate: bool = True
+) -> None:
     """Serve plates below the broker's prefix until SIGINT, SIGTERM or SIGHUP.
 
     Parameters
@@ -43,7 +42,9 @@ async def serve(broker: Mqtt, listen: Listen, *, plate: str | None = None, full_
     broker
         Where plates publish; it may come and go.
     listen
-        Where viewers connect.
+        Where viewers connect; port 0 selects a free one.
+    on_ready
+        Called with the address for viewers.
     plate
         The only one, whose channels then have the names of exported recordings; None: all of them, and the name of each
         goes before those of its channels.
@@ -55,7 +56,7 @@ async def serve(broker: Mqtt, listen: Listen, *, plate: str | None = None, full_
     ListenError
         The address is in use, or not this computer's.
     """
-    serving = asyncio.create_task(_serve(broker, listen, plate, full_rate))
+    serving = asyncio.create_task(_serve(broker, listen, on_ready, plate, full_rate))
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         asyncio.get_running_loop().add_signal_handler(number, serving.cancel)
     await asyncio.wait([serving])
@@ -130,6 +131,18 @@ class FoxgloveServer:
         elif TOPICS[path].perishable:
             self._drawn[plate, path] = message
 
+    def cleared(self, plate: str, path: str) -> None:
+        """Close the channels of a plate whose `info` was cleared: it was removed."""
+        if path != INFO.path or plate not in self._plates:
+            return
+        del self._plates[plate]
+        for name in [name for name in self._channels if not self._prefixed or name.startswith(f"{plate}/")]:
+            self._channels.pop(name).close()
+            self._last.pop(name, None)
+        for table in (self._names, self._drawn):
+            for key in [key for key in table if key[0] == plate]:
+                del table[key]
+
     def _clear(self, plate: str, now_ns: int) -> None:
         """Replace drawings of a plate that measures nothing: viewers would show the last ones for ever."""
         for name, path in [key for key in self._drawn if key[0] == plate]:
@@ -167,13 +180,17 @@ class _Subscriptions(ServerListener):  # type: ignore[misc]
             self._loop.call_soon_threadsafe(self._report, channel.topic)
 
 
-async def _serve(broker: Mqtt, listen: Listen, plate: str | None, full_rate: bool) -> None:
+async def _serve(
+    broker: Mqtt, listen: Listen, on_ready: Callable[[str], None], plate: str | None, full_rate: bool
+) -> None:
     server = FoxgloveServer(listen, prefixed=plate is None)
     server.start()
-    log.info("Foxglove opens ws://%s", listen)
+    on_ready(f"ws://{Listen(listen.host, server.port)}")
+    messages = subscribe(
+        broker, plate=plate or EVERY_PLATE, full_rate=full_rate, wanted=server.wants, on_cleared=server.cleared
+    )
     try:
-        plates = plate or EVERY_PLATE
-        async with aclosing(subscribe(broker, plate=plates, full_rate=full_rate, wanted=server.wants)) as received:
+        async with aclosing(messages) as received:
             async for name, path, message in received:
                 server.add(name, path, message)
     finally:

@@ -123,13 +123,3 @@ def host_and_port(text: str) -> tuple[str, int]:
     if not host or not port.isdecimal() or int(port) > 65_535:
         raise argparse.ArgumentTypeError(f"{text!r} is not HOST:PORT (try 127.0.0.1:0; port 0 selects a free one)")
     return host.strip("[]"), int(port)
-
-
-def listen_address(text: str) -> object:
-    """Parse an address of this computer to listen on, as 127.0.0.1:8765."""
-    from resonator_daemon.config import parse_listen
-
-    try:
-        return parse_listen(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r} {error}") from error

@@ -6,6 +6,7 @@ import re
 import signal
 import struct
 import sys
+from asyncio.subprocess import PIPE
 from collections import defaultdict
 from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager, suppress
@@ -22,11 +23,12 @@ from export_bench import played, points
 from jsonschema import Draft202012Validator
 from observer import until
 from scipy.spatial.transform import Rotation
-from system_parts import free_port
 from websockets.asyncio.client import ClientConnection, connect
 
 from resonator_daemon.bridges.foxglove_server import BACKLOG_MAX, FoxgloveServer
+from resonator_daemon.commands import main
 from resonator_daemon.config import Listen, Mqtt
+from resonator_daemon.errors import ExitCode
 from resonator_daemon.exporting.foxglove_messages import FoxgloveMessages
 from resonator_daemon.exporting.geometry import Geometry
 from resonator_daemon.publishing.codec import encode
@@ -54,22 +56,34 @@ class Viewer:
         """Subscribe to what is advertised, and read until a channel has so many messages; return the last."""
         async with asyncio.timeout(20):
             while len(self.found[channel]) < count:
-                frame = await self.socket.recv()
-                if isinstance(frame, bytes):
-                    opcode, number, _ = HEADER.unpack_from(frame)
-                    assert opcode == 1
-                    payload = json.loads(frame[HEADER.size :])
-                    self.schemas[self.names[number]].validate(payload)
-                    self.found[self.names[number]].append(payload)
-                elif (message := json.loads(frame))["op"] == "advertise":
-                    for one in message["channels"]:
-                        assert (one["encoding"], one["schemaEncoding"]) == ("json", "jsonschema")
-                        self.names[one["id"]] = one["topic"]
-                        self.schemas[one["topic"]] = Draft202012Validator(json.loads(one["schema"]))
-                    await self.subscribe(one["id"] for one in message["channels"])
-                elif message["op"] == "status":  # unknown: the SDK advertises a channel before it takes subscriptions
-                    await self.subscribe([int(message["message"].rpartition(" ")[2])])
+                await self.receive()
         return self.found[channel][-1]
+
+    async def until_closed(self, plate: str) -> None:
+        """Read until no channel of a plate is advertised."""
+        async with asyncio.timeout(20):
+            while any(name.startswith(plate) for name in self.schemas):
+                await self.receive()
+
+    async def receive(self) -> None:
+        frame = await self.socket.recv()
+        if isinstance(frame, bytes):
+            opcode, number, _ = HEADER.unpack_from(frame)
+            assert opcode == 1
+            payload = json.loads(frame[HEADER.size :])
+            self.schemas[self.names[number]].validate(payload)
+            self.found[self.names[number]].append(payload)
+        elif (message := json.loads(frame))["op"] == "advertise":
+            for one in message["channels"]:
+                assert (one["encoding"], one["schemaEncoding"]) == ("json", "jsonschema")
+                self.names[one["id"]] = one["topic"]
+                self.schemas[one["topic"]] = Draft202012Validator(json.loads(one["schema"]))
+            await self.subscribe(one["id"] for one in message["channels"])
+        elif message["op"] == "unadvertise":
+            for number in message["channelIds"]:
+                del self.schemas[self.names[number]]
+        elif message["op"] == "status":  # unknown: the SDK advertises a channel before it takes subscriptions
+            await self.subscribe([int(message["message"].rpartition(" ")[2])])
 
     async def subscribe(self, numbers: Iterable[int]) -> None:
         wanted = [{"id": number, "channelId": number} for number in numbers]
@@ -155,6 +169,16 @@ async def test_drawings_end_with_the_measurement_and_plates_change(server: Foxgl
         assert "left/forces" in seen.schemas
         assert "left/forces/cloud" not in seen.schemas
         assert len(seen.found["left/contacts"]) == 1  # nothing is invented there
+        server.cleared(
+            "left", "state/link"
+        )  # `resonatord remove` clears it, too, but only a plate without info is gone
+        server.add("left", "contacts", PRESS)
+        await seen.until("left/contacts", 2)
+        server.cleared("left", "info")
+        await seen.until_closed("left/")
+        assert "right/state/link" in seen.schemas
+        server.add("left", "info", INFO)  # it returns
+        await seen.until("left/info", 3)
 
 
 async def test_a_viewer_that_stalls_loses_the_oldest(server: FoxgloveServer) -> None:
@@ -201,20 +225,29 @@ async def ending(process: asyncio.subprocess.Process) -> AsyncIterator[None]:
 
 
 async def test_the_command_survives_its_broker_and_ends_at_once(mosquitto: Any) -> None:
-    port = free_port()
-    options = ("--url", mosquitto.url, "--listen", f"127.0.0.1:{port}", "--plate", "left")
+    options = ("--url", mosquitto.url, "--listen", "127.0.0.1:0", "--plate", "left", "--json")
     command = (sys.executable, "-m", "resonator_daemon", "bridge", "foxglove", *options)
-    process = await asyncio.create_subprocess_exec(*command, stderr=asyncio.subprocess.PIPE)
+    process = await asyncio.create_subprocess_exec(*command, stdout=PIPE, stderr=PIPE)
     assert process.stderr is not None
+    assert process.stdout is not None
     async with asyncio.timeout(30), ending(process):
+        url = json.loads(await process.stdout.readline())["url"]
         while b"connected" not in await process.stderr.readline():
             pass
-        async with viewer(port) as seen:
+        async with viewer(int(url.removeprefix("ws://127.0.0.1:"))) as seen:
             for count, word in enumerate(("online", "lost"), 1):
                 async with aiomqtt.Client("127.0.0.1", Mqtt(url=mosquitto.url).port) as client:
                     await client.publish("resonator/left/state/link", encode(state(word)), qos=1, retain=True)
                 assert (await seen.until("state/link", count))["state"] == word
                 await mosquitto.kill()
                 await mosquitto.start()
+            for payload in (encode(INFO), b""):  # there, and removed
+                async with aiomqtt.Client("127.0.0.1", Mqtt(url=mosquitto.url).port) as client:
+                    await client.publish("resonator/left/info", payload, qos=1, retain=True)
+                await (seen.until("plate/scene") if payload else seen.until_closed(""))
         process.send_signal(signal.SIGTERM)
         assert await process.wait() == 0
+
+
+def test_an_address_that_other_computers_reach_is_refused_as_there_is_no_password() -> None:
+    assert main(["bridge", "foxglove", "--listen", "0.0.0.0:8765"]) == ExitCode.USAGE

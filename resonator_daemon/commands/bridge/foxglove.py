@@ -1,8 +1,8 @@
 """Serve what plates publish to Foxglove, over its WebSocket protocol, until stopped.
 
 Foxglove opens ws://127.0.0.1:8765 as a "Foxglove WebSocket". With --plate the channels are those of exported
-recordings; without it, the name of its plate goes before each. Any client that reaches the address can
-read, without a password.
+recordings; without it, the name of its plate goes before each. Any program of this computer can read, without a
+password. Other computers need a tunnel, as `ssh -L`.
 
 docs/how-to/viewers.md explains more.
 
@@ -10,10 +10,12 @@ Example: resonatord bridge foxglove --url mqtt://127.0.0.1:1883 --plate left-ind
 """
 
 import argparse
+import sys
 from contextlib import suppress
 
-from resonator_daemon.commands._argument_types import listen_address
+from resonator_daemon.commands._argument_types import host_and_port
 from resonator_daemon.commands._broker import add_broker, broker_of
+from resonator_daemon.commands._output import print_json
 from resonator_daemon.errors import ExitCode, UsageError
 
 
@@ -22,14 +24,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plate", metavar="NAME", help="only this one, as it is published (default: every plate)")
     parser.add_argument(
         "--listen",
-        type=listen_address,
-        default="127.0.0.1:8765",
+        type=host_and_port,
+        default=("127.0.0.1", 8765),
         metavar="ADDRESS:PORT",
-        help="where viewers connect (default: %(default)s)",
+        help="where viewers connect, on this computer; port 0 selects a free one (default: 127.0.0.1:8765)",
     )
     parser.add_argument(
         "--decimated", action="store_true", help="at most 20 or 5 a second of each (default: all messages)"
     )
+    parser.add_argument("--json", action="store_true", help='print {"url": ...} on stdout when viewers can connect')
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
@@ -37,13 +40,27 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         import asyncio
 
         from resonator_daemon.bridges.foxglove_server import serve
-        from resonator_daemon.config import plate_name
+        from resonator_daemon.config import Listen, plate_name
 
         if arguments.plate is not None:
             try:
                 plate_name(arguments.plate)
             except ValueError as error:
                 raise UsageError(f"--plate: got {arguments.plate!r}; {error}") from None
+        listen = Listen(*arguments.listen)
+        if not listen.loopback:
+            raise UsageError(
+                f"--listen {listen}: other computers can reach this address, and the server has no password; listen on "
+                f"127.0.0.1, and there use `ssh -L {listen.port}:127.0.0.1:{listen.port} HOST` or a reverse proxy"
+            )
+
+        def print_address(url: str) -> None:
+            if arguments.json:
+                print_json({"url": url})
+            else:
+                sys.stdout.write(f"Foxglove WebSocket: {url}\nstop with Ctrl-C\n")
+            sys.stdout.flush()
+
         full_rate = not arguments.decimated
-        asyncio.run(serve(broker_of(arguments), arguments.listen, plate=arguments.plate, full_rate=full_rate))
+        asyncio.run(serve(broker_of(arguments), listen, print_address, plate=arguments.plate, full_rate=full_rate))
     return ExitCode.DONE
