@@ -33,6 +33,7 @@ from resonator_daemon.demo.local_broker import local_broker
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import CalibrationInfo, GridInfo, Info, Lost, Signals, SiteInfo, SkinInfo
+from resonator_daemon.publishing.topics import SCHEMA_VERSION
 from resonator_daemon.remote_decoding.plate import RemotePlate, header_of
 from resonator_daemon.sensors.surface_messages import SurfaceMessages
 from simulators.contact import hertz_parts
@@ -121,7 +122,7 @@ def info_of(plate: Plate) -> Info:
     x, y = plate.site_positions_m[0].tolist()
     return Info(
         **header(0),
-        schema_version="1.0",
+        schema_version=SCHEMA_VERSION,
         daemon_version="0",
         plate=plate.name,
         link="none",
@@ -267,9 +268,9 @@ def costs(plate: Plate, frames: list[NDArray[np.float32]]) -> None:
     """Print what one frame costs one core, and how large its messages are; processor time, whatever else runs."""
     noise = np.broadcast_to(NOISE_STD.astype(np.float32), frames[0].shape).copy()
     known = RemotePlate("left")
-    known.take_info(encode(info_of(plate)))
+    known.read_info(encode(info_of(plate)))
     if known.skin is None:
-        raise ValueError(known.problem)
+        raise ValueError(str(known.problem))
     reporter = SurfaceMessages(
         known.skin.site_ids,
         known.skin.skin.site_positions_m,
@@ -286,7 +287,7 @@ def costs(plate: Plate, frames: list[NDArray[np.float32]]) -> None:
         for touch, values in (("pressed", pressed), ("untouched", still)):
             payload = encode(Signals(**header(number), board_ticks=0, signals=values, noise_std=noise, status="ok"))
             started_s = time.thread_time()
-            message = known.take_signals(payload, 0.0)
+            message = known.read_signals(payload, 0.0)
             if message is None:
                 raise ValueError("a frame of this benchmark is none of its skin")
             signals = message.signals.astype(np.float64)
