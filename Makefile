@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-firmware test-browser test-schema test-dashboards coverage bench bench-cost docs docs-check figures screenshots fuzz soak dist test-dist pins clean
+.PHONY: help setup demo test test-firmware test-browser test-schema test-dashboards coverage bench bench-cost bench-details docs docs-check figures screenshots fuzz soak dist test-dist pins clean
 
 # A user's PATH on Debian lacks the place of mosquitto.
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
@@ -47,6 +47,8 @@ define debian-packages
 endef
 
 BROKER := mosquitto:mosquitto
+# Counts instructions.
+COUNTER := valgrind:valgrind
 SYSTEMD := systemd-analyze:systemd systemd-nspawn:systemd-container
 # An emulated USB device, and the C reference beside the Python one.
 USB := umockdev-run:umockdev /usr/lib/*/girepository-1.0/UMockdev-1.0.typelib:gir1.2-umockdev-1.0 \
@@ -162,7 +164,17 @@ coverage: .venv/test-stamp  ## all tests once more, slower, with the branches th
 	export OMP_NUM_THREADS=1
 	.venv/bin/pytest --cov --numprocesses 2
 
-bench: .venv/peers-stamp  ## figures as tables: demo, latency, publishing, wire, clock, measurement, elastic fields, decoding
+bench: .venv/peers-stamp  ## each stage beside its peer and its limit, under 15 minutes, against its record; RECORD=--record writes docs/explanation/performance.md
+	$(debian-packages)
+	debian-packages $(BROKER) $(COUNTER)
+	OMP_NUM_THREADS=1 .venv/bin/python benchmarks/stages.py $(RECORD)
+
+bench-cost: .venv/peers-stamp  ## instructions of each stage, against its record; 1 if one executes more than 10 % above it
+	$(debian-packages)
+	debian-packages $(BROKER) $(COUNTER)
+	.venv/bin/python benchmarks/stages.py --count
+
+bench-details: .venv/peers-stamp  ## tables of the pages, an hour: demo, latency, wire, clock, measurement, elastic fields, decoding
 	$(debian-packages)
 	debian-packages $(BROKER) $(USB)
 	run() { printf '\n== %s\n' "$$1"; .venv/bin/python benchmarks/$$1.py; }
@@ -170,15 +182,10 @@ bench: .venv/peers-stamp  ## figures as tables: demo, latency, publishing, wire,
 	.venv/bin/resonatord bench latency --seconds 60
 	.venv/bin/resonatord bench latency --plate skin32 --external --seconds 60
 	export OMP_NUM_THREADS=1  # threads that wait for each other would be timed
-	for benchmark in recording_cost replay_speed publish_path decoders codec wire_cost usb_throughput blocked_loop clock clock_live; do run $$benchmark; done
+	for benchmark in recording_cost replay_speed decoders wire_cost usb_throughput blocked_loop clock clock_live; do run $$benchmark; done
 	for benchmark in counting matching baseline calibration end_to_end emulator_noise emulator_speed; do run $$benchmark; done
 	for benchmark in elastic_fields elastic_contact elastic_friction elastic_convergence; do run $$benchmark; done
 	for benchmark in frame_cost decoding contact_decoding slip parametric_fit live_page; do run $$benchmark; done
-
-bench-cost: .venv/test-stamp  ## processor time of each stage per frame, against its record; 1 if one exceeds it by 15 %
-	$(debian-packages)
-	debian-packages $(BROKER)
-	.venv/bin/python benchmarks/stage_cost.py
 
 figures: .venv/figures-stamp  ## draw the pictures of README.md and docs/ again
 	@export OMP_NUM_THREADS=1

@@ -1,6 +1,6 @@
 """An event loop that stands still: what the reader keeps meanwhile, and the exact count of what did not fit.
 
-Run it with `make bench`, or `python benchmarks/blocked_loop.py [SECONDS]`. Exit code 1 when a frame is in no account.
+Run it with `python benchmarks/blocked_loop.py [SECONDS]`. Exit code 1 when a frame is in no account.
 """
 
 import asyncio

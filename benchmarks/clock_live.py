@@ -1,6 +1,6 @@
 """The board's clock over a real pseudo-terminal: times of frames against the emulator's truth, in two processes.
 
-Run it with `make bench`, or `python benchmarks/clock_live.py [RUNS]`. Exit code 1 when a figure is missed: after five s
+Run it with `python benchmarks/clock_live.py [RUNS]`. Exit code 1 when a figure is missed: after five s
 at most 200 us rms, and at most three times what is stated for 99 % of the frames.
 """
 

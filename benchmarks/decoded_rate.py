@@ -19,8 +19,7 @@ from pathlib import Path
 import paho.mqtt.client as mqtt
 import psutil
 from paho.mqtt.enums import CallbackAPIVersion
-from stage_cost_parts import child, tree_s
-from system_parts import free_port, mosquitto_command
+from system_parts import child, free_port, mosquitto_command, tree_s
 
 from resonator_daemon.demo.host_load import HostLoad
 

@@ -1,6 +1,6 @@
 """What the whole system costs and how fast it is: the demo without a screen, its latency and each part's share.
 
-Run it with `make bench`, or `python benchmarks/demo_cost.py [SECONDS]`.
+Run it with `python benchmarks/demo_cost.py [SECONDS]`.
 """
 
 import json

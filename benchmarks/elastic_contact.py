@@ -1,6 +1,6 @@
 """Contact without friction: accuracy and time of a Hertz contact beside other programs; residual against iterations.
 
-Run it with `make bench`, or `python benchmarks/elastic_contact.py [ROUNDS]`. Times are medians over interleaved rounds;
+Run it with `python benchmarks/elastic_contact.py [ROUNDS]`. Times are medians over interleaved rounds;
 each program stops at 1e-8 by its own measure of error. Where others use the machine too, threads that wait for each
 other cost the peers dearly: OMP_NUM_THREADS=1 makes it fair.
 """
@@ -85,6 +85,7 @@ def with_tamaas(*, periodic: bool) -> Callable[[int], Callable[[Floats], Floats]
         def solve(profile: Floats) -> Floats:
             model.traction[...] = 0.0
             solver = tamaas.PolonskyKeerRey(model, -profile, TOLERANCE)
+            solver.dump_freq = solver.max_iter
             if not periodic:
                 solver.setIntegralOperator("dcfft")
             solver.solve(LOAD_NEWTON / SIDE_M**2)

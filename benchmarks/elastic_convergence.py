@@ -1,6 +1,6 @@
 """Residual against iterations for known and unknown regions, beside the iteration that the paper prints.
 
-Run it with `make bench`, or `python benchmarks/elastic_convergence.py [--picture FILE]`.
+Run it with `python benchmarks/elastic_convergence.py [--picture FILE]`.
 
 All on a surface of 64 x 64 pixels that repeats, nu = 0.3. The residual is that of `minimise`, computed alike for all.
 "Paper" is the alternating iteration of its section 2.3: tractions give displacements, the known ones are put in, these

@@ -1,6 +1,6 @@
 """Fields under a Hertz pressure with equal shear: each method's error and time against those of the periodic one.
 
-Run it with `make bench`, or `python benchmarks/elastic_fields.py [ROUNDS]`. Times are medians over interleaved rounds.
+Run it with `python benchmarks/elastic_fields.py [ROUNDS]`. Times are medians over interleaved rounds.
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """Partial slip and its coupling with pressure: error and time of a frictional contact, beside tamaas where it installs.
 
-Run it with `make bench`, or `python benchmarks/elastic_friction.py [ROUNDS]`. Times are medians over interleaved
+Run it with `python benchmarks/elastic_friction.py [ROUNDS]`. Times are medians over interleaved
 rounds, with all preparation: each solver knows just the object and its loads. The case is a rigid paraboloid, contact
 radius 2.5 mm on a square of 12.8 mm, coefficient of friction 0.5, shear load 0.875 of what friction holds, at 30
 degrees.

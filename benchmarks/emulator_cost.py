@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from stage_cost_parts import child, tree_s
+from system_parts import child, tree_s
 
 from firmware_protocol.host import Described, Frame, FramePart, HostSession
 from firmware_protocol.messages import Configuration

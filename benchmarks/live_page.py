@@ -1,6 +1,6 @@
 """Processor time of `resonatord view` while 0, 1 and 5 browsers follow skin32's streams at full rate.
 
-Run it with `make bench`, or `python benchmarks/live_page.py [SECONDS]`: each case lasts so long (default 10). A program
+Run it with `python benchmarks/live_page.py [SECONDS]`: each case lasts so long (default 10). A program
 publishes 100 frames a second, each a map of 37 kB and its contacts, to a Mosquitto. Each browser receives at most 60 a
 second. "stalled" is a browser that never reads: the other one next to it receives the same. Exit code 1 if five
 browsers cost more than 5 % of a core.

@@ -24,8 +24,7 @@ from typing import Any
 
 import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
-from stage_cost_parts import child, tree_s
-from system_parts import free_port, mosquitto_command
+from system_parts import child, free_port, mosquitto_command, tree_s
 
 PRESSED_NEWTON, RELEASED_NEWTON, LATENCY_MAX_S = 0.8, 0.1, 0.020
 PLATES = ["quartz16", "comb16"]

@@ -18,7 +18,7 @@ from contextlib import ExitStack
 import numpy as np
 from playwright.sync_api import Page, sync_playwright
 from press_latency import CLI, measured
-from stage_cost_parts import child
+from system_parts import child
 
 CHROMIUM = "/usr/bin/chromium"
 MEDIAN_MAX_MS, P95_MAX_MS, PAINT_MAX_MS = 40.0, 80.0, 1000.0

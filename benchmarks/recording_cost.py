@@ -1,6 +1,6 @@
 """What it costs to record a board at full rate, beside `cat` of the same port to a file; and how large files get.
 
-Run it with `make bench`, or `python benchmarks/recording_cost.py [--seconds N]`. The same reader reads each plate with
+Run it with `python benchmarks/recording_cost.py [--seconds N]`. The same reader reads each plate with
 and without a recording in turns; the difference of its processor time, threads and all, is what recording costs. Exit
 code 1 when that is more than 3 % of a core for quartz16, or when a file misses an event.
 """

@@ -6,6 +6,8 @@ import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,6 +64,24 @@ def mosquitto_command(port: int, folder: Path, *settings: str) -> tuple[str, ...
     path = folder / "mosquitto.conf"
     path.write_text("\n".join((*lines, *settings)) + "\n")
     return (program, "-c", str(path))
+
+
+def tree_s(pid: int) -> float:
+    """Return the processor seconds of a process and its children."""
+    process = psutil.Process(pid)
+    times = [process.cpu_times(), *(child.cpu_times() for child in process.children(recursive=True))]
+    return float(sum(each.user + each.system for each in times))
+
+
+@contextmanager
+def child(*command: str, stdout: int = subprocess.DEVNULL) -> Iterator["subprocess.Popen[str]"]:
+    """Give a process that is interrupted at the end."""
+    process = subprocess.Popen(command, stdout=stdout, stderr=subprocess.DEVNULL, text=True)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait()
 
 
 @dataclass

@@ -1,6 +1,6 @@
 """Throughput and processor time of the USB link: transfers in flight at once against pyusb's one at a time.
 
-Run it with `make bench`, or `python benchmarks/usb_throughput.py [SECONDS]`. The device is emulated (umockdev) on the
+Run it with `python benchmarks/usb_throughput.py [SECONDS]`. The device is emulated (umockdev) on the
 same machine and bounds the figures: they compare ways of reading, not computers. Exit code 1 when a paced stream falls
 behind.
 """

@@ -1,6 +1,6 @@
 """What the wire costs: processor time from a port to frames, beside a bare reader and another library's.
 
-Run it with `make bench`, or `python benchmarks/wire_cost.py [SECONDS]`. Exit code 1 when a figure is missed.
+Run it with `python benchmarks/wire_cost.py [SECONDS]`. Exit code 1 when a figure is missed.
 A child process sends, at its rate, what was made before; processor time is that of this process alone.
 """
 

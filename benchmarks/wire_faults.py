@@ -1,6 +1,6 @@
 """Damage on the wire against what the daemon says of it: every byte in one bin, every lost frame or part reported.
 
-Run it with `make bench`, or `python benchmarks/wire_faults.py [SECONDS]`. Exit code 1 when anything disagrees.
+Run it with `python benchmarks/wire_faults.py [SECONDS]`. Exit code 1 when anything disagrees.
 """
 
 import sys
