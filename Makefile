@@ -235,7 +235,7 @@ soak: .venv/test-stamp  ## MINUTES=60 of faults; brokers frozen, dead, slow; kil
 	debian-packages $(BROKER)
 	printf '\n== long_run\n'
 	.venv/bin/python benchmarks/long_run.py --minutes $(MINUTES)
-	for benchmark in broker_outage event_delivery kill_restore kill_recording power_failure hang_ups wire_accounts; do
+	for benchmark in endurance event_delivery power_failure wire_accounts; do
 	  printf '\n== %s\n' "$$benchmark"
 	  .venv/bin/python benchmarks/$$benchmark.py
 	done

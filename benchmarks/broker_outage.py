@@ -146,6 +146,15 @@ class Heard:
         return max(numbers, default=-1) + 1 - len(numbers)
 
 
+@dataclass(frozen=True)
+class Outcome:
+    """What was seen in a case, the balance of its messages, and what is wrong."""
+
+    seen: str
+    balance: str
+    wrong: list[str]
+
+
 @dataclass
 class Watch:
     """Samples of the daemon's accounts and memory."""
@@ -283,8 +292,8 @@ def _emulated(folder: Path) -> Iterator[tuple[str, Callable[[], dict[str, int]]]
             process.wait()
 
 
-async def measure(case: str, seconds: float, folder: Path) -> list[str]:
-    """Play one case; print a line and return what was wrong."""
+async def measure(case: str, seconds: float, folder: Path) -> Outcome:
+    """Play one case; print a line."""
     state, port = folder / "state", free_port()
     state.mkdir()
     os.environ["XDG_STATE_HOME"] = str(state)
@@ -312,7 +321,7 @@ async def measure(case: str, seconds: float, folder: Path) -> list[str]:
                 service.stop()
                 await running
                 await asyncio.sleep(_QUIET_S)
-                return _tell(case, scene, watch, made, board_account())
+                return _outcome(case, scene, watch, made, board_account())
             finally:
                 await heard.end()
                 broker.end(signal.SIGKILL)
@@ -329,7 +338,7 @@ async def _until_all_is_sent(service: Service) -> None:
         await asyncio.sleep(_SAMPLE_S)
 
 
-def _tell(case: str, scene: Scene, watch: Watch, before_end: MessageAccount, board: dict[str, int]) -> list[str]:
+def _outcome(case: str, scene: Scene, watch: Watch, before_end: MessageAccount, board: dict[str, int]) -> Outcome:
     account, link, heard = scene.service.message_account, scene.service.link_counters, scene.heard
     off = max(watch.worst_imbalance, abs(imbalance(account)))
     more_mb = watch.rss_most_mb - watch.rss_first_mb
@@ -356,7 +365,11 @@ def _tell(case: str, scene: Scene, watch: Watch, before_end: MessageAccount, boa
         f"retained set only after {scene.restored_s} s": (scene.restored_s or 0.0) > _RESTORED_S,
         "no events heard": not heard.events,
     }
-    return [f"{case}: {words}" for words, found in findings.items() if found]
+    return Outcome(
+        f"{link.frames} frames, {link.lost.total} lost; {len(heard.events)} events, {heard.missing} missing",
+        f"{account.enqueued} messages, off by {off} in {watch.samples} samples",
+        [f"{case}: {words}" for words, found in findings.items() if found],
+    )
 
 
 def main() -> int:
@@ -370,7 +383,7 @@ def main() -> int:
             print(f"{case}: skipped, as it needs root", flush=True)
             continue
         with tempfile.TemporaryDirectory() as folder:
-            wrong += asyncio.run(measure(case, options.seconds, Path(folder)))
+            wrong += asyncio.run(measure(case, options.seconds, Path(folder))).wrong
     for words in wrong:
         print(words)
     return 1 if wrong else 0
