@@ -1,12 +1,14 @@
 """What decoding recordings again takes: frames a second by workers, and memory of each worker by length.
 
 Run as `python benchmarks/decode_recordings.py --minutes 2 4 --workers 1 2`; needs the extra fleet, and about 0.9 GB of
-disk a minute. It records skin32 in simulated time, pressed 85 % of it (scenario press-and-shear). Frames a second are
-those of the chunks, from when the first chunk begins, so that the start of processes does not count.
+disk a minute. It records skin32 in simulated time, pressed 80 % of it (scenario press-and-shear). Frames a second are
+those of the chunks, from when the first chunk begins, so that the start of processes does not count; processor time is
+that of all processes, their start included.
 """
 
 import argparse
 import json
+import resource
 import subprocess
 import sys
 import tempfile
@@ -27,6 +29,7 @@ class Run(NamedTuple):
     """What one run took; `worker_mb` is the peak of the largest process."""
 
     seconds: float
+    processor_s: float
     frames: int
     worker_mb: float
 
@@ -39,7 +42,7 @@ def main() -> None:
     parser.add_argument("--chunk-seconds", type=float, default=15.0)
     parser.add_argument("--folder", type=Path, help="for recordings, which stay there and are used again")
     options = parser.parse_args()
-    print("minutes  workers  seconds   frames  frames/s  peak MB of a process", flush=True)
+    print("minutes  workers  seconds   frames  frames/s  processor ms/frame  peak MB of a process", flush=True)
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.folder or Path(temporary)
         for minutes in options.minutes:
@@ -51,6 +54,7 @@ def main() -> None:
                     took = run(path, Path(output), workers, options.chunk_seconds)
                 print(
                     f"{minutes:7g} {workers:8} {took.seconds:8.1f} {took.frames:8} {took.frames / took.seconds:9.1f} "
+                    f"{1e3 * took.processor_s / took.frames:19.1f} "
                     f"{took.worker_mb:21.0f}",
                     flush=True,
                 )
@@ -60,6 +64,7 @@ def run(path: Path, output: Path, workers: int, chunk_s: float) -> Run:
     """Decode a recording in processes of their own."""
     command = [*_COMMAND, str(path), "--output", str(output), "--workers", str(workers), "--json"]
     process = subprocess.Popen([*command, "--chunk-seconds", str(chunk_s)], stdout=subprocess.PIPE, text=True)
+    before_s = processor_s()
     begun_s, peak = None, 0
     while process.poll() is None:
         if begun_s is None and list(output.glob(".parts/*")):
@@ -69,7 +74,13 @@ def run(path: Path, output: Path, workers: int, chunk_s: float) -> Run:
     took_s = time.monotonic() - (begun_s or 0.0)
     assert process.stdout is not None  # noqa: S101 - it is a pipe
     result = json.loads(process.stdout.read())
-    return Run(took_s, result["frames"], peak / 1e6)
+    return Run(took_s, processor_s() - before_s, result["frames"], peak / 1e6)
+
+
+def processor_s() -> float:
+    """Return the processor time of all child processes that have ended, and of theirs."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def rss_bytes(pid: int) -> list[int]:

@@ -1,5 +1,6 @@
 """Decoding of one chunk, in whichever process: a function of the recording and the job alone."""
 
+import gc
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -31,6 +32,7 @@ def decode_chunk(chunk: Chunk, job: Job) -> dict[str, Any]:
     done = read_report(job.output, chunk.key)
     if done is not None:
         return done
+    gc.collect()  # the decoder before, of 100 MB and more, is part of reference cycles
     with open_recording(str(chunk.path), job.plate) as recording:
         config = job.config(recording)
         span = span_of(chunk, config)
