@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-firmware test-browser test-schema test-dashboards coverage bench bench-cost bench-details docs docs-check figures screenshots fuzz soak dist test-dist pins clean
+.PHONY: help setup demo test test-firmware test-browser test-schema test-dashboards coverage bench bench-cost bench-details docs docs-check figures screenshots fuzz soak dist test-dist deb test-deb pins clean
 
 # A user's PATH on Debian lacks the place of mosquitto.
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
@@ -208,6 +208,32 @@ test-dist: .venv/test-stamp .venv/dist-stamp  ## two builds compared; every comm
 	$(debian-packages)
 	debian-packages $(BROKER) faketime:faketime git:git
 	.venv/bin/pytest -o faulthandler_timeout=900 -m distribution tests/distribution/test_dist.py
+
+ARCH ?= amd64
+
+deb: dist  ## the Debian package in dist/, with its pinned Python packages; ARCH=arm64 for another processor
+	$(debian-packages)
+	debian-packages dh:debhelper dpkg-buildpackage:dpkg-dev fakeroot:fakeroot
+	rm -f dist/resonatord_*_$(ARCH).deb
+	.ci/make_deb.sh $(ARCH)
+
+test-deb: deb build/debian  ## lintian; the package installed, upgraded, rolled back, removed and purged under systemd
+	$(debian-packages)
+	debian-packages lintian:lintian systemd-nspawn:systemd-container
+	lintian --fail-on error,warning --tag-display-limit 0 dist/resonatord_*_$(ARCH).deb
+	tests/distribution/test_deb.sh dist/resonatord_*_$(ARCH).deb
+
+# Debian 12 as an installation has it, from the archive that this computer's apt uses.
+DEBIAN_ROOT := systemd,systemd-sysv,dbus,udev,python3,libusb-1.0-0,mosquitto,mosquitto-clients,procps
+
+build/debian:
+	$(debian-packages)
+	debian-packages debootstrap:debootstrap
+	mkdir -p build
+	archive=$$(apt-get indextargets --format '$$(REPO_URI)' 'Created-By: Packages' | head -n 1)
+	rm -rf $@.part
+	debootstrap --variant=minbase --include=$(DEBIAN_ROOT) bookworm $@.part "$$archive" >build/debootstrap.log
+	mv $@.part $@
 
 DOCS_TOOLS := mosquitto_sub:mosquitto-clients jq:jq socat:socat unshare:util-linux openssl:openssl
 
