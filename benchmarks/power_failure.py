@@ -9,6 +9,7 @@ Exit code 1 when a file cannot be read, more than a second is missing, or a prom
 
 import argparse
 import json
+import logging
 import os
 import signal
 import subprocess
@@ -118,6 +119,7 @@ def main() -> int:
     parser.add_argument("--moments", type=int, default=200, help="besides those of each fsync")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
+    logging.disable(logging.ERROR)  # the readers report what they find
     with tempfile.TemporaryDirectory() as folder:
         result = fail_and_read(options.seconds, options.moments, options.seed, Path(folder))
     for what, lost_s in (("frames", sorted(result.frames_lost_s)), ("events", sorted(result.events_lost_s))):
