@@ -77,6 +77,7 @@ def with_nested_aspher(count: int) -> Callable[[Floats], Floats]:
 
 def with_tamaas(*, periodic: bool) -> Callable[[int], Callable[[Floats], Floats]]:
     def prepare(count: int) -> Callable[[Floats], Floats]:
+        tamaas.set_log_level(tamaas.LogLevel.error)  # or it prints its iterations
         model = tamaas.Model(tamaas.model_type.basic_2d, [SIDE_M, SIDE_M], [count, count])
         model.E, model.nu = BODY.youngs_modulus_pascal, BODY.poisson_ratio
         if not periodic:
@@ -85,7 +86,6 @@ def with_tamaas(*, periodic: bool) -> Callable[[int], Callable[[Floats], Floats]
         def solve(profile: Floats) -> Floats:
             model.traction[...] = 0.0
             solver = tamaas.PolonskyKeerRey(model, -profile, TOLERANCE)
-            solver.dump_freq = solver.max_iter
             if not periodic:
                 solver.setIntegralOperator("dcfft")
             solver.solve(LOAD_NEWTON / SIDE_M**2)
@@ -109,7 +109,6 @@ def programs() -> list[Program]:
     if tamaas is None:
         print("tamaas is not installed")
     else:
-        tamaas.set_log_level(tamaas.LogLevel.error)
         found += [
             Program("tamaas, periodic", with_tamaas(periodic=True)),
             Program("tamaas, dcfft", with_tamaas(periodic=False)),

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 BATCH_S = 0.01  # of processor time, at least, between two readings of the clock
-ROUNDS_MIN, ROUNDS_MAX, STAGE_S = 5, 40, 6.0
+ROUNDS_MIN, ROUNDS_MAX, STAGE_S = 5, 40, 4.0
 
 Clock = Callable[[], float]
 
