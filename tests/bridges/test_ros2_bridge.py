@@ -19,6 +19,7 @@ from example_messages import NOW_NS, example, header
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import Contacts, Decoded, Grid, Health, Info, Message, SiteInfo, State
 
+pytest.importorskip("cyclonedds", reason="cyclonedds has wheels for x86-64 and Python up to 3.13 only")
 LOOPBACK = (
     '<General><Interfaces><NetworkInterface name="lo"/></Interfaces><AllowMulticast>false</AllowMulticast></General>'
     '<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers><Peer Address="127.0.0.1"/></Peers></Discovery>'
