@@ -3,14 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from resonator_daemon.forces.code_trials import (
-    Codes,
-    Scatter,
-    draw_plate,
-    nearest_wrong,
-    one_touch,
-    overlaps,
-)
+from resonator_daemon.forces.code_trials import Codes, Scatter, draw_plate, nearest_wrong, one_touch, overlaps
 
 SCATTER = Scatter(
     force_max_newton=10.0,

@@ -7,17 +7,7 @@ from pathlib import Path
 
 import pytest
 from brokers import Amqtt, Mosquitto
-from mqtt_helpers import (
-    EVENTS,
-    IMPATIENT,
-    LEFT,
-    Messages,
-    assert_exact,
-    happen,
-    heard_events,
-    publishing,
-    until,
-)
+from mqtt_helpers import EVENTS, IMPATIENT, LEFT, Messages, assert_exact, happen, heard_events, publishing, until
 from observer import observe
 from relay import relay
 

@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 from fake_plate import FakePlate, fake_board
 
-from firmware_protocol.host import (
-    Frame,
-    FramePart,
-    HostEvent,
-    HostSession,
-    Pong,
-    Rebooted,
-)
+from firmware_protocol.host import Frame, FramePart, HostEvent, HostSession, Pong, Rebooted
 from firmware_protocol.messages import BoardStatus, Configuration, CounterKind, ResetCause
 from simulators.board import MadeFrame, Outgoing
 

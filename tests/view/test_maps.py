@@ -52,14 +52,7 @@ def test_sites_lie_where_they_are_on_the_plate() -> None:
 def test_the_outline_is_drawn_also_where_it_is_not_convex() -> None:
     notched_m = ((0.0, 0.0), (0.02, 0.0), (0.02, 0.01), (0.01, 0.01), (0.01, 0.02), (0.0, 0.02))
     lines = text_of(site_map(notched_m, [], 10.0, rows=6, columns_max=80))
-    assert lines == [
-        "··········",
-        "·        ·",
-        "·        ·",
-        "·    ·····",
-        "·    ·    ",
-        "······    ",
-    ]
+    assert lines == ["··········", "·        ·", "·        ·", "·    ·····", "·    ·    ", "······    "]
 
 
 def test_bars_beside_a_touched_site_are_measured_left_and_true_right() -> None:
