@@ -17,6 +17,12 @@ CORPUS: Final = Path(__file__).parents[1] / "corpus"
 COMMAND: Final = (sys.executable, "-m", "resonator_daemon")
 
 
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a command leaves, as `board`, is left in a directory of the test's own."""
+    monkeypatch.chdir(tmp_path)
+
+
 def interrupt(*_: object, **__: object) -> NoReturn:
     signal.raise_signal(signal.SIGINT)
     raise AssertionError
