@@ -14,14 +14,10 @@ from resonator_daemon.host import install as module
 ROOT = Path(__file__).parents[2]
 PROGRAM = Path(sys.executable).with_name("resonatord")
 SERVICES = {
-    "etc/systemd/system/resonatord@.service",
-    "etc/systemd/system/resonatord-decode@.service",
-    "etc/systemd/system/resonatord-view@.service",
-    "etc/udev/rules.d/70-resonatord.rules",
-    "etc/sysusers.d/resonatord.conf",
-    "etc/tmpfiles.d/resonatord.conf",
-    "etc/resonatord/example.toml",
-}
+    "etc/systemd/system/resonatord@.service", "etc/systemd/system/resonatord-decode@.service",
+    "etc/systemd/system/resonatord-view@.service", "etc/udev/rules.d/70-resonatord.rules",
+    "etc/sysusers.d/resonatord.conf", "etc/tmpfiles.d/resonatord.conf", "etc/resonatord/example.toml"
+}  # fmt: skip
 SHARE = "usr/local/share"
 BASH = f"{SHARE}/bash-completion/completions/resonatord"
 COMPLETIONS = {BASH, f"{SHARE}/zsh/site-functions/_resonatord", f"{SHARE}/fish/vendor_completions.d/resonatord.fish"}
@@ -171,4 +167,4 @@ def test_a_wheel_has_the_files(tmp_path: Path) -> None:
     command = [sys.executable, "-W", "ignore", "-c", "from setuptools import setup; setup()", "--quiet", *build]
     subprocess.run(command, cwd=ROOT, capture_output=True, check=True)
     shipped = {path.name: path.read_bytes() for path in (tmp_path / "built/resonator_daemon/service_files").iterdir()}
-    assert shipped == {path.name: path.read_bytes() for path in (ROOT / "systemd").iterdir()}
+    assert shipped == {path.name: path.read_bytes() for path in (ROOT / "systemd").iterdir() if path.is_file()}
