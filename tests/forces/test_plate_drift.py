@@ -41,6 +41,11 @@ class Plate:
         error = (shift - reading.expected_shift) / SENSITIVITY - force
         return reading, error, np.hypot(reading.expected_std, NOISE_STD) / abs(SENSITIVITY)
 
+    def untouched(self, frames=200):
+        for _ in range(frames):
+            self.frame(0.02)
+        return self
+
 
 def on(newton, sites=PRESSED):
     force = np.zeros(SITES)
@@ -99,9 +104,7 @@ def test_a_warm_finger_is_made_good_for_by_the_sites_thermometer():
 
 
 def test_a_site_with_a_thermometer_is_free_again_while_it_cools():
-    plate = Plate(4, local_std=0.01)
-    for _ in range(200):
-        plate.frame(0.02)
+    plate = Plate(4, local_std=0.01).untouched()
     for k in range(1000):
         plate.frame(0.02, force=on(1.0), warm=on(3 * (1 - np.exp(-k * 0.02 / 5))))
     readings = [plate.frame(0.02, warm=on(3 * 0.98 * np.exp(-k * 0.02 / 5)))[0] for k in range(1200)]
@@ -126,9 +129,7 @@ def test_a_press_of_the_whole_plate_finds_all_sites_and_theta_is_held(newton):
 
 
 def test_a_slow_press_is_not_eaten():
-    plate = Plate(7)
-    for _ in range(200):
-        plate.frame(0.02)
+    plate = Plate(7).untouched()
     for k in range(1000):
         plate.frame(0.02, force=on(k / 1000 * 2.0))
     errors = [plate.frame(0.02, force=on(2.0))[1][PRESSED] for _ in range(200)]
@@ -172,9 +173,7 @@ def test_a_site_pressed_at_the_start_is_found_and_its_offset_stays_as_uncertain_
 
 
 def test_one_outlying_frame_is_no_contact_and_is_not_learnt():
-    plate = Plate(12)
-    for _ in range(200):
-        plate.frame(0.02)
+    plate = Plate(12).untouched()
     reading, _, _ = plate.frame(0.02, force=on(1.0))
     assert not reading.in_contact.any()
     errors = [plate.frame(0.02)[1][PRESSED] for _ in range(50)]
@@ -182,9 +181,7 @@ def test_one_outlying_frame_is_no_contact_and_is_not_learnt():
 
 
 def test_sites_that_are_not_heard_keep_what_was_known():
-    plate = Plate(13)
-    for _ in range(200):
-        plate.frame(0.02)
+    plate = Plate(13).untouched()
     variance = np.full(SITES, NOISE_STD**2)
     variance[0] = np.nan
     for _ in range(200):
@@ -199,9 +196,7 @@ def test_sites_that_are_not_heard_keep_what_was_known():
 
 
 def test_tare_takes_the_present_shifts_as_untouched():
-    plate = Plate(14)
-    for _ in range(100):
-        plate.frame(0.02)
+    plate = Plate(14).untouched(100)
     for _ in range(10):
         plate.frame(0.02, force=on(0.5))
     mean = np.mean([plate.shift(0.0, on(0.5)) for _ in range(100)], axis=0)

@@ -31,15 +31,20 @@ def accept(
     return accepted and (accepted.index, accepted.gap)
 
 
-def test_frames_that_never_came_are_a_link_gap() -> None:
+def begun() -> FrameNumbering:
+    """Return a numbering that has accepted frame 0."""
     it = numbering()
     accept(it, 0)
+    return it
+
+
+def test_frames_that_never_came_are_a_link_gap() -> None:
+    it = begun()
     assert accept(it, 4) == (4, Gap(1, FrameLoss(link_gap=3)))
 
 
 def test_discarded_bytes_tell_how_many_came_damaged() -> None:
-    it = numbering()
-    accept(it, 0)
+    it = begun()
     it.discarded(2 * FRAME_BYTES)
     assert accept(it, 4) == (4, Gap(1, FrameLoss(damaged=2, link_gap=1)))
     it.discarded(100)  # part of a frame
@@ -50,8 +55,7 @@ def test_discarded_bytes_tell_how_many_came_damaged() -> None:
 
 
 def test_what_the_board_dropped_is_its_own_cause_and_counted_once() -> None:
-    it = numbering()
-    accept(it, 0)
+    it = begun()
     it.dropped_by_board(5)
     assert accept(it, 6) == (6, Gap(1, FrameLoss(board_overflow=5)))
     it.dropped_by_board(5)
@@ -61,8 +65,7 @@ def test_what_the_board_dropped_is_its_own_cause_and_counted_once() -> None:
 
 
 def test_a_report_after_a_lost_one_corrects_the_causes_of_the_earlier_gap() -> None:
-    it = numbering()
-    accept(it, 0)
+    it = begun()
     it.discarded(30)  # the board's report
     assert accept(it, 5) == (5, Gap(1, FrameLoss(link_gap=3, damaged=1)))
     it.dropped_by_board(6)  # 4 before, and 2 now
@@ -86,8 +89,7 @@ def test_unexplained_losses_are_in_the_snapshot() -> None:
 
 
 def test_what_the_hosts_driver_lost_is_a_cause_of_its_own() -> None:
-    it = numbering()
-    accept(it, 0)
+    it = begun()
     it.overrun()
     it.discarded(300)  # the fragments at both ends of what was lost
     it.dropped_by_board(1)
@@ -103,16 +105,14 @@ def test_the_number_wraps_and_the_index_does_not() -> None:
 
 
 def test_a_frame_that_was_there_already_is_ignored() -> None:
-    it = numbering()
-    accept(it, 0)
+    it = begun()
     accept(it, 1)
     assert accept(it, 1) is None
     assert accept(it, 2) == (2, None)
 
 
 def test_an_outage_is_a_gap_and_no_shift_of_time() -> None:
-    it = numbering()
-    accept(it, 0)
+    it = begun()
     it.started(0)
     assert accept(it, 0, gate=500) == (500, Gap(1, FrameLoss(link_gap=499)))
     assert accept(it, 1, gate=501) == (501, None)
@@ -139,16 +139,14 @@ def test_a_boot_id_that_came_twice_does_not_make_the_ticks_go_on() -> None:
 
 
 def test_ticks_that_jumped_during_an_outage_do_not_tell_its_length() -> None:
-    it = numbering()
-    accept(it, 0)
+    it = begun()
     it.started(0)
     assert it.accept(1, 0, 10**9, at(700)) == Accepted(700, Gap(1, FrameLoss(link_gap=699)), at(0))
 
 
 @pytest.mark.parametrize(("boot_id", "ticks"), [(1, 3_600_100 * GATE_TICKS), (2, 17)], ids=["same boot", "rebooted"])
 def test_a_host_that_slept_knows_how_long(boot_id: int, ticks: int) -> None:
-    it = numbering()
-    accept(it, 0)
+    it = begun()
     it.started(0)
     slept_ns = 3_600_000 * GATE_NS
     # The monotonic clock stood still, UTC was set meanwhile.
@@ -159,8 +157,7 @@ def test_a_host_that_slept_knows_how_long(boot_id: int, ticks: int) -> None:
 
 
 def test_frames_that_lie_otherwise_than_their_numbers_say_are_told() -> None:
-    it = numbering()
-    accept(it, 0)
+    it = begun()
     with pytest.raises(BrokenSpacingError) as first:
         it.accept(1, 1, 2 * GATE_TICKS, at(1))
     assert (first.value.spacing_ticks, first.value.gate_ticks, first.value.from_the_start) == (2000, 1000, True)
