@@ -45,16 +45,10 @@ def pinned(filename: str) -> dict[str, str]:
 @pytest.mark.parametrize(
     ("filename", "declared"),
     [
-        ("build.txt", BUILD),
-        ("run.txt", RUN),
-        ("figures.txt", FIGURES),
-        ("test.txt", TEST),
-        ("browser.txt", BROWSER),
-        ("peers.txt", PEERS),
-        ("dist.txt", DIST),
-        ("pins.txt", MAKE_PINS),
+        ("build.txt", BUILD), ("run.txt", RUN), ("figures.txt", FIGURES), ("test.txt", TEST),
+        ("browser.txt", BROWSER), ("peers.txt", PEERS), ("dist.txt", DIST), ("pins.txt", MAKE_PINS)
     ],
-)
+)  # fmt: skip
 def test_pins_satisfy_what_the_project_declares(filename: str, declared: list[str]) -> None:
     versions = pinned(filename)
     requirements = {canonicalize_name(requirement.name): requirement for requirement in map(Requirement, declared)}

@@ -26,13 +26,9 @@ Printed = tuple[int | None, str, str]  # exit code, stdout and stderr
 Calibrate = Callable[..., Awaitable[Printed]]
 
 HEADER = {
-    "name": "left-index",
-    "daemon_boot_id": "9f3c",
-    "board_boot_id": "51aa",
-    "t_uncertainty_ns": 42_000,
-    "lost": Lost(),
-    "board_ticks": None,
-}
+    "name": "left-index", "daemon_boot_id": "9f3c", "board_boot_id": "51aa", "t_uncertainty_ns": 42_000,
+    "lost": Lost(), "board_ticks": None
+}  # fmt: skip
 FRAME_NS = 250_000_000
 NOISE = 2e-4
 PLATE = plate_head("small", (-2, -2), (2, 2), 5, "channelised") + skin_table() + skin_grid(7, 0.5, 3250, (3, 21, 1))

@@ -85,18 +85,11 @@ def test_every_error_has_a_documented_code() -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        "run FILE",
-        "check FILE",
-        "record FILE --output run.mcap",
-        "tare FILE",
-        "decode FILE",
-        "doctor FILE --seconds 1",
-        "identify FILE",
-        "calibrate FILE --masses-grams 100",
-        "calibrate skin FILE",
-        "watch FILE",
+        "run FILE", "check FILE", "record FILE --output run.mcap", "tare FILE", "decode FILE",
+        "doctor FILE --seconds 1", "identify FILE", "calibrate FILE --masses-grams 100", "calibrate skin FILE",
+        "watch FILE"
     ],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("name", ["gone.toml", "--config gone.toml", "gone.toml --config gone.toml"])
 def test_a_configuration_is_an_argument_or_an_option(
     line: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

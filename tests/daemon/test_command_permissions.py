@@ -83,12 +83,8 @@ async def test_each_command_does_what_it_says(bench: Bench) -> None:
 
         (step_ticks,) = ticks_per_message(heard.payloads(FORCES))
         assert await ask("set_window", window_ms=20, step_ms=10) == {
-            "verb": "set_window",
-            "ok": True,
-            "id": "set_window",
-            "window_s": 0.02,
-            "step_s": 0.01,
-        }
+            "verb": "set_window", "ok": True, "id": "set_window", "window_s": 0.02, "step_s": 0.01
+        }  # fmt: skip
         await heard.until_last(INFO, window_s=0.02, step_s=0.01)
         await heard.until_last(FORCES, window_s=0.02)
         count = len(heard.payloads(FORCES))

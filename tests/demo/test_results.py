@@ -13,17 +13,10 @@ LOST = dict.fromkeys(
 
 def plate(**changes: Any) -> dict[str, Any]:
     fine = {
-        "frames": 20_000,
-        "lost": LOST,
-        "latency_ms": {"p50": 1.0, "p99": 4.0},
-        "contacts_true": 9,
-        "contacts_found": 9,
-        "contacts_late": 0,
-        "latest_contact_ms": None,
-        "sites_right": 9,
-        "decoded_frames": None,
-        "messages_missed": 0,
-    }
+        "frames": 20_000, "lost": LOST, "latency_ms": {"p50": 1.0, "p99": 4.0}, "contacts_true": 9,
+        "contacts_found": 9, "contacts_late": 0, "latest_contact_ms": None, "sites_right": 9,
+        "decoded_frames": None, "messages_missed": 0
+    }  # fmt: skip
     return fine | changes
 
 

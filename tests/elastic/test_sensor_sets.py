@@ -39,14 +39,9 @@ def test_determinants_of_the_candidates(nu: float):
     w = np.hypot(wx, wy)
     c, s = wx / w, wy / w
     shape = {
-        "a": 0.0 * c,
-        "b": 4.0 * (1.0 - 2.0 * nu) * c * s,
-        "c": -(1.0 - 2.0 * nu) + 0.0 * c,
-        "d": -(1.0 - 2.0 * nu) * c * s,
-        "e": s**2 - c**2,
-        "f": 2.0 * c * s,
-        "g": -1.0 + 0.0 * c,
-    }
+        "a": 0.0 * c, "b": 4.0 * (1.0 - 2.0 * nu) * c * s, "c": -(1.0 - 2.0 * nu) + 0.0 * c,
+        "d": -(1.0 - 2.0 * nu) * c * s, "e": s**2 - c**2, "f": 2.0 * c * s, "g": -1.0 + 0.0 * c
+    }  # fmt: skip
     for name, expected in shape.items():
         found = sensor_set(*CANDIDATES[name], nu=nu).determinant(wx, wy) * np.exp(3.0 * w * DEPTH_M)
         np.testing.assert_allclose(found, expected, atol=1e-11, err_msg=name)

@@ -64,14 +64,7 @@ def test_the_assembler_makes_the_program_that_is_simulated(folder: Path) -> None
 @pytest.mark.parametrize("source", ["usb_link.c", "usb_descriptors.c"])
 def test_the_usb_part_compiles_against_the_prototypes_of_tinyusb(source: str, tmp_path: Path) -> None:
     options = [
-        "-mcpu=cortex-m0plus",
-        "-mthumb",
-        "-std=c11",
-        "-Wall",
-        "-Wextra",
-        "-Wpedantic",
-        "-Wconversion",
-        "-Werror",
-    ]
+        "-mcpu=cortex-m0plus", "-mthumb", "-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"
+    ]  # fmt: skip
     folders = [f"-I{TINYUSB}", f"-I{SOURCES}", f"-I{SOURCES.parent}"]
     carry_out(["arm-none-eabi-gcc", *options, *folders, "-c", str(SOURCES / source), "-o", str(tmp_path / "object.o")])

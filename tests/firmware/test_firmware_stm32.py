@@ -76,17 +76,8 @@ def test_it_starts_and_accepts_requests_on_an_emulated_stm32f405(folder: Path, t
     port = qemu_board.free_port()
     serial = ["-serial", "null", "-serial", "null", "-serial", f"tcp:127.0.0.1:{port},server=on,wait=off"]
     command = [
-        "qemu-system-arm",
-        "-M",
-        "netduinoplus2",
-        "-kernel",
-        str(elf),
-        "-display",
-        "none",
-        "-qmp",
-        "stdio",
-        *serial,
-    ]
+        "qemu-system-arm", "-M", "netduinoplus2", "-kernel", str(elf), "-display", "none", "-qmp", "stdio", *serial
+    ]  # fmt: skip
     requests = encode_packet(MessageType.IDENTIFY, 1) + encode_packet(MessageType.PING, 2, b"12345678")
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as board:
         try:

@@ -77,20 +77,11 @@ def board_command(identity: Identity, description: Description, boot_id: int) ->
     """Return the command that makes this board; its queue is as long as the description says."""
     assert description.queue_bytes is not None
     numbers = (
-        boot_id,
-        identity.credit_bytes,
-        description.queue_bytes // CHUNK_BYTES,
-        description.counter_kind,
-        description.tones,
-        description.reference_millihertz,
-        description.gate_ticks_min,
-        description.gate_ticks_max,
-        description.gate_ticks_step,
-        description.oscillator_millihertz,
-        description.oscillator_spacing_millihertz,
-        description.capabilities,
-        identity.reset_cause,
-    )
+        boot_id, identity.credit_bytes, description.queue_bytes // CHUNK_BYTES, description.counter_kind,
+        description.tones, description.reference_millihertz, description.gate_ticks_min, description.gate_ticks_max,
+        description.gate_ticks_step, description.oscillator_millihertz, description.oscillator_spacing_millihertz,
+        description.capabilities, identity.reset_cause
+    )  # fmt: skip
     texts = (identity.product, identity.serial_number, identity.firmware, description.plate)
     return " ".join(("board", *map(str, numbers), *(hexadecimal(text.encode()) for text in texts)))
 

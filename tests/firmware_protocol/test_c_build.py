@@ -10,12 +10,8 @@ from c_reference import C_FOLDER, WARNINGS, build, compiler, reference_sources
 
 FLASH_LIMIT_BYTES = 8192
 FIRMWARE = (
-    "-Os",
-    "-ffreestanding",
-    "-fno-tree-loop-distribute-patterns",
-    "-fno-asynchronous-unwind-tables",
-    "-fno-pie",
-)
+    "-Os", "-ffreestanding", "-fno-tree-loop-distribute-patterns", "-fno-asynchronous-unwind-tables", "-fno-pie"
+)  # fmt: skip
 CORTEX_M3 = ("arm-none-eabi-", ("-mcpu=cortex-m3", "-mthumb"))
 CORTEX_M0 = ("arm-none-eabi-", ("-mcpu=cortex-m0plus", "-mthumb"))
 # The cross compiler is not needed for these tests: `make test-firmware` brings it.

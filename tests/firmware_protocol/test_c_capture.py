@@ -140,12 +140,8 @@ def test_words_that_were_overwritten_are_lost_edges_and_a_stride_break() -> None
 
 def test_a_stamp_behind_its_gate_is_a_lost_edge() -> None:
     commands = [
-        f"begin {START} 5000 {STRIDE}",
-        f"add 2 {START - 1}",
-        f"add 2 {START}",
-        "close",
-        f"add 2 {START + 4999}",
-    ]
+        f"begin {START} 5000 {STRIDE}", f"add 2 {START - 1}", f"add 2 {START}", "close", f"add 2 {START + 4999}"
+    ]  # fmt: skip
     commands += [f"add 2 {START + 5000}", "close", f"add 2 {START + 10000}", f"add 2 {START + 15000}", "close"]
     printed = run_captures(commands)
     records = [printed_records(line)[1][2] for line in printed if "," in line]

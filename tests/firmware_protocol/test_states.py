@@ -41,13 +41,9 @@ def test_board_reacts_as_the_table_says(state: BoardState, request_type: Message
 
 
 STEPS_TO = {
-    HostState.IDENTIFYING: 0,
-    HostState.DESCRIBING: 1,
-    HostState.DESCRIBED: 2,
-    HostState.CONFIGURING: 2,
-    HostState.STARTING: 3,
-    HostState.RUNNING: 4,
-}
+    HostState.IDENTIFYING: 0, HostState.DESCRIBING: 1, HostState.DESCRIBED: 2, HostState.CONFIGURING: 2,
+    HostState.STARTING: 3, HostState.RUNNING: 4
+}  # fmt: skip
 
 
 def host_in(state: HostState) -> tuple[HostSession, DeviceSession, MessageType | None]:

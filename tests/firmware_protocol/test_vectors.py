@@ -24,12 +24,8 @@ from firmware_protocol.messages import (
 from firmware_protocol.packets import PacketDecoder
 
 MESSAGES = {
-    "CONFIGURE": Configuration,
-    "IDENTITY": Identity,
-    "STATUS": BoardStatus,
-    "LOG": BoardLog,
-    "REFUSED": Refusal,
-}
+    "CONFIGURE": Configuration, "IDENTITY": Identity, "STATUS": BoardStatus, "LOG": BoardLog, "REFUSED": Refusal
+}  # fmt: skip
 
 
 def test_files_are_what_the_script_makes(tmp_path: Path) -> None:

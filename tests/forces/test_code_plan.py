@@ -6,15 +6,9 @@ import pytest
 from resonator_daemon.forces.code_plan import Limits, force_noise, guard_band, stamp_noise
 
 LIMITS = Limits(
-    force_max_newton=10.0,
-    temperature_span_kelvin=20.0,
-    tempco_difference_per_kelvin=3e-7,
-    ageing=2e-6,
-    noise_std=1e-6,
-    pulling=25e-6,
-    tolerance=15e-6,
-    common_shift=10e-6,
-)
+    force_max_newton=10.0, temperature_span_kelvin=20.0, tempco_difference_per_kelvin=3e-7, ageing=2e-6,
+    noise_std=1e-6, pulling=25e-6, tolerance=15e-6, common_shift=10e-6
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -34,15 +28,10 @@ def test_each_cause_has_its_share_of_the_step() -> None:
     ppm = {cause: 1e6 * share for cause, share in guard._asdict().items()}
     assert ppm == pytest.approx(
         {
-            "force": 81.0,
-            "temperature": 6.0,
-            "ageing": 2.0,
-            "noise": 2 * math.sqrt(13.8),
-            "pulling": 50.0,
-            "placement": 30.0,
-            "common": 20.0,
+            "force": 81.0, "temperature": 6.0, "ageing": 2.0, "noise": 2 * math.sqrt(13.8), "pulling": 50.0,
+            "placement": 30.0, "common": 20.0
         }
-    )
+    )  # fmt: skip
     assert 1e6 * guard.step == pytest.approx(189.0 + 2 * math.sqrt(13.8))
 
 

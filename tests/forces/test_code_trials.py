@@ -6,19 +6,10 @@ import pytest
 from resonator_daemon.forces.code_trials import Codes, Scatter, draw_plate, nearest_wrong, one_touch, overlaps
 
 SCATTER = Scatter(
-    force_max_newton=10.0,
-    sensitivity_spread=0.0,
-    tolerance=0.0,
-    pulling=0.0,
-    tempco_std=5e-8,
-    temperature_span_kelvin=20.0,
-    ageing=2e-6,
-    model_error=0.015,
-    counter_std=4.6e-10,
-    oscillator_std=3.3e-9,
-    common_std=2e-7,
-    common_shift=0.0,
-)
+    force_max_newton=10.0, sensitivity_spread=0.0, tolerance=0.0, pulling=0.0, tempco_std=5e-8,
+    temperature_span_kelvin=20.0, ageing=2e-6, model_error=0.015, counter_std=4.6e-10, oscillator_std=3.3e-9,
+    common_std=2e-7, common_shift=0.0
+)  # fmt: skip
 
 
 def ladder(step: float, sensitivity: np.ndarray) -> Codes:

@@ -76,15 +76,10 @@ def fields(datagram: bytes) -> dict[str, str]:
 def test_a_line_has_its_fields(handler: JournalHandler, journal_socket: socket.socket) -> None:
     handler.handle(line("frames flow"))
     assert fields(journal_socket.recv(1 << 20)) == {
-        "MESSAGE": "frames flow",
-        "PRIORITY": "6",
-        "SYSLOG_IDENTIFIER": "resonatord",
-        "CODE_FILE": "/x/service.py",
-        "CODE_LINE": "7",
-        "CODE_FUNC": "run",
-        "RESONATORD_MODULE": "resonator_daemon.daemon.daemon",
-        "RESONATORD_THREAD": "MainThread",
-    }
+        "MESSAGE": "frames flow", "PRIORITY": "6", "SYSLOG_IDENTIFIER": "resonatord", "CODE_FILE": "/x/service.py",
+        "CODE_LINE": "7", "CODE_FUNC": "run", "RESONATORD_MODULE": "resonator_daemon.daemon.daemon",
+        "RESONATORD_THREAD": "MainThread"
+    }  # fmt: skip
 
 
 def test_several_lines_stay_one_message(handler: JournalHandler, journal_socket: socket.socket) -> None:

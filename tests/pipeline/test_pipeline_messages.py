@@ -89,16 +89,12 @@ def test_forces_are_the_contracts_literal(messages: Messages) -> None:
         "reason": "why",
         "sites": [
             {
-                "site": 30,
-                "force_newton": 1.234,
-                "noise_newton": 0.0006,
-                "systematic_newton": 0.012,
-                "unobserved_bound_newton": 6.17,
-                "status": "ok",
+                "site": 30, "force_newton": 1.234, "noise_newton": 0.0006, "systematic_newton": 0.012,
+                "unobserved_bound_newton": 6.17, "status": "ok"
             }
         ],
         "beats": [2],
-    }
+    }  # fmt: skip
 
 
 def test_contacts_are_the_contracts_literal(messages: Messages) -> None:
@@ -109,16 +105,10 @@ def test_contacts_are_the_contracts_literal(messages: Messages) -> None:
 
 
 CONTACT = {
-    "id": 12,
-    "site": 30,
-    "position_m": [0.0125, 0.004],
-    "position_covariance_m2": [4e-8, 3e-8, 9e-8],
-    "force_newton": [None, None, 1.234],
-    "noise_newton": [None, None, 0.0006],
-    "systematic_newton": 0.012,
-    "status": "ok",
-    "reason_code": "other_site",
-}
+    "id": 12, "site": 30, "position_m": [0.0125, 0.004], "position_covariance_m2": [4e-8, 3e-8, 9e-8],
+    "force_newton": [None, None, 1.234], "noise_newton": [None, None, 0.0006], "systematic_newton": 0.012,
+    "status": "ok", "reason_code": "other_site"
+}  # fmt: skip
 HISTORY = {
     "peak_newton": 1.5,
     "since_t_ns": "1788999998495000123",  # 1.5 s of ticks before the middle of the window

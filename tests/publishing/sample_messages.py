@@ -81,16 +81,9 @@ class Messages:
     def by_path() -> dict[str, Message]:
         """Return one message for each topic below `prefix/name/`."""
         return {
-            "state/daemon": Messages.state("online"),
-            "state/link": Messages.state("waiting", "no such port"),
-            "state/sensor": Messages.state("drifting", "warm"),
-            "info": Messages.info(1),
-            "contacts/event": Messages.event(2),
-            "forces": Messages.forces(3),
-            "contacts": Messages.contacts(4),
-            "tones": Messages.tones(4),
-            "signals": Messages.signals(5),
-            "decoded": Messages.decoded(6),
-            "decoded/summary": Messages.summary(7),
-            "health": Messages.health(8),
-        }
+            "state/daemon": Messages.state("online"), "state/link": Messages.state("waiting", "no such port"),
+            "state/sensor": Messages.state("drifting", "warm"), "info": Messages.info(1),
+            "contacts/event": Messages.event(2), "forces": Messages.forces(3), "contacts": Messages.contacts(4),
+            "tones": Messages.tones(4), "signals": Messages.signals(5), "decoded": Messages.decoded(6),
+            "decoded/summary": Messages.summary(7), "health": Messages.health(8)
+        }  # fmt: skip

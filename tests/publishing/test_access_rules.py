@@ -62,13 +62,9 @@ READS = {
     "nobody": set(),
 }
 DOORS = [
-    ("left", "certificates"),
-    ("left", "this computer"),
-    ("decoder", "people"),
-    ("operator", "people"),
-    ("subscriber", "people"),
-    ("nobody", "people"),
-]
+    ("left", "certificates"), ("left", "this computer"), ("decoder", "people"), ("operator", "people"),
+    ("subscriber", "people"), ("nobody", "people")
+]  # fmt: skip
 
 
 @dataclass

@@ -23,15 +23,8 @@ CORPUS = Path(__file__).parents[1] / "corpus"
 FILE = "recording.mcap"
 CASES = CORPUS / "touches" / FILE, CORPUS / "cut-off" / FILE
 UNDAMAGED = (
-    "touches",
-    "two-touches",
-    "slide",
-    "comb",
-    "warm-finger",
-    "pressed-at-start",
-    "temperature-drift",
-    "overload",
-)
+    "touches", "two-touches", "slide", "comb", "warm-finger", "pressed-at-start", "temperature-drift", "overload"
+)  # fmt: skip
 PERIOD_S, PRESSES = 7.0, 3  # each is followed by more than the 40 untouched frames that a chunk begins with
 PRESS = f"""
 period_s = {PERIOD_S}

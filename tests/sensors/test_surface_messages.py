@@ -105,24 +105,12 @@ def surface(frame: DecodedFrame, decoder: str = "open-plane+contact", **change: 
 
 def partial_slip(**change: Any) -> PartialSlip:
     fields: dict[str, Any] = {
-        "centre_m": np.array([1.01e-3, -2.01e-3]),
-        "centre_std_m": np.array([1e-6, 2e-6]),
-        "radius_m": 2e-3,
-        "radius_std_m": 1e-5,
-        "force_newton": np.array([0.11, -0.21, 1.51]),
-        "force_std_newton": np.array([1e-3, 2e-3, 3e-3]),
-        "slip_margin": 0.125,
-        "slip_margin_std": 0.01,
-        "stick_ratio": 0.5,
-        "stick_ratio_std": 0.02,
-        "friction_coefficient": 0.6,
-        "friction_coefficient_std": 0.03,
-        "covariance": np.eye(7),
-        "chi2": 1.0,
-        "log_evidence": 0.0,
-        "status": "ok",
-        "reason": None,
-    }
+        "centre_m": np.array([1.01e-3, -2.01e-3]), "centre_std_m": np.array([1e-6, 2e-6]), "radius_m": 2e-3,
+        "radius_std_m": 1e-5, "force_newton": np.array([0.11, -0.21, 1.51]),
+        "force_std_newton": np.array([1e-3, 2e-3, 3e-3]), "slip_margin": 0.125, "slip_margin_std": 0.01,
+        "stick_ratio": 0.5, "stick_ratio_std": 0.02, "friction_coefficient": 0.6, "friction_coefficient_std": 0.03,
+        "covariance": np.eye(7), "chi2": 1.0, "log_evidence": 0.0, "status": "ok", "reason": None
+    }  # fmt: skip
     return PartialSlip(**(fields | change))
 
 
@@ -139,12 +127,8 @@ def skin_contact(**change: Any) -> SkinContact:
         places=np.arange(3),
     )
     fields: dict[str, Any] = {
-        "id": 3,
-        "patch": patch,
-        "slip": partial_slip(),
-        "radius_of_curvature_m": 0.0056,
-        "peak_newton": 1.75,
-    }
+        "id": 3, "patch": patch, "slip": partial_slip(), "radius_of_curvature_m": 0.0056, "peak_newton": 1.75
+    }  # fmt: skip
     return SkinContact(**(fields | change))
 
 
@@ -174,20 +158,11 @@ def test_a_summary_is_the_contracts_literal(skin_reporter: SkinReporter) -> None
     frame = decoded((3, 32, 32), displacement=False, reason="2 signals lost")
     said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame, contacts=(skin_contact(),))))
     assert said == {
-        "name": "left-index",
-        "seq": 0,
-        "daemon_boot_id": "9f3c",
-        "t_ns": "1788999999995000123",
-        "t_uncertainty_ns": 42000,
-        "lost": LOST,
-        "board_ticks": str(2**63 + 1),
-        "decoder": "open-plane+contact",
-        "chi2": 1.02,
-        "border_contact": True,
-        "status": "ok",
-        "reason": "2 signals lost",
-        "patches": [PATCH_LITERAL],
-    }
+        "name": "left-index", "seq": 0, "daemon_boot_id": "9f3c", "t_ns": "1788999999995000123",
+        "t_uncertainty_ns": 42000, "lost": LOST, "board_ticks": str(2**63 + 1), "decoder": "open-plane+contact",
+        "chi2": 1.02, "border_contact": True, "status": "ok", "reason": "2 signals lost",
+        "patches": [PATCH_LITERAL]
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -26,29 +26,14 @@ def raw(kind: int, body: object) -> bytes:
 @pytest.mark.parametrize(
     "data",
     [
-        raw(0, ["doubtful", "a state that no link has"]),
-        raw(0, ["lost", "\ud800"]),
-        raw(7, [["unplugged", "\ud800"]]),
-        raw(7, [[["unplugged"], "gone"]]),
-        raw(7, [["unplugged", 1]]),
-        raw(7, ["half of \udc00 a pair"]),
-        raw(8, [["\ud800"], True]),
-        raw(13, ["\ud800", "{}"]),
-        raw(13, ["key", "\ud800"]),
-        raw(10, [-1, 5]),
-        raw(10, [5, -1]),
-        raw(10, [1, 2**63]),
-        raw(11, {"state": ["doubtful", "", 0, []]}),
-        raw(11, b"[" * 100_000),
-        raw(7, b"[" * 100_000),
-        raw(0, b"{"),
-        raw(0, ["a"]),
-        raw(7, [1]),
-        raw(255, b""),
-        b"",
-        bytes(8),
+        raw(0, ["doubtful", "a state that no link has"]), raw(0, ["lost", "\ud800"]),
+        raw(7, [["unplugged", "\ud800"]]), raw(7, [[["unplugged"], "gone"]]), raw(7, [["unplugged", 1]]),
+        raw(7, ["half of \udc00 a pair"]), raw(8, [["\ud800"], True]), raw(13, ["\ud800", "{}"]),
+        raw(13, ["key", "\ud800"]), raw(10, [-1, 5]), raw(10, [5, -1]), raw(10, [1, 2**63]),
+        raw(11, {"state": ["doubtful", "", 0, []]}), raw(11, b"[" * 100_000), raw(7, b"[" * 100_000), raw(0, b"{"),
+        raw(0, ["a"]), raw(7, [1]), raw(255, b""), b"", bytes(8)
     ],
-)
+)  # fmt: skip
 def test_what_no_daemon_wrote_is_damage(data: bytes) -> None:
     with pytest.raises((ValueError, RecursionError)) as caught:
         decode(data, 5, 12)

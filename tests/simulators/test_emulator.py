@@ -35,12 +35,8 @@ def test_quartz16_sends_its_frames_in_time_and_tells_the_truth_beside_them(tmp_p
     assert all(isinstance(line["t_ns"], str) for line in truth)
     (contact,) = truth[0]["contacts"]
     assert contact == {
-        "id": 1,
-        "site": 7,
-        "position_m": [-0.0005, 0.002],
-        "force_newton": [0.0, 0.0, 1.0],
-        "radius_m": None,
-    }
+        "id": 1, "site": 7, "position_m": [-0.0005, 0.002], "force_newton": [0.0, 0.0, 1.0], "radius_m": None
+    }  # fmt: skip
     assert truth[0]["plate_kelvin"] == 298.15
     assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
     assert report["frames_dropped"] == 0

@@ -26,14 +26,9 @@ from simulators.truth import truth_line
 SEED = 5
 QUARTZ_BLOCK = 40  # frames that are counted at once, on which the order of the draws depends
 STEPS = {
-    "first_ticks": 16,
-    "span_ticks": 16,
-    "s1_ticks": 16,
-    "s2_ticks": 4096,
-    "q2_ticks2": 16,
-    "phase_turn32": 2**24,
-    "offset_hz16": 2**16,
-}
+    "first_ticks": 16, "span_ticks": 16, "s1_ticks": 16, "s2_ticks": 4096, "q2_ticks2": 16, "phase_turn32": 2**24,
+    "offset_hz16": 2**16
+}  # fmt: skip
 
 
 def rounded(line: str) -> str:

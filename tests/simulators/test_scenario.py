@@ -44,13 +44,8 @@ def test_a_touch_rises_holds_and_falls_smoothly() -> None:
 
 def test_shear_rises_to_its_peak_in_the_middle_of_the_hold_and_returns() -> None:
     content = {
-        "start_s": 0.0,
-        "position_mm": (0.0, 0.0),
-        "force_newton": 2.0,
-        "rise_s": 1.0,
-        "hold_s": 4.0,
-        "fall_s": 1.0,
-    }
+        "start_s": 0.0, "position_mm": (0.0, 0.0), "force_newton": 2.0, "rise_s": 1.0, "hold_s": 4.0, "fall_s": 1.0
+    }  # fmt: skip
     touch = Touch.model_validate(content | {"shear": {"peak_ratio": 0.9, "direction_deg": 120.0}})
     force = Scenario((touch,), None, SKIN).at(np.array([0.5, 1.0, 2.0, 3.0, 5.0, 5.5])).force_newton[:, 0]
     full = 0.9 * 0.5 * 2.0

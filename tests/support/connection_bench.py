@@ -26,14 +26,9 @@ MS = 1_000_000
 STEP_NS = MS // 2
 IDENTITY = Identity("test board", "T-1", "1.0", 0, credit_bytes=128)
 DESCRIPTION = Description(
-    counter_kind=CounterKind.SINGLE_TONE,
-    channels=4,
-    tones=1,
-    reference_millihertz=10**12,
-    gate_ticks_min=100_000,
-    gate_ticks_max=1_000_000_000,
-    plate="quartz16",
-)
+    counter_kind=CounterKind.SINGLE_TONE, channels=4, tones=1, reference_millihertz=10**12, gate_ticks_min=100_000,
+    gate_ticks_max=1_000_000_000, plate="quartz16"
+)  # fmt: skip
 
 
 class SimulatedBoard:

@@ -46,12 +46,8 @@ def info(skin: bool = False, sites: int = 2, **keys: Any) -> dict[str, Any]:
 
 def contact(force: ArrayLike = (None, None, 1.5), **keys: Any) -> dict[str, Any]:
     known = {
-        "id": 7,
-        "site": 1,
-        "position_m": [0.001, 0.002],
-        "position_covariance_m2": [4e-8, 0, 1e-8],
-        "status": "ok",
-    }
+        "id": 7, "site": 1, "position_m": [0.001, 0.002], "position_covariance_m2": [4e-8, 0, 1e-8], "status": "ok"
+    }  # fmt: skip
     return known | {"force_newton": list(force), "noise_newton": [0.003, 0.003, 0.003]} | keys  # type: ignore[call-overload]
 
 

@@ -30,14 +30,9 @@ def gate_middle(gate_ns: int, *, later_ns: int = 0) -> Instant:
 
 NAN = math.nan
 LOST = {
-    "link_gap": 1,
-    "damaged": 2,
-    "board_overflow": 3,
-    "host_overrun": 4,
-    "queue_overflow": 6,
-    "publish_dropped": 5,
-    "skipped_late": 7,
-}
+    "link_gap": 1, "damaged": 2, "board_overflow": 3, "host_overrun": 4, "queue_overflow": 6, "publish_dropped": 5,
+    "skipped_late": 7
+}  # fmt: skip
 
 
 class Losses:

@@ -24,16 +24,9 @@ LOST = Lost(
     link_gap=1, damaged=2, board_overflow=3, host_overrun=4, queue_overflow=5, publish_dropped=6, skipped_late=7
 )
 RECORDING = RecordingInfo(
-    file="/rec/hand.mcap",
-    since_t_ns=NOW_NS - 30_000_000_000,
-    failure=None,
-    file_bytes=38_000_000,
-    files=39,
-    files_removed=40,
-    events_missing=41,
-    messages=42,
-    messages_missing=43,
-)
+    file="/rec/hand.mcap", since_t_ns=NOW_NS - 30_000_000_000, failure=None, file_bytes=38_000_000, files=39,
+    files_removed=40, events_missing=41, messages=42, messages_missing=43
+)  # fmt: skip
 NOTHING = {"file": None, "since_t_ns": None, "failure": None}
 NOT_RECORDING = RecordingInfo(**(dict.fromkeys(RECORDING.model_fields_set, 0) | NOTHING))
 
@@ -55,13 +48,8 @@ def health(**changed: Any) -> Health:
         "frames_not_decoded": 8,
         "records_unusable": {"edges": 9},
         "decoder": {
-            "pid": 4711,
-            "restarts": {"hung": 46},
-            "decoded": 47,
-            "skipped": {"too_old": 8},
-            "waiting": 0,
-            "cpu_percent": 48.0,
-            "rss_mb": 49.0,
+            "pid": 4711, "restarts": {"hung": 46}, "decoded": 47, "skipped": {"too_old": 8}, "waiting": 0,
+            "cpu_percent": 48.0, "rss_mb": 49.0
         },
         "packets_ignored": {"stale": 10, "malformed": 11, "unknown": 12, "log": 13},
         "bytes_in": 11_111,
@@ -96,7 +84,7 @@ def health(**changed: Any) -> Health:
             waiting=80,
             spooled=36,
         ),
-    }
+    }  # fmt: skip
     return Health(**HEADER | {"lost": LOST}, **fields | changed)
 
 
@@ -115,16 +103,10 @@ def status(**changed: Any) -> Status:
         "broker": BrokerStatus(url="mqtt://127.0.0.1:1883", connected=True),
         "recording": RECORDING,
         "ages_s": {
-            "started": 3600.0,
-            "config": 3500.0,
-            "daemon": 3400.0,
-            "link": 3300.0,
-            "sensor": 3200.0,
-            "outage": 3310.0,
-            "connected": 300.0,
-            "recording": 30.0,
+            "started": 3600.0, "config": 3500.0, "daemon": 3400.0, "link": 3300.0, "sensor": 3200.0,
+            "outage": 3310.0, "connected": 300.0, "recording": 30.0
         },
-    }
+    }  # fmt: skip
     return Status(**fields | changed)
 
 

@@ -30,18 +30,10 @@ def refusal(text: str) -> str:
 @pytest.mark.parametrize(
     "start",
     [
-        "",
-        "[",
-        "  [ ",
-        "[[",
-        "a = {",
-        "a = {b = 1, ",
-        "a = [{",
-        'a = {b = """c"""", ',
-        'a = {b = """c""""", ',
-        "a = {b = '''c'''', ",
+        "", "[", "  [ ", "[[", "a = {", "a = {b = 1, ", "a = [{", 'a = {b = """c"""", ', 'a = {b = """c""""", ',
+        "a = {b = '''c'''', "
     ],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("name", ["b", '"b"', "'b'", '"b\\"."', "1"])
 @pytest.mark.parametrize("dot", [".", " . "])
 def test_a_key_of_too_many_names_is_refused_wherever_it_is(start: str, name: str, dot: str) -> None:
