@@ -83,13 +83,6 @@ def test_tones_of_the_corners_are_those_of_the_sites_that_each_captured():
     assert (silent.captured, silent.site, silent.reason_code) == ("none", None, ReasonCode.CHANNELS_SILENT)
 
 
-def test_a_held_press_is_never_tared_away():
-    bench = Bench().untouched()
-    pressed = bench.hold(PLATE.loaded_hz(5, 1.0), 3000)
-    assert pressed[-1].sites[0].force_newton == pytest.approx(1.0, abs=0.01)
-    assert pressed[-1].compensation.common_mode == pressed[0].compensation.common_mode
-
-
 def test_a_gap_restarts_the_windows_and_keeps_the_contact():
     bench = Bench().untouched()
     site_hz = PLATE.loaded_hz(6, 1.5)
