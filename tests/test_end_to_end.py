@@ -29,35 +29,30 @@ HELD_S = 30.0
 
 def test_ideal_sites_are_all_found_and_their_forces_right_to_3_millinewtons() -> None:
     played = ideal_touches(TOUCHES)
-
     assert (played.found, played.wrong, played.more) == (TOUCHES, 0, 0)
     assert played.errors.rms_newton <= 3e-3
 
 
 def test_creep_is_taken_out_where_the_plate_file_tells_it() -> None:
     told = creeping_touches(TOUCHES, told=True)
-
     assert told.errors.rms_newton <= 10e-3
     assert creeping_touches(TOUCHES, told=False).errors.rms_newton > 3.0 * told.errors.rms_newton
 
 
 def test_hysteresis_is_taken_out_where_the_plate_file_tells_it() -> None:
     told = hysteretic_touches(TOUCHES, told=True)
-
     assert told.errors.rms_newton <= 35e-3
     assert hysteretic_touches(TOUCHES, told=False).errors.rms_newton > 3.0 * told.errors.rms_newton
 
 
 def test_what_a_warm_finger_does_stays_within_what_is_stated_of_it() -> None:
     played = warm_touches((0.5, 5.0, 20.0), measured=True, frame_rate_hz=50.0)
-
     assert (played.found, played.wrong) == (played.touches, 0)
     assert played.errors.worst_ratio <= 1.0
 
 
 def test_stated_uncertainty_covers_the_errors_of_short_touches_and_is_not_much_larger() -> None:
     played = short_touches(SHORT_TOUCHES)
-
     assert (played.found, played.wrong) == (SHORT_TOUCHES, 0)
     for errors in (played.errors, played.errors.of_touches):
         assert errors.covered >= 0.93
@@ -68,7 +63,6 @@ def test_stated_uncertainty_covers_the_errors_of_short_touches_and_is_not_much_l
 def test_two_touches_on_captured_tones_are_found_and_never_put_elsewhere() -> None:
     pairs = play_pairs(told_plate("quartz16"), PAIRS)
     separable = [pair for pair in pairs if pair.separable]
-
     assert sum(pair.wrong for pair in pairs) == 0
     assert sum(pair.both > 0 for pair in separable) >= 0.9 * len(separable)  # 0.95, less a deviation of so few
     assert all(pair.both or pair.more for pair in separable)
@@ -77,7 +71,6 @@ def test_two_touches_on_captured_tones_are_found_and_never_put_elsewhere() -> No
 
 def test_two_touches_on_channelised_tones_are_both_found() -> None:
     pairs = play_pairs(told_plate("comb16"), COMB_PAIRS)
-
     assert sum(pair.wrong for pair in pairs) == 0
     assert sum(pair.both > 0 for pair in pairs) >= COMB_PAIRS - 1  # 0.99 of them, less one deviation
     assert max(apart_m for pair in pairs for apart_m in pair.apart_m) < 5e-3
@@ -86,7 +79,6 @@ def test_two_touches_on_channelised_tones_are_both_found() -> None:
 def test_a_press_held_while_the_room_warms_does_not_drift_where_all_tones_are_heard() -> None:
     plate = with_counter(load_plate("comb16"), frame_rate_hz=12.5)
     site, _ = hold(plate, Physics(ideal=True, temperature_coefficient=-5e-8), 7, HELD_S)
-
     assert site.told == 1.0
     assert abs(site.end_newton) <= 1e-3
 

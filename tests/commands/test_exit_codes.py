@@ -49,14 +49,20 @@ LINES = [
 ] + [(f"{name} --nope", 2, "usage") for name in command_names() if name not in ("decode", "run")]
 
 
-@pytest.mark.parametrize(("line", "code", "word"), LINES)
-def test_every_failure_is_one_object_with_a_code(
-    line: str, code: int, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture
+def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> bytes:
+    """A recording, which is in the present folder whole and cut off."""
     monkeypatch.chdir(tmp_path)
     recorded = RECORDING.read_bytes()
     (tmp_path / "run.mcap").write_bytes(recorded)
     (tmp_path / "cut.mcap").write_bytes(recorded[: len(recorded) // 2])
+    return recorded
+
+
+@pytest.mark.parametrize(("line", "code", "word"), LINES)
+def test_every_failure_is_one_object_with_a_code(
+    line: str, code: int, word: str, tmp_path: Path, recorded: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "run.txt").write_text("nope")
     shutil.copytree(RECORDING.parent, tmp_path / "case")
     (tmp_path / "case" / RECORDING.name).write_bytes(recorded[: len(recorded) // 2])
@@ -113,12 +119,8 @@ def test_a_configuration_is_an_argument_or_an_option(
     ],
 )
 def test_an_output_that_is_there_is_not_overwritten(
-    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    line: str, tmp_path: Path, recorded: bytes, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    recorded = RECORDING.read_bytes()
-    (tmp_path / "run.mcap").write_bytes(recorded)
-    (tmp_path / "cut.mcap").write_bytes(recorded[: len(recorded) // 2])
     (tmp_path / "board.toml").write_text('plate = "quartz16"\nlink = "tcp://127.0.0.1:9"\n')
     (tmp_path / "there").write_bytes(b"mine")
     assert exit_code(*shlex.split(line)) == 78

@@ -6,8 +6,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import pytest
-from brokers import Mosquitto
 from mcap.reader import make_reader
 from observer import observe
 from published_schema import ALWAYS, check_all
@@ -21,11 +19,6 @@ from resonator_daemon.publishing.verbs import VERBS
 FORCES = "resonator/hand/forces"
 INFO = "resonator/hand/info"
 ALL = [verb.name for verb in VERBS.values() if verb.changes]
-
-
-@pytest.fixture
-def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
-    return Bench(tmp_path, mosquitto.url)
 
 
 def recordings() -> Path:

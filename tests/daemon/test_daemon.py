@@ -22,11 +22,6 @@ def touched(hold_s: float, start_s: float = 0.4, **keys: float) -> str:
     return touch_text(start_s, 2.0, hold_s, site=7, **keys)
 
 
-@pytest.fixture
-def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
-    return Bench(tmp_path, mosquitto.url)
-
-
 async def test_a_touch_becomes_messages_on_either_broker(tmp_path: Path, broker: Mosquitto | Amqtt) -> None:
     bench = Bench(tmp_path, broker.url)
     scenario = bench.scenario(IDEAL + touched(0.3))

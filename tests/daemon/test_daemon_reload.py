@@ -21,8 +21,7 @@ from resonator_daemon.recording.reader import open_recording
 RESONATORD = Path(sys.executable).with_name("resonatord")
 
 
-async def test_windows_and_commands_are_taken_live_and_a_bad_file_is_told(tmp_path: Path, mosquitto: Mosquitto) -> None:
-    bench = Bench(tmp_path, mosquitto.url)
+async def test_windows_and_commands_are_taken_live_and_a_bad_file_is_told(bench: Bench, mosquitto: Mosquitto) -> None:
     async with observe(mosquitto.url) as heard, bench.emulated():
         service = bench.service()
         async with bench.running(service):
@@ -44,9 +43,8 @@ async def test_windows_and_commands_are_taken_live_and_a_bad_file_is_told(tmp_pa
 
 
 async def test_continuous_recording_begins_with_the_first_byte_and_is_switched_by_a_reload(
-    tmp_path: Path, mosquitto: Mosquitto
+    bench: Bench, tmp_path: Path, mosquitto: Mosquitto
 ) -> None:
-    bench = Bench(tmp_path, mosquitto.url)
     async with observe(mosquitto.url) as heard, bench.emulated():
         bench.service()
         path = bench.folder / "board.toml"
@@ -71,10 +69,9 @@ async def test_continuous_recording_begins_with_the_first_byte_and_is_switched_b
 
 
 async def test_what_is_reloaded_before_a_board_has_given_its_name_holds_when_it_does(
-    tmp_path: Path, mosquitto: Mosquitto, caplog: pytest.LogCaptureFixture
+    bench: Bench, tmp_path: Path, mosquitto: Mosquitto, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
-    bench = Bench(tmp_path, mosquitto.url)
     async with observe(mosquitto.url) as heard:
         service = bench.service(name=None)
         path = bench.folder / "board.toml"
@@ -94,8 +91,7 @@ async def test_what_is_reloaded_before_a_board_has_given_its_name_holds_when_it_
                 )
 
 
-async def test_a_reload_at_the_end_is_ignored(tmp_path: Path, mosquitto: Mosquitto) -> None:
-    bench = Bench(tmp_path, mosquitto.url)
+async def test_a_reload_at_the_end_is_ignored(bench: Bench, mosquitto: Mosquitto) -> None:
     bench.service(link="tcp://127.0.0.1:9")
     async with observe(mosquitto.url) as heard:
         command = (RESONATORD, "run", "--config", bench.folder / "board.toml")
@@ -111,8 +107,7 @@ async def test_a_reload_at_the_end_is_ignored(tmp_path: Path, mosquitto: Mosquit
     assert (process.returncode, b"Traceback" in said) == (0, False)
 
 
-async def test_sighup_reads_the_file_again_and_sigterm_ends(tmp_path: Path, mosquitto: Mosquitto) -> None:
-    bench = Bench(tmp_path, mosquitto.url)
+async def test_sighup_reads_the_file_again_and_sigterm_ends(bench: Bench, mosquitto: Mosquitto) -> None:
     bench.service(link="tcp://127.0.0.1:9")
     path = bench.folder / "board.toml"
     async with observe(mosquitto.url) as heard:

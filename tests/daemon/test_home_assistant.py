@@ -1,7 +1,6 @@
 """Discovery in Home Assistant: the retained message, its templates on published messages, and its end."""
 
 import json
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -31,8 +30,7 @@ def values(sensors: dict[str, Any], heard: Observer) -> dict[str, str]:
     return {name: rendered(sensor["value_template"], last[name]) for name, sensor in sensors.items()}
 
 
-async def test_a_plate_appears_shows_its_force_and_goes(tmp_path: Path, mosquitto: Mosquitto) -> None:
-    bench = Bench(tmp_path, mosquitto.url)
+async def test_a_plate_appears_shows_its_force_and_goes(bench: Bench, mosquitto: Mosquitto) -> None:
     pressed = bench.scenario(IDEAL + touch_text(0.4, 2.0, 60.0, site=7))
     async with observe(mosquitto.url) as heard:
         async with bench.measured(heard, bench.service(mqtt=(PREFIX,)), scenario=pressed):
@@ -59,13 +57,10 @@ async def test_a_plate_appears_shows_its_force_and_goes(tmp_path: Path, mosquitt
         await heard.until(lambda: heard.raw(TOPIC)[-1] == b"")
 
 
-async def test_without_the_setting_the_message_of_an_earlier_run_is_cleared(
-    tmp_path: Path, mosquitto: Mosquitto
-) -> None:
+async def test_without_the_setting_the_message_of_an_earlier_run_is_cleared(bench: Bench, mosquitto: Mosquitto) -> None:
     async with observe(mosquitto.url) as heard:
         for topic in (TOPIC, TOPIC.replace("hand", "other")):
             await heard.client.publish(topic, b"{}", qos=1, retain=True)
-        bench = Bench(tmp_path, mosquitto.url)
         async with bench.running(bench.service()):
             await heard.until(lambda: heard.raw(TOPIC) == [b"{}", b""])
         assert heard.raw(TOPIC.replace("hand", "other")) == [b"{}"]

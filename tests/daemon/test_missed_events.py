@@ -1,6 +1,5 @@
 """A client that was away asks the daemon for the events that it missed, of this run and of the one before."""
 
-from pathlib import Path
 from typing import Any
 
 from brokers import Mosquitto
@@ -24,8 +23,7 @@ def as_published(event: dict[str, Any]) -> dict[str, Any]:
     return event | {"replayed": False}
 
 
-async def test_a_client_closes_its_gap(tmp_path: Path, mosquitto: Mosquitto) -> None:
-    bench = Bench(tmp_path, mosquitto.url)
+async def test_a_client_closes_its_gap(bench: Bench, mosquitto: Mosquitto) -> None:
     async with bench.emulated(scenario=bench.scenario(TOUCHES)), observe(mosquitto.url) as other:
         async with bench.running(bench.service()) as first:
             async with observe(mosquitto.url) as client:

@@ -1,7 +1,6 @@
 """The whole daemon between an emulated comb of force sites and a real broker: contacts with places, forces, tare."""
 
 import math
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,11 +13,6 @@ from resonator_daemon.plate import load_plate
 
 PLACE_M = (1.5e-3, -1.0e-3)
 SITES = {site.id: site.position_mm for site in load_plate("comb16").sites}
-
-
-@pytest.fixture
-def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
-    return Bench(tmp_path, mosquitto.url)
 
 
 def forces(heard: Observer) -> list[dict[str, Any]]:

@@ -2,11 +2,9 @@
 
 import os
 import signal
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from brokers import Mosquitto
 from observer import Observer, observe
 from published_schema import ALWAYS, check_all
@@ -16,11 +14,6 @@ from system_parts import SMALL_SKIN
 
 SHEAR = "{peak_ratio = 0.95, direction_deg = 30}"
 SHEARED = "period_s = 1.6\n" + touch_text(0.2, 0.8, 1.0, position_mm=[0.6, -0.3], shear=SHEAR)
-
-
-@pytest.fixture
-def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
-    return Bench(tmp_path, mosquitto.url)
 
 
 def summaries(observer: Observer) -> list[dict[str, Any]]:

@@ -6,7 +6,6 @@ import os
 import urllib.request
 from importlib.metadata import version
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 from brokers import Mosquitto, free_port
@@ -60,9 +59,8 @@ def scrape(port: int) -> tuple[Samples, set[str]]:
 
 
 async def test_counters_go_on_over_a_pulled_cable_and_the_status_tells_of_it(
-    tmp_path: Path, mosquitto: Mosquitto
+    bench: Bench, mosquitto: Mosquitto
 ) -> None:
-    bench = Bench(tmp_path, mosquitto.url)
     port = free_port()
     scrapes: list[Samples] = []
     async with (
@@ -108,10 +106,9 @@ async def test_counters_go_on_over_a_pulled_cable_and_the_status_tells_of_it(
 
 
 async def test_hundreds_of_damaged_frames_are_figures_and_no_lines_of_the_log(
-    tmp_path: Path, mosquitto: Mosquitto, caplog: pytest.LogCaptureFixture
+    bench: Bench, mosquitto: Mosquitto, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
-    bench = Bench(tmp_path, mosquitto.url)
     faults = parse_faults("bit_error_rate=2e-4")
     service = service_with_metrics(bench, free_port())
     async with bench.emulated(scenario="still", faults=faults), bench.running(service), asyncio.timeout(DEADLINE_S):

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from decoder_bench import BOOT, NOISE, NU, PITCH_M, SITES, SITES_M, T_NS, E, Floats, pressed, until
+from observer import running_task
 
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
@@ -100,12 +101,8 @@ class Client:
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator["asyncio.Task[None]"]:
-        task = asyncio.create_task(self.supervisor.run())
-        try:
+        async with running_task(self.supervisor.run()) as task:
             yield task
-        finally:
-            task.cancel()
-            await asyncio.wait([task])
         assert self.is_exact
         assert self.supervisor.waiting == 0
         assert self.supervisor.info().pid is None

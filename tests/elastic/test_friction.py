@@ -170,3 +170,26 @@ def test_without_friction_nothing_holds_sideways(nu: float):
     assert not state.traction_pascal[:2].any()
     assert not state.sticks.any()
     np.testing.assert_array_equal(state.shift_m[:2], 0.0)
+
+
+# What is refused, and what does not converge and says so
+
+
+def test_shear_that_friction_cannot_hold_is_refused():
+    load, mu = hertz_load(0.5), 0.5
+    contact = paraboloid(32, mu, 0.5)
+    with pytest.raises(ValueError, match=r"shear load is .*must be below friction coefficient x normal load"):
+        contact.step(contact.apart, load_newton=[0.6 * mu * load, 0.8 * mu * load, load])
+    pressed = contact.step(contact.apart, load_newton=[0.0, 0.0, load])
+    with pytest.raises(ValueError, match="prescribe shift_m instead"):
+        contact.step(pressed, load_newton=[0, 1.01 * mu * load, np.nan], shift_m=[np.nan, np.nan, pressed.shift_m[2]])
+    with pytest.raises(ValueError, match=r"shear load is 0.01 N, must be below .* = 0 N"):
+        contact.step(pressed, load_newton=[0, 0.01, np.nan], shift_m=[np.nan, np.nan, -1e-4])
+
+
+def test_contact_that_shear_spreads_to_the_border_is_refused():
+    load = hertz_load(0.0, 0.4 * SIDE_M)
+    contact = paraboloid(16, 1.0, 0.0)
+    contact.step(contact.apart, load_newton=[0, 0, load])
+    with pytest.raises(ValueError, match="contact touches the border of the height map"):
+        contact.step(contact.apart, load_newton=[0.95 * load, 0, load])

@@ -12,6 +12,7 @@ from contextlib import asynccontextmanager
 import pytest
 import status_samples
 from brokers import free_port
+from observer import running_task
 
 from resonator_daemon.config import Listen
 from resonator_daemon.monitoring.metrics_server import TOGETHER, MetricsServer, MetricsTimes
@@ -29,13 +30,8 @@ def address() -> Listen:
 async def serving(
     address: Listen, make: Callable[[], Status] = status_samples.status, **times: float
 ) -> AsyncIterator[None]:
-    task = asyncio.create_task(MetricsServer(address, make, MetricsTimes(**times)).run())
-    try:
-        async with asyncio.timeout(DEADLINE_S):
-            yield
-    finally:
-        task.cancel()
-        await asyncio.wait([task])
+    async with running_task(MetricsServer(address, make, MetricsTimes(**times)).run()), asyncio.timeout(DEADLINE_S):
+        yield
 
 
 def request(address: Listen, method: str = "GET", path: str = "/metrics", **headers: str) -> http.client.HTTPResponse:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 import status_samples
-from observer import until
+from observer import running_task, until
 from status_samples import listens
 
 from resonator_daemon.monitoring.status import Status
@@ -31,12 +31,8 @@ def path(tmp_path: Path) -> Path:
 async def serving(
     path: Path, make: Callable[[], Status] = status_samples.status, **times: float
 ) -> AsyncIterator[None]:
-    task = asyncio.create_task(StatusServer(path, CONFIG, make, StatusTimes(**times)).run())
-    try:
+    async with running_task(StatusServer(path, CONFIG, make, StatusTimes(**times)).run()):
         yield
-    finally:
-        task.cancel()
-        await asyncio.wait([task])
 
 
 async def ask(path: Path) -> bytes:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from decoder_bench import NOISE, NU, SITES_M, E, incoming, info, pressed, signals, until
+from observer import running_task
 
 from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.config.tables import Decoding
@@ -86,12 +87,8 @@ class Followed:
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator["Followed"]:
-        task = asyncio.create_task(self.plate.run())
-        try:
+        async with running_task(self.plate.run()):
             yield self
-        finally:
-            task.cancel()
-            await asyncio.wait([task])
         assert self.is_exact
         assert self.account.waiting == 0
 

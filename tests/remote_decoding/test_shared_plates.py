@@ -1,6 +1,5 @@
 """Many plates in one process: whose frame it is, what is said of them all, and how many there may be."""
 
-import asyncio
 import logging
 import threading
 from collections.abc import AsyncIterator
@@ -10,6 +9,7 @@ from typing import Any
 
 import pytest
 from decoder_bench import incoming, info, signals, until
+from observer import running_task
 
 from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.config.tables import Decoding
@@ -53,12 +53,8 @@ class Shared:
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator["Shared"]:
-        task = asyncio.create_task(self.plates.run())
-        try:
+        async with running_task(self.plates.run()):
             yield self
-        finally:
-            task.cancel()
-            await asyncio.wait([task])
 
 
 NOTHING = ("waiting", Reason(ReasonCode.NO_SIGNALS, "no signals that could be decoded"))

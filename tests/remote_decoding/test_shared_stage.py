@@ -1,6 +1,5 @@
 """Frames of many skins in one decoder: each on its own, plates in turn, decoders shared and few."""
 
-import asyncio
 import threading
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -8,6 +7,7 @@ from contextlib import asynccontextmanager
 import numpy as np
 import pytest
 from decoder_bench import NOISE, NU, SITES_M, E, Floats, info, pressed, until
+from observer import running_task
 
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
@@ -41,12 +41,8 @@ class Stage:
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator["Stage"]:
-        task = asyncio.create_task(self.stage.run())
-        try:
+        async with running_task(self.stage.run()):
             yield self
-        finally:
-            task.cancel()
-            await asyncio.wait([task])
 
     def offer(self, plate: str, number: int, values: Floats, noise_std: Floats = NOISE, of: SkinPlate | None = None):  # type: ignore[no-untyped-def]
         self.stage.offer(plate, number, of or skin(), values, noise_std)

@@ -2,7 +2,7 @@
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager, suppress
 from typing import Any
 from urllib.parse import urlsplit
@@ -17,6 +17,17 @@ async def until(predicate: Callable[[], bool]) -> None:
     async with asyncio.timeout(20):
         while not predicate():  # noqa: ASYNC110  there is no event for every condition
             await asyncio.sleep(0.005)
+
+
+@asynccontextmanager
+async def running_task(work: Coroutine[Any, Any, None]) -> AsyncIterator["asyncio.Task[None]"]:
+    """Run it as a task that is cancelled, and has ended, at the end of the context."""
+    task = asyncio.create_task(work)
+    try:
+        yield task
+    finally:
+        task.cancel()
+        await asyncio.wait([task])
 
 
 class Observer:
