@@ -14,7 +14,7 @@ from resonator_daemon.toml_files.reading import Table, read_toml
 class DecoderConfig(Table):
     """Whose signals to decode, how, and over which broker.
 
-    The plate called `name` is followed; with `decoding.plates` and `decoding.group`, frames of those are shared.
+    The plate called `name` is followed, or those of `decoding.plates`; with `decoding.group`, their frames are shared.
     """
 
     mqtt: Mqtt = Mqtt()
@@ -35,7 +35,7 @@ class DecoderConfig(Table):
     def _names_a_plate(cls, name: str | None, info: ValidationInfo) -> str | None:
         decoding = info.data.get("decoding")
         if name is None and decoding is not None and not decoding.plates:
-            raise ValueError("missing; give the name of the plate, or decoding.plates and decoding.group")
+            raise ValueError("missing; give the name of the plate, or decoding.plates")
         return name
 
     @property

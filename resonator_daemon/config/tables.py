@@ -218,7 +218,7 @@ class Decoding(Table):
     )
     plates: Annotated[tuple[str, ...], AfterValidator(_plates)] = Field(
         default=(),
-        description='plates of decoders that share them: names, or "+" for all; default: `name`',
+        description='plates that a decoder follows, or that a group shares, "+" for all; default: `name`',
         examples=[["+"], ["left-index", "left-thumb"]],
     )
     group: Annotated[str, AfterValidator(topic_level)] | None = Field(
@@ -232,8 +232,10 @@ class Decoding(Table):
     @classmethod
     def _group_shares_plates(cls, group: str | None, info: ValidationInfo) -> str | None:
         plates = info.data.get("plates")
-        if plates and group is None:
-            raise ValueError("missing; decoders of the same group share the plates, each frame goes to one of them")
+        if plates == ("+",) and group is None:
+            raise ValueError(
+                'missing; decoders of the same group share the plates of ["+"]; to follow plates, name them instead'
+            )
         if plates == () and group is not None:
             raise ValueError('shares plates that are named in decoding.plates, as plates = ["+"]; there are none')
         return group

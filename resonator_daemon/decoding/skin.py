@@ -18,6 +18,11 @@ class Skin:
     gain_std: float = 0.0
     prior: Prior = DEFAULT_PRIOR
 
+    def geometry(self) -> tuple[object, ...]:
+        """Return what two skins have in common that one decoder serves."""
+        elastic = (self.half_space.youngs_modulus_pascal, self.half_space.poisson_ratio, self.depth_m)
+        return (self.site_positions_m.tobytes(), *elastic, self.gain_std, self.prior)
+
 
 @dataclass(frozen=True)
 class DecodingOptions:

@@ -19,6 +19,8 @@ log = logging.getLogger(__name__)
 
 CANNOT_DECODE = (ValueError, ArithmeticError, MemoryError)
 
+SetUp = Callable[[Skin, DecodingOptions, Floats, Callable[[str], None]], SkinDecoder]
+
 _LOGGED_MAX = 20
 _logged: set[str] = set()  # failures that were logged
 
@@ -40,15 +42,23 @@ class StreamingDecoder:
         Called with each step of a set-up, and with "" at its end.
     last_contact_id
         Number of the last contact of an earlier decoder; numbers go on from there.
+    build
+        As `set_up`, which is the default.
     """
 
     def __init__(
-        self, skin: Skin, options: DecodingOptions, progress: Callable[[str], None], last_contact_id: int = 0
+        self,
+        skin: Skin,
+        options: DecodingOptions,
+        progress: Callable[[str], None],
+        last_contact_id: int = 0,
+        build: SetUp | None = None,
     ) -> None:
         self._skin = skin
         self._options = options
         self._progress = progress
         self._last_contact_id = last_contact_id
+        self._build = build or set_up
         self._decoder: SkinDecoder | None = None
         self._map: Decoded | SurfaceReading | None = None
         self._ended: tuple[SkinEvent, ...] = ()  # contacts of a decoder that was replaced
@@ -69,7 +79,7 @@ class StreamingDecoder:
             return False
         self._progress("looking in the cache")
         try:
-            decoder = set_up(self._skin, self._options, built_for, self._progress)
+            decoder = self._build(self._skin, self._options, built_for, self._progress)
         except CANNOT_DECODE as error:
             raise UndecodableError(str(error) or repr(error)) from error
         if before is not None:

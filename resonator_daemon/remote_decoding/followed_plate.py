@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,9 +28,14 @@ from resonator_daemon.publishing.publisher import Subscription
 from resonator_daemon.publishing.topics import CONTACT_EVENT, DECODED, INFO, SIGNALS, Topic, full_topic
 from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.remote_decoding.plate import NO_SIGNALS, WAITS_AFTER_S, Publish, RemotePlate, SkinPlate, header_of
+from resonator_daemon.remote_decoding.thread_decoding import ThreadDecoding
+from resonator_daemon.sensors.surface_decoding import SurfaceClient
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 
 LOOK_S = 0.1
+
+Decoding = DecoderSupervisor[Signals] | ThreadDecoding[Signals]
+MakeDecoding = Callable[[str, SurfaceSettings, SurfaceClient[Signals]], Decoding]
 
 
 class FollowedPlate:
@@ -43,6 +48,10 @@ class FollowedPlate:
     options
     decoder_id
     publish
+    make_decoding
+        Called with the plate's name, the settings and this client; by default, decoding is by a child process.
+    latency
+        Histogram to add to; by default one of its own.
 
     Attributes
     ----------
@@ -52,7 +61,15 @@ class FollowedPlate:
         Of `decoded`.
     """
 
-    def __init__(self, config: DecoderConfig, options: DecodingOptions, decoder_id: str, publish: Publish) -> None:
+    def __init__(
+        self,
+        config: DecoderConfig,
+        options: DecodingOptions,
+        decoder_id: str,
+        publish: Publish,
+        make_decoding: MakeDecoding = DecoderSupervisor[Signals],
+        latency: LatencyHistogram | None = None,
+    ) -> None:
         if config.name is None:
             raise ValueError("the configuration names neither a plate nor a group; see DecoderConfig")
         self._plate = RemotePlate(config.name)
@@ -60,13 +77,14 @@ class FollowedPlate:
         self._options = options
         self._decoder_id = decoder_id
         self._publish = publish
-        self._decoder: DecoderSupervisor[Signals] | None = None
+        self._make_decoding = make_decoding
+        self._decoder: Decoding | None = None
         self._changed = asyncio.Event()
         self._note: Reason | None = None
         self._decoder_has_ended = False  # what it announced last is why
         self._is_set_up = False  # the decoder
         self._events = 0
-        self.latency = LatencyHistogram()
+        self.latency = latency or LatencyHistogram()
         self.topic_filter = full_topic(config.mqtt.prefix, config.name, SIGNALS.path)
 
     @property
@@ -127,7 +145,7 @@ class FollowedPlate:
             uncertainty=self._config.decoding.uncertainty,
             last_contact_id=last_contact_id,
         )
-        decoder = self._decoder = DecoderSupervisor[Signals](self._plate.name, settings, self)
+        decoder = self._decoder = self._make_decoding(self._plate.name, settings, self)
         self._note, self._decoder_has_ended, self._is_set_up = None, False, False
         running = asyncio.create_task(decoder.run(), name="decoding")
         changed = asyncio.create_task(self._changed.wait())

@@ -52,9 +52,7 @@ class SkinPlate:
     @cached_property
     def geometry(self) -> tuple[object, ...]:
         """What two skins have in common that one decoder serves."""
-        skin = self.skin
-        elastic = (skin.half_space.youngs_modulus_pascal, skin.half_space.poisson_ratio, skin.depth_m)
-        return (skin.site_positions_m.tobytes(), *elastic, skin.gain_std, skin.prior)
+        return self.skin.geometry()
 
     def is_same(self, other: "SkinPlate | None") -> bool:
         """Whether nothing that matters to decoding has changed."""

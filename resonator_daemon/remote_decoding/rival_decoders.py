@@ -1,4 +1,4 @@
-"""Other decoder processes that follow the same plate, by the states that they publish."""
+"""Other decoder processes that follow the same plates, by the states that they publish."""
 
 import json
 from typing import Final
@@ -13,7 +13,7 @@ _NAMED_MAX: Final = 4  # nobody runs more, but anyone may claim to
 
 
 class RivalDecoders:
-    """Decoders that take the same signals as this one; each state is published again within `DECODER_EXPIRY_S`.
+    """Decoders that take signals that this one takes; each state is published again within `DECODER_EXPIRY_S`.
 
     A live state adds a decoder, `offline` removes it. What the broker had retained adds none: that decoder may be
     long gone, and one that runs publishes again when it receives this one's state.
@@ -23,12 +23,12 @@ class RivalDecoders:
     decoder_id
         Of this process.
     topic_filter
-        Of its signals.
+        Of its signals; several are separated by spaces.
     """
 
     def __init__(self, decoder_id: str, topic_filter: str) -> None:
         self._decoder_id = decoder_id
-        self._topic_filter = topic_filter
+        self._topic_filters = set(topic_filter.split())
         self._seen_s: dict[str, float] = {}  # when its last state came, by id
 
     def receive(self, message: Incoming, now_s: float) -> None:
@@ -40,7 +40,7 @@ class RivalDecoders:
             return
         if not isinstance(other, str) or not other.isprintable() or not 0 < len(other) <= _ID_LENGTH_MAX:
             return
-        if state == Condition.OFFLINE or taken != self._topic_filter:
+        if state == Condition.OFFLINE or self._topic_filters.isdisjoint(str(taken).split()):
             self._seen_s.pop(other, None)
         elif other in self._seen_s or (
             other != self._decoder_id and not message.retained and len(self._seen_s) < _NAMED_MAX
@@ -53,5 +53,6 @@ class RivalDecoders:
         if not self._seen_s:
             return None
         others = ", ".join(sorted(self._seen_s))
-        text = f"decoder {others} follows this plate, too, and both publish: stop one of them"
+        what = "this plate" if len(self._topic_filters) == 1 else "some of these plates"
+        text = f"decoder {others} follows {what}, too, and both publish: stop one of them"
         return Reason(ReasonCode.SECOND_DECODER, text)

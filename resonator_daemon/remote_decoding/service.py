@@ -36,6 +36,7 @@ from resonator_daemon.publishing.topics import (
 )
 from resonator_daemon.reasons import Reason, ReasonCode, joined
 from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
+from resonator_daemon.remote_decoding.followed_plates import FollowedPlates
 from resonator_daemon.remote_decoding.rival_decoders import RivalDecoders
 from resonator_daemon.remote_decoding.shared_plates import SharedPlates
 
@@ -158,22 +159,24 @@ class DecoderProcess:
         )
 
     def _spool_directory(self) -> Path | None:
-        """Return where events of a followed plate wait; there are none where frames are shared."""
-        name, decoding = self._config.name, self._config.decoding
-        if name is None or decoding.plates:
+        """Return where events of followed plates wait, by the first; there are none where frames are shared."""
+        decoding = self._config.decoding
+        name = decoding.plates[0] if decoding.plates else self._config.name
+        if name is None or decoding.group:
             return None
         return state_directory() / "spool" / quote(self._config.mqtt.prefix, safe="") / DECODER / name
 
     def _rival_subscriptions(self) -> tuple[Subscription, ...]:
-        if self._config.decoding.plates:  # those of a group share the frames
+        if self._config.decoding.group:  # its decoders share the frames
             return ()
         states = full_topic(self._config.mqtt.prefix, DECODER, f"+/{DECODER_STATE.path}")
         # QoS 0: each state comes again, and no acknowledgement is open when this process ends.
         return (Subscription(states, 0, lambda it: self._rivals.receive(it, time.monotonic())),)
 
-    def _make_mode(self) -> FollowedPlate | SharedPlates:
+    def _make_mode(self) -> FollowedPlate | FollowedPlates | SharedPlates:
         decoding = self._config.decoding
-        mode = SharedPlates if decoding.plates else FollowedPlate
+        of_several = SharedPlates if decoding.group else FollowedPlates
+        mode = of_several if decoding.plates else FollowedPlate
         options = DecodingOptions(
             self._config.method,
             decoding.contact_physics,

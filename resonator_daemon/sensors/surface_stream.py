@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
-from resonator_daemon.decoding.streaming import StreamingDecoder
+from resonator_daemon.decoding.streaming import SetUp, StreamingDecoder
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, Topic
@@ -82,10 +82,18 @@ class SurfaceStream:
         Called with topic and message: the map first, then the events, the summary and the contacts.
     progress
         Called with each step of a set-up, and with "" at its end.
+    build
+        As of `StreamingDecoder`.
     """
 
-    def __init__(self, settings: SurfaceSettings, publish: Publish, progress: Callable[[str], None]) -> None:
-        self._decoder = StreamingDecoder(settings.skin, settings.options, progress, settings.last_contact_id)
+    def __init__(
+        self,
+        settings: SurfaceSettings,
+        publish: Publish,
+        progress: Callable[[str], None],
+        build: SetUp | None = None,
+    ) -> None:
+        self._decoder = StreamingDecoder(settings.skin, settings.options, progress, settings.last_contact_id, build)
         self._reporter = SurfaceMessages(
             settings.site_ids,
             settings.skin.site_positions_m,

@@ -82,14 +82,16 @@ async def test_a_followed_plate_is_decoded_and_its_states_and_account_are_told(
 async def test_two_that_follow_one_plate_report_each_other_until_one_has_gone(
     tmp_path: Path, broker: Mosquitto | Amqtt, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def remarks(of: str, rival: str) -> bool:
+    def remarks(of: str, rival: str, plates: str) -> bool:
         (*_, state) = heard.payloads(f"resonator/decoder/{of}/state") or [{"reason": ""}]
-        return f"decoder {rival} follows this plate, too" in state["reason"]
+        return f"decoder {rival} follows {plates}, too" in state["reason"]
 
     async with observe(broker.url) as heard, running(process(tmp_path, broker.url)):
         await heard.until_last(STATE, state="waiting", reason=NO_INFO)
-        async with running(process(tmp_path, broker.url, "host-2")):
-            await heard.until(lambda: remarks("host-1", "host-2") and remarks("host-2", "host-1"))
+        several = process(tmp_path, broker.url, "host-2", decoding='plates = ["foot", "hand"]', name=None)
+        async with running(several):
+            await heard.until(lambda: remarks("host-1", "host-2", "this plate"))
+            await heard.until(lambda: remarks("host-2", "host-1", "some of these plates"))
         await heard.until_last(STATE, state="waiting", reason=NO_INFO)
     assert sum("host-2 follows this plate" in line for line in caplog.messages) == 1
 
