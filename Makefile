@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-firmware test-browser test-schema test-dashboards coverage bench bench-cost bench-details docs docs-check figures screenshots fuzz soak dist test-dist deb test-deb pins clean
+.PHONY: help setup demo test test-firmware test-browser test-schema test-dashboards test-ros2 coverage bench bench-cost bench-details docs docs-check figures screenshots fuzz soak dist test-dist deb test-deb pins clean
 
 # A user's PATH on Debian lacks the place of mosquitto.
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
@@ -60,10 +60,11 @@ FIRMWARE := arm-none-eabi-gcc:gcc-arm-none-eabi qemu-system-arm:qemu-system-arm 
   /usr/lib/arm-none-eabi/include/stdio.h:libnewlib-arm-none-eabi
 BROWSER := chromium:chromium npm:npm
 GENERATORS := node:nodejs npm:npm go:golang-go
+FASTDDS := g++:g++ /usr/include/fastdds/dds/domain/DomainParticipant.hpp:libfastrtps-dev
 DASHBOARDS := $(BROKER) $(GENERATORS) /usr/share/gocode/src/github.com/tidwall/gjson/gjson.go:golang-github-tidwall-gjson-dev
 
 help:  ## list the targets
-	@sed -n 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile | expand -t 20
+	@sed -n 's/^\([a-z0-9-]*\):.*## /make \1\t/p' Makefile | expand -t 20
 
 setup: .venv/run-stamp  ## leave .venv/bin/resonatord, from pinned and hashed packages; PYTHON=python3.13 chooses
 
@@ -144,6 +145,17 @@ test-dashboards: .venv/test-stamp  ## the configurations of docs/how-to/dashboar
 	fi
 	cd ../..
 	.venv/bin/pytest -m dashboards tests/dashboards
+
+test-ros2: .venv/test-stamp build/fastdds_reader  ## the bridge to ROS 2, read by Debian's Fast DDS in C++, with the list of nodes of Humble and of later versions
+	$(debian-packages)
+	debian-packages $(BROKER)
+	OMP_NUM_THREADS=1 .venv/bin/pytest -m fastdds tests/bridges
+
+build/fastdds_reader: tests/bridges/fastdds_reader.cpp
+	$(debian-packages)
+	debian-packages $(FASTDDS)
+	mkdir -p build
+	g++ -std=c++17 -O1 -Wall -Wextra -Werror $< -lfastrtps -lfastcdr -o $@
 
 PICO_SDK := @xpack-3rd-party/raspberrypi-pico-sdk@2.3.0-5
 PICO_SDK_SHA512 := 082f30dac4285ddd422b075311c73d636cbc9fe0cf6a43413d940998f8b1d99e461e26cf42aaf491f26c3bd50a08c5403fa57ed1881fccef37dc3062688ff73d

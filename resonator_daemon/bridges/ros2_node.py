@@ -5,6 +5,7 @@ in the user data of a writer is optional; without it, newer versions of ROS log 
 topic `ros_discovery_info` and from the user data of the participant.
 """
 
+import os
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
@@ -32,6 +33,11 @@ DEPTH: Final = 10  # messages that a slow reader finds; older ones are replaced
 _DISCOVERY: Final = "ros_discovery_info"
 _DISCOVERY_KIND: Final = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 _GID: Final = "rmw_dds_common/msg/Gid"
+# Of a writer that is removed, Cyclone DDS sends the GUID as a payload. Fast DDS reads it from the key hash alone, and
+# without that lists the writer as long as the participant lasts.
+_KEY_HASHES: Final = (
+    "<CycloneDDS><Domain><Internal><GenerateKeyhash>true</GenerateKeyhash></Internal></Domain></CycloneDDS>"
+)
 # A writer never waits: if a reader is behind, it misses messages.
 _RELIABLE: Final = Policy.Reliability.Reliable(max_blocking_time=0)
 
@@ -72,6 +78,7 @@ class Ros2Node:
         self._store = store
         self._types = DdsTypes(store)
         self._writers: dict[str, DataWriter[Any]] = {}
+        os.environ["CYCLONEDDS_URI"] = ",".join(filter(None, (_KEY_HASHES, os.environ.get("CYCLONEDDS_URI"))))
         try:
             self._participant = DomainParticipant(domain_id, Qos(Policy.Userdata(b"enclave=/;")))
             durability = (Policy.Durability.TransientLocal, Policy.History.KeepLast(1))

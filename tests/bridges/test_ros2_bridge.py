@@ -25,6 +25,12 @@ LOOPBACK = (
     '<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers><Peer Address="127.0.0.1"/></Peers></Discovery>'
 )
 WRENCH, FORCES, CLOUD = ("rt/left_index/" + name for name in ("wrench", "forces", "decoded/cloud"))
+FASTDDS = str(Path(__file__).parents[2] / "build" / "fastdds_reader")  # of fastdds_reader.cpp, by `make test-ros2`
+READERS = [
+    pytest.param((sys.executable, str(Path(__file__).with_name("ros2_reader.py"))), id="cyclone"),
+    pytest.param((FASTDDS, "16"), id="fastdds", marks=pytest.mark.fastdds),
+    pytest.param((FASTDDS, "24"), id="fastdds-humble", marks=pytest.mark.fastdds),  # bytes of the id of a node
+]
 Line = dict[str, Any]
 OF_FORCES = example(Info, rates_hz={"forces": 200.0, "contacts": 200.0})
 ONLINE = example(State, state="online", reason="all is well")
@@ -65,15 +71,17 @@ class Bridged:
         return line
 
 
-@pytest.fixture
-async def bridged(mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Bridged]:
+@pytest.fixture(params=READERS)
+async def bridged(
+    mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> AsyncIterator[Bridged]:
     monkeypatch.setenv("CYCLONEDDS_URI", f"<CycloneDDS><Domain>{LOOPBACK}</Domain></CycloneDDS>")
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
     domain = str(2 * random.randint(1, 49) + worker % 2)  # two workers never meet
     command = ("-m", "resonator_daemon", "bridge", "ros2", "--url", mosquitto.url, "--domain-id", domain)
-    bridge = await asyncio.create_subprocess_exec(sys.executable, *command)
-    program = (sys.executable, str(Path(__file__).with_name("ros2_reader.py")), domain, "left_index")
-    reader = await asyncio.create_subprocess_exec(*program, stdout=PIPE, limit=2**24)
+    humble = ("--humble",) if "24" in request.param else ()
+    bridge = await asyncio.create_subprocess_exec(sys.executable, *command, *humble)
+    reader = await asyncio.create_subprocess_exec(*request.param, domain, "left_index", stdout=PIPE, limit=2**24)
     assert reader.stdout is not None
     yield Bridged(mosquitto, reader.stdout)
     reader.kill()
@@ -112,20 +120,22 @@ async def test_topics_types_and_values_are_those_of_ros(bridged: Bridged) -> Non
 
 async def test_a_plate_that_changes_to_a_skin_changes_its_topics(bridged: Bridged) -> None:
     await bridged.until(lambda _: FORCES in bridged.publications, info=OF_FORCES)
-    traction, grid = np.arange(18, dtype="<f4").reshape(3, 2, 3), Grid(origin_m=(0.001, 0.002), pitch_m=0.5e-3)
-    arrays = {"traction_pascal": traction, "traction_std_pascal": None, "displacement_m": None}
+    grid = Grid(origin_m=(0.001, 0.002), pitch_m=0.5e-3)
+    traction, std = np.arange(2 * 3 * 30 * 34, dtype="<f4").reshape(2, 3, 30, 34)  # 36.7 kB: many datagrams
+    arrays = {"traction_pascal": traction, "traction_std_pascal": std, "displacement_m": None}
     decoded = Decoded(**header(board_ticks=1), **arrays, grid=grid)
     sites = tuple(SiteInfo(site=n, position_m=(n * 1e-3, 0.0)) for n in range(1, 7))
     info = example(Info, rates_hz={"contacts": 100.0, "decoded": 100.0}, sites=sites)
     line = await bridged.until(lambda line: line["what"] == CLOUD, info=info, decoded=decoded)
     points = np.frombuffer(bytes(line["data"]), [(f["name"], {7: "<f4"}[f["datatype"]]) for f in line["fields"]])
-    assert (line["width"], line["height"], line["point_step"], line["is_dense"]) == (6, 1, points.itemsize, True)
+    assert (line["width"], line["height"], line["point_step"], line["is_dense"]) == (1020, 1, 36, True)
     np.testing.assert_array_equal(points["traction_z_pascal"], traction[2].ravel())
-    np.testing.assert_allclose(points["x"], np.tile([0.001, 0.0015, 0.002], 2), rtol=1e-6)
-    np.testing.assert_allclose(points["y"], np.repeat([0.002, 0.0025], 3), rtol=1e-6)
+    np.testing.assert_array_equal(points["traction_std_x_pascal"], std[0].ravel())
+    np.testing.assert_allclose(points["x"], np.tile(0.001 + 0.5e-3 * np.arange(34), 30), rtol=1e-6)
+    np.testing.assert_allclose(points["y"], np.repeat(0.002 + 0.5e-3 * np.arange(30), 34), rtol=1e-6)
     await bridged.until(lambda _: FORCES not in bridged.publications)
     key = bridged.publications[CLOUD]["key"]
-    await bridged.until(lambda _: key in [bytes(gid["data"]).hex() for gid in bridged.nodes[0]["writer_gid_seq"]])
+    await bridged.until(lambda _: key in [bytes(gid["data"][:16]).hex() for gid in bridged.nodes[0]["writer_gid_seq"]])
     (node,) = bridged.nodes
     assert (node["node_name"], node["node_namespace"]) == ("resonatord", "/")
 
@@ -135,6 +145,7 @@ async def test_without_a_broker_diagnostics_are_stale_until_it_returns(bridged: 
     line = await bridged.until(lambda line: levels(line) == [0, 0], **alive)
     assert line["status"][1]["name"] == "left_index: state/daemon"
     assert line["status"][1]["message"] == "online: all is well"
+    assert {"key": "state", "value": "online"} in line["status"][1]["values"]
     await bridged.broker.kill()
     await bridged.until(lambda line: levels(line) == [3, 3])
     await bridged.broker.start()
