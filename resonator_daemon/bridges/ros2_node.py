@@ -34,7 +34,7 @@ _DISCOVERY: Final = "ros_discovery_info"
 _DISCOVERY_KIND: Final = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 _GID: Final = "rmw_dds_common/msg/Gid"
 # Of a writer that is removed, Cyclone DDS sends the GUID as a payload. Fast DDS reads it from the key hash alone, and
-# without that lists the writer as long as the participant lasts.
+# without that continues to list the writer.
 _KEY_HASHES: Final = (
     "<CycloneDDS><Domain><Internal><GenerateKeyhash>true</GenerateKeyhash></Internal></Domain></CycloneDDS>"
 )
