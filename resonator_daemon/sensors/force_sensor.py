@@ -103,7 +103,7 @@ class ForceSensor(Sensor[ForceReading]):
         if not reading.at_step:
             return
         compensation = reading.compensation
-        output.state.update(reading.status, reading.reason, compensation.common_mode, gate_middle.utc_ns, compensation)
+        output.state.update(reading.status, reading.reason, compensation.common_mode, gate_middle, compensation)
         if output.is_late(gate_middle):
             output.skip(FORCES, CONTACTS, *(() if reading.tones is None else (TONES,)))
             return

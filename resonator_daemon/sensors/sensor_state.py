@@ -8,6 +8,7 @@ from resonator_daemon.forces.readings import Compensation
 from resonator_daemon.publishing.payloads import Condition
 from resonator_daemon.reasons import Reason, ReasonCode, joined
 from resonator_daemon.sensors.usual_reasons import COMMON_MODE_PENDING, NO_TONE
+from resonator_daemon.session.clock import Instant
 
 _LASTS_NS = 250_000_000  # a touch changes the captured tone and has no reading for one window
 
@@ -39,7 +40,7 @@ class SensorState:
         self._drift = DriftWatch()
         self._current: tuple[Condition, Reason] | None = None
         self._candidate: tuple[Condition, Reason] | None = None
-        self._candidate_since_ns = self._since_utc_ns = self._last_utc_ns = 0
+        self._candidate_since_ns = self._candidate_since_utc_ns = self._since_utc_ns = self._last_utc_ns = 0
         self._compensation: Compensation | None = None
         self._repeat_at_ns = 0
 
@@ -76,14 +77,15 @@ class SensorState:
         status: str,
         reason: Reason | None,
         common_mode: Sequence[float],
-        utc_ns: int,
+        at: Instant,
         compensation: Compensation | None = None,
     ) -> None:
         """Update with one reading's status and baseline; a first condition is announced at once."""
+        utc_ns, now_ns = at.utc_ns, at.boottime_ns  # durations do not depend on the wall clock
         self._compensation, self._last_utc_ns = compensation, utc_ns
         plate_kelvin = compensation.plate_kelvin if compensation is not None else math.nan
         known = not all(map(math.isnan, common_mode))
-        drift = self._drift.update(common_mode, plate_kelvin, utc_ns * 1e-9)
+        drift = self._drift.update(common_mode, plate_kelvin, now_ns * 1e-9)
         if (condition := _CONDITIONS.get(status)) is not None:
             seen = condition, reason or NO_TONE
         elif drift is not None:
@@ -95,15 +97,16 @@ class SensorState:
             self._candidate = None
             if seen == self._best:
                 self._become(seen, self._since_utc_ns)
-            if compensation is not None and utc_ns >= self._repeat_at_ns:
-                self._repeat_at_ns = utc_ns + _REPEAT_NS
+            if compensation is not None and now_ns >= self._repeat_at_ns:
+                self._repeat_at_ns = now_ns + _REPEAT_NS
                 self._announce(*self._current, self._since_utc_ns, compensation)
             return
         if self._candidate is None or self._candidate[0] != condition:
-            self._candidate, self._candidate_since_ns = seen, utc_ns
+            self._candidate, self._candidate_since_ns = seen, now_ns
+            self._candidate_since_utc_ns = utc_ns
         waited = self._current is None or self._current[0] in (Condition.WAITING, Condition.STARTING)
-        if waited or utc_ns - self._candidate_since_ns >= _LASTS_NS:
-            self._become(seen, self._candidate_since_ns)
+        if waited or now_ns - self._candidate_since_ns >= _LASTS_NS:
+            self._become(seen, self._candidate_since_utc_ns)
 
     def _become(self, state: tuple[Condition, Reason], since_utc_ns: int) -> None:
         if state != self._current:

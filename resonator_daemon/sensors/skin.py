@@ -139,7 +139,7 @@ class SkinSensor(Sensor[SkinReading]):
     def publish(self, reading: SkinReading, gate_middle: Instant) -> None:
         output = self._output
         decoding = self._decoding if reading.status == "ok" else None
-        output.state.update(reading.status, reading.reason, (reading.common_mode,), gate_middle.utc_ns)
+        output.state.update(reading.status, reading.reason, (reading.common_mode,), gate_middle)
         if output.is_late(gate_middle):
             output.skip(SIGNALS)
             if decoding is not None:

@@ -5,10 +5,11 @@ from typing import get_args
 
 import pytest
 
-from resonator_daemon.forces.readings import SensorStatus
+from resonator_daemon.forces.readings import Compensation, SensorStatus
 from resonator_daemon.publishing.payloads import Condition
 from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.sensors.sensor_state import SensorState
+from resonator_daemon.session.clock import Instant
 
 T0_NS = 1_789_000_000_000_000_123
 MS = 1_000_000
@@ -17,6 +18,11 @@ LEARNT, UNLEARNT = (0.0, 1e-6, -2e-6, 0.0), (math.nan,) * 4
 
 def stated(text: str) -> Reason | None:
     return Reason(ReasonCode.CHANNELS_SILENT, text) if text else None
+
+
+def instant(at_ms: float, set_ms: float) -> Instant:
+    """Return a moment by a wall clock that was set by so much."""
+    return Instant(T0_NS + round((at_ms + set_ms) * MS), 0, 0, boottime_ns=round(at_ms * MS))
 
 
 class Sensor:
@@ -32,11 +38,11 @@ class Sensor:
         self.said.append((condition, reason.text, since_ns))
 
     def read(
-        self, at_ms: float, status: str, reason: str = "", common_mode: tuple[float, ...] = LEARNT
+        self, at_ms: float, status: str, reason: str = "", common_mode: tuple[float, ...] = LEARNT, set_ms: float = 0
     ) -> list[Condition]:
         """Feed one reading; return the conditions that were announced for it."""
         before = len(self.said)
-        self.state.update(status, stated(reason), common_mode, T0_NS + round(at_ms * MS))
+        self.state.update(status, stated(reason), common_mode, instant(at_ms, set_ms))
         return [condition for condition, _, _ in self.said[before:]]
 
 
@@ -190,3 +196,15 @@ def test_a_baseline_that_runs_away_is_drifting_and_its_readings_go_on() -> None:
     assert condition is Condition.DRIFTING
     assert "ppm" in reason
     assert 5000 * MS <= since_ns - T0_NS <= 6000 * MS
+
+
+def test_durations_do_not_depend_on_the_wall_clock() -> None:
+    repeats: list[Compensation | None] = []
+    state = SensorState(lambda *announced: repeats.append(announced[3]), "sites are read")
+    compensation = Compensation(LEARNT, 1e-8, "followed", math.nan, math.nan, "off")
+    for second, set_ms in enumerate((0, 0, -3_600_000, -3_600_000)):
+        state.update("ok", None, LEARNT, instant(1000 * second, set_ms), compensation)
+    assert repeats == [compensation] * 4
+    sensor = online()
+    sensor.read(10, "pilot_lost")
+    assert sensor.read(270, "pilot_lost", set_ms=-3_600_000) == [Condition.STALLED]
