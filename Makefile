@@ -268,12 +268,12 @@ fuzz: .venv/run-stamp  ## ten million inputs through each parser of the wire, in
 
 MINUTES ?= 60
 
-soak: .venv/test-stamp  ## MINUTES=60 of faults; brokers frozen, dead, slow; kills and restores; hang-ups; damaged frames; long tests
+soak: .venv/test-stamp  ## MINUTES=60 of faults; a simulated year; brokers frozen, dead, slow; kills and restores; hang-ups; damaged frames; long tests
 	$(debian-packages)
 	debian-packages $(BROKER)
 	printf '\n== long_run\n'
 	.venv/bin/python benchmarks/long_run.py --minutes $(MINUTES)
-	for benchmark in endurance event_delivery power_failure wire_accounts; do
+	for benchmark in year endurance event_delivery power_failure wire_accounts; do
 	  printf '\n== %s\n' "$$benchmark"
 	  .venv/bin/python benchmarks/$$benchmark.py
 	done

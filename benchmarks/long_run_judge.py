@@ -154,7 +154,7 @@ def account_off(health: Mapping[str, Any]) -> list[str]:
         + messages["waiting"]
     )
     if messages["enqueued"] != came_to:
-        off.append(f"messages enqueued {messages['made']}, accounted for {came_to}")
+        off.append(f"messages enqueued {messages['enqueued']}, accounted for {came_to}")
     return off
 
 

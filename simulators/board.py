@@ -177,6 +177,25 @@ class Board:
             made.append(self._close_gate(run, end))
         return made
 
+    def skip_gates(self, now_ticks: int, *, dropped: bool) -> int:
+        """Close all gates until now without making their frames; return how many.
+
+        The board reports them as `dropped`; otherwise they count as sent, and never arrive.
+        """
+        self._now_ticks = now_ticks
+        run, end_ticks = self._run, self.next_frame_ticks
+        if run is None or end_ticks is None or end_ticks > now_ticks:
+            return 0
+        gates = (now_ticks - end_ticks) // run.gate_ticks + 1
+        run.frames_packed += max(0, gates - len(run.ahead))
+        for _ in range(min(gates, len(run.ahead))):
+            run.ahead.popleft()
+        if not dropped:
+            run.frames_taken += gates
+        self.frames_made += gates
+        self.next_frame_ticks = end_ticks + gates * run.gate_ticks
+        return gates
+
     def count_ahead(self) -> None:
         """Count and pack the next frames ahead, so that they are ready when their gates close."""
         run, end_ticks = self._run, self.next_frame_ticks

@@ -1,0 +1,16 @@
+"""Some days of the simulated year: each criterion holds, and a broken account is found."""
+
+import asyncio
+from pathlib import Path
+
+from simulated_year import simulate
+from year import judge
+
+
+def test_days_of_a_daemon_balance_whatever_the_clock_and_the_link_do(tmp_path: Path) -> None:
+    year = asyncio.run(simulate(2, 3, tmp_path))
+    assert [row for row in judge(year) if not row.good] == []
+    assert year.done["daemon restart"] == 2
+    year.seen.events.popitem()
+    year.seen.unbalanced.append("a frame too many")
+    assert [row.what.partition(" ")[0] for row in judge(year) if not row.good] == ["frames,", "events"]
