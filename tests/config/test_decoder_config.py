@@ -33,11 +33,6 @@ def test_what_only_the_daemon_needs_is_passed_over_whatever_it_says(tmp_path: Pa
     assert loaded(tmp_path, text).name == "left"
 
 
-def test_plates_without_a_group_are_followed(tmp_path: Path) -> None:
-    decoding = loaded(tmp_path, '[decoding]\nplates = ["a", "b"]\n').decoding
-    assert (decoding.plates, decoding.group) == (("a", "b"), None)
-
-
 def test_a_file_of_two_tables_will_do_for_a_group(tmp_path: Path) -> None:
     text = '[mqtt]\nurl = "mqtt://10.0.0.1"\n[decoding]\nplates = ["a", "b"]\ngroup = "touch"\ndisplacement = false\n'
     config = loaded(tmp_path, text)
