@@ -74,7 +74,7 @@ class Substitute:
     def decode_alone(self, signals: Floats, _noise_std: Floats) -> SurfaceReading:
         assert self.released.acquire(timeout=20)
         if signals[0, 0] == 7.0:
-            raise ZeroDivisionError("seven")
+            raise ZeroDivisionError("shared")
         return SurfaceReading(self.name, Decoded(signals, signals, None, False, 0.0, 1.0, "ok", ""))
 
     def decode_untouched(self, signals: Floats, noise_std: Floats) -> list[SurfaceReading | None]:
@@ -165,7 +165,7 @@ async def test_a_frame_that_fails_is_flagged_and_the_next_one_is_decoded(substit
         failed = await stage.read("a", marked(7.0))
         after = await stage.read("a", marked(1.0))
     assert (failed.decoded.status, after.decoded.status) == ("rejected", "ok")
-    assert "ZeroDivisionError('seven')" in failed.decoded.reason
+    assert "ZeroDivisionError('shared')" in failed.decoded.reason
 
 
 async def test_a_skin_that_cannot_be_decoded_is_refused_and_the_others_go_on() -> None:
