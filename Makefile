@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-firmware test-browser test-schema test-dashboards test-ros2 coverage bench bench-cost bench-details docs docs-check figures screenshots fuzz soak dist test-dist deb test-deb pins clean
+.PHONY: help setup demo test test-firmware test-browser test-schema test-dashboards test-ros2 coverage bench bench-cost bench-details docs docs-check figures screenshots fuzz soak dist test-dist deb test-deb test-arm64 pins clean
 
 # A user's PATH on Debian lacks the place of mosquitto.
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
@@ -234,6 +234,12 @@ test-deb: deb build/debian  ## lintian; the package installed, upgraded, rolled 
 	debian-packages lintian:lintian systemd-nspawn:systemd-container
 	lintian --fail-on error,warning --tag-display-limit 0 dist/resonatord_*_$(ARCH).deb
 	tests/distribution/test_deb.sh dist/resonatord_*_$(ARCH).deb
+
+test-arm64: .venv/run-stamp  ## wheels for each Python and processor; set-up, a demo and a tenth of the tests on an emulated arm64
+	$(debian-packages)
+	debian-packages debootstrap:debootstrap qemu-aarch64-static:qemu-user-static
+	.venv/bin/python -m pip install --quiet --require-hashes -r .ci/requirements/pins.txt
+	tests/distribution/arm64.sh
 
 # Debian 12 as an installation has it, from the archive that this computer's apt uses.
 DEBIAN_ROOT := systemd,systemd-sysv,dbus,udev,python3,libusb-1.0-0,mosquitto,mosquitto-clients,procps
