@@ -155,6 +155,8 @@ class Service:
         self._fatal: UserError | None = None
         self._started_utc_ns = time.time_ns()
         self._reason: Reason | None = None  # of state/daemon
+        socket = runtime_directory(self._file_stem) / SOCKET_NAME
+        self._status_server = StatusServer(socket, self._config_path, self._status)
 
     async def run(self) -> None:
         """Run until `stop`; raises UserError."""
@@ -164,10 +166,11 @@ class Service:
         try:
             async with self._tasks:
                 helpers = {name: self._tasks.create_task(work, name=name) for name, work in self._helpers().items()}
-                self._publish_measuring()
-                if self._config.name is not None:
-                    await self._keep_recording(self._begin_publishing(self._config.name))  # from the first byte on
-                self._reader.start()
+                if await self._may_begin():
+                    self._publish_measuring()
+                    if self._config.name is not None:
+                        await self._keep_recording(self._begin_publishing(self._config.name))  # from the first byte on
+                    self._reader.start()
                 await self._over
                 self._manager.stopping()
                 for helper in helpers.values():
@@ -368,17 +371,24 @@ class Service:
 
     def _helpers(self) -> dict[str, Coroutine[Any, Any, None]]:
         """Return what runs concurrently with the reading of the board, by name, until cancelled."""
-        socket = runtime_directory(self._file_stem) / SOCKET_NAME
         helpers = {
             "health": self._keep_reporting(),
             "decoding": self._pipeline.sensor.run(),
             "watchdog": self._keep_watch(),
             "reloading": self._keep_reloading(),
-            "status": self._answer_status(StatusServer(socket, self._config_path, self._status)),
+            "status": self._answer_status(self._status_server),
         }
         if (listen := self._config.metrics.listen) is not None:
             helpers["metrics"] = MetricsServer(listen, self._status).run()
         return helpers
+
+    async def _may_begin(self) -> bool:
+        """Wait until no other daemon runs with this configuration file; return False if this one is to end before."""
+        waiting: asyncio.Future[bool] = asyncio.create_task(self._status_server.may_begin.wait())
+        either: list[asyncio.Future[Any]] = [waiting, self._over]
+        await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
+        waiting.cancel()
+        return not self._over.done()
 
     async def _answer_status(self, server: StatusServer) -> None:
         try:

@@ -63,6 +63,11 @@ class StatusServer:
     make
         Makes the answer; called on the event loop's thread, at most ten times a second.
     times
+
+    Attributes
+    ----------
+    may_begin
+        Set once no other daemon holds the lock with the same configuration file, or the lock cannot be used.
     """
 
     def __init__(self, path: Path, config: Path, make: Callable[[], Status], times: StatusTimes | None = None) -> None:
@@ -73,6 +78,7 @@ class StatusServer:
         self._made = b""
         self._made_s = -_FRESH_S
         self._problem: str | None = None
+        self.may_begin = asyncio.Event()
 
     async def run(self) -> None:
         """Answer until cancelled.
@@ -88,6 +94,7 @@ class StatusServer:
             try:
                 with self._listening() as listening:
                     listened = True
+                    self.may_begin.set()
                     await self._serve(listening)
                 log.warning("%s or its lock was removed or replaced: made again", self._path)
             except OSError as error:
@@ -97,6 +104,7 @@ class StatusServer:
                     self._log_change(f"{error}; waiting up to {self._times.overlap_s:g} s for its end")
                     await asyncio.sleep(min(self._times.retry_s, max(until_s - loop.time(), 0.0)))
                     continue
+                self.may_begin.set()
                 self._log_change(f"`resonatord status` does not see this daemon: {reason_of(error)}")
                 await asyncio.sleep(self._times.retry_s)
 

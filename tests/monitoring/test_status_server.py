@@ -82,8 +82,10 @@ async def test_a_living_daemons_socket_is_not_taken_and_becomes_free_when_it_end
                 assert f"process {other.pid}" in caplog.text
                 assert remedy in caplog.text
                 if config == str(CONFIG):
+                    late = StatusServer(path, CONFIG, status_samples.status, StatusTimes(overlap_s=0.01))
                     with pytest.raises(AlreadyRunningError, match=f"process {other.pid} runs with this configuration"):
-                        await StatusServer(path, CONFIG, status_samples.status, StatusTimes(overlap_s=0.01)).run()
+                        await late.run()
+                    assert not late.may_begin.is_set()
                 other.kill()
                 await until(lambda: other.poll() is not None)
                 await until(lambda: listens(path))
