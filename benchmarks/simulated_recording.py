@@ -89,6 +89,7 @@ def record(
         machine.apply(wire.Closed(now(round(seconds * 1e9))))
     writer.finish()
     writer.sync()
+    writer.close()
 
 
 class _Settings:
