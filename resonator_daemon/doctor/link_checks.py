@@ -11,7 +11,7 @@ from resonator_daemon.host.documentation import page
 from resonator_daemon.plate import Plate
 from resonator_daemon.reasons import ReasonCode
 from resonator_daemon.session.clock import TOLERANCE_PPM
-from resonator_daemon.session.compatibility import incompatibilities
+from resonator_daemon.session.compatibility import first_of, incompatibilities
 from resonator_daemon.session.link_reasons import all_of
 from resonator_daemon.session.probe import ProbeResult, round_trip_s
 
@@ -178,7 +178,7 @@ def _all_frames(capture: Capture) -> int:
 def _fits(probed: ProbeResult, plate: Plate) -> Finding:
     problems = incompatibilities(probed.described.description, plate)
     if problems:
-        return FITS.fault(all_of(problems).text, "connect the right board, or name the right plate file")
+        return FITS.fault(first_of(problems).text, "connect the right board, or name the right plate file")
     return FITS.ok(f"the board measures what plate {plate.name} needs")
 
 

@@ -224,6 +224,6 @@ def _reasons(event: wire.Lost | wire.Refused) -> tuple[Reason, ...]:
 
 
 def _same_codes(recorded: tuple[Reason, ...], present: tuple[Reason, ...]) -> bool:
-    """Return whether the codes are the same; sentences may change, and old recordings have no codes."""
+    """Return whether the first codes are the same: old recordings have no codes, or those of further differences."""
     codes = [reason.code for reason in recorded]
-    return ReasonCode.UNSPECIFIED in codes or codes == [reason.code for reason in present]
+    return ReasonCode.UNSPECIFIED in codes or codes[:1] == [reason.code for reason in present]

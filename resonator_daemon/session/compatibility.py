@@ -1,5 +1,6 @@
 """Compatibility of a board with a plate: its description against the plate file."""
 
+from collections.abc import Sequence
 from dataclasses import fields
 
 import numpy as np
@@ -11,7 +12,6 @@ from firmware_protocol.messages import CounterKind, Description
 from resonator_daemon.plate import Plate
 from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.session.frames import BoardRefused
-from resonator_daemon.session.link_reasons import all_of
 
 _REFERENCE_TOLERANCE = 1e-6  # nominal against nominal: both are written down, not measured
 _GATE_TICKS_LIMIT = 1 << 32  # times within a record have 32 bits
@@ -22,9 +22,9 @@ _OFFSET_LIMIT_HZ = 32_767.0  # offset_hz16 reaches no further
 class BoardRefusedError(Exception):
     """The board can never serve this plate, or uses another protocol."""
 
-    def __init__(self, *problems: Reason, other_protocol: bool = False) -> None:
-        super().__init__(all_of(problems).text)
-        self.refused = BoardRefused(problems, other_protocol)
+    def __init__(self, problem: Reason, *, other_protocol: bool = False) -> None:
+        super().__init__(problem.text)
+        self.refused = BoardRefused((problem,), other_protocol)
 
 
 def gate_ticks(plate: Plate) -> int:
@@ -60,6 +60,9 @@ def incompatibilities(description: Description, plate: Plate) -> tuple[Reason, .
         for what, board, expected in pairs
         if board != expected
     ]
+    if description.plate != plate.name:
+        remedy = f'set plate = "{description.plate}", or connect a board of {plate.name}'
+        found[0] = Reason(found[0].code, f"{found[0].text}; {remedy}")
     if description.gate_ticks_min > description.gate_ticks_max:
         low, high = description.gate_ticks_min, description.gate_ticks_max
         words = f"gate: the board describes at least {low} and at most {high} ticks, which no gate can be"
@@ -95,6 +98,14 @@ def incompatibilities(description: Description, plate: Plate) -> tuple[Reason, .
     return ()
 
 
+def first_of(problems: Sequence[Reason]) -> Reason:
+    """Return the first problem, with the number of the others."""
+    code, text = problems[0]
+    others = len(problems) - 1
+    counted = f" ({others} other difference{'s' if others > 1 else ''})" if others else ""
+    return Reason(code, text + counted)
+
+
 def identity_changes(board: Described, known: Described) -> tuple[Reason, ...]:
     """Return a problem for each difference from the board that was here before; empty when it is the same."""
     if board.identity.serial_number != known.identity.serial_number:
@@ -111,8 +122,7 @@ def identity_changes(board: Described, known: Described) -> tuple[Reason, ...]:
     return tuple(
         Reason(
             ReasonCode.ANOTHER_BOARD,
-            f"{name}: the board reports {present}, before it reported {past}; repair its firmware, or restart the "
-            "daemon",
+            f"{name}: the board reports {present}, before it reported {past}; restart the daemon to use it as it is",
         )
         for name, present, past in pairs
         if present != past

@@ -27,6 +27,7 @@ from resonator_daemon.session.board_log import RESET_CAUSES, BoardLogFilter
 from resonator_daemon.session.clock import BoardClock, Exchange, Instant
 from resonator_daemon.session.compatibility import (
     BoardRefusedError,
+    first_of,
     gate_ticks,
     identity_changes,
     incompatibilities,
@@ -362,12 +363,13 @@ class Connection:
 
     def _describe(self, event: Described) -> None:
         problems = incompatibilities(event.description, self._plate)
-        if self._known is not None:
-            problems += identity_changes(event, self._known)
-        elif (unit := self._plate.calibration.unit) and unit != event.identity.serial_number:
-            problems += (wrong_unit(event.identity.serial_number, unit),)
         if problems:
-            raise BoardRefusedError(*problems)
+            raise BoardRefusedError(first_of(problems))
+        if self._known is not None and (changes := identity_changes(event, self._known)):
+            raise BoardRefusedError(first_of(changes))
+        unit = self._plate.calibration.unit
+        if self._known is None and unit and unit != event.identity.serial_number:
+            raise BoardRefusedError(wrong_unit(event.identity.serial_number, unit))
         identity = event.identity
         before = self.described or self._known
         if before is not None and before.boot_id != event.boot_id:

@@ -45,6 +45,7 @@ def test_another_board_on_the_link_is_refused_with_both_named() -> None:
         ({"product": "a scale"}, {}, "product: the board reports a scale, before it reported test board"),
         ({}, {"reference_millihertz": 10**12 + 1}, "reference_millihertz: the board reports 1000000000001, before"),
         ({}, {"gate_ticks_max": 2_000_000}, "gate_ticks_max: the board reports 2000000, before it reported 1000000000"),
+        ({}, {"plate": "x", "channels": 3}, r'set plate = "x", or connect a board of quartz16 \(1 other difference\)$'),
     ],
 )  # fmt: skip
 def test_a_board_that_describes_itself_otherwise_than_before_is_refused(
