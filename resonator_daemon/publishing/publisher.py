@@ -132,6 +132,7 @@ class Publisher:
         self._times = times or ConnectionTimes()
         self._identifier = identifier
         self._make_will = make_will
+        self._will = b""  # of the latest attempt
         self._subscriptions = subscriptions
         self._on_connected = on_connected
         self._on_denied = on_denied
@@ -337,6 +338,7 @@ class Publisher:
 
     def _make_connection(self, version: MQTTProtocolVersion) -> BrokerConnection:
         will = self._make_will()
+        self._will = will.payload
         if self._attempt is not None:
             self._limits = self._limits.within(self._attempt.limits)
         properties = None
@@ -365,6 +367,7 @@ class Publisher:
         self._client = client
         self._limits = client.limits
         self._connections += 1
+        self._retained.connected(self._will)
         self._outbox.connected(client, at_once=at_once)
         for subscription in self._subscriptions:
             client.subscribe(

@@ -51,7 +51,8 @@ class RetainedTopics:
         self._never_retained = never_retained
         self._loop = asyncio.get_running_loop()
         self._own: defaultdict[str, deque[bytes]] = defaultdict(partial(deque, maxlen=_OWN_MAX))
-        self._affected: set[str] = set()
+        self._wills: deque[bytes] = deque(maxlen=_OWN_MAX)
+        self._affected: dict[str, bool] = {}  # whether another client was the cause
         self._unlogged: set[str] = set()
         self._timer: asyncio.TimerHandle | None = None
         self._log_timer: asyncio.TimerHandle | None = None
@@ -62,6 +63,10 @@ class RetainedTopics:
         """Set the last message of a topic; it comes back from a broker to which the topic is subscribed."""
         self._own[topic].append(payload)
 
+    def connected(self, will: bytes) -> None:
+        """Set the last will of a connection; a broker that ends publishes it to that connection, too."""
+        self._wills.append(will)
+
     def receive(self, message: Incoming) -> None:
         """Handle a message of any sender; on a retained topic, one that the broker had retained is older than ours."""
         if self._is_never_retained(message.topic):
@@ -69,7 +74,8 @@ class RetainedTopics:
                 return
         elif message.retained or message.topic not in self._own or message.payload in self._own[message.topic]:
             return
-        self._affected.add(message.topic)
+        is_other = message.payload not in self._wills
+        self._affected[message.topic] = is_other or self._affected.get(message.topic, False)
         if self._timer is None:
             self._timer = self._loop.call_at(max(self._next_s, self._loop.time()), self._repair)
 
@@ -82,13 +88,14 @@ class RetainedTopics:
             self._log()
 
     def _repair(self) -> None:
-        topics, self._affected, self._timer = self._affected, set(), None
+        affected, self._affected, self._timer = self._affected, {}, None
         if self._conflict():
             return
         now_s = self._loop.time()
         self._next_s = now_s + RESTORE_EVERY_S
-        self._unlogged |= topics
-        if self._log_timer is None:
+        topics = set(affected)
+        self._unlogged.update(topic for topic, is_other in affected.items() if is_other)
+        if self._log_timer is None and self._unlogged:
             self._log_timer = self._loop.call_at(max(self._next_log_s, now_s + FIRST_LOG_S), self._log)
         cleared = set(filter(self._is_never_retained, topics))
         self._republish(topics - cleared)

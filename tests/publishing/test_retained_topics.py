@@ -6,7 +6,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import aiomqtt
-from mqtt_helpers import LEFT, Messages, happen, heard_events, publishing, until
+from mqtt_helpers import LEFT, Messages, happen, heard_events, make_will, publishing, until
 from observer import observe
 from paho.mqtt.enums import MQTTProtocolVersion
 
@@ -16,7 +16,7 @@ from resonator_daemon.publishing.publisher import Subscription
 
 ONLINE = Messages.state("online", "all is well")
 FORCES, HEALTH = f"{LEFT}/forces", f"{LEFT}/health"
-LINK, SENSOR, SCHEMA = f"{LEFT}/state/link", f"{LEFT}/state/sensor", f"{LEFT}/schema"
+LINK, SENSOR, SCHEMA, DAEMON = (f"{LEFT}/{path}" for path in ("state/link", "state/sensor", "schema", "state/daemon"))
 
 
 def client(url: str, version: MQTTProtocolVersion = MQTTProtocolVersion.MQTTv311) -> aiomqtt.Client:
@@ -61,7 +61,8 @@ async def test_what_is_retained_on_topics_of_further_rates_is_cleared_at_first(m
 
 async def test_retained_topics_that_another_overwrites_or_clears_are_restored(mosquitto, caplog) -> None:
     async with publishing(mosquitto.url) as left, client(mosquitto.url) as other:
-        left.publish(LEFT, topics.STATE_LINK, ONLINE)
+        for topic in (topics.STATE_LINK, topics.STATE_DAEMON):
+            left.publish(LEFT, topic, ONLINE)
         left.retain(SCHEMA, b"{}", "application/json")
         await until(lambda: left.connected)
         left.publish(LEFT, topics.STATE_SENSOR, ONLINE)  # after the connection
@@ -69,15 +70,15 @@ async def test_retained_topics_that_another_overwrites_or_clears_are_restored(mo
         before = left.account.republished
         await other.publish(LINK, b"junk", qos=1, retain=True)
         await other.publish(SENSOR, b"", qos=1, retain=True)
+        await other.publish(DAEMON, make_will().payload, qos=1, retain=True)  # as a broker that ends
         await other.publish(SCHEMA, b"", qos=1, retain=True)
-        await until(lambda: left.account.republished == before + 3 and left.account.waiting == 0)
+        await until(lambda: left.account.republished == before + 4 and left.account.waiting == 0)
         async with observe(mosquitto.url, f"{LEFT}/#") as late:
-            for topic in (LINK, SENSOR):
+            for topic in (LINK, SENSOR, DAEMON):
                 await late.until_last(topic, state="online")
             assert await late.until_count(SCHEMA, 1) == [b"{}"]
     (line,) = [record.getMessage() for record in caplog.records if LINK in record.getMessage()]
-    assert SENSOR in line
-    assert SCHEMA in line
+    assert (SENSOR in line, SCHEMA in line, DAEMON in line) == (True, True, False)
 
 
 async def test_a_flood_on_a_retained_topic_draws_a_message_a_second(mosquitto, caplog) -> None:
