@@ -36,7 +36,7 @@ class Player:
         self._outgoing = outgoing
         self._watches = watches
         self._t_ns = 0
-        self._sent_ns = -1  # what came until then is sent
+        self._sent = dict.fromkeys(recorded.tracks, 0)  # by path: messages before the next one to send
         self._playing = True
         self._speed = 1.0
         self._jumped = True  # to where nothing was sent
@@ -80,10 +80,8 @@ class Player:
         if self._jumped and (self._t_ns <= there_ns or self.recorded.complete):
             self._jumped = False
             self._send_newest()
-            self._sent_ns = self._t_ns
-        elif not self._jumped and self._t_ns > self._sent_ns:
+        elif not self._jumped:
             self._send_passed()
-            self._sent_ns = self._t_ns
 
     def report(self, now_s: float) -> None:
         """Send the position, if it has changed, a few times a second."""
@@ -99,14 +97,15 @@ class Player:
     def _send_newest(self) -> None:
         """Send the newest message of each topic but events."""
         for path, track in self.recorded.tracks.items():
-            last = track.up_to(self._t_ns) - 1
-            if last >= 0 and (TOPICS[path].retained or TOPICS[path].qos == 0):
-                self._send(path, last)
+            end = self._sent[path] = track.up_to(self._t_ns)
+            if end > 0 and (TOPICS[path].retained or TOPICS[path].qos == 0):
+                self._send(path, end - 1)
 
     def _send_passed(self) -> None:
         """Send what came since the last turn; of each stream the newest."""
         for path, track in self.recorded.tracks.items():
-            first, end = track.up_to(self._sent_ns), track.up_to(self._t_ns)
+            first, end = self._sent[path], track.up_to(self._t_ns)
+            self._sent[path] = end
             for number in range(first if TOPICS[path].qos else max(first, end - 1), end):
                 self._send(path, number)
 

@@ -8,6 +8,9 @@ from pathlib import Path
 from page_client import browser, served
 
 from resonator_daemon.live_page.hub import Sources
+from resonator_daemon.live_page.outgoing import Outgoing
+from resonator_daemon.live_page.player import Player
+from resonator_daemon.live_page.recorded import Recorded
 from resonator_daemon.recording.reader import open_recording
 
 CORPUS = Path(__file__).parents[1] / "corpus"
@@ -22,8 +25,7 @@ def duration_s(path: Path) -> float:
 
 def expected_events(path: Path) -> list[str]:
     """Return the kinds of events that the replay of a case gives."""
-    lines = gzip.decompress(path.with_name("expected.jsonl.gz").read_bytes()).splitlines()
-    messages = [json.loads(line) for line in lines]
+    messages = map(json.loads, gzip.decompress(path.with_name("expected.jsonl.gz").read_bytes()).splitlines())
     return [it["payload"]["event"] for it in messages if it.get("topic") == "contacts/event"]
 
 
@@ -44,10 +46,8 @@ async def test_two_recordings_play_and_the_one_that_is_cut_off_reports_it() -> N
         paused = await tab.key("position", lambda it: it["source"] == "a" and it["t_s"] == 0.0)
         assert (paused["playing"], paused["ended"], paused["speed"]) == (False, False, 20.0)
         await tab.ask({"id": 3, "play": {"source": "a", "playing": True}})
-        kinds = []
-        for _ in expected_events(WHOLE):
-            kinds.append(json.loads(await tab.frame(f"{address}/contacts/event"))["event"])
-        assert kinds == expected_events(WHOLE)
+        for kind in expected_events(WHOLE):
+            assert json.loads(await tab.frame(f"{address}/contacts/event"))["event"] == kind
         end = await tab.key("position", lambda it: it["source"] == "a" and it["ended"])
         assert (end["playing"], end["truncated"]) == (False, None)
         await tab.ask({"id": 4, "seek": {"source": "a", "t_s": 1e9}})  # beyond the end: at the end
@@ -82,3 +82,14 @@ async def test_recordings_of_a_directory_are_opened_compared_and_closed(tmp_path
         assert "no recording" in failed["failure"]
         assert str(tmp_path) not in failed["failure"]
         assert await other.refusal({"play": {"source": "a", "playing": True}}) == "unknown_source"
+
+
+def test_messages_of_the_first_moment_are_sent_once_they_are_decoded() -> None:
+    recorded, outgoing = Recorded(WHOLE, lambda: None), Outgoing()
+    player = Player("a", recorded, outgoing, lambda *_: True)
+    for path in ("state/link", "info"):  # none is decoded at the first turn; the second has the time of the first
+        player.advance(0)
+        recorded.tracks[path].times_ns.append(0)
+        recorded.tracks[path].places.append((0, 0))
+    player.advance(0)
+    assert [outgoing.pop() for _ in range(3)] == [b"\x0da//state/link", b"\x07a//info", None]

@@ -34,7 +34,7 @@ async def colour(page: Page, selector: str, x: float, y: float) -> np.ndarray:
 async def drawn(page: Page) -> None:
     """Wait until the newest frame is drawn, and its text."""
     await page.evaluate(
-        "new Promise((done) => setTimeout(() => requestAnimationFrame(() => requestAnimationFrame(done)), 150))"
+        "new Promise((ok) => setTimeout(() => requestAnimationFrame(() => requestAnimationFrame(ok)), 150))"
     )
 
 
@@ -276,14 +276,7 @@ async def test_recordings_of_the_directory_are_opened_compared_and_closed(fake: 
     fake.hello |= {"sources": [], "directory": "recordings"}
     page = await open_page()
     await page.get_by_role("button", name="Open one.mcap").click()
-    source = {
-        "source": "a",
-        "file": "one.mcap",
-        "duration_s": None,
-        "marks": [],
-        "failure": "it is empty",
-        "opening": 1,
-    }
+    source = {"source": "a", "file": "one.mcap", "duration_s": None, "failure": "it is empty", "opening": 1}
     await fake.tell(hello=fake.hello | {"sources": [source]})
     await expect(page.locator(".failure")).to_contain_text("it is empty")
     await expect(page.locator(".recording-panel input[type=range]")).to_be_hidden()
