@@ -160,6 +160,14 @@ class _Parser(argparse.ArgumentParser):
             for option in options:  # first: argparse would take the value of an unknown option for an argument
                 self._check_option(option.partition("=")[0])
         namespace, unknown = super().parse_known_args(args, namespace)
+        for last in self._get_positional_actions()[-1:]:
+            if unknown and last.nargs == "*" and not any(word.startswith("-") for word in unknown):
+                try:  # argparse takes none of them after an option
+                    late = self._get_values(last, unknown)
+                except argparse.ArgumentError as error:
+                    self.error(str(error))
+                setattr(namespace, last.dest, [*getattr(namespace, last.dest), *late])
+                unknown = []
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
         return namespace, unknown

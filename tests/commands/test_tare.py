@@ -152,7 +152,7 @@ async def test_any_command_is_sent_with_its_fields(
 
     async def command(*words: str) -> Printed:
         where = () if target[0].endswith(".toml") else ("--url", mosquitto.url)
-        return await asyncio.to_thread(main, ["command", *target, *words, *where]), *capsys.readouterr()
+        return await asyncio.to_thread(main, ["command", *target, words[0], *where, *words[1:]]), *capsys.readouterr()
 
     async with daemon(mosquitto.url, tared, allowed=("mark", "set_rate"), more={"mark": mark, "set_rate": set_rate}):
         assert await command("mark", "text=5") == (0, 't_ns: "17"\n'.replace('"', ""), "")
