@@ -45,16 +45,13 @@ class HostLoad:
         seconds = max(self._ended_s - self._started_s, 1e-9)
         cores, own = psutil.cpu_count() or 1, own_cpu_s / seconds
         others = max(self._busy_s / seconds - own, 0.0)
-        words = (
-            f"processor cores used: {own:.2f} of {cores} by these processes, which waited for "
-            f"{self._own_wait_s(own_pids) / seconds:.2f} more, {others:.2f} by other processes"
-        )
+        words = f"processor cores used: {own:.2f} of {cores} by these processes, {others:.2f} by other processes"
         foreign = {process: used_s for process, used_s in self.used_s.items() if process.pid not in own_pids}
         if foreign:
             process = max(foreign, key=lambda process: foreign[process])
             if (used := foreign[process] / seconds) >= others / 4 and used >= 0.05:
                 words += f", of which {used:.2f} by {_name(process)} (process {process.pid})"
-        return words
+        return f"{words}; lack of a free core delayed these processes by {self._own_wait_s(own_pids):.1f} s in sum"
 
     def _own_wait_s(self, own_pids: Collection[int]) -> float:
         return max(sum(waited_s for process, waited_s in self._waited_s.items() if process.pid in own_pids), 0.0)

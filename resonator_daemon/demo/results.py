@@ -61,7 +61,7 @@ def failures(plate: Mapping[str, Any]) -> list[str]:
         at_site = "" if plate["sites_right"] is None else " at the right site"
         clauses.append(
             f"{missed} of {plate['contacts_true']} touches missed: "
-            f"no onset event{at_site} within {_LATE_MS:g} ms of the touch"
+            f"no onset event{at_site} dated within {_LATE_MS:g} ms of the touch"
         )
     return clauses
 
@@ -71,7 +71,7 @@ def delays(plate: Mapping[str, Any]) -> list[str]:
     clauses = []
     if late := plate["contacts_late"]:
         clauses.append(
-            f"{late} of {plate['contacts_true']} touches reported late: the onset event was received more than "
+            f"{late} of {plate['contacts_true']} touches reported late: the onset event arrived more than "
             f"{_LATE_MS:g} ms after the touch (at most {plate['latest_contact_ms']:.0f} ms)"
         )
     if missed := plate["messages_missed"]:

@@ -23,8 +23,14 @@ def plate(**changes: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("changes", "clause"),
     [
-        ({"contacts_found": 7}, "2 of 9 touches missed: no onset event at the right site within 50 ms of the touch"),
-        ({"contacts_found": 7, "sites_right": None}, "2 of 9 touches missed: no onset event within 50 ms of the touch"),
+        (
+            {"contacts_found": 7},
+            "2 of 9 touches missed: no onset event at the right site dated within 50 ms of the touch",
+        ),
+        (
+            {"contacts_found": 7, "sites_right": None},
+            "2 of 9 touches missed: no onset event dated within 50 ms of the touch",
+        ),
         ({"lost": LOST | {"link_gap": 3}}, "3 frames lost (link_gap)"),
         ({"frames": 0}, "no frame was received"),
         ({"decoded_frames": 0}, "no frame was decoded"),
@@ -45,7 +51,7 @@ def test_what_came_late_is_none() -> None:
     )
     assert failures(late) == []
     assert delays(late) == [
-        "2 of 9 touches reported late: the onset event was received more than 50 ms after the touch (at most 130 ms)",
+        "2 of 9 touches reported late: the onset event arrived more than 50 ms after the touch (at most 130 ms)",
         "5 messages not received (gaps in seq): skipped under load, not decoded, or lost on the way",
         "messages late: latency 80 ms (99th percentile)",
     ]
