@@ -61,7 +61,7 @@ def failures(plate: Mapping[str, Any]) -> list[str]:
         at_site = "" if plate["sites_right"] is None else " at the right site"
         clauses.append(
             f"{missed} of {plate['contacts_true']} touches missed: "
-            f"no onset event{at_site} dated within {_LATE_MS:g} ms of the touch"
+            f"no onset event{at_site} dated within {_LATE_MS:g} ms of it"
         )
     return clauses
 

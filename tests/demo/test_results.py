@@ -23,14 +23,8 @@ def plate(**changes: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("changes", "clause"),
     [
-        (
-            {"contacts_found": 7},
-            "2 of 9 touches missed: no onset event at the right site dated within 50 ms of the touch",
-        ),
-        (
-            {"contacts_found": 7, "sites_right": None},
-            "2 of 9 touches missed: no onset event dated within 50 ms of the touch",
-        ),
+        ({"contacts_found": 7}, "2 of 9 touches missed: no onset event at the right site dated within 50 ms of it"),
+        ({"contacts_found": 7, "sites_right": None}, "2 of 9 touches missed: no onset event dated within 50 ms of it"),
         ({"lost": LOST | {"link_gap": 3}}, "3 frames lost (link_gap)"),
         ({"frames": 0}, "no frame was received"),
         ({"decoded_frames": 0}, "no frame was decoded"),
