@@ -115,7 +115,7 @@ export class ContactsPanel {
         scales: { x: { time: false, range: [-60, 0] }, y: { range: (_, low, high) => [Math.min(0, low ?? 0), Math.max(0.1, 1.1 * (high ?? 0))] } },
         axes: [
           { ...axis, values: (_, ticks) => ticks.map((tick) => (tick ? `${tick} s` : "now")) },
-          { ...axis, size: 50, values: (_, ticks) => ticks.map((tick) => `${tick} N`) },
+          { ...axis, size: 66, values: (_, ticks) => ticks.map((tick) => `${tick} N`) },
         ],
         series: [
           {},

@@ -65,7 +65,6 @@ export class Library {
     setText(this.root.querySelector("output"), answer.ok ? "" : text);
     if (!answer.ok) return;
     this.#opened = names;
-    this.details.open = !names.length;
-    this.details.querySelector("summary").focus();
+    if (!names.length) this.details.querySelector("summary").focus(); // its button is disabled now
   }
 }

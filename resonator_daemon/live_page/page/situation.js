@@ -20,7 +20,7 @@ const SITUATIONS = {
 
 function code({ daemon, link, sensor }) {
   if (!daemon) return "never_started";
-  if (daemon.state === "offline") return daemon.reasonCode === "stopped" ? "clean_stop" : "crash";
+  if (daemon.state === "offline") return { stopped: "clean_stop", recording_over: "recording_over" }[daemon.reasonCode] ?? "crash";
   if (daemon.state === "online") {
     if (link?.reasonCode === "recording_over") return "recording_over";
     if (["lost", "waiting"].includes(link?.state)) return "cable_out";
@@ -48,6 +48,7 @@ function detail(found, { daemon, link, sensor }) {
     case "broker_restarted":
       return `Connection ${daemon.connections} to the broker, since ${clockTime(daemon.connected)}. The broker or the network had failed.`;
     case "recording_over":
+      return (daemon.state === "offline" ? daemon : link).reason;
     case "cable_out":
     case "board_hung":
       return link.reason;

@@ -60,7 +60,7 @@ const TOUCHED = new Set(["rejected", "ambiguous", "possibly_more"]);
 export function absence(message) {
   if (!message) return "No contacts were published yet.";
   const { status, reasonCode } = message;
-  if (TOUCHED.has(status)) return `Touched, but no site is identified: ${words(reasonCode || status)}. Press one site at a time.`;
+  if (TOUCHED.has(status)) return `Touched, but no site is identified: ${words(reasonCode || status)}. Press on one site, at its centre.`;
   return isMeasured(message) ? "Nothing touches the plate." : `Contacts are not known: ${words(reasonCode || status)}.`;
 }
 

@@ -162,6 +162,7 @@ OFFLINE = {"state": "offline", "reason_code": "stopped"}
         ({}, "never_started"),
         (ONLINE | {"daemon": OFFLINE}, "clean_stop"),
         (ONLINE | {"daemon": OFFLINE | {"reason_code": "connection_lost", "since_t_ns": None}}, "crash"),
+        (ONLINE | {"daemon": OFFLINE | {"reason_code": "recording_over"}}, "recording_over"),
         (ONLINE | {"daemon": {"state": "online", "connections": 2, "connected_t_ns": "1"}}, "broker_restarted"),
         (ONLINE | {"link": {"state": "waiting"}, "sensor": {"state": "waiting"}}, "cable_out"),
         (ONLINE | {"link": {"state": "stalled"}, "sensor": {"state": "waiting"}}, "board_hung"),
@@ -280,7 +281,6 @@ async def test_recordings_of_the_directory_are_opened_compared_and_closed(fake: 
     await fake.tell(hello=fake.hello | {"sources": [source]})
     await expect(page.locator(".failure")).to_contain_text("it is empty")
     await expect(page.locator(".recording-panel input[type=range]")).to_be_hidden()
-    await page.locator("#library summary").click()
     await page.get_by_role("button", name="Compare with two.mcap").click()
     await fake.until("open", 2)
     await fake.tell(hello=fake.hello | {"sources": [source | {"source": s, "opening": 2} for s in "ab"]})
