@@ -99,6 +99,9 @@ def _check(arguments: argparse.Namespace) -> None:
     """Raise UserError where arguments contradict each other, or a recording cannot be shown."""
     if (arguments.tls_certificate is None) != (arguments.tls_key is None):
         raise UsageError("--tls-certificate and --tls-key go together; give both, or neither")
+    for socket in arguments.press:
+        if socket.exists() and not socket.is_socket():
+            raise UsageError(f"--press {socket}: is no socket; give the PATH of `resonatord emulate --control`")
     paths = arguments.recordings
     if len(paths) > 2 or (len(paths) == 2 and any(path.is_dir() for path in paths)):
         raise UsageError(f"{len(paths)} paths; name one recording, two to compare, or one directory of recordings")

@@ -32,8 +32,10 @@ from resonator_daemon.live_page.requests import (
     Seek,
     Watch,
 )
+from resonator_daemon.publishing.payloads import Condition
 from resonator_daemon.publishing.requests import request as send_command
-from resonator_daemon.publishing.topics import INFO, TOPICS
+from resonator_daemon.publishing.topics import INFO, STATE_DAEMON, TOPICS
+from resonator_daemon.reasons import ReasonCode
 
 COMMANDS: Final = ("tare", "mark", "start_recording", "stop_recording")
 
@@ -96,7 +98,9 @@ class Hub:
         self._sources = sources
         self._browsers: dict[Client, _Browser] = {}
         self._retained: dict[tuple[str, str], bytes] = {}  # by plate and path: messages to the page
-        self._boards: dict[str, Board] = {}  # by plate: the board that it names in `info`
+        self._named: dict[str, Board] = {}  # by plate: the board that it names in `info`
+        self._measuring: set[str] = set()  # plates whose daemon is online, and no replay
+        self._boards: dict[str, Board] = {}  # by plate: the boards of those that measure
         self._status: dict[str, Any] = {"connected": False, "reason_code": CONNECTING, "reason": ""}
         broker = sources.broker
         self._relay = None if broker is None else BrokerRelay(broker, self._relay_message, self._set_status)
@@ -187,16 +191,24 @@ class Hub:
             if payload:
                 self._retained[plate, path] = message
         self._send_to_all(message)
-        if path == INFO.path and self._sources.presses:
-            self._find_board(plate, payload)
+        if path in (INFO.path, STATE_DAEMON.path) and self._sources.presses:
+            self._find_board(plate, path, payload)
 
-    def _find_board(self, plate: str, payload: bytes) -> None:
-        """Remember which board a plate is, so that presses of it go to its emulator."""
-        before = self._boards.pop(plate, None)
+    def _find_board(self, plate: str, path: str, payload: bytes) -> None:
+        """Remember which board a plate measures now, so that presses of it go to its emulator."""
+        if path == INFO.path:
+            self._named.pop(plate, None)
+        else:
+            self._measuring.discard(plate)
         with suppress(ValueError, RecursionError, KeyError, TypeError):
-            info = json.loads(payload)
-            self._boards[plate] = Board(str(info["plate"]), str(info["serial_number"]))
-        if self._boards.get(plate) != before:
+            content = json.loads(payload)
+            if path == INFO.path:
+                self._named[plate] = Board(str(content["plate"]), str(content["serial_number"]))
+            elif content["state"] == Condition.ONLINE and content["reason_code"] != ReasonCode.REPLAYING:
+                self._measuring.add(plate)
+        boards = {plate: board for plate, board in self._named.items() if plate in self._measuring}
+        if boards != self._boards:
+            self._boards = boards
             self._send_hello()
             self._update_watched()
 

@@ -76,8 +76,7 @@ class Browser:
 
     async def key(self, key: str, wanted: Callable[[Any], bool] = lambda _: True) -> Any:
         """Return the next content of this key that is wanted."""
-        found = await self.until(lambda it: isinstance(it, dict) and key in it and wanted(it[key]))
-        return found[key]
+        return (await self.until(lambda it: isinstance(it, dict) and key in it and wanted(it[key])))[key]
 
     async def frame(self, address: str, wanted: Callable[[bytes], bool] = lambda _: True) -> bytes:
         """Return the next payload with this address that is wanted."""

@@ -166,12 +166,14 @@ async def test_commands_are_those_of_the_list_and_for_plates_that_are_there(mosq
 
 async def test_a_browser_presses_an_emulated_plate_until_it_disconnects(mosquitto: Mosquitto, tmp_path: Path) -> None:
     control, board = tmp_path / "control", tmp_path / "board"
-    options = EmulatorOptions("quartz16", pty=board, control=control)
     sources = Sources(Mqtt(url=mosquitto.url), presses=[control])
-    await publish(mosquitto, "left/info", info("quartz16"), retain=True)
+    for plate, state, why in (("rep", "online", "replaying"), ("off", "offline", "stopped"), ("left", "online", "")):
+        await publish(mosquitto, f"{plate}/info", info("quartz16"), retain=True)
+        content = json.dumps({"state": state, "reason_code": why})
+        await publish(mosquitto, f"{plate}/state/daemon", content, retain=True)
     press = {"plate": "left", "name": "mouse", "position_m": [-0.0005, 0.002], "force_newton": [0.0, 0.0, 1.5]}
     async with AsyncExitStack() as stack:
-        stack.enter_context(emulated(options))
+        stack.enter_context(emulated(EmulatorOptions("quartz16", pty=board, control=control)))
         host = stack.enter_context(opened(board, 250_000))
         over = threading.Event()
         reading = asyncio.create_task(asyncio.to_thread(host.read_until, over.is_set))
@@ -183,6 +185,7 @@ async def test_a_browser_presses_an_emulated_plate_until_it_disconnects(mosquitt
         async with browser(url) as tab:
             await tab.key("hello", lambda it: it["press"] == ["left"])
             assert (await tab.ask({"id": 1, "press": press}))["ok"]
+            assert await tab.refusal({"press": press | {"plate": "rep"}}) == "not_pressable"
             assert await tab.refusal({"press": press | {"position_m": [1.0, 0.0]}}) == "outside_plate"
             ((contact,),) = ((await watching.key("truth", lambda it: it["contacts"]))["contacts"],)
             assert (contact["site"], contact["force_newton"]) == (7, [0.0, 0.0, 1.5])
@@ -232,14 +235,11 @@ async def test_who_may_open_the_page(mosquitto: Mosquitto) -> None:
         (["missing.mcap", "--url", "mqtt://127.0.0.1"], ExitCode.USAGE),
         ([".", "--allow-commands"], ExitCode.USAGE),
         ([".", "missing.mcap"], ExitCode.USAGE),
+        (["--press", "short"], ExitCode.USAGE),
     ],
 )
 def test_a_page_that_cannot_be_served_ends_with_its_exit_code(
-    words: list[str],
-    code: ExitCode,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: list[str], code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("short").write_text("abc\n")
