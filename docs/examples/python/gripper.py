@@ -1,4 +1,4 @@
-"""Holds an object by the slip margin of a skin: gripper.py [HOST [PORT [NAME]]].
+"""Holds an object by the slip margin of a skin: gripper.py HOST PORT NAME.
 
 Prints the grip force that it wants, in newtons, a line for each decoded frame: `grip 0.612`. Replace `command` by the
 driver of your gripper; the other finger presses as hard.
@@ -14,7 +14,9 @@ TARGET_MARGIN = 0.17  # of the friction: holds with 1 / (1 - 0.17) = 1.2 times t
 START_NEWTON, MOST_NEWTON = 0.4, 4.0
 TIGHTEN, RELAX_NEWTON_PER_S = 1.1, 1.0  # times what is measured, with each frame; the grip loosens slowly
 
-host, port, name = sys.argv[1:] + ["127.0.0.1", "1883", None][len(sys.argv) - 1 :]
+if len(sys.argv) != 4:
+    sys.exit("usage: gripper.py HOST PORT NAME, as 127.0.0.1 1883 left-index")
+host, port, name = sys.argv[1:]
 
 
 class Grip:
@@ -40,11 +42,14 @@ def command(newton):
 
 
 async def main():
-    grip = Grip()
+    grip, is_skin = Grip(), False
     command(grip.newton)
-    async for _, _, message in resonatord.subscribe(f"mqtt://{host}:{port}", name, "contacts"):
-        for contact in message.contacts[:1]:  # one object, one contact
-            command(grip.update(message.t_ns, contact))
+    async for _, path, message in resonatord.subscribe(f"mqtt://{host}:{port}", name, ("info", "contacts")):
+        if path == "info" and message.skin is None:
+            raise resonatord.UserError(f"{name} has no skin: its contacts have no slip margin")
+        is_skin |= path == "info"
+        if is_skin and path == "contacts" and message.contacts:
+            command(grip.update(message.t_ns, message.contacts[0]))  # one object, one contact
 
 
 try:
