@@ -48,12 +48,14 @@ def _nothing_at_home(_homes: tuple[Path, Iterator[int]], monkeypatch: pytest.Mon
 @pytest.fixture(autouse=True)
 def _logging_as_before() -> Iterator[None]:
     """The level a verb sets for its process ends with the test; what loggers are set to otherwise stays as it was."""
-    root = logging.getLogger()
-    level, before = root.level, _own_loggers()
+    before = _own_loggers()
     yield
-    root.setLevel(level)
+    logging.getLogger().setLevel(_ROOT_LEVEL)  # also after a set-up of a module, which is older than this one
     after = _own_loggers()
     assert {name: after[name] for name in before} == before
+
+
+_ROOT_LEVEL = logging.getLogger().level
 
 
 def _own_loggers() -> dict[str, tuple[object, ...]]:

@@ -12,6 +12,7 @@ from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.pipeline.control_requests import SetWindow, Tare
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.reasons import Reason, ReasonCode
+from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.counters import FrameLoss
 from resonator_daemon.session.frames import Arrival, Gap, LinkChange, Outage
 
@@ -90,7 +91,7 @@ def test_an_expired_calibration_is_told_by_the_day_of_what_arrives(tmp_path: Pat
     bench.pipeline.pass_time(end_of_expiry_ns - 1)
     bench.handle(change("lost", 0))
     assert "expired" not in str(bench.said)
-    bench.pipeline.output.state.update("ok", "", (0.0,) * 4, T0_NS)
+    bench.pipeline.output.state.update("ok", "", (0.0,) * 4, Instant(T0_NS, 0))
     bench.pipeline.pass_time(end_of_expiry_ns)
     assert (bench.last("state/sensor").state, "c1 expired" in bench.last("state/sensor").reason) == (
         "uncalibrated",
