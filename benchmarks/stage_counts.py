@@ -14,7 +14,6 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import stages_force
-import stages_skin
 import stages_system
 
 FILE = "counted"
@@ -58,7 +57,7 @@ def main(folder: Path) -> None:
     empty = counted(lambda: None, folder)
     counts: dict[str, float] = {}
     with ExitStack() as stack:
-        for stages in (stages_force.stages(), stages_skin.stages(), stages_system.stages(stack, folder)):
+        for stages in (stages_force.stages(), stages_system.stages(stack, folder)):  # a skin's take minutes to set up
             for stage in stages:
                 work = stage.smaller or stage.ours
                 work.run()  # warms up

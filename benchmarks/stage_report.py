@@ -1,5 +1,6 @@
 """Tables of `stages.py`, and what has become dearer since its record."""
 
+import math
 from typing import TypedDict
 
 LIMIT = 1.10  # times the recorded instructions
@@ -21,7 +22,7 @@ class StageRecord(TypedDict):
     ours: Cost
     peer: Cost
     limit: Cost
-    instructions: float
+    instructions: float | None  # None: valgrind would need minutes for its set-up
 
 
 class GrowthRecord(TypedDict):
@@ -46,7 +47,8 @@ class Record(TypedDict):
 
 def dearer(counts: dict[str, float], record: Record | None) -> list[str]:
     """Return a line for each stage whose instructions exceed their record by more than 10 %."""
-    recorded = {} if record is None else {name: stage["instructions"] for name, stage in record["stages"].items()}
+    stages = {} if record is None else record["stages"]
+    recorded = {name: stage["instructions"] or math.inf for name, stage in stages.items()}
     return [
         f"{name}: {now:.0f} instructions a frame, {100 * (now / recorded[name] - 1):.1f} % above the record"
         for name, now in counts.items()
@@ -77,7 +79,8 @@ def _row(name: str, stage: StageRecord) -> str:
     ours, cells = stage["ours"], []
     for other in (stage["peer"], stage["limit"]):
         cells += [other["name"], f"{other['us']:,.4g}", f"{other['ours_over']:.3g}"]
-    figures = (f"{ours['us']:,.4g}", f"± {ours['spread_percent']:.0f} %", *cells, f"{stage['instructions']:,.0f}")
+    instructions = "-" if stage["instructions"] is None else f"{stage['instructions']:,.0f}"
+    figures = (f"{ours['us']:,.4g}", f"± {ours['spread_percent']:.0f} %", *cells, instructions)
     return f"| {name} | {' | '.join(figures)} |"
 
 

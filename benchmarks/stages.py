@@ -57,7 +57,7 @@ def cost(work: Work, figures: Figures) -> Cost:
     return Cost(name=work.name, us=us, spread_percent=spread_percent, ours_over=ours_over)
 
 
-def measure(stage: Stage, instructions: float) -> StageRecord:
+def measure(stage: Stage, instructions: float | None) -> StageRecord:
     works = [stage.ours, stage.peer, stage.limit]
     ours, peer, limit = map(cost, works, in_turns(works, stage.clock))
     return StageRecord(ours=ours, peer=peer, limit=limit, instructions=instructions)
@@ -103,7 +103,7 @@ def run(counts: dict[str, float]) -> Record:
         starts = [stages_system.start(stages_system.Starts(folder))]
         for stages in (stages_force.stages(), stages_skin.stages(), stages_system.stages(stack, folder), starts):
             for stage in stages:
-                found["stages"][stage.name] = measure(stage, counts[stage.name])
+                found["stages"][stage.name] = measure(stage, counts.get(stage.name))
                 report(stage.name)
         for growths in (stages_force.growths(), stages_skin.growths(), stages_system.growths(stack, folder)):
             for growth in growths:
