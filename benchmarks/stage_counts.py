@@ -59,7 +59,7 @@ def main(folder: Path) -> None:
     with ExitStack() as stack:
         for stages in (stages_force.stages(), stages_system.stages(stack, folder)):  # a skin's take minutes to set up
             for stage in stages:
-                work = stage.smaller or stage.ours
+                work = stage.ours
                 work.run()  # warms up
                 counts[stage.name] = round((counted(work.run, folder) - empty) / work.frames)
                 print(f"counted: {stage.name}", file=sys.stderr, flush=True)

@@ -28,7 +28,6 @@ class Stage(NamedTuple):
     peer: Work
     limit: Work
     clock: Clock = time.process_time
-    smaller: Work | None = None  # whose instructions are counted instead of those of ours
 
 
 class Growth(NamedTuple):

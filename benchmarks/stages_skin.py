@@ -175,7 +175,6 @@ def set_up_stage() -> Stage:
         set_up(SIDE),
         Work("scipy, exact 3072 x 3072 matrix, for one scale", lambda: DenseEstimates(sites_m, sites_m).matrix(1.0)),
         Work("scipy cho_factor of the signals' covariance", lambda: cho_factor(covariance)),
-        smaller=set_up(SIDE // 2),
     )
 
 
