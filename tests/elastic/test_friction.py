@@ -172,7 +172,7 @@ def test_without_friction_nothing_holds_sideways(nu: float):
     np.testing.assert_array_equal(state.shift_m[:2], 0.0)
 
 
-# What is refused, and what does not converge and says so
+# What is refused, and what does not converge, with its status
 
 
 def test_shear_that_friction_cannot_hold_is_refused():

@@ -207,7 +207,7 @@ FRAMES["right"][3].signals[1, 40] = np.nan  # a lost signal has a state of its o
 
 
 def as_sent(topic: Topic[Any], message: Message | Encoded) -> tuple[str, bytes]:
-    if isinstance(message, ContactEvent):  # events are numbered by whoever publishes them
+    if isinstance(message, ContactEvent):  # the publisher numbers events
         message = message.model_copy(update={"seq": 0})
     return topic.path, message.payload if isinstance(message, Encoded) else encode(message)
 
