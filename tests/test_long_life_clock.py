@@ -72,9 +72,8 @@ async def test_jumps_of_the_wall_clock_are_jumps_of_time_stamps_and_nothing_else
         assert account.connections == 1
         assert account.clock_restarts == 0
     forces = observer.payloads("resonator/hand/forces")
-    assert [late["seq"] - early["seq"] for early, late in pairwise(forces)] == [1] * (len(forces) - 1)
-    ticks = [int(message["board_ticks"]) for message in forces]
-    assert ticks == sorted(ticks)
+    assert all(late["seq"] > early["seq"] for early, late in pairwise(forces))  # a busy computer skips some
+    assert all(int(late["board_ticks"]) > int(early["board_ticks"]) for early, late in pairwise(forces))
     links = observer.payloads("resonator/hand/state/link")
     if "stalled" not in {link["state"] for link in links}:  # the board of a busy machine is late, as without any jump
         assert account.clock_outliers == 0

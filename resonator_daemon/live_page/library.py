@@ -39,6 +39,7 @@ class Library:
         self._directory = directory
         self._on_change = on_change
         self._uses: dict[Path, _Use] = {}
+        self._ending: set[asyncio.Task[None]] = set()  # each until its process has ended
 
     @property
     def name(self) -> str | None:
@@ -94,16 +95,20 @@ class Library:
         for path in before:
             self._uses[path].count -= 1
             if not self._uses[path].count:
-                self._uses.pop(path).task.cancel()
+                self._end(self._uses.pop(path).task)
         return [self._uses[path].recorded for path in after]
 
     async def close(self) -> None:
         """End the decoding of all recordings."""
-        tasks = [use.task for use in self._uses.values()]
+        for use in self._uses.values():
+            self._end(use.task)
         self._uses.clear()
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await asyncio.gather(*self._ending, return_exceptions=True)
+
+    def _end(self, task: asyncio.Task[None]) -> None:
+        task.cancel()
+        self._ending.add(task)
+        task.add_done_callback(self._ending.discard)
 
     async def _files(self) -> dict[str, os.stat_result]:
         if self._directory is None:

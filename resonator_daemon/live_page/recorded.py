@@ -6,9 +6,9 @@ import os
 import signal
 import sys
 import tempfile
-from asyncio.subprocess import DEVNULL, PIPE
+from asyncio.subprocess import DEVNULL, PIPE, Process
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final
@@ -109,21 +109,26 @@ class Recorded:
         self._on_change()
 
     async def _decode(self, number: int) -> None:
-        process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-P", "-m", _WORKER, str(self._path), str(number)),
-            stdin=DEVNULL,
-            stdout=PIPE,
-            pass_fds=(number,),
-            start_new_session=True,  # Ctrl-C is for the server
-            preexec_fn=ended_with_parent(signal.SIGKILL),
+        starting = asyncio.ensure_future(
+            asyncio.create_subprocess_exec(
+                *(sys.executable, "-P", "-m", _WORKER, str(self._path), str(number)),
+                stdin=DEVNULL,
+                stdout=PIPE,
+                pass_fds=(number,),
+                start_new_session=True,  # Ctrl-C is for the server
+                preexec_fn=ended_with_parent(signal.SIGKILL),
+            )
         )
         try:
+            process = await asyncio.shield(starting)  # asyncio loses a process if its start or its end is cancelled
             if process.stdout is not None:
                 await self._receive(process.stdout)
         finally:
-            if process.returncode is None:
-                process.kill()
-            await process.wait()
+            ending = asyncio.ensure_future(_end(starting))
+            try:
+                await asyncio.shield(ending)
+            finally:
+                await ending
 
     async def _receive(self, stream: asyncio.StreamReader) -> None:
         try:
@@ -150,3 +155,10 @@ class Recorded:
                         self._on_change()
         except asyncio.IncompleteReadError:
             self.truncated = self.truncated or _ENDED
+
+
+async def _end(starting: Awaitable[Process]) -> None:
+    process = await starting
+    if process.returncode is None:
+        process.kill()
+    await process.wait()

@@ -14,7 +14,7 @@ import aiomqtt
 import pytest
 from brokers import Mosquitto
 from emulation import emulated
-from page_client import Browser, Frame, browser, served
+from page_client import Browser, browser, served
 from wire_host import opened
 
 from resonator_daemon.commands import main
@@ -99,7 +99,7 @@ async def test_a_broker_that_vanishes_and_returns_is_reported_by_codes(mosquitto
     for plate in ("left", "right"):
         await publish(mosquitto, f"{plate}/info", info("quartz16"), retain=True)
     async with served(Sources(Mqtt(url=mosquitto.url))) as url, browser(url) as tab:
-        await tab.key("broker", lambda it: it["connected"] and it["reason_code"] == "connected")
+        await tab.frame("live/left/info")
         await tab.watch("left", "forces")
         await mosquitto.kill()
         gone = await tab.key("broker", lambda it: not it["connected"])
@@ -107,8 +107,7 @@ async def test_a_broker_that_vanishes_and_returns_is_reported_by_codes(mosquitto
         await tab.key("broker", lambda it: it["reason_code"] == "no_broker")
         await mosquitto.start()
         await publish(mosquitto, "right/info", info("comb16"), retain=True)  # again, as its daemon does
-        emptied = await tab.until(lambda it: isinstance(it, Frame) and not it.payload)
-        assert emptied.address == "live/left/info"  # the broker has lost it
+        await tab.frame("live/left/info", lambda payload: not payload)  # the broker has lost it
         await subscribed(mosquitto, tab, "left/forces")
         async with browser(url) as later:
             assert await later.frame("live/right/info")

@@ -5,9 +5,12 @@ import json
 import shutil
 from pathlib import Path
 
+import psutil
+from observer import until
 from page_client import browser, served
 
 from resonator_daemon.live_page.hub import Sources
+from resonator_daemon.live_page.library import Library
 from resonator_daemon.live_page.outgoing import Outgoing
 from resonator_daemon.live_page.player import Player
 from resonator_daemon.live_page.recorded import Recorded
@@ -82,6 +85,15 @@ async def test_recordings_of_a_directory_are_opened_compared_and_closed(tmp_path
         assert "no recording" in failed["failure"]
         assert str(tmp_path) not in failed["failure"]
         assert await other.refusal({"play": {"source": "a", "playing": True}}) == "unknown_source"
+
+
+async def test_the_process_that_decodes_a_closed_recording_ends_with_the_page() -> None:
+    library = Library(None, lambda: None)
+    library.exchange([], [WHOLE])
+    await until(lambda: bool(psutil.Process().children()))
+    library.exchange([WHOLE], [])
+    await library.close()
+    assert not psutil.Process().children()
 
 
 def test_messages_of_the_first_moment_are_sent_once_they_are_decoded() -> None:

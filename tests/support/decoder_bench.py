@@ -39,37 +39,20 @@ def header(seq: int, boot: str = BOOT) -> dict[str, Any]:
 
 def info(**change: Any) -> Info:
     fields: dict[str, Any] = {
-        "schema_version": SCHEMA_VERSION,
-        "daemon_version": "0.1.0",
-        "plate": "small",
-        "link": "tcp://127.0.0.1:5000",
-        "product": "board",
-        "serial_number": "0042",
-        "firmware": "1.0.0",
-        "counter": "channelised",
-        "frame_rate_hz": 100.0,
-        "window_s": 0.01,
-        "step_s": 0.01,
-        "rates_hz": {},
-        "units": {},
-        "commands": (),
-        "force_max_newton": 5.0,
-        "outline_m": (),
-        "transducers_m": (),
+        "schema_version": SCHEMA_VERSION, "daemon_version": "0.1.0", "plate": "small", "link": "tcp://127.0.0.1:5000",
+        "product": "board", "serial_number": "0042", "firmware": "1.0.0", "counter": "channelised",
+        "frame_rate_hz": 100.0, "window_s": 0.01, "step_s": 0.01, "rates_hz": {}, "units": {}, "commands": (),
+        "force_max_newton": 5.0, "outline_m": (), "transducers_m": (),
         "sites": tuple(SiteInfo(site=100 + i, position_m=(x, y)) for i, (x, y) in enumerate(SITES_M.tolist())),
         "grid": GridInfo(origin_m=(float(SITES_M[0, 0]), float(SITES_M[0, 1])), pitch_m=PITCH_M, shape=(SIDE, SIDE)),
         "skin": SkinInfo(
-            youngs_modulus_pascal=E,
-            poisson_ratio=NU,
-            depth_m=DEPTH_M,
-            gain_std=0.0,
-            correlation_length_m=1e-3,
+            youngs_modulus_pascal=E, poisson_ratio=NU, depth_m=DEPTH_M, gain_std=0.0, correlation_length_m=1e-3,
             tangential_ratio=0.3,
         ),
         "calibration": CalibrationInfo(
             id=None, date=None, unit=None, expiry=None, model_error=0.01, sensitivity_std=0.001, response="off"
         ),
-    }
+    }  # fmt: skip
     return Info(**header(0), **(fields | change))
 
 
