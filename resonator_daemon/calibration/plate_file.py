@@ -17,7 +17,8 @@ from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.errors import UsageError
 from resonator_daemon.host.new_file import NoNewFileError, check_new, fresh_name, replace_file
 from resonator_daemon.host.system_limits import meaning_of
-from resonator_daemon.plate import FORCE_SIGNAL, Coupling, load_plate, shipped_plates
+from resonator_daemon.plate import load_plate, shipped_plates
+from resonator_daemon.plate_tables import FORCE_SIGNAL, Coupling
 from resonator_daemon.toml_files.reading import read_toml
 
 

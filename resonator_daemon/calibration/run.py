@@ -29,7 +29,7 @@ from resonator_daemon.calibration.steps import LoadRequest, Step, plan_steps
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError, UsageError
 from resonator_daemon.host.printable import print_note
-from resonator_daemon.plate import FORCE_SIGNAL
+from resonator_daemon.plate_tables import FORCE_SIGNAL
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.session.frames import BoardOnline
 

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.plate import FORCE_SIGNAL, Plate
+from resonator_daemon.plate import Plate
+from resonator_daemon.plate_tables import FORCE_SIGNAL
 
 
 class SiteCodes(NamedTuple):

@@ -18,7 +18,8 @@ from resonator_daemon.decoding.prior import DEFAULT_PRIOR
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.errors import ConfigurationError, ExitCode
 from resonator_daemon.host.printable import print_note
-from resonator_daemon.plate import Plate, Skin
+from resonator_daemon.plate import Plate
+from resonator_daemon.plate_tables import Skin
 from resonator_daemon.publishing.payloads import Signals
 from resonator_daemon.publishing.requests import reach
 from resonator_daemon.publishing.subscriber import subscribe

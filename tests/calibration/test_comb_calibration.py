@@ -16,7 +16,8 @@ from resonator_daemon.calibration.outcome import make_record, notes
 from resonator_daemon.calibration.plate_file import Record, with_record
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.calibration.steps import LoadRequest, plan_steps
-from resonator_daemon.plate import Coupling, Plate
+from resonator_daemon.plate import Plate
+from resonator_daemon.plate_tables import Coupling
 
 REFERENCE_ERROR = 1.5e-6  # of the emulated board's clock, by which all of its frequencies are low
 WANTED = LoadRequest(sites=(1, 7, 12), hold_s=1.5)

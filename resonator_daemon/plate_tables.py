@@ -1,0 +1,231 @@
+"""Tables of a plate file, each valid by itself."""
+
+from __future__ import annotations
+
+from datetime import date
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field, Strict, StrictBool, ValidationInfo, field_validator
+
+from firmware_protocol.layouts import CHANNEL_COUNT
+from resonator_daemon.arrays import Floats, Integers
+from resonator_daemon.toml_files.reading import Count, Number, Table
+
+FORCE_SIGNAL: Final = "force"
+TEMPERATURE_SIGNAL: Final = "temperature"
+FORCE_SIGNALS: Final = (FORCE_SIGNAL, TEMPERATURE_SIGNAL)
+SKIN_SIGNALS = ("p_n", "eps_xz", "eps_yz")  # the order of everything that is published or decoded
+
+
+def of_length(length: int, what: str) -> BeforeValidator:
+    def check(values: object) -> object:
+        if not isinstance(values, list | tuple) or len(values) != length:
+            raise ValueError(f"must be a list of {length}: {what}")
+        return values
+
+    return BeforeValidator(check)
+
+
+def at_least(length: int, what: str) -> BeforeValidator:
+    """Not pydantic's min_length: that one counts only those items that are sound."""
+
+    def check(values: object) -> object:
+        if not isinstance(values, list | tuple) or len(values) < length:
+            raise ValueError(f"must be a list of at least {length}: {what}")
+        return values
+
+    return BeforeValidator(check)
+
+
+_MIN_SENSITIVITY = 1e-15
+
+
+def _nonzero(value: float) -> float:
+    if abs(value) < _MIN_SENSITIVITY:
+        raise ValueError("must not be zero: a site without sensitivity cannot be read; give the measured, signed value")
+    return value
+
+
+def _rising(limits: tuple[float, ...]) -> tuple[float, ...]:
+    if not limits[0] < limits[1]:
+        raise ValueError("must rise: the lowest, then the highest")
+    return limits
+
+
+Millimetres = Annotated[Number, Field(ge=-10_000, le=10_000)]
+Point = Annotated[tuple[Millimetres, Millimetres], of_length(2, "x and y")]
+Outline = Annotated[tuple[Point, ...], at_least(3, "corners, each [x, y]")]
+Hertz = Annotated[Number, Field(gt=0, le=1e12)]
+Sensitivity = Annotated[Number, Field(ge=-1e6, le=1e6), AfterValidator(_nonzero)]
+Day = Annotated[date, Strict()]
+Kelvin = Annotated[Number, Field(ge=100, le=600)]
+Corners = of_length(CHANNEL_COUNT, "one for each corner")
+
+
+CounterType = Literal["single-tone", "channelised"]
+
+
+class Counter(Table):
+    """Kind, clock and frame rate of the board's counter."""
+
+    kind: CounterType
+    reference_hz: Annotated[Hertz, Field(default_factory=lambda seen: _default(seen, 1e9, 250e6))]
+    frame_rate_hz: Annotated[
+        Number, Field(gt=0, le=100_000, default_factory=lambda seen: _default(seen, 1000.0, 100.0))
+    ]
+    pilot_hz: Hertz | None = None  # captured by a single-tone counter while nothing is touched; see Plate.pilot_hz
+    codes_may_overlap: StrictBool = False  # take a plate whose sites can be mistaken for each other all the same
+
+    @property
+    def frames_in_parts(self) -> bool:
+        """Whether a frame is sent in parts, each with some tones of one channel, and not as one packet."""
+        return self.kind == "channelised"
+
+    @field_validator("pilot_hz")
+    @classmethod
+    def _only_a_single_tone_counter_has_a_pilot(cls, pilot_hz: float | None, info: ValidationInfo) -> float | None:
+        if info.data.get("kind") == "channelised" and pilot_hz is not None:
+            raise ValueError("belongs to a single-tone counter; leave it out")
+        return pilot_hz
+
+
+def _default(seen: dict[str, Any], single_tone: float, channelised: float) -> float:
+    return channelised if seen.get("kind") == "channelised" else single_tone
+
+
+class Skin(Table):
+    """The elastic half-space above the sites."""
+
+    youngs_modulus_pascal: Annotated[Number, Field(ge=1, le=1e13)]
+    poisson_ratio: Annotated[Number, Field(ge=0, le=0.5)]
+    depth_mm: Annotated[Number, Field(ge=0.001, le=1000)]
+    gain_std: Annotated[Number, Field(ge=0, lt=1)] = 0.0
+    # Of the decoder's prior, as `resonatord calibrate skin` finds them.
+    correlation_length_mm: Annotated[Number, Field(ge=0.01, le=100)] = 1.0
+    tangential_ratio: Annotated[Number, Field(ge=0.001, le=100)] = 0.3
+
+    @property
+    def depth_m(self) -> float:
+        return self.depth_mm * 1e-3
+
+    @property
+    def correlation_length_m(self) -> float:
+        return self.correlation_length_mm * 1e-3
+
+
+class Grid(Table):
+    """Sites and tones of a skin by rule: tone k = (order . (ix, iy, signal)) mod tones lies at f0_hz + k spacing_hz."""
+
+    shape: Annotated[tuple[Annotated[Count, Field(ge=1, le=65_535)], ...], of_length(2, "ny and nx")]
+    pitch_mm: Annotated[Number, Field(gt=0, le=1000)]
+    signals: Annotated[tuple[Literal["p_n", "eps_xz", "eps_yz"], ...], of_length(3, "p_n, eps_xz and eps_yz")]
+    f0_hz: Hertz
+    spacing_hz: Hertz
+    order: Annotated[tuple[Count, ...], of_length(3, "steps for ix, iy and the signal")]
+    sensitivity: Annotated[tuple[Sensitivity, ...], of_length(3, "one for each signal")]
+
+    @property
+    def pitch_m(self) -> float:
+        return self.pitch_mm * 1e-3
+
+    @property
+    def tone_count(self) -> int:
+        return self.shape[0] * self.shape[1] * len(self.signals)
+
+    @property
+    def site_positions_mm(self) -> Floats:
+        """(ny nx, 2), site index iy nx + ix, centred on the plate's origin."""
+        ny, nx = self.shape
+        iy, ix = np.divmod(np.arange(ny * nx), nx)
+        return np.column_stack([ix - (nx - 1) / 2, iy - (ny - 1) / 2]) * self.pitch_mm
+
+    @property
+    def tone_numbers(self) -> Integers:
+        """(ny nx, signals) the number k of each tone."""
+        ny, nx = self.shape
+        step_x, step_y, step_signal = (step % self.tone_count for step in self.order)
+        iy, ix = np.divmod(np.arange(ny * nx, dtype=np.int64)[:, None], nx)
+        signal = np.arange(len(self.signals), dtype=np.int64)
+        numbers: Integers = (step_x * ix + step_y * iy + step_signal * signal) % self.tone_count
+        return numbers
+
+
+class Tone(Table):
+    """One resonance of a site as the four corners see it."""
+
+    signal: Literal["force", "temperature", "p_n", "eps_xz", "eps_yz"]
+    f0_hz: Annotated[tuple[Hertz, ...], Corners]
+    sensitivity: Annotated[tuple[Sensitivity, ...], Corners]
+    # Relative shift by d = T - thermal.reference_kelvin: a d + b d^2 + c d^3, in 1/K, 1/K^2, 1/K^3.
+    temperature_coefficients: Annotated[tuple[Number, ...], of_length(3, "a, b and c")] | None = None
+
+
+class Site(Table):
+    """A place on the plate that senses: a force (and its own temperature), or the three signals under a skin."""
+
+    id: Annotated[Count, Field(ge=1, le=65_535)]
+    position_mm: Point
+    tones: Annotated[tuple[Tone, ...], at_least(1, "[[sites.tones]]")]
+
+
+class Thermal(Table):
+    """How warm plate and touches may be, and what of it is not known."""
+
+    reference_kelvin: Kelvin = 298.15  # at which f0_hz holds
+    range_kelvin: Annotated[tuple[Kelvin, ...], of_length(2, "lowest and highest"), AfterValidator(_rising)] = (
+        288.15,
+        308.15,
+    )
+    coefficient_std: Annotated[Number, Field(ge=0, le=1e-3)] = 2e-8  # 1/K, of what the tones' coefficients are off by
+    transient_s: Annotated[Number, Field(ge=-1, le=1)] = -2e-7  # relative shift for each K/s of a site
+    contact_std_kelvin: Annotated[Number, Field(ge=0, le=1000)] = 0.0  # by which what touches differs from the plate
+    contact_time_s: Annotated[Number, Field(gt=0, le=1e6)] = 5.0  # in which a touched site takes its temperature
+
+
+class Response(Table):
+    """What a force site feels of a press besides its force: hysteresis and creep, as calibrated."""
+
+    hysteresis_newton: Annotated[Number, Field(ge=0, le=10_000)]
+    creep_fraction: Annotated[Number, Field(ge=0, lt=0.5)]
+    creep_time_s: Annotated[Number, Field(gt=0, le=1e6)]
+    relative_std: Annotated[Number, Field(ge=0, le=1)] = 0.1  # of what they are off by
+
+
+class Validity(Table):
+    """Forces and temperatures at which a calibration was made."""
+
+    force_newton: Annotated[tuple[Number, ...], of_length(2, "lowest and highest"), AfterValidator(_rising)]
+    kelvin: Annotated[tuple[Kelvin, ...], of_length(2, "lowest and highest"), AfterValidator(_rising)]
+
+
+class Coupling(Table):
+    """Share of the force on one site that another one feels."""
+
+    pressed: Count
+    measured: Count
+    ratio: Number
+
+
+class Calibration(Table):
+    """Where the numbers of this file come from, and what they are worth."""
+
+    id: str | None = None
+    date: Day | None = None
+    unit: str | None = None  # serial number of the board and plate that were calibrated
+    temperature_kelvin: Kelvin | None = None
+    model_error: Annotated[Number, Field(gt=0, le=0.5)] = 0.015  # relative, of K from touch to touch and corner
+    sensitivity_std: Annotated[Number, Field(ge=0, le=0.5)] = 0.0  # relative, of all K: the masses' own
+    sites: tuple[Count, ...] = ()  # ids of those that were calibrated last, in the order of `residuals`
+    residuals: tuple[Number, ...] = ()  # newton rms
+    coupling: tuple[Coupling, ...] = ()
+    validity: Validity | None = None
+    expiry: Day | None = None
+
+    def expired(self, today: Day) -> bool:
+        return self.expiry is not None and today > self.expiry
+
+    def expiry_note(self, today: Day) -> str | None:
+        """Return a sentence if the calibration has expired, else None."""
+        name = self.id or "of the plate file"
+        return f"calibration {name} expired on {self.expiry}: calibrate again" if self.expired(today) else None
