@@ -87,26 +87,18 @@ def test_rank_does_not_fade_with_the_signals():
 @pytest.mark.parametrize(
     ("components", "nu", "loss", "degrees"),
     [
-        (CANDIDATES["a"], 0.5, "dependent", None),
-        (CANDIDATES["a"], 0.3, "dependent", []),
-        (CANDIDATES["b"], 0.5, "incompressible", None),
-        (CANDIDATES["b"], 0.3, "none", [0.0, 90.0]),
-        (CANDIDATES["c"], 0.5, "incompressible", None),
-        (CANDIDATES["c"], 0.3, "none", []),
-        (CANDIDATES["d"], 0.5, "incompressible", None),
-        (CANDIDATES["d"], 0.3, "none", [0.0, 90.0]),
-        (CANDIDATES["e"], 0.5, "none", [45.0, 135.0]),
-        (CANDIDATES["f"], 0.5, "none", [0.0, 90.0]),
-        (CANDIDATES["g"], 0.5, "none", []),
-        (("sigma_zz", "sigma_xz", "sigma_yz"), 0.5, "none", None),
-        (("p_n",), 0.5, "too_few", None),
-        (("p_n", "zz"), 0.3, "too_few", None),
-        (("xx",), 0.5, "too_few", [90.0]),
+        (CANDIDATES["a"], 0.5, "dependent", None), (CANDIDATES["a"], 0.3, "dependent", []),
+        (CANDIDATES["b"], 0.5, "incompressible", None), (CANDIDATES["b"], 0.3, "none", [0.0, 90.0]),
+        (CANDIDATES["c"], 0.5, "incompressible", None), (CANDIDATES["c"], 0.3, "none", []),
+        (CANDIDATES["d"], 0.5, "incompressible", None), (CANDIDATES["d"], 0.3, "none", [0.0, 90.0]),
+        (CANDIDATES["e"], 0.5, "none", [45.0, 135.0]), (CANDIDATES["f"], 0.5, "none", [0.0, 90.0]),
+        (CANDIDATES["g"], 0.5, "none", []), (("sigma_zz", "sigma_xz", "sigma_yz"), 0.5, "none", None),
+        (("p_n",), 0.5, "too_few", None), (("p_n", "zz"), 0.3, "too_few", None), (("xx",), 0.5, "too_few", [90.0]),
         (("xz", "sigma_xz"), 0.3, "dependent", None),
         # s^2 = 2 c^2: with sigma_zz known, sigma_xx and xy then tell the same
         (("xy", "sigma_xx", "sigma_zz"), 0.5, "none", [math.degrees(math.atan(math.sqrt(2.0))), 125.26438968]),
     ],
-)
+)  # fmt: skip
 def test_why_a_set_is_deficient_and_in_which_directions(
     components: tuple[str, ...], nu: float, loss: str, degrees: list[float] | None
 ):

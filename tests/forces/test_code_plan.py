@@ -38,16 +38,12 @@ def test_each_cause_has_its_share_of_the_step() -> None:
 @pytest.mark.parametrize(
     ("tick_s", "jitter_s", "stamps_per_s", "window_s", "millinewton"),
     [
-        (1e-9, 0.3e-9, 1e7, 1e-3, 2.8),
-        (1e-9, 0.3e-9, 1e7, 5e-3, 0.77),
-        (1e-9, 0.3e-9, 1e7, 10e-3, 0.53),
-        (1e-9, 0.3e-9, 1e7, 100e-3, 0.17),
-        (1 / 170e6, 0.5e-9, 1e6, 1e-3, 31.0),
-        (1 / 170e6, 0.5e-9, 1e6, 5e-3, 2.9),
-        (1 / 170e6, 0.5e-9, 1e6, 10e-3, 1.1),
-        (1 / 170e6, 0.5e-9, 1e6, 100e-3, 0.17),
+        (1e-9, 0.3e-9, 1e7, 1e-3, 2.8), (1e-9, 0.3e-9, 1e7, 5e-3, 0.77),
+        (1e-9, 0.3e-9, 1e7, 10e-3, 0.53), (1e-9, 0.3e-9, 1e7, 100e-3, 0.17),
+        (1 / 170e6, 0.5e-9, 1e6, 1e-3, 31.0), (1 / 170e6, 0.5e-9, 1e6, 5e-3, 2.9),
+        (1 / 170e6, 0.5e-9, 1e6, 10e-3, 1.1), (1 / 170e6, 0.5e-9, 1e6, 100e-3, 0.17),
     ],
-)
+)  # fmt: skip
 def test_force_noise_is_that_of_known_counters(
     tick_s: float, jitter_s: float, stamps_per_s: float, window_s: float, millinewton: float
 ) -> None:

@@ -134,20 +134,13 @@ def skin_contact(**change: Any) -> SkinContact:
 
 PATCH_LITERAL = {"id": 3, "area_m2": 1.9e-5, "at_border": True, "radius_of_curvature_m": 0.0056, "stick_ratio": 0.5}
 CONTACT_LITERAL = {
-    "id": 3,
-    "site": 339,  # row 10 at -2.2 mm, column 18 at 1.0 mm; ids begin at 1
-    "position_m": [1e-3, -2.1e-3],
-    "position_covariance_m2": [pytest.approx(1e-10), None, pytest.approx(4e-10)],
-    "force_newton": [0.1, -0.2, 1.5],
-    "noise_newton": [3e-3, 4e-3, 5e-3],
-    "moment_newton_m": [1e-3, 2e-3, 3e-5],
-    "moment_std_newton_m": [1e-6, 2e-6, 3e-6],
-    "slip_margin": 0.125,
-    "slip_margin_std": 0.01,
-    "friction_coefficient": 0.6,
-    "friction_coefficient_std": 0.03,
+    "id": 3, "site": 339,  # row 10 at -2.2 mm, column 18 at 1.0 mm; ids begin at 1
+    "position_m": [1e-3, -2.1e-3], "position_covariance_m2": [pytest.approx(1e-10), None, pytest.approx(4e-10)],
+    "force_newton": [0.1, -0.2, 1.5], "noise_newton": [3e-3, 4e-3, 5e-3],
+    "moment_newton_m": [1e-3, 2e-3, 3e-5], "moment_std_newton_m": [1e-6, 2e-6, 3e-6],
+    "slip_margin": 0.125, "slip_margin_std": 0.01, "friction_coefficient": 0.6, "friction_coefficient_std": 0.03,
     "status": "ok",
-}
+}  # fmt: skip
 HISTORY_LITERAL = {"peak_newton": 1.75, "since_t_ns": "1788999999995000123", "duration_s": 0.0}
 MEASURED_OF_SKIN = channelised(np.zeros((3, 1024)))
 OF_SLIP = ("slip_margin", "slip_margin_std", "stick_ratio", "friction_coefficient", "friction_coefficient_std")

@@ -11,6 +11,7 @@ from emulation import emulated
 from wire_host import Host, opened, truths
 
 from firmware_protocol.host import FramePart
+from firmware_protocol.messages import BoardStatus
 from simulators.emulator import EmulatorOptions
 
 
@@ -40,11 +41,26 @@ def test_quartz16_sends_its_frames_in_time_and_tells_the_truth_beside_them(tmp_p
     assert truth[0]["plate_kelvin"] == 298.15
     assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
     assert report["frames_dropped"] == 0
-    assert report["dropped_by_cause"] == {"drop_rate": 0, "queue_full": 0, "silence": 0, "discarded": 0}
+    assert report["dropped_by_cause"] == dict.fromkeys(
+        ("drop_rate", "queue_full", "silence", "too_late", "discarded"), 0
+    )
     assert report["truth_lines_lost"] == 0
     assert report["bytes_sent"] >= host.session.bytes.received >= 300 * 204
     assert not path.is_symlink()
     assert len(os.listdir("/proc/self/fd")) == fds
+
+
+def test_frames_of_a_busy_computer_are_dropped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real_ns, ahead_ns = time.monotonic_ns, [0]
+    monkeypatch.setattr(time, "monotonic_ns", lambda: real_ns() + ahead_ns[0])
+    options = EmulatorOptions("quartz16", pty=tmp_path / "board", scenario="held")
+    with emulated(options) as emulator, opened(tmp_path / "board") as host:
+        host.read_until(lambda: len(host.frames) >= 10)
+        ahead_ns[0] = 60_000_000_000
+        host.read_until(lambda: host.frames[-1].sequence > 60_000)
+        missing = host.frames[-1].sequence + 1 - len(host.frames)
+    assert emulator.report()["dropped_by_cause"]["too_late"] == missing
+    assert next(event.frames_dropped for event in host.events if isinstance(event, BoardStatus)) == missing
 
 
 @pytest.mark.parametrize(("plate", "tones", "parts_a_frame"), [("skin32", 3072, 20), ("fingertip400", 1200, 8)])
