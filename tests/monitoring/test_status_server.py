@@ -136,7 +136,7 @@ async def test_what_is_in_the_way_is_left_alone_and_logged_once(
 
 async def test_one_who_never_reads_a_huge_answer_is_left(path: Path) -> None:
     huge = status_samples.status(version="x" * 3_000_000)
-    async with serving(path, lambda: huge, send_s=0.05):
+    async with serving(path, lambda: huge, send_s=1.0):
         await until(lambda: listens(path))
         with socket.socket(socket.AF_UNIX) as hanging:
             hanging.connect(str(path))
