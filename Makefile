@@ -176,7 +176,7 @@ coverage: .venv/test-stamp  ## all tests once more, slower, with the branches th
 	export OMP_NUM_THREADS=1
 	.venv/bin/pytest --cov --numprocesses 2
 
-bench: .venv/peers-stamp  ## each stage beside its peer and its limit, 6 minutes, against its record; RECORD=--record writes docs/explanation/performance.md
+bench: .venv/peers-stamp  ## each stage, its peer and its limit, 6 minutes, against its record; RECORD=--record writes docs/explanation/performance.md
 	$(debian-packages)
 	debian-packages $(BROKER) $(COUNTER)
 	OMP_NUM_THREADS=1 .venv/bin/python benchmarks/stages.py $(RECORD)

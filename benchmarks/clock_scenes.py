@@ -1,4 +1,4 @@
-"""Pings over links whose delays, and a board whose ticks, are known: what the board's clock says beside the truth."""
+"""Pings over links whose delays, and a board whose ticks, are known: the board's clock compared with the truth."""
 
 import math
 import random

@@ -1,4 +1,4 @@
-"""Decoding with contact physics beside the linear map: errors, error bars, failures noticed, a sliding contact.
+"""Decoding with contact physics compared with the linear map: errors, error bars, failures noticed, a sliding contact.
 
 Run it with `python benchmarks/contact_decoding.py [--draws N]`; 3 draws take about a minute. Truth is closed-form. One
 thread of linear algebra; the sliding contact's matrices are rebuilt by a second thread that rests 2.4 times as long as
@@ -104,7 +104,7 @@ HEALTHY: dict[str, Callable[[np.random.Generator], Scene]] = {
     "a < 1.5": SCENES["a < 1.5"],
 }
 FAILURES: dict[str, Callable[[np.random.Generator], Scene]] = {
-    "light beside heavy": lambda _: together(contact((-2.4e-3, 0.0)), contact((3.4e-3, 0.0), force_newton=0.1)),
+    "light next to heavy": lambda _: together(contact((-2.4e-3, 0.0)), contact((3.4e-3, 0.0), force_newton=0.1)),
     "light, 5 % of heavy": lambda _: together(contact((-2.4e-3, 0.0)), contact((3.4e-3, 0.0), force_newton=0.05)),
     "mu .65, told .5": lambda _: contact((0.0, 0.0), stick_ratio=1e-3, friction=0.65),
     "mu .35, told .5": lambda _: contact((0.0, 0.0), stick_ratio=1e-3, friction=0.35),

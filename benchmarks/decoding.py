@@ -1,4 +1,4 @@
-"""Linear decoders side by side: errors by scene, layout and noise; time per frame beside peers; what goes wrong.
+"""Linear decoders side by side: errors by scene, layout and noise; time per frame compared with peers; what goes wrong.
 
 Run it with `python benchmarks/decoding.py [DRAWS]`; `make bench` installs pylops and scikit-image for it. Truth is
 closed-form, decibels are of the centred contact, one thread; times are medians over interleaved rounds, (x) the median

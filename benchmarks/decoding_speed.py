@@ -1,4 +1,4 @@
-"""Time per frame and error of each decoder beside what else could do it, on the centred contact; tails of the time."""
+"""Time per frame and error of decoders and of what else could do it, on the centred contact; tails of the time."""
 
 import time
 from collections.abc import Callable

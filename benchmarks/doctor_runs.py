@@ -93,7 +93,7 @@ def main() -> int:
     options = parser.parse_args()
     healthy = [HEALTHY[number % len(HEALTHY)] for number in range(options.healthy)]
     wrong = unjudged = 0
-    print(f"{'asked':<24}{'expected':<38}{'seen':<12}{'s':>5}  beside it")
+    print(f"{'asked':<24}{'expected':<38}{'seen':<12}{'s':>5}  also bad")
     for number, case in enumerate([*healthy, *CASES]):
         if options.only not in case.name:
             continue
@@ -108,10 +108,10 @@ def main() -> int:
         busy = not good and too_busy(report, case.seen.partition("=")[0])
         wrong += not good and not busy
         unjudged += busy
-        beside = ", ".join(name for name in bad if name != case.seen)
+        others = ", ".join(name for name in bad if name != case.seen)
         expected = f"{case.verdict} {case.seen}"
         mark = report["verdict"] if good else "busy" if busy else f"{report['verdict']} WRONG"
-        print(f"{case.name:<24}{expected:<38}{mark:<12}{time.monotonic() - began_s:5.1f}  {beside}", flush=True)
+        print(f"{case.name:<24}{expected:<38}{mark:<12}{time.monotonic() - began_s:5.1f}  {others}", flush=True)
     print(f"{wrong} differ, {unjudged} could not be judged on a busy computer; clock.* and disk.* are left out")
     return 1 if wrong else 0
 

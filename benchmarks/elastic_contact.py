@@ -1,4 +1,4 @@
-"""Contact without friction: accuracy and time of a Hertz contact beside other programs; residual against iterations.
+"""Contact without friction: accuracy and time for a Hertz contact, of this and other programs; residual of iterations.
 
 Run it with `python benchmarks/elastic_contact.py [ROUNDS]`. Times are medians over interleaved rounds;
 each program stops at 1e-8 by its own measure of error. Where others use the machine too, threads that wait for each
@@ -117,7 +117,7 @@ def programs() -> list[Program]:
 
 
 def compare(candidates: list[Program], count: int, rounds: int) -> None:
-    """Print a line for each program: error, and times beside which those of `press`, the first, are put."""
+    """Print a line for each program: error, and time compared with that of `press`, the first."""
     pitch_m = SIDE_M / count
     profile = paraboloid((count, count), pitch_m, CURVATURE_RADIUS_M)
     ready = [program.prepare(count) for program in candidates]

@@ -1,4 +1,4 @@
-"""Residual against iterations for known and unknown regions, beside the iteration that the paper prints.
+"""Residual against iterations for known and unknown regions, compared with the iteration that the paper prints.
 
 Run it with `python benchmarks/elastic_convergence.py [--picture FILE]`.
 

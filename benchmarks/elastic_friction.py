@@ -1,4 +1,4 @@
-"""Partial slip and its coupling with pressure: error and time of a frictional contact, beside tamaas where it installs.
+"""Partial slip and its coupling with pressure: error and time, compared with tamaas where it installs.
 
 Run it with `python benchmarks/elastic_friction.py [ROUNDS]`. Times are medians over interleaved
 rounds, with all preparation: each solver knows just the object and its loads. The case is a rigid paraboloid, contact

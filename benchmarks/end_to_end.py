@@ -1,6 +1,6 @@
 """Forces, sites and uncertainties from end to end, on emulated plates counted straight into the daemon's chain.
 
-Every row has what is seen beside what is asked. Scenes are drawn with fixed seeds, one bench of plate, levels,
+Every row has what is asked and what is seen. Scenes are drawn with fixed seeds, one bench of plate, levels,
 temperature coefficients and noise after the other. "Told" means that the plate file says of response and warm touches
 what the emulated plate has; it never knows the errors drawn for a plate or a touch. The held presses run at a lower
 frame rate, 100 and 25 frames a second. It takes some five minutes.

@@ -159,7 +159,7 @@ def account_off(health: Mapping[str, Any]) -> list[str]:
 
 
 def leg_of(faults: str, board: Mapping[str, Any], before: Mapping[str, Any], after: Mapping[str, Any]) -> Leg:
-    """Return what a board sent beside what the daemon's `health` before and after says of it."""
+    """Return what a board sent, and the difference of the daemon's `health` before and after."""
     done = board["faults"]
     stale = after["packets_ignored"].get("stale", 0) - before["packets_ignored"].get("stale", 0)
     return Leg(

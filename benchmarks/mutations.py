@@ -55,7 +55,7 @@ class Mutant:
 
 
 def package_of(path: str) -> str:
-    """Return the package of a file, given below the root; of files beside the packages of the daemon, the daemon's."""
+    """Return the package of a file, given below the root; of files next to the packages of the daemon, the daemon's."""
     parts = Path(path).parts
     return parts[1] if parts[0] == "resonator_daemon" and len(parts) > 2 else parts[0]
 

@@ -1,4 +1,4 @@
-"""An emulated plate counted straight into a sensor, without link, broker and clock: readings beside truth."""
+"""An emulated plate counted into a sensor, without link, broker and clock: readings compared with the truth."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,7 @@
 """What a power failure costs a daemon that records and has no broker: at most the last second of frames and events.
 
 Run it with `make soak`, or `python benchmarks/power_failure.py [--seconds N] [--moments N] [--seed N]`. The daemon runs
-once, beside an emulated quartz16 that is pressed at full rate, and all its changes to the disk are logged. For moments
+once, with an emulated quartz16 that is pressed at full rate, and all its changes to the disk are logged. For moments
 around each fsync and others by chance, the disk is restored to what it may hold then (`disk_crashes.py`), and opened
 by the daemon's own readers. Then each store is written alone, up to promises that must hold (`store_failures.py`).
 Exit code 1 when a file cannot be read, more than a second is missing, or a promise is broken.

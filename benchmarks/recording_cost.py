@@ -1,4 +1,4 @@
-"""What it costs to record a board at full rate, beside `cat` of the same port to a file; and how large files get.
+"""Cost of recording a board at full rate, compared with `cat` of the same port to a file; sizes of the files.
 
 Run it with `python benchmarks/recording_cost.py [--seconds N]`. The same reader reads each plate with
 and without a recording in turns; the difference of its processor time, threads and all, is what recording costs. Exit

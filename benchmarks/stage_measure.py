@@ -21,7 +21,7 @@ class Work(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """A stage beside a peer, which has the same result or purpose, and a limit, which is part of any such program."""
+    """A stage, a peer with the same result or purpose, and a limit, which is part of any such program."""
 
     name: str
     ours: Work

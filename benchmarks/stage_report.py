@@ -17,7 +17,7 @@ class Cost(TypedDict):
 
 
 class StageRecord(TypedDict):
-    """A stage beside its peer and its limit; instructions are those of one frame."""
+    """A stage compared with its peer and its limit; instructions are those of one frame."""
 
     ours: Cost
     peer: Cost

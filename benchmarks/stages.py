@@ -1,4 +1,4 @@
-"""Each stage beside its peer and its limit, in one run: processor time of a frame, instructions, growth exponents.
+"""Stages, their peers and their limits, in one run: processor time of a frame, instructions, growth exponents.
 
 Run it with `make bench`, or `python benchmarks/stages.py [--record] [--count]`. Works of a stage run in turns, so that
 other programs slow each of them; figures are medians. Instructions are counted by valgrind in a second process.

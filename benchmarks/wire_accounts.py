@@ -89,7 +89,7 @@ CASES = (
 class PerfectReader:
     """Who knows every packet that was sent finds those that are whole on the wire, each once, by comparing bytes.
 
-    Damage may heal: a piece comes to lie beside the right neighbour, or two frames lose what leaves one of them whole.
+    Damage may heal: a piece comes to lie next to the right neighbour, or two frames lose what leaves one of them whole.
     """
 
     def __init__(self) -> None:

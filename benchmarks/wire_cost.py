@@ -1,4 +1,4 @@
-"""What the wire costs: processor time from a port to frames, beside a bare reader and another library's.
+"""What the wire costs: processor time from a port to frames, compared with a bare reader and another library's.
 
 Run it with `python benchmarks/wire_cost.py [SECONDS]`. Exit code 1 when a figure is missed.
 A child process sends, at its rate, what was made before; processor time is that of this process alone.

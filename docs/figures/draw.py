@@ -63,7 +63,7 @@ def contact(count: int, pitch_m: float) -> FrictionalContact:
 
 
 def partial_slip(folder: Path) -> None:
-    """Fig. 13: stick radius against tangential load, solved as a contact with unknown stick zone, beside eq. (7)."""
+    """Fig. 13: stick radius against tangential load, of a contact with unknown stick zone and of eq. (7)."""
     load = LOAD_NEWTON
     object_ = contact(64, 10e-3 / 64)
     ratios, found = np.array([0.1, 0.3, 0.5, 0.7, 0.875, 0.95]), []
@@ -123,7 +123,7 @@ def main() -> None:
     os.environ.setdefault("SOURCE_DATE_EPOCH", "0")
     parser = argparse.ArgumentParser(description="Draw the figures of docs/research/reproduction.md.")
     parser.add_argument(
-        "--folder", type=Path, default=Path(__file__).parent, help="where to (default: beside this file)"
+        "--folder", type=Path, default=Path(__file__).parent, help="where to (default: the folder of this file)"
     )
     folder = parser.parse_args().folder
     power_spectra(folder)

@@ -122,7 +122,7 @@ def main() -> None:
     os.environ.setdefault("SOURCE_DATE_EPOCH", "0")
     parser = argparse.ArgumentParser(description="Draw the picture of the README.")
     parser.add_argument(
-        "--folder", type=Path, default=Path(__file__).parent, help="where to (default: beside this file)"
+        "--folder", type=Path, default=Path(__file__).parent, help="where to (default: the folder of this file)"
     )
     fingertip(parser.parse_args().folder)
 

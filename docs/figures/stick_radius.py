@@ -1,4 +1,4 @@
-"""Stick radius against load, as section 4.2 of the paper wants it known: found in noisy signals, beside eq. (7)."""
+"""Stick radius against load, as section 4.2 of the paper wants it known: found in noisy signals and by eq. (7)."""
 
 from pathlib import Path
 

@@ -31,7 +31,7 @@ LOADS = ("--sites", "7", "--masses-grams", "100,300,500", "--hold-s", "0.3")
 
 
 class Desk:
-    """A folder with a configuration, its plate file, a board, and a state directory beside."""
+    """A folder with a configuration, its plate file, a board, and a state directory."""
 
     def __init__(self, folder: Path, nominal: str | None = None) -> None:
         nominal = nominal or nominal_text()

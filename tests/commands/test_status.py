@@ -1,4 +1,4 @@
-"""`resonatord status` beside daemons that answer, hang, refuse, or are not there."""
+"""`resonatord status` with daemons that answer, hang, refuse, or are not there."""
 
 import asyncio
 import json

@@ -42,7 +42,7 @@ def depends_on(*, gain_std: float = 0.0, contact_physics: bool = True, noise: fl
 def test_what_was_built_once_is_found_again(directory: Path) -> None:
     build = Builder()
     assert [cached(depends_on(), build) for _ in range(3)] == [101, 101, 101]
-    (file,) = directory.iterdir()  # and no half-written one beside it
+    (file,) = directory.iterdir()  # and no half-written one next to it
     assert file.suffix == ".pickle"
     assert directory.stat().st_mode & 0o77 == 0  # what is unpickled must be the user's own
 

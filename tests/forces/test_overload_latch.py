@@ -19,7 +19,7 @@ def test_the_latch_holds_no_force_of_another_site():
     both = outcome(s2="ok", s3="overload")
     assert repr(latch.apply(both)) == repr(both)
     assert repr(latch.apply(outcome(s4="ok"))) == repr(outcome(s3="overload"))
-    # The overloaded site is heard again beside another one: both are of this reading.
+    # The overloaded site is received again with another one: both are of this reading.
     fresh = outcome(s3="overload", s6="ok")
     assert repr(latch.apply(fresh)) == repr(fresh)
     assert repr(latch.apply(outcome())) == repr(outcome(s3="overload"))

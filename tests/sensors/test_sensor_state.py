@@ -13,7 +13,7 @@ from resonator_daemon.session.clock import Instant
 
 T0_NS = 1_789_000_000_000_000_123
 MS = 1_000_000
-LEARNT, UNLEARNT = (0.0, 1e-6, -2e-6, 0.0), (math.nan,) * 4
+ESTIMATED, UNKNOWN = (0.0, 1e-6, -2e-6, 0.0), (math.nan,) * 4
 
 
 def stated(text: str) -> Reason | None:
@@ -38,7 +38,7 @@ class Sensor:
         self.said.append((condition, reason.text, since_ns))
 
     def read(
-        self, at_ms: float, status: str, reason: str = "", common_mode: tuple[float, ...] = LEARNT, set_ms: float = 0
+        self, at_ms: float, status: str, reason: str = "", common_mode: tuple[float, ...] = ESTIMATED, set_ms: float = 0
     ) -> list[Condition]:
         """Feed one reading; return the conditions that were announced for it."""
         before = len(self.said)
@@ -67,7 +67,7 @@ def test_a_calibration_that_expires_is_said_once_and_hides_nothing_worse() -> No
     assert sensor.said[-1][:2] == (Condition.ONLINE, "sites are read")
 
 
-@pytest.mark.parametrize("common_mode", [UNLEARNT, (math.nan,)])
+@pytest.mark.parametrize("common_mode", [UNKNOWN, (math.nan,)])
 def test_a_sensor_that_learns_is_starting_with_the_readings_reason(common_mode: tuple[float, ...]) -> None:
     sensor = Sensor()
     sensor.read(3, "settling", "the common mode is being estimated", common_mode)
@@ -84,7 +84,7 @@ def test_a_sensor_that_learns_is_starting_with_the_readings_reason(common_mode: 
 )
 def test_trouble_before_the_first_judgement_counts_at_once(status: str, condition: Condition) -> None:
     sensor = Sensor()
-    sensor.read(7, status, "why", UNLEARNT)
+    sensor.read(7, status, "why", UNKNOWN)
     assert sensor.said == [(condition, "why", T0_NS + 7 * MS)]
 
 
@@ -109,9 +109,9 @@ def test_trouble_that_lasts_is_said_with_its_newest_reason_since_its_first_readi
 def test_each_trouble_must_last_by_itself() -> None:
     sensor = online()
     sensor.read(100, "no_signal")
-    sensor.read(300, "pressed_at_start", "touched", UNLEARNT)
-    assert sensor.read(400, "pressed_at_start", "touched", UNLEARNT) == []
-    assert sensor.read(550, "pressed_at_start", "touched", UNLEARNT) == [Condition.PRESSED_AT_START]
+    sensor.read(300, "pressed_at_start", "touched", UNKNOWN)
+    assert sensor.read(400, "pressed_at_start", "touched", UNKNOWN) == []
+    assert sensor.read(550, "pressed_at_start", "touched", UNKNOWN) == [Condition.PRESSED_AT_START]
     assert sensor.said[-1][2] == T0_NS + 300 * MS
 
 
@@ -159,7 +159,7 @@ def test_an_explanation_is_added_to_the_reason_of_a_well_sensor_and_taken_back()
 def test_an_explanation_may_have_another_condition_that_begins_with_the_last_reading() -> None:
     sensor = Sensor()
     sensor.state.explain(stated("decoder starts"), Condition.STARTING)
-    sensor.read(0, "settling", common_mode=UNLEARNT)
+    sensor.read(0, "settling", common_mode=UNKNOWN)
     sensor.read(5, "ok")
     assert [condition for condition, _, _ in sensor.said] == [Condition.STARTING, Condition.STARTING]
     assert sensor.codes[-1] == ReasonCode.CHANNELS_SILENT
@@ -201,9 +201,9 @@ def test_a_baseline_that_runs_away_is_drifting_and_its_readings_go_on() -> None:
 def test_durations_do_not_depend_on_the_wall_clock() -> None:
     repeats: list[Compensation | None] = []
     state = SensorState(lambda *announced: repeats.append(announced[3]), "sites are read")
-    compensation = Compensation(LEARNT, 1e-8, "followed", math.nan, math.nan, "off")
+    compensation = Compensation(ESTIMATED, 1e-8, "followed", math.nan, math.nan, "off")
     for second, set_ms in enumerate((0, 0, -3_600_000, -3_600_000)):
-        state.update("ok", None, LEARNT, instant(1000 * second, set_ms), compensation)
+        state.update("ok", None, ESTIMATED, instant(1000 * second, set_ms), compensation)
     assert repeats == [compensation] * 4
     sensor = online()
     sensor.read(10, "pilot_lost")
