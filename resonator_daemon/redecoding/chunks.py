@@ -13,7 +13,7 @@ from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.plate import Plate
 from resonator_daemon.recording.event_replay import Replay
 from resonator_daemon.recording.outline import PartStart, read_outline
-from resonator_daemon.recording.reader import Mark, Recording, open_recording
+from resonator_daemon.recording.reader import Recording, open_recording
 from resonator_daemon.replay.source import recorded_config
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.session.frame_queue import FrameQueue
@@ -94,6 +94,10 @@ class Chunk:
         """UTC of its first message."""
         return self.starts[self.number].utc_ns
 
+    @property
+    def length_bytes(self) -> int:
+        return self.end_bytes(self.number) - self.starts[self.number].begin_bytes
+
     def end_bytes(self, number: int) -> int:
         """Return where the bytes of a chunk of this recording end."""
         return self.starts[number + 1].begin_bytes if number + 1 < len(self.starts) else self.size_bytes
@@ -160,16 +164,14 @@ def first_rest(chunk: Chunk, number: int, config: Config) -> HostTime | None:
         queue = FrameQueue(1 << 30, lambda: None, ())
         replay = Replay(recording, LinkStateMachine(config.plate, queue, lambda _: None))
         board = BoardPipeline(undecoded, "", lambda *_: None)
-        for entry in recording.entries():
+        for event in recording.events():
             if recording.read_bytes > chunk.end_bytes(number):
                 break
-            if isinstance(entry, Mark):
-                continue
-            replay.apply(entry)
+            replay.apply(event)
             for arrival in queue.pop_all():
                 board.handle(arrival)
             if board.sensor.at_rest:
-                return entry.now
+                return event.now
     return None
 
 

@@ -16,6 +16,7 @@ try:
     from dask.distributed import Client, KilledWorker, LocalCluster, as_completed
     from distributed.client import FutureCancelledError
     from distributed.comm import CommClosedError
+    from distributed.scheduler import NoWorkerError
 except ImportError as error:
     raise MissingLibraryError(
         f"several workers, and --scheduler, need dask.distributed: {how_to_install('distributed')}"
@@ -26,6 +27,16 @@ logging.getLogger("distributed").propagate = False  # what ends the command is r
 CONNECT_S: Final = 10.0
 _ANY_PORT: Final = "127.0.0.1:0"
 DEATHS_MAX: Final = 20  # of workers that had one chunk; more: the chunk is at fault
+_STARTS_MAX: Final = 5  # of a cluster of which a worker dies while it starts
+_SETTINGS: Final = {
+    "distributed.scheduler.allowed-failures": DEATHS_MAX,
+    "distributed.scheduler.worker-saturation": 1.0,  # each worker has one chunk, and no other waits for it
+    "distributed.scheduler.no-workers-timeout": "5 minutes",
+    "distributed.deploy.lost-worker-timeout": "1 day",  # a killed one starts again, however long that takes
+    "distributed.worker.profile.enabled": False,
+    # Without Dask's limit for malloc, by which it returns memory to the system after each array.
+    "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+}
 _LOST: Final = (FutureCancelledError, CommClosedError, asyncio.CancelledError, TimeoutError)
 
 
@@ -37,7 +48,7 @@ class SchedulerError(UserError):
 
 
 class WorkersDiedError(UserError):
-    """Workers died again and again of one chunk."""
+    """Workers died again and again, of one chunk or while they started."""
 
     exit_code = ExitCode.FAILED
     code = "workers_died"
@@ -62,30 +73,38 @@ def decode_on_cluster(
     UserError
         What `decode_chunk` raises.
     """
-    quiet = {"distributed.scheduler.allowed-failures": DEATHS_MAX}
     with ExitStack() as stack:
-        stack.enter_context(dask.config.set(quiet))
-        if scheduler is None:
-            cluster: Any = stack.enter_context(
-                LocalCluster(
-                    n_workers=workers, threads_per_worker=1, dashboard_address=_ANY_PORT, silence_logs=logging.CRITICAL
-                )
-            )
-        else:
-            cluster = scheduler
+        stack.enter_context(dask.config.set(_SETTINGS))
+        cluster = stack.enter_context(_local_cluster(workers)) if scheduler is None else scheduler
         client = stack.enter_context(_client(cluster, scheduler))
+        # In this order; a long chunk at the end would leave the other workers idle.
+        chunks = sorted(chunks, key=lambda chunk: -chunk.length_bytes)
         futures = client.map(decode_chunk, chunks, job=job, key=[f"decode-{chunk.key}" for chunk in chunks], pure=False)
         stack.callback(client.cancel, futures)
         for future in as_completed(futures, loop=client.loop):
             try:
                 yield future.result()
-            except KilledWorker as error:
+            except (KilledWorker, NoWorkerError) as error:
                 raise WorkersDiedError(
                     f"{future.key}: its workers died again and again; give them more memory, then repeat the command: "
                     "it goes on with the chunks that are not done"
                 ) from error
             except _LOST as error:
                 raise _lost(scheduler) from error
+
+
+def _local_cluster(workers: int) -> Any:
+    """Start a cluster of processes of this computer; again if a worker is killed while it starts."""
+    for _ in range(_STARTS_MAX):
+        try:
+            return LocalCluster(
+                n_workers=workers, threads_per_worker=1, dashboard_address=_ANY_PORT, silence_logs=logging.CRITICAL
+            )
+        except RuntimeError as error:
+            last = error
+    raise WorkersDiedError(
+        f"workers died {_STARTS_MAX} times while they started; use fewer --workers, or give them more memory"
+    ) from last
 
 
 def _client(cluster: Any, scheduler: str | None) -> Any:

@@ -62,11 +62,11 @@ def decode_all(
     waiting = [chunk for chunk in chunks if chunk.key not in reports]
     skipped = len(reports)
     with _bar(show_progress) as bar:
-        task = bar.add_task("", total=sum(map(_size_bytes, chunks)))
-        bar.advance(task, sum(_size_bytes(chunk) for chunk in chunks if chunk.key in reports))
+        task = bar.add_task("", total=sum(chunk.length_bytes for chunk in chunks))
+        bar.advance(task, sum(chunk.length_bytes for chunk in chunks if chunk.key in reports))
         for report in _reports(waiting, job, scheduler, workers):
             reports[report["chunk"]] = report
-            bar.advance(task, next(_size_bytes(chunk) for chunk in waiting if chunk.key == report["chunk"]))
+            bar.advance(task, next(chunk.length_bytes for chunk in waiting if chunk.key == report["chunk"]))
     return _summary(list(reports.values()), skipped, refused, job)
 
 
@@ -98,10 +98,6 @@ def _claim(job: Job) -> None:
             f"{job.output} has results of another plate file, other settings, topics or another version, as {path} has "
             "them; choose another --output"
         )
-
-
-def _size_bytes(chunk: Chunk) -> int:
-    return chunk.end_bytes(chunk.number) - chunk.starts[chunk.number].begin_bytes
 
 
 def _bar(shown: bool) -> Progress:

@@ -4,7 +4,10 @@ import json
 import os
 import random
 import signal
+import subprocess
+import sys
 import threading
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +16,7 @@ import psutil
 import pyarrow.dataset as ds
 import pytest
 from simulated_recording import record
+from small_disk import small_disk
 
 from resonator_daemon.commands import main
 from resonator_daemon.config.text import plate_text
@@ -22,9 +26,7 @@ from resonator_daemon.replay.source import open_replay
 CORPUS = Path(__file__).parents[1] / "corpus"
 FILE = "recording.mcap"
 CASES = CORPUS / "touches" / FILE, CORPUS / "cut-off" / FILE
-UNDAMAGED = (
-    "touches", "two-touches", "slide", "comb", "warm-finger", "pressed-at-start", "temperature-drift", "overload"
-)  # fmt: skip
+UNDAMAGED = "touches", "two-touches", "slide", "comb", "warm-finger", "pressed-at-start", "overload"
 PERIOD_S, PRESSES = 7.0, 3  # each is followed by more than the 40 untouched frames that a chunk begins with
 PRESS = f"""
 period_s = {PERIOD_S}
@@ -46,17 +48,12 @@ def skin(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("skin")
     with open_replay(CORPUS / "skin" / "recording.mcap") as replaying:
         plate = replaying.config.plate
-    (folder / "press.toml").write_text(PRESS)
+    scenario = folder / "press.toml"
+    scenario.write_text(PRESS)
     begin_ns = (1_789_000_000 // 86_400 * 86_400 + 86_400 - 14) * 10**9
-    record(
-        folder / "run.mcap",
-        plate,
-        PERIOD_S * PRESSES,
-        scenario=str(folder / "press.toml"),
-        include_messages=True,
-        utc_ns=begin_ns,
-    )
-    return folder / "run.mcap"
+    path, seconds = folder / "run.mcap", PERIOD_S * PRESSES
+    record(path, plate, seconds, scenario=str(scenario), include_messages=True, utc_ns=begin_ns)
+    return path
 
 
 def decode(*arguments: object) -> int:
@@ -79,7 +76,9 @@ def reference(skin: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return output
 
 
-def test_results_do_not_depend_on_the_chunks(skin: Path, reference: Path, tmp_path: Path) -> None:
+def test_results_do_not_depend_on_the_chunks_and_lie_by_plate_and_day(
+    skin: Path, reference: Path, tmp_path: Path
+) -> None:
     assert decode(skin, "--output", tmp_path, "--chunk-seconds", 1e6) == 0
     assert len(list((tmp_path / REPORTS).iterdir())) == 1
     assert len(list((reference / "decoded").rglob("*.parquet"))) > PRESSES  # that at midnight has two
@@ -88,9 +87,6 @@ def test_results_do_not_depend_on_the_chunks(skin: Path, reference: Path, tmp_pa
     assert columns(tmp_path, "contacts-event")["event"].count("onset") == PRESSES
     ids = ds.dataset(reference / "contacts-event").to_table()["contact_id"].to_pylist()
     assert len(set(ids)) == PRESSES
-
-
-def test_days_and_plate_are_partitions(reference: Path) -> None:
     found = {part.parent.name + "/" + part.name for part in (reference / "contacts").glob("*/*")}
     assert found == {"plate=left-index/day=2026-09-10", "plate=left-index/day=2026-09-11"}
     for day in ("2026-09-10", "2026-09-11"):
@@ -123,15 +119,16 @@ def workers() -> list[psutil.Process]:
 
 
 def kill_workers(output: Path, done: threading.Event, chances: random.Random, killed: list[int], most: int) -> None:
-    """Kill workers at random times while they decode."""
+    """Kill workers at random times while they decode; the first and each fourth of them also while it starts."""
     while not done.wait(chances.uniform(0.01, 0.2)) and len(killed) < most:
-        if (running := workers()) and list(output.glob(".parts/*")):
-            victim = chances.choice(running)
-            victim.send_signal(signal.SIGKILL)
-            killed.append(victim.pid)
+        with suppress(psutil.NoSuchProcess):  # it has ended in the meantime
+            if (running := workers()) and (len(killed) % 4 == 0 or list(output.glob(".parts/*"))):
+                victim = chances.choice(running)
+                victim.send_signal(signal.SIGKILL)
+                killed.append(victim.pid)
 
 
-@pytest.mark.parametrize(("source", "kills"), [("corpus", 1), pytest.param("skin", 20, marks=pytest.mark.soak)])
+@pytest.mark.parametrize(("source", "kills"), [("corpus", 2), pytest.param("skin", 20, marks=pytest.mark.soak)])
 def test_killed_workers_change_nothing(source: str, kills: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     recordings = [request.getfixturevalue("skin")] if source == "skin" else [CORPUS / case / FILE for case in UNDAMAGED]
     arguments = [*recordings, "--chunk-seconds", 6.5]
@@ -164,6 +161,56 @@ def test_an_interrupted_run_goes_on_where_it_was(
     assert times == {path: path.stat().st_mtime_ns for path in others}
     assert decode(skin, "--output", tmp_path, "--chunk-seconds", 14) == 2  # other settings
     assert "choose another --output" in capsys.readouterr().err
+
+
+def test_a_full_disk_is_one_message_and_the_repeat_goes_on(
+    skin: Path, reference: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result_bytes = sum(map(len, contents(reference).values()))
+    with small_disk(tmp_path, 3 * result_bytes) as (disk, _, free):
+        (disk / "filler").write_bytes(bytes(5 * result_bytes // 2))
+        assert decode(skin, "--output", disk / "out", "--chunk-seconds", 6.5) == 1
+        [message] = capsys.readouterr().err.splitlines()
+        assert "No space left on device; make room there, and repeat the command" in message
+        free()
+        assert decode(skin, "--output", disk / "out", "--chunk-seconds", 6.5, "--json") == 0
+        assert json.loads(capsys.readouterr().out)["chunks_done_before"] > 0
+        assert contents(disk / "out") == contents(reference)
+
+
+@pytest.mark.soak
+def test_a_killed_scheduler_is_one_message_and_the_repeat_goes_on(
+    skin: Path, reference: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output, address, ended = tmp_path / "out", tmp_path / "scheduler.json", threading.Event()
+
+    def start(part: str, *options: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "dask", part, "--scheduler-file", address, *options]
+        process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        stack.callback(process.wait)
+        stack.callback(process.kill)
+        return process
+
+    def kill_scheduler() -> None:
+        while not ended.wait(0.02) and not list(output.glob(".parts/*")):
+            pass
+        scheduler.kill()
+
+    with ExitStack() as stack:
+        scheduler, _ = start("scheduler", "--port", "0", "--no-dashboard"), start("worker", "--nthreads", "1")
+        while not address.exists() or not address.read_text().endswith("}"):
+            assert scheduler.poll() is None
+        thread = threading.Thread(target=kill_scheduler)
+        thread.start()
+        stack.callback(thread.join)
+        stack.callback(ended.set)
+        url = json.loads(address.read_text())["address"]
+        assert decode(skin, "--output", output, "--chunk-seconds", 6.5, "--scheduler", url) == 69
+    [message] = capsys.readouterr().err.splitlines()
+    assert f"the scheduler at {url} has ended" in message
+    assert len(list((output / REPORTS).iterdir())) < len(list((reference / REPORTS).iterdir()))
+    assert decode(skin, "--output", output, "--chunk-seconds", 6.5) == 0
+    assert contents(output) == contents(reference)
 
 
 def test_force_plates_are_decoded_as_replayed_and_damage_is_reported(
@@ -206,6 +253,4 @@ def test_what_cannot_be_done_is_one_message(
 ) -> None:
     monkeypatch.setattr("resonator_daemon.redecoding.cluster.CONNECT_S", 0.3)
     assert decode("--output", tmp_path, *arguments) == code
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert word in last
-    assert "Traceback" not in last
+    assert word in capsys.readouterr().err.splitlines()[-1]

@@ -1,4 +1,4 @@
-"""The golden corpus: every scenario and fault replays as it did, and a check sees what is wrong."""
+"""The golden corpus: every scenario and fault replays as it did, and what counts as a difference."""
 
 import gzip
 import json
@@ -17,9 +17,10 @@ from command_line import exit_code
 from resonator_daemon.commands import main
 from resonator_daemon.errors import ConfigurationError, ExitCode
 from resonator_daemon.replay.case import EXPECTED_FILE, read_expected, save_case
-from resonator_daemon.replay.checking import Verdict, check_case
+from resonator_daemon.replay.checking import ABSENT, Difference, Scales, Verdict, check_case, payload_differences
 
 CORPUS = Path(__file__).parents[1] / "corpus"
+EXPECTED = {"a": 1, "b": "one", "f": [0.0, 2.0], "g": [{"x": 1e-9}, {"x": 4e-9}], "n": None, "t": True}
 CASES = sorted(path.parent for path in CORPUS.glob(f"*/{EXPECTED_FILE}"))
 
 
@@ -53,6 +54,16 @@ def test_the_corpus_has_what_may_befall_a_board() -> None:
     assert seen >= {("event", event) for event in ("onset", "release", "incipient_slip")}
     assert seen >= {("status", s) for s in ("ok", "overload", "no_signal", "possibly_more", "rejected", "settling")}
     assert ("damaged", True) in seen
+
+
+@pytest.mark.parametrize(("topic", "listed", "limit_bytes"), [("forces", "sites", 350), ("contacts", "contacts", 400)])
+def test_a_message_with_one_touch_is_small(topic: str, listed: str, limit_bytes: int) -> None:
+    """A controller reads it 200 times a second, also after a long run."""
+    long_run = {"name": "left-index", "daemon_boot_id": "9f3c52d0", "seq": 1_234_567, "board_ticks": "1234567890123"}
+    payloads = [message.payload for message in read_expected(CORPUS / "touches").messages if message.topic == topic]
+    touched = [payload for payload in payloads if len(payload[listed]) == 1 and payload["status"] == "ok"]
+    assert len(touched) > 50
+    assert max(len(json.dumps(payload | long_run, separators=(",", ":"))) for payload in touched) <= limit_bytes
 
 
 def retold(folder: Path, change: Callable[[list[dict[str, Any]]], object], name: str = "refused") -> Path:
@@ -155,3 +166,45 @@ def test_a_case_that_is_interrupted_leaves_nothing(
     assert main(["replay", str(recording), "--save-case", str(tmp_path / "case")]) == 1
     assert capsys.readouterr().err == "resonatord: interrupted: no fixture is saved\n"
     assert list(tmp_path.iterdir()) == []
+
+
+def differences(got: dict[str, Any], topic: str = "forces") -> list[Difference]:
+    scales = Scales()
+    scales.add(topic, EXPECTED)
+    return list(payload_differences(topic, EXPECTED, got, scales))
+
+
+@pytest.mark.parametrize("change", [{}, {"f": [1.9e-6, 2.0 - 1.9e-6]}, {"g": [{"x": 1e-9 + 3.9e-15}, {"x": 4e-9}]}])
+def test_what_other_processors_round_is_none(change: dict[str, Any]) -> None:
+    assert differences(EXPECTED | change) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        ({"a": 2}, Difference("a", 1, 2)),
+        ({"a": 1.0}, Difference("a", 1, 1.0)),
+        ({"n": 0.0}, Difference("n", None, 0.0)),
+        ({"f": [2.1e-6, 2.0]}, Difference("f[0]", 0.0, 2.1e-6)),
+        ({"f": [0.0, 2.0, 3.0]}, Difference("f[]", "2 elements", "3 elements")),
+        ({"g": [{"x": 1e-9 + 4.1e-15}, {"x": 4e-9}]}, Difference("g[0].x", 1e-9, 1e-9 + 4.1e-15)),
+        ({"g": [{}, {"x": 4e-9}]}, Difference("g[0].x", 1e-9, ABSENT)),
+        ({"more": 1}, Difference("more", ABSENT, 1)),
+    ],
+)
+def test_what_is_one(change: dict[str, Any], found: Difference) -> None:
+    assert differences(EXPECTED | change) == [found]
+
+
+def test_the_largest_value_of_a_field_sets_its_scale_in_whatever_order_they_come() -> None:
+    for values in ([0.0, 2.0], [2.0, 0.0], [-2.0, 1.0, 0.5]):
+        scales = Scales()
+        scales.add("forces", {"f": values})
+        assert scales.tolerance("forces.f[]") == pytest.approx(2e-6)
+
+
+def test_another_version_says_the_same() -> None:
+    scales = Scales()
+    old, new = {"plate": "p", "daemon_version": "0.8"}, {"plate": "p", "daemon_version": "0.9"}
+    assert list(payload_differences("info", old | {"commands": []}, new | {"commands": ["ping"]}, scales)) == []
+    assert list(payload_differences("forces", old, new, scales)) == [Difference("daemon_version", "0.8", "0.9")]

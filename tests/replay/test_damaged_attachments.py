@@ -4,18 +4,15 @@ import json
 from pathlib import Path
 
 import pytest
+from command_line import exit_code
 
-from resonator_daemon.commands import main
 from resonator_daemon.recording.reader import open_recording
 
 RECORDING = Path(__file__).parents[1] / "corpus" / "touches" / "recording.mcap"
 WHOLE = RECORDING.read_bytes()
 ATTACHMENT = 9  # its opcode
 FORCE_MAX = b"force_max_newton = "
-
-
-def run(*arguments: object) -> int:
-    return main([str(argument) for argument in arguments])
+SETTING = WHOLE.index(b"window_ms = ") + 12
 
 
 def flipped(path: Path, place: int, bit: int = 2) -> Path:
@@ -39,29 +36,12 @@ def in_plate() -> int:
     return place  # 10.0 becomes 30.0
 
 
-def in_settings() -> int:
-    return WHOLE.index(b"window_ms = ") + len(b"window_ms = ")
-
-
-@pytest.fixture
-def config(tmp_path: Path) -> Path:
-    """A configuration of the recording's plate and settings."""
-    with open_recording(str(RECORDING)) as recording:
-        plate, settings = recording.plate_text, recording.settings_text
-        name = recording.header["name"]
-    (tmp_path / "own.toml").write_text(plate or "")
-    path = tmp_path / "board.toml"
-    link = "serial:/dev/null?baud=4000000"
-    path.write_text(f'name = "{name}"\nplate = "own.toml"\nlink = "{link}"\n{settings}')
-    return path
-
-
-@pytest.mark.parametrize(("name", "place"), [("plate.toml", in_plate()), ("settings.toml", in_settings())])
+@pytest.mark.parametrize(("name", "place"), [("plate.toml", in_plate()), ("settings.toml", SETTING)])
 def test_no_numbers_follow_from_it(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, place: int) -> None:
     path = flipped(tmp_path / "bent.mcap", place)
     for verb in (("replay", path, "--to"), ("export", path, "--output")):
         output = tmp_path / "out.csv"
-        assert run(*verb, output, "--json") == 78
+        assert exit_code(*verb, output, "--json") == 78
         said = capsys.readouterr()
         line = f"{path}: its attachment {name} is damaged; give plate and settings with --config FILE"
         assert said.err == f"resonatord: {line}\n"
