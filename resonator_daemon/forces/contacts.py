@@ -12,6 +12,7 @@ from resonator_daemon.reasons import Reason, ReasonCode
 
 ONSET_NEWTON: Final = 0.020
 RELEASE_NEWTON: Final = 0.010
+_CERTAIN_STDS: Final = 5.0  # the error of 2 gates, which do not show beats with the pilot, is up to 1.8 noises rms
 _UNKNOWN: Final = Reason(ReasonCode.UNKNOWN_TOO_LONG, "its state was unknown for too long")
 _GONE: Final = Reason(ReasonCode.NOT_DETECTED, "no touch is detected there any more")
 _FELL: Final = Reason(ReasonCode.FORCE_FELL, f"below {RELEASE_NEWTON:g} N")
@@ -77,10 +78,10 @@ class ContactEvent:
 class ContactTracker:
     """Tracker of contacts: touches, reading by reading, to contacts.
 
-    A contact sets on at 20 mN, or with an overload, and ends below 10 mN or when a reading that covers all touches
-    has none there. A gap does not end it: its force is unknown, and only when that lasts longer than
-    `unknown_ticks` is it released for that reason. A touch belongs to the nearest contact within `reach_m`: 0 where
-    positions are those of sites.
+    A contact sets on at 20 mN that are five times their noise above 10 mN, or with an overload. It ends below 10 mN or
+    when a reading that covers all touches has none there. A gap does not end it: its force is unknown, and only when
+    that lasts longer than `unknown_ticks` is it released for that reason. A touch belongs to the nearest contact within
+    `reach_m`: 0 where positions are those of sites.
     """
 
     def __init__(self, unknown_ticks: int, reach_m: float = 0.0) -> None:
@@ -149,7 +150,8 @@ class ContactTracker:
         newton = touch.force_newton
         at_least = newton if touch.at_least_newton is None else touch.at_least_newton
         if number is None:
-            if not (touch.status == "overload" or newton >= ONSET_NEWTON):
+            is_above = newton >= ONSET_NEWTON and newton - RELEASE_NEWTON >= _CERTAIN_STDS * touch.noise_newton
+            if not (is_above or touch.status == "overload"):
                 return []
             self._last_id += 1
             bound = touch.at_least_newton is not None
