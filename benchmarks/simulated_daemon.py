@@ -7,9 +7,9 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from itertools import starmap
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from simulated_disk import RunRecorder, SimulatedDisk
 from simulated_link import S, SimulatedBoard, SimulatedHost, SimulatedLink
 
 from resonator_daemon.config import Config
@@ -90,7 +90,7 @@ class SimulatedDaemon:
         boot_id: str,
         host: SimulatedHost,
         board: SimulatedBoard,
-        spool: Path,
+        disk: SimulatedDisk,
         seen: Seen,
         counted_before: int,
     ) -> None:
@@ -103,7 +103,8 @@ class SimulatedDaemon:
         self._newest: dict[str, Any] = {}
         self._set_back_ns: dict[str, int] = {}
         self._account = Account()
-        self.outbox = Outbox(self._account, spool, 1e9, boot_id=boot_id)
+        self.outbox = Outbox(self._account, disk.path / "spool", 1e9, boot_id=boot_id)
+        self._recorder = RunRecorder(config, plate, boot_id, disk)
         self._shadow: tuple[LinkStateMachine, FrameQueue] | None = None
         self._wants_shadow = False
         self._live_frames: list[_Frame] = []
@@ -114,8 +115,19 @@ class SimulatedDaemon:
         self.outbox.events.start(lambda: None)
 
     @property
-    def frames(self) -> int:
-        return self.link.machine.counters().frames
+    def disk_failed(self) -> bool:
+        """Whether neither the spool nor the recording gets anything on the disk."""
+        return self._recorder.failed and self._unwritten
+
+    @property
+    def disk_works(self) -> bool:
+        """Whether the disk has all events, and a recording that continues."""
+        return not self._recorder.failed and not self._unwritten
+
+    @property
+    def _unwritten(self) -> bool:
+        history = self.outbox.events.history
+        return history is not None and history.unwritten
 
     def connect(self) -> None:
         self.outbox.connected(RecordingBroker(self.outbox, self._seen), at_once=True)  # type: ignore[arg-type]
@@ -151,6 +163,7 @@ class SimulatedDaemon:
         return in_blocks(arrivals, BLOCK)
 
     def _on_event(self, event: wire.WireEvent) -> None:
+        self._recorder.put(event)
         stored = None
         if self._shadow is not None or self._wants_shadow:
             stored = wire.decode(wire.encode(event), event.now.monotonic_ns, event.now.utc_ns)
@@ -265,6 +278,8 @@ class SimulatedDaemon:
         came_to += account.unknown_at_disconnect + account.waiting
         if account.enqueued != came_to:
             wrong.append(f"messages {account.enqueued}, accounted for {came_to}: {account}")
+        if recordings := self._recorder.end():
+            wrong.append(recordings)
         if wrong:
             self._seen.unbalanced.append(f"{self._boot_id}: {'; '.join(wrong)} {asdict(counters.lost)} {truth}")
 

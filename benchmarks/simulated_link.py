@@ -68,10 +68,11 @@ class SimulatedBoard:
         self._board = _emulated_board(plate, played, seed, "sums", Misbehaviour())
         self._random = random.Random(seed)
         self._tick_rate = round(plate.counter.reference_hz * (1.0 + played.physics.reference_error))  # a second
-        self._gate_ns = round(S / plate.counter.frame_rate_hz)
+        self.gate_ns = round(S / plate.counter.frame_rate_hz)
         self._end_ns: dict[int, int] = {}  # of gates whose frames have not been read
         self._last_end_ns: int | None = None
         self._outage = False
+        self.next_sequence = 0  # of the frame that begins now, not wrapped
         self.truth = Truth()
         self.sites_touched: set[int] = set()
 
@@ -102,13 +103,14 @@ class SimulatedBoard:
     def _delivered(self, end_ns: int) -> None:
         if self._outage and self._last_end_ns is not None:
             self.truth.outages += 1
-            self.truth.in_outages += max(0, round((end_ns - self._last_end_ns) / self._gate_ns) - 1)
+            self.truth.in_outages += max(0, round((end_ns - self._last_end_ns) / self.gate_ns) - 1)
         self._outage, self._last_end_ns = False, end_ns
         self.truth.delivered += 1
 
     def _advance(self, elapsed_ns: int) -> None:
         for made in self._board.advance(self.ticks(elapsed_ns)):
             self._end_ns[made.sequence] = made.end_ticks * S // self._tick_rate
+            self.next_sequence = made.sequence + 1
             self.sites_touched.update(contact.site for contact in made.contacts if contact.site is not None)
 
     def write(self, data: bytes, elapsed_ns: int) -> None:

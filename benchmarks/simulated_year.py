@@ -7,11 +7,11 @@ import random
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Final
 
 import psutil
 from simulated_daemon import EXACT, Seen, SimulatedDaemon
+from simulated_disk import SimulatedDisk, until
 from simulated_link import STEP_NS, S, SimulatedBoard, SimulatedHost
 
 from resonator_daemon.config import Config, Decoding, Measurement
@@ -26,6 +26,8 @@ SKIPS: Final = ("unplugged", "suspended", "stopped", "link_gap", "reboot")
 FAULTS: Final = (None, None, "link_gap", "damaged")
 STEPS_NS: Final = (-S, S, -HOUR_NS, HOUR_NS, -37 * S, 12_345_678)
 TOUCH_S, SHORT_S = 2.2, 0.1
+_NEAR_FRAMES: Final = 400  # from 2^32, where the last burst begins
+_SKIPPED_FRAMES: Final = 20 * 86_400_000  # at most 2^31: beyond, numbers of frames are ambiguous
 
 
 @dataclass
@@ -54,15 +56,20 @@ class Year:
     is_expired: bool = False  # as the sensor's state has it
     expired_on: list[str] = field(default_factory=list)  # days
     compensation_missing: int = 0
+    disk_can_fill: bool = False
+    disk_wrong: list[str] = field(default_factory=list)
+    numbers_past_2_32: int = 0
+    numbers_wrong: list[str] = field(default_factory=list)
 
     def did(self, what: str) -> None:
         self.done[what] = self.done.get(what, 0) + 1
 
 
-async def simulate(days: int, seed: int, folder: Path, tell: Callable[[str], None] = lambda _: None) -> Year:
+async def simulate(days: int, seed: int, disk: SimulatedDisk, tell: Callable[[str], None] = lambda _: None) -> Year:
     """Play the days; the board is a quartz16 on which something is touched each day."""
     draw = random.Random(seed)
-    year = Year(expiry=START.date() + datetime.timedelta(days=max(1, days * 2 // 3)))
+    expiry = START.date() + datetime.timedelta(days=max(1, days * 2 // 3))
+    year = Year(expiry, disk_can_fill=disk.can_fill)
     plate = load_plate("quartz16")
     calibration = plate.calibration.model_copy(update={"expiry": year.expiry})
     plate = plate.model_copy(update={"calibration": calibration})
@@ -73,14 +80,22 @@ async def simulate(days: int, seed: int, folder: Path, tell: Callable[[str], Non
     process = psutil.Process()
     for day in range(days):
         before = EXACT - 100_000 if day % 2 else (1 << 32) - 100_000
-        daemon = SimulatedDaemon(config, plate, f"{day:08x}", host, board, folder / "spool", year.seen, before)
+        full_at_start = disk.can_fill and draw.random() < 0.1
+        if full_at_start:
+            disk.fill()
+        daemon = SimulatedDaemon(config, plate, f"{day:08x}", host, board, disk, year.seen, before)
         daemon.connect()
         daemon.burst(0.6)
-        play = _Day(year, daemon, host, board, draw)
+        play = _Day(year, daemon, host, board, disk, draw)
+        if full_at_start:
+            await play.touch_on_full_disk()
         day_end_ns = (host.elapsed_ns // DAY_NS + 1) * DAY_NS
         for _ in range(draw.randrange(4, 8)):
             play.slot(day_end_ns, leap=day == leap_day, set_clock=abs(day - expiry_day) > 1)
             await asyncio.sleep(0)
+        if disk.can_fill and draw.random() < 0.2:
+            disk.fill()
+            await play.touch_on_full_disk()
         play.skip("stopped", max(0, day_end_ns - host.elapsed_ns - HOUR_NS))
         play.touch()
         if draw.random() < 0.3:  # what the broker has not acknowledged is for the next run
@@ -101,7 +116,7 @@ async def simulate(days: int, seed: int, folder: Path, tell: Callable[[str], Non
         held = process.memory_info().rss / 1e6, blocks, float(process.num_fds())
         year.samples.append(Sample(day, *held, float(year.frames_lost)))
         tell(f"day {day}: {held[0]:.1f} MB, {year.frames} frames, {year.touches} touches, {year.done}")
-    await _deliver_the_rest(config, plate, host, board, folder, year)
+    await _deliver_the_rest(config, plate, host, board, disk, year, draw)
     return year
 
 
@@ -109,9 +124,16 @@ class _Day:
     """The slots of one day."""
 
     def __init__(
-        self, year: Year, daemon: SimulatedDaemon, host: SimulatedHost, board: SimulatedBoard, draw: random.Random
+        self,
+        year: Year,
+        daemon: SimulatedDaemon,
+        host: SimulatedHost,
+        board: SimulatedBoard,
+        disk: SimulatedDisk,
+        draw: random.Random,
     ) -> None:
-        self._year, self._daemon, self._host, self._board, self._draw = year, daemon, host, board, draw
+        self._year, self._daemon, self._host, self._board = year, daemon, host, board
+        self._disk, self._draw = disk, draw
 
     def slot(self, day_end_ns: int, *, leap: bool, set_clock: bool) -> None:
         """Skip some of the day in one of the ways that time passes; then frames come."""
@@ -139,8 +161,45 @@ class _Day:
         asked = sorted(board.sites_touched)
         year.touches += 1
         if sorted(site for _, site in begun) != asked or not set(begun) <= set(ended):
-            year.touches_wrong.append(f"touched {asked}, onsets {begun}, releases {ended}")
+            year.touches_wrong.append(
+                f"day {self._host.elapsed_ns // DAY_NS}: touched {asked}, onsets {begun}, releases {ended}"
+            )
         year.compensation_missing += year.seen.compensated == compensated
+
+    async def touch_on_full_disk(self) -> None:
+        """Let touches pass, half the times without a broker, until the disk has failed; then empty it."""
+        year, daemon, disk = self._year, self._daemon, self._disk
+        away = self._draw.random() < 0.5
+        if away:
+            daemon.outbox.disconnected()
+        self.touch()
+        await until(lambda: daemon.disk_failed and len(disk.reports) > 1)
+        self.touch()
+        disk.empty()
+        daemon.burst(SHORT_S + 0.2)  # with a snapshot, at which a recording can begin again
+        await until(lambda: daemon.disk_works)
+        if away:
+            daemon.connect()
+        year.did("disk full")
+        sources = sorted(report.partition(":")[0] for report in disk.reports)
+        if sources != ["recorder", "spool"]:
+            year.disk_wrong.append(f"reported {disk.reports}")
+        if dropped := daemon.account().dropped.get("spool_failed"):
+            year.disk_wrong.append(f"{dropped} events dropped")
+
+    def pass_2_32(self) -> None:
+        """Let the board's frame numbers pass 2^32 within one run, while frames come."""
+        board, daemon, counters = self._board, self._daemon, self._daemon.link.machine.counters
+        while (gates := (1 << 32) - board.next_sequence) > _NEAR_FRAMES:
+            self.skip("link_gap", min(gates - gates // 1000 - _NEAR_FRAMES // 2, _SKIPPED_FRAMES) * board.gate_ns)
+            daemon.burst(SHORT_S)
+        before, first = counters(), board.next_sequence
+        daemon.burst(2.0 * _NEAR_FRAMES * board.gate_ns / S)
+        after, frames = counters(), board.next_sequence - first
+        self._year.numbers_past_2_32 += first < 1 << 32 <= board.next_sequence
+        if (after.frames - before.frames, after.lost.total - before.lost.total) != (frames, 0):
+            self._year.numbers_wrong.append(f"{frames} frames sent, {before} before, {after} after")
+        self.touch()
 
     def skip(self, how: str, duration_ns: int) -> None:
         """Let time pass in one of the ways of `SKIPS`."""
@@ -176,12 +235,19 @@ def _find_expiry(year: Year) -> None:
 
 
 async def _deliver_the_rest(
-    config: Config, plate: Plate, host: SimulatedHost, board: SimulatedBoard, folder: Path, year: Year
+    config: Config,
+    plate: Plate,
+    host: SimulatedHost,
+    board: SimulatedBoard,
+    disk: SimulatedDisk,
+    year: Year,
+    draw: random.Random,
 ) -> None:
-    """Start once more, so that events of the last run are delivered."""
-    daemon = SimulatedDaemon(config, plate, "ffffffff", host, board, folder / "spool", year.seen, 0)
+    """Start once more, so that events of the last run are delivered, and run for 50 days: 2^32 frames."""
+    daemon = SimulatedDaemon(config, plate, "ffffffff", host, board, disk, year.seen, 0)
     daemon.connect()
-    daemon.burst(SHORT_S)
+    daemon.burst(0.6)
+    _Day(year, daemon, host, board, disk, draw).pass_2_32()
     while year.seen.events_published > len(year.seen.events):
         await asyncio.sleep(0.01)
         if daemon.outbox.events.spool_opened and not daemon.outbox.waiting:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from long_run_judge import FLAT, FLAT_THOUSANDS, KEPT_MB, Row, rises, trend
+from simulated_disk import small_disk
 from simulated_year import Sample, Year, simulate
 
 _KEPT_THOUSANDS = 0.03  # blocks a day: the samples and events of this benchmark itself
@@ -31,7 +32,7 @@ def judge(year: Year) -> list[Row]:
     inexact = {key: count for key, count in seen.inexact.items() if key not in _BYTES}
     rows = [
         Row(
-            "frames, bytes and messages of each run",
+            "frames, bytes, messages and recorded events of each run",
             "delivered + lost by cause = sent",
             f"{year.frames} delivered, {year.frames_lost} lost; {_first(seen.unbalanced)}",
             not seen.unbalanced,
@@ -65,7 +66,23 @@ def judge(year: Year) -> list[Row]:
             f"{seen.replay_differs} of {seen.replayed} differ",
             not seen.replay_differs,
         ),
+        Row(
+            "frame numbers pass 2^32",
+            "once, no frame lost by it",
+            f"{year.numbers_past_2_32} times; {_first(year.numbers_wrong)}",
+            year.numbers_past_2_32 == 1 and not year.numbers_wrong,
+        ),
     ]
+    if year.disk_can_fill:
+        full = year.done.get("disk full", 0)
+        rows.append(
+            Row(
+                "full disks, then emptied",
+                "spool and recorder report each once, then continue; no event dropped",
+                f"{full} times; {_first(year.disk_wrong)}",
+                full > 0 and not year.disk_wrong,
+            )
+        )
     return rows + [row for name, unit, flat in _SLOPES if (row := _slope(year.samples, name, unit, flat)) is not None]
 
 
@@ -91,14 +108,20 @@ def _slope(samples: list[Sample], name: str, unit: str, flat: float) -> Row | No
 
 
 def draw(samples: list[Sample], file: Path) -> None:
-    """Draw memory, descriptors and losses over the days."""
+    """Draw memory, descriptors and losses over the days, from zero, so that a slope has its size."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
-    names = {"rss_mb": "memory, MB", "descriptors": "descriptors", "frames_lost": "frames lost"}
-    for axes, (name, label) in zip(figure.subplots(len(names), 1, sharex=True), names.items(), strict=True):
-        axes.plot([sample.day for sample in samples], [getattr(sample, name) for sample in samples])
+    curves = {
+        "memory, MB": [sample.rss_mb for sample in samples],
+        "descriptors": [sample.descriptors for sample in samples],
+        "frames lost in a day,\nmillion": np.diff([0.0, *(sample.frames_lost / 1e6 for sample in samples)]),
+    }
+    for axes, (label, values) in zip(figure.subplots(len(curves), 1, sharex=True), curves.items(), strict=True):
+        axes.plot([sample.day for sample in samples], values)
         axes.set_ylabel(label)
+        axes.set_ylim(0.0, 1.1 * max(values))
+        axes.grid(alpha=0.3)
     axes.set_xlabel("day")
     figure.savefig(file)
 
@@ -110,14 +133,17 @@ def main() -> int:
     parser.add_argument("--svg", type=Path, help="picture of memory, descriptors and losses")
     parser.add_argument("--json", action="store_true", help="the table as one object")
     options = parser.parse_args()
-    logging.disable(logging.WARNING)  # of faults that are asked for
+    logging.getLogger("resonator_daemon").propagate = False  # faults are asked for
+    logging.getLogger("resonator_daemon").addHandler(logging.NullHandler())
     begun_s = time.monotonic()
 
     def tell(text: str) -> None:
         print(f"{time.monotonic() - begun_s:7.1f} s  {text}", file=sys.stderr, flush=True)
 
-    with tempfile.TemporaryDirectory() as folder:
-        year = asyncio.run(simulate(options.days, options.seed, Path(folder), tell))
+    with tempfile.TemporaryDirectory() as folder, small_disk(Path(folder)) as disk:
+        if not disk.can_fill:
+            tell("full disks: skipped, as mounting one needs root")
+        year = asyncio.run(simulate(options.days, options.seed, disk, tell))
     rows = judge(year)
     if options.svg is not None:
         draw(year.samples, options.svg)

@@ -3,12 +3,14 @@
 import asyncio
 from pathlib import Path
 
+from simulated_disk import small_disk
 from simulated_year import simulate
 from year import judge
 
 
 def test_days_of_a_daemon_balance_whatever_the_clock_and_the_link_do(tmp_path: Path) -> None:
-    year = asyncio.run(simulate(2, 3, tmp_path))
+    with small_disk(tmp_path) as disk:
+        year = asyncio.run(simulate(2, 3, disk))
     assert [row for row in judge(year) if not row.good] == []
     assert year.done["daemon restart"] == 2
     year.seen.events.popitem()
