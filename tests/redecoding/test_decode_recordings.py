@@ -27,9 +27,9 @@ CORPUS = Path(__file__).parents[1] / "corpus"
 FILE = "recording.mcap"
 CASES = CORPUS / "touches" / FILE, CORPUS / "cut-off" / FILE
 UNDAMAGED = "touches", "two-touches", "slide", "comb", "warm-finger", "pressed-at-start", "overload"
-PERIOD_S, PRESSES = 7.0, 3  # each is followed by more than the 40 untouched frames that a chunk begins with
-PRESS = f"""
-period_s = {PERIOD_S}
+PRESSES = 3  # each is followed by more than the 40 untouched frames that a chunk begins with
+PRESS = """
+period_s = 7.0
 [[touches]]
 start_s = 5.0
 position_mm = [0.2, -0.1]
@@ -37,7 +37,7 @@ force_newton = 0.3
 rise_s = 0.3
 hold_s = 0.8
 fall_s = 0.3
-shear = {{ peak_ratio = 0.9, direction_deg = 30.0 }}
+shear = { peak_ratio = 0.9, direction_deg = 30.0 }
 """
 COUNTED_FROM_A_BEGINNING = {"seq", "contact_id", "patch_id"}
 
@@ -51,8 +51,7 @@ def skin(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scenario = folder / "press.toml"
     scenario.write_text(PRESS)
     begin_ns = (1_789_000_000 // 86_400 * 86_400 + 86_400 - 14) * 10**9
-    path, seconds = folder / "run.mcap", PERIOD_S * PRESSES
-    record(path, plate, seconds, scenario=str(scenario), include_messages=True, utc_ns=begin_ns)
+    record(path := folder / "run.mcap", plate, 21.0, scenario=str(scenario), include_messages=True, utc_ns=begin_ns)
     return path
 
 

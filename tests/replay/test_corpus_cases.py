@@ -58,7 +58,6 @@ def test_the_corpus_has_what_may_befall_a_board() -> None:
 
 @pytest.mark.parametrize(("topic", "listed", "limit_bytes"), [("forces", "sites", 350), ("contacts", "contacts", 400)])
 def test_a_message_with_one_touch_is_small(topic: str, listed: str, limit_bytes: int) -> None:
-    """A controller reads it 200 times a second, also after a long run."""
     long_run = {"name": "left-index", "daemon_boot_id": "9f3c52d0", "seq": 1_234_567, "board_ticks": "1234567890123"}
     payloads = [message.payload for message in read_expected(CORPUS / "touches").messages if message.topic == topic]
     touched = [payload for payload in payloads if len(payload[listed]) == 1 and payload["status"] == "ok"]

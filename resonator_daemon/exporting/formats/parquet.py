@@ -44,7 +44,10 @@ class Format(TableOutput):
     def open_table(self, topic: str, columns: Sequence[Column]) -> "_ParquetFile":
         metadata = {**self._recorded.metadata, "topic": topic}
         schema = pa.schema([_field(column) for column in columns], metadata=metadata)
-        table = _ParquetFile(pq.ParquetWriter(self._new_file(topic).file, schema, compression="zstd"), schema)
+        # No value of a map occurs twice: with a dictionary, maps take a third more bytes and four times as long.
+        repeated = [column.name for column in columns if not column.shape]
+        writer = pq.ParquetWriter(self._new_file(topic).file, schema, compression="zstd", use_dictionary=repeated)
+        table = _ParquetFile(writer, schema)
         self._tables.append(table)
         return table
 
