@@ -36,7 +36,7 @@ LASTING = {
     r"resonatord emulate\b.*&$": (r"emulating|\"link\"", False),
     r"resonatord emulate\b": (r"emulating|\"link\"", True),
     r"resonatord run\b": (r"sensor online|link (?:waiting|refused)", False),
-    r"resonatord decode\b": (r"online", False),
+    r"resonatord decode\s": (r"online", False),
     r"resonatord watch\b": (r": daemon online|^\{", True),
     r"resonatord status .*--watch": (r"daemon +online", True),
     r"resonatord (?:view|bridge)\b": (r"://|connected", True),
