@@ -314,7 +314,7 @@ clean:  ## remove everything that the other targets made
 # so is one with another version than PYTHON.
 PYTHONS := $(or $(PYTHON),python3 python3.14 python3.13 python3.12 python3.11)
 ifneq ($(PYTHON),)
-ifneq ($(shell $(PYTHON) --version 2>&1),$(shell .venv/bin/python --version 2>&1))
+ifneq ($(shell $(PYTHON) --version 2>&1),$(shell [ ! -x .venv/bin/python ] || .venv/bin/python --version))
 .PHONY: .venv/bin/python .venv/bin/pip
 endif
 endif
