@@ -229,9 +229,9 @@ deb: dist  ## the Debian package in dist/, with its pinned Python packages; ARCH
 	rm -f dist/resonatord_*_$(ARCH).deb
 	.ci/make_deb.sh $(ARCH)
 
-test-deb: deb build/debian  ## lintian; the package installed, upgraded, rolled back, removed and purged under systemd
+test-deb: deb build/debian  ## lintian; the package built twice and compared; installed, upgraded, rolled back, removed and purged under systemd
 	$(debian-packages)
-	debian-packages lintian:lintian systemd-nspawn:systemd-container
+	debian-packages lintian:lintian systemd-nspawn:systemd-container faketime:faketime git:git
 	lintian --fail-on error,warning --tag-display-limit 0 dist/resonatord_*_$(ARCH).deb
 	tests/distribution/test_deb.sh dist/resonatord_*_$(ARCH).deb
 

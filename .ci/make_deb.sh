@@ -48,11 +48,15 @@ pip=("$python" -m pip install -qq --no-input --disable-pip-version-check --no-co
 "${pip[@]}" --target "$work/wheel" "$wheel"
 
 # Units, rules, completion and manual, as `resonatord install` writes them, where packages have them and without its seal.
-PYTHONPATH=$work/wheel "$python" -c 'from resonator_daemon.commands import main; raise SystemExit(main())' \
-  install --prefix "$work/image" 2>/dev/null >&2
+PYTHONPATH=$work/wheel "$python" -P - install --prefix "$work/image" 2>/dev/null >&2 <<'INSTALL'
+from resonator_daemon.host import documentation
+documentation.page = "/usr/share/doc/resonatord/{}".format
+from resonator_daemon.commands import main
+raise SystemExit(main())
+INSTALL
 program=$(dirname "$python")/resonatord
 find "$work/image" -type f -exec sed -i -e '/^\(#\|\.\\"\) resonatord install [0-9a-f]*$/d' \
-  -e "s#$program#/usr/bin/resonatord#g" -e "s#$work/wheel/share/doc#/usr/share/doc#g" {} +
+  -e "s#$program#/usr/bin/resonatord#g" {} +
 mv "$work"/image/etc/systemd/system/*.service "$stage/lib/systemd/system/"
 mv "$work/image/etc/resonatord/example.toml" "$stage/etc/resonatord/"
 mv "$work/image/usr/local/share"/* "$stage/usr/share/"
@@ -70,6 +74,8 @@ mkdir -p "$home/share/doc"
 ln -s ../../../../share/doc/resonatord "$home/share/doc/resonatord"
 sed -i -e '/^\.\.\//d' -e '/direct_url.json,/d' "$site"/*.dist-info/RECORD
 printf 'home = /usr/bin\ninclude-system-site-packages = false\nversion = 3.11\n' >"$home/pyvenv.cfg"
+# Optional packages, of `pip install --target`; those of the package come first.
+echo /usr/local/lib/resonatord >"$site/extras.pth"
 ln -s ../../../bin/python3.11 "$home/bin/python"
 printf '%s\n' '#!/usr/lib/resonatord/bin/python' 'import sys' '' 'from resonator_daemon.commands import main' '' \
   'sys.exit(main())' >"$home/bin/resonatord"

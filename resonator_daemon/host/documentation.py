@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 _INSTALLED: Final = Path("share", "doc", "resonatord")
-_MENTION: Final = re.compile(r"\bdocs/([\w-]+/[\w-]+\.md)\b")
+_MENTION: Final = re.compile(r"(?<![\w/])docs/([\w-]+/[\w-]+\.md)\b")
 
 
 def page(name: str) -> str:

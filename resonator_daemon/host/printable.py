@@ -8,6 +8,10 @@ from typing import Final, Literal, TextIO
 Colour = Literal["red", "green", "yellow"]
 _COLOURS: Final[dict[Colour, int]] = {"red": 31, "green": 32, "yellow": 33}
 
+# Of Debian's package, which has no pip of its own (.ci/make_deb.sh).
+_DEBIAN_PREFIX: Final = "/usr/lib/resonatord"
+_DEBIAN_EXTRAS: Final = "/usr/local/lib/resonatord"
+
 
 def printable(text: object) -> str:
     """Return the text in one line, without control characters."""
@@ -22,6 +26,8 @@ def coloured(text: str, colour: Colour, stream: TextIO) -> str:
 
 def how_to_install(package: str) -> str:
     """Return the command that installs a package for the Python that runs."""
+    if sys.prefix == _DEBIAN_PREFIX:
+        return f"sudo python3 -m pip install --target {_DEBIAN_EXTRAS} {package}"
     return f"{shlex.quote(sys.executable)} -m pip install {package}"
 
 

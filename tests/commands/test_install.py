@@ -1,5 +1,6 @@
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -24,9 +25,7 @@ COMPLETIONS = {BASH, f"{SHARE}/zsh/site-functions/_resonatord", f"{SHARE}/fish/v
 COMMANDS = {name for command in command_names() for name in (command, command.split()[0])}
 PAGES = {f"{SHARE}/man/man1/{'-'.join(['resonatord', *name.split()])}.1" for name in COMMANDS | {""}}
 PLACES = SERVICES | COMPLETIONS | PAGES
-UNIT = "etc/systemd/system/resonatord@.service"
-
-
+UNIT, RULES = "etc/systemd/system/resonatord@.service", "etc/udev/rules.d/70-resonatord.rules"
 HIDDEN = module.HIDDEN_FROM_SERVICES
 
 
@@ -53,24 +52,23 @@ def installed(prefix: Path, capsys: pytest.CaptureFixture[str], *more: str) -> d
 def test_all_is_put_below_the_prefix_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert installed(tmp_path, capsys) == dict.fromkeys(PLACES, "written")
     assert files_in(tmp_path) == PLACES
+    pages = re.findall(r"\S+\.md", (tmp_path / "etc/resonatord/example.toml").read_text())
+    assert len(pages) >= 2
+    assert [page for page in pages if not Path(page).is_file()] == []
     assert installed(tmp_path, capsys) == dict.fromkeys(PLACES, "unchanged")
 
 
 def test_a_changed_file_is_kept_and_an_old_one_is_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     installed(tmp_path, capsys)
-    changed, old, gone = (
-        tmp_path / UNIT,
-        tmp_path / "etc/udev/rules.d/70-resonatord.rules",
-        tmp_path / sorted(PLACES)[0],
-    )
+    changed, old, gone = (tmp_path / name for name in (UNIT, RULES, sorted(PLACES)[0]))
     changed.write_text(changed.read_text().replace("WatchdogSec=20", "WatchdogSec=60"))
     as_changed, as_new = changed.read_text(), old.read_text()
     old.write_text(module.sealed("# rules of an earlier version\n"))
     gone.unlink()
-    would = {UNIT: "kept", "etc/udev/rules.d/70-resonatord.rules": "would_update", sorted(PLACES)[0]: "would_write"}
+    would = {UNIT: "kept", RULES: "would_update", sorted(PLACES)[0]: "would_write"}
     assert installed(tmp_path, capsys, "--dry-run") == dict.fromkeys(PLACES, "unchanged") | would
     actions = dict.fromkeys(PLACES, "unchanged")
-    actions |= {UNIT: "kept", "etc/udev/rules.d/70-resonatord.rules": "updated", sorted(PLACES)[0]: "written"}
+    actions |= {UNIT: "kept", RULES: "updated", sorted(PLACES)[0]: "written"}
     assert installed(tmp_path, capsys) == actions
     assert (changed.read_text(), old.read_text()) == (as_changed, as_new)
 

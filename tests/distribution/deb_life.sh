@@ -7,6 +7,7 @@ observe() {
   wait_for '[ "$(systemctl show --value -p ActiveState resonatord@left)" = active ]'
   wait_for '[[ "$(systemctl show --value -p StatusText resonatord@left)" == *" frames/s,"* ]]'
   timeout 60 mosquitto_sub -h 127.0.0.1 -C 1 -t 'resonator/left/forces' >"/out/$1.forces"
+  systemctl show --value -p StatusText resonatord@left >"/out/$1.status"
   dpkg-query -W -f '${Version}\n' resonatord >"/out/$1.version"
   readlink "/proc/$(systemctl show --value -p MainPID resonatord@left)/exe" >"/out/$1.program"
   systemctl show --value -p MainPID resonatord@left >"/out/$1.pid"
@@ -19,8 +20,19 @@ files >/out/before
 dpkg -i /out/old.deb
 dpkg -V resonatord
 test "$(stat -c '%U:%G %a' /etc/resonatord)" = 'root:resonatord 750'
+pages=$(grep -oh '/usr/share/doc/[a-z/-]*\.md' /etc/resonatord/example.toml /lib/systemd/system/resonatord*)
+for page in $pages; do test -e "$page"; done
+test "$(wc -w <<<"$pages")" -ge 5
 mkdir /run/work
 bash /out/commands.sh /run/work
+
+# Packages that it does not bring.
+extras=/usr/local/lib/resonatord
+(resonatord export "$(find /run/work -name run.mcap)" --format parquet --output /run/extra 2>&1 || true) | grep -- "--target $extras pyarrow"
+mkdir -p $extras
+echo 'version = "of extras"' | tee $extras/an_extra.py >$extras/numpy.py
+/usr/lib/resonatord/bin/python -c 'import an_extra, numpy; assert an_extra.version == "of extras" != numpy.version'
+rm -r $extras
 
 systemd-run -q --unit=broker mosquitto
 systemd-run -q --unit=emulator resonatord emulate --plate quartz16 --pty /run/board
@@ -43,12 +55,24 @@ test -n "$recording"
 observe installed
 sha256sum "$recording" >/out/recording.before
 
+example=/etc/resonatord/example.toml
 dpkg -i /out/new.deb
 observe upgraded
 test "$(cat /out/upgraded.version)" = 0.1.1
+grep -x '# next' $example
 dpkg -i /out/old.deb
 observe rolled_back
 cmp /out/installed.version /out/rolled_back.version
+test "$(grep -l 'lost, next' /out/*.status)" = /out/upgraded.status
+
+# An edited example stays, with the new one beside it.
+echo '# edited' >>$example
+sha256sum $example >/out/edited
+dpkg --force-confdef --force-confold -i /out/new.deb
+sha256sum --check /out/edited
+grep -x '# next' $example.dpkg-dist
+dpkg --force-confdef --force-confold -i /out/old.deb
+sha256sum --check /out/edited
 for phase in upgraded rolled_back; do
   grep -q '"name": *"left"' "/out/$phase.forces"
   cmp /out/installed.kept "/out/$phase.kept"
@@ -63,7 +87,8 @@ systemctl stop emulator
 dpkg -r resonatord
 test -z "$(systemctl list-units --plain --no-legend --state=active,activating 'resonatord*@*.service')"
 if pgrep -af 'bin/resonatord'; then false; fi
-test "$(cd /etc/resonatord && echo *)" = 'example.toml left-plate.toml left.toml'
+test "$(cd /etc/resonatord && echo *.toml)" = 'example.toml left-plate.toml left.toml'
+sha256sum --check /out/edited
 for path in /usr/lib/resonatord /usr/bin/resonatord /usr/share/doc/resonatord /lib/systemd/system/resonatord@.service; do test ! -e $path; done
 dpkg -P resonatord
 files >/out/after

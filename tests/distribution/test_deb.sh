@@ -1,16 +1,34 @@
 #!/bin/bash
-# Boot a Debian (build/debian) with systemd-nspawn and run deb_life.sh in it, with the package $1 and the same files as a next version.
+# The package $1 is built again elsewhere and later, with equal bytes. Then a Debian (build/debian) boots with systemd-nspawn and runs
+# deb_life.sh, with the package and a next version: other code, another example of a configuration.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
+site=usr/lib/resonatord/lib/python3.11/site-packages
 place=$(mktemp -d)
 trap 'rm -rf "$place"' EXIT
+root=$(cd "$here/../.." && pwd)
+package=$(realpath "$1")
+again=$place/elsewhere/checkout
+(
+  umask 077
+  git clone --quiet --no-hardlinks "$root" "$again"
+  export PYTHON=$root/.venv/bin/python PYTHONHASHSEED=7 TZ=Asia/Kathmandu LC_ALL=C
+  cd "$again"
+  faketime -f +2d "$PYTHON" .ci/make_dist.py
+  faketime -f +2d .ci/make_deb.sh "$(dpkg-deb -f "$package" Architecture)"
+) >/dev/null
+cmp "$package" "$again/dist/${package##*/}"
+echo 'built twice, equal bytes: passed'
+
 mkdir "$place/out"
-cp "$1" "$place/out/old.deb"
+cp "$package" "$place/out/old.deb"
 cp "$here/commands.sh" "$here/deb_life.sh" "$place/out"
-dpkg-deb -R "$1" "$place/tree"
+dpkg-deb -R "$package" "$place/tree"
 sed -i 's/^Version: .*/Version: 0.1.1/' "$place/tree/DEBIAN/control"
+sed -i 's#frames/s, {lost} lost#frames/s, {lost} lost, next#' "$place/tree/$site/resonator_daemon/daemon/daemon.py"
+printf '# next\n' >>"$place/tree/etc/resonatord/example.toml"
 dpkg-deb --root-owner-group -Zgzip -z1 -b "$place/tree" "$place/out/new.deb" >/dev/null
-cp -a "$here/../../build/debian" "$place/root"
+cp -a "$root/build/debian" "$place/root"
 cat >"$place/root/etc/systemd/system/life.service" <<'UNIT'
 [Unit]
 SuccessAction=poweroff-force
