@@ -176,17 +176,17 @@ coverage: .venv/test-stamp  ## all tests once more, slower, with the branches th
 	export OMP_NUM_THREADS=1
 	.venv/bin/pytest --cov --numprocesses 2
 
-bench: .venv/peers-stamp  ## each stage, its peer and its limit, 6 minutes, against its record; RECORD=--record writes docs/explanation/performance.md
+bench: .venv/peers-stamp  ## processor time of each stage beside a peer and a limit, and its record, 6 minutes; RECORD=--record renews the record
 	$(debian-packages)
 	debian-packages $(BROKER) $(COUNTER)
 	OMP_NUM_THREADS=1 .venv/bin/python benchmarks/stages.py $(RECORD)
 
-bench-cost: .venv/peers-stamp  ## instructions of each stage, against its record; 1 if one executes more than 10 % above it
+bench-cost: .venv/peers-stamp  ## instructions of each stage, compared with its record, a minute; fails if one exceeds it by more than 10 %
 	$(debian-packages)
 	debian-packages $(BROKER) $(COUNTER)
 	.venv/bin/python benchmarks/stages.py --count
 
-bench-details: .venv/peers-stamp  ## tables of the pages, an hour: demo, latency, wire, clock, measurement, elastic fields, decoding
+bench-details: .venv/peers-stamp  ## figures of other pages, an hour: demo, latency, wire, clock, measurement, elastic fields, decoding
 	$(debian-packages)
 	debian-packages $(BROKER) $(USB)
 	run() { printf '\n== %s\n' "$$1"; .venv/bin/python benchmarks/$$1.py; }
@@ -241,7 +241,7 @@ test-arm64: .venv/run-stamp  ## wheels for each Python and processor; set-up, a 
 	.venv/bin/python -m pip install --quiet --require-hashes -r .ci/requirements/pins.txt
 	tests/distribution/arm64.sh
 
-# Debian 12 as an installation has it, from the archive that this computer's apt uses.
+# Packages of an installed Debian 12; the archive is the one that this computer's apt uses.
 DEBIAN_ROOT := systemd,systemd-sysv,dbus,udev,python3,libusb-1.0-0,mosquitto,mosquitto-clients,procps
 
 build/debian:

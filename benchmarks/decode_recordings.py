@@ -1,4 +1,4 @@
-"""What decoding recordings again takes: frames a second by workers, and memory of each worker by length.
+"""Cost of decoding recordings again: frames a second by workers, and memory of each worker by length.
 
 Run as `python benchmarks/decode_recordings.py --minutes 2 4 --workers 1 2`; needs the extra fleet, and about 0.9 GB of
 disk a minute. It records skin32 in simulated time, pressed 80 % of it (scenario press-and-shear). All figures are those
@@ -26,7 +26,7 @@ _COMMAND = (sys.executable, "-m", "resonator_daemon", "decode-recordings")
 
 
 class Run(NamedTuple):
-    """What one run took; `worker_mb` is the peak of the largest process."""
+    """Cost of one run; `worker_mb` is the peak of the largest process."""
 
     seconds: float
     processor_s: float
@@ -40,7 +40,9 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, nargs="+", default=[2.0, 4.0])
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--chunk-seconds", type=float, default=15.0)
-    parser.add_argument("--folder", type=Path, help="for recordings, which stay there and are used again")
+    parser.add_argument(
+        "--folder", type=Path, help="directory of the recordings, which are kept and reused (default: temporary)"
+    )
     options = parser.parse_args()
     print("minutes  workers  seconds   frames  frames/s  processor ms/frame  peak MB of a process", flush=True)
     with tempfile.TemporaryDirectory() as temporary:
@@ -82,7 +84,7 @@ def processor_s() -> float:
 
 
 def rss_bytes(pid: int) -> list[int]:
-    """Return the memory of a process and of all that it started."""
+    """Return the memory of a process and of each of its children."""
     try:
         root = psutil.Process(pid)
         return [process.memory_info().rss for process in (root, *root.children(recursive=True))]

@@ -1,8 +1,8 @@
-"""What a disk may hold after a power failure, from a log of all changes that a program made (`disk_trace.c`).
+"""Possible contents of a disk after a power failure, from a log of all changes by a program (`disk_trace.c`).
 
 The model is weaker than any common file system. Of a file, each sector that was written since the last fsync began may
 be new, old or zero, and the size may be any of those it had. Of a directory, each new, renamed or removed name may be
-missing until the directory itself was synchronised. Nothing keeps the order of anything else.
+missing until the directory itself was synchronised. The order of changes is not preserved otherwise.
 """
 
 import subprocess
@@ -12,12 +12,19 @@ from pathlib import Path
 from random import Random
 from typing import Final, NamedTuple
 
-ACKNOWLEDGED: Final = "acknowledged"  # a file of the root directory: lines that a program writes after its promises
+ACKNOWLEDGED: Final = "acknowledged"  # a file of the root directory: lines that a program writes after each guarantee
 _SECTOR_BYTES: Final = 512
 _PAGE_BYTES: Final = 4096
 _LARGE_BYTES: Final = 16 * _PAGE_BYTES
 
-KINDS: Final = ("nothing", "everything", "zeros", "some", "some", "some")  # what survives of unsynchronised changes
+KINDS: Final = (
+    "nothing",
+    "everything",
+    "zeros",
+    "some",
+    "some",
+    "some",
+)  # of the unsynchronised changes, what survives
 
 
 class Change(NamedTuple):
@@ -188,7 +195,7 @@ def _pieces(change: Change) -> Iterator[tuple[int, bytes]]:
 
 
 class Failure(NamedTuple):
-    """A power failure: what the disk holds then, and what was acknowledged before."""
+    """A power failure: contents of the disk afterwards, and the lines acknowledged before."""
 
     contents: dict[str, bytes | None]
     acknowledged: tuple[str, ...]
@@ -204,12 +211,12 @@ class Failure(NamedTuple):
 
 
 def failures(log: list[Change], root: Path, *, others: int, seed: int) -> Iterator[Failure]:
-    """Give failures around each fsync and at other moments, each with several outcomes; equal ones once.
+    """Yield failures around each fsync and at other moments, each with several outcomes; equal ones once.
 
     Parameters
     ----------
     others
-        How many moments besides those of fsyncs and acknowledgements.
+        Number of moments besides those of fsyncs.
     """
     random = Random(seed)
     near = {at + step for at, change in enumerate(log) if change.kind in ("begin", "end") for step in (0, 1)}

@@ -27,11 +27,11 @@ _KILLS, _HANG_UPS = 200, 1000
 
 
 class Row(NamedTuple):
-    """One run: what was asked of it, what was seen, the balance of its counters, and what is wrong."""
+    """One run: its requirement, its result, the balance of its counters, and its failures."""
 
     run: str
-    asked: str
-    seen: str
+    requirement: str
+    result: str
     balance: str
     wrong: list[str]
 
@@ -81,7 +81,7 @@ def hang_ups(times: int, seed: int, folder: Path) -> Row:
 
 
 def runs(share: float, seed: int) -> Iterator[Callable[[Path], Row]]:
-    """Give all runs, of this share of their full length."""
+    """Yield all runs, at this share of their full length."""
     for case in broker_outage.CASES:
         if case != "full-disk" or not os.geteuid():  # it mounts a small file system
             yield partial(outage, case, _OUTAGE_S * share)
@@ -102,9 +102,9 @@ def main() -> int:
             began_s = time.monotonic()
             rows.append(run(Path(folder)))
             print(f"{rows[-1].run}: {time.monotonic() - began_s:.0f} s", file=sys.stderr, flush=True)
-    print("\n| run | asked | seen | balance | result |\n| --- | --- | --- | --- | --- |")
+    print("\n| run | requirement | result | balance | failures |\n| --- | --- | --- | --- | --- |")
     for row in rows:
-        print(f"| {row.run} | {row.asked} | {row.seen} | {row.balance} | {'; '.join(row.wrong) or 'right'} |")
+        print(f"| {row.run} | {row.requirement} | {row.result} | {row.balance} | {'; '.join(row.wrong) or 'none'} |")
     return int(any(row.wrong for row in rows))
 
 

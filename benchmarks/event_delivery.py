@@ -147,7 +147,7 @@ class Scene:
                     self.runs[run] = Run(plate.truth, since_ns)
                     return run
             await asyncio.sleep(_LOOK_S)
-        raise RuntimeError(f"no forces within {_START_S:g} s; daemon: {plate.daemon.last_words()}")
+        raise RuntimeError(f"no forces within {_START_S:g} s; daemon: {plate.daemon.last_log_line()}")
 
     async def settle(self, run: str, *, ended_ns: int | None = None) -> None:
         """Count the events that a run has made until now, and close the client's gaps by the command `events`.

@@ -182,7 +182,7 @@ async def _play(
         took_s = time.monotonic() - restored
         tell(f"{took_s:5.2f} s  {order}")
         if wrong:
-            words = "; ".join(f"{part.name} said: {part.last_words()}" for part in system.parts.values())
+            words = "; ".join(f"last line of {part.name}: {part.last_log_line()}" for part in system.parts.values())
             result.wrong.append(f"{converged_s:g} s after {order}: {wrong} ({words})")
             return
         result.converged_s.append(took_s)
@@ -217,7 +217,7 @@ async def _look(system: System, holdings: Holdings, seconds: float) -> str:
     finally:
         listening.cancel()
         await asyncio.wait([listening])
-    dead = [f"{part.name} ended: {part.last_words()}" for part in system.parts.values() if not part.running]
+    dead = [f"{part.name} ended: {part.last_log_line()}" for part in system.parts.values() if not part.running]
     if not wrong and not dead:
         for part in system.parts.values():
             tasks = {"tasks": float(view.tasks())} if part.name == DAEMON else {}

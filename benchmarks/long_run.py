@@ -269,7 +269,7 @@ class Run:
             if self._listener.health:
                 self._take_totals(self._listener.health)
             await asyncio.sleep(every_s)
-        self.seen.unexplained.append(f"the daemon ended: {self._daemon.last_words()}")
+        self.seen.unexplained.append(f"the daemon ended: {self._daemon.last_log_line()}")
 
     def _recordings(self) -> list[Path]:
         folder = self._folder / "recordings"

@@ -1,4 +1,4 @@
-"""What a power failure costs a daemon that records and has no broker: at most the last second of frames and events.
+"""Loss by a power failure of a daemon that records without a broker: at most the last second of frames and events.
 
 Run it with `make soak`, or `python benchmarks/power_failure.py [--seconds N] [--moments N] [--seed N]`. The daemon runs
 once, with an emulated quartz16 that is pressed at full rate, and all its changes to the disk are logged. For moments
@@ -43,7 +43,7 @@ file_max_mb = 1
 
 @dataclass
 class Result:
-    """What was seen over all moments."""
+    """Results over all moments."""
 
     moments: int = 0
     syncs: int = 0
@@ -54,7 +54,7 @@ class Result:
 
 
 def fail_and_read(seconds: float, moments: int, seed: int, folder: Path) -> Result:
-    """Run a daemon for so long, then judge what each power failure leaves."""
+    """Run a daemon for so many seconds, then check the disk after each power failure."""
     root = folder / "disk"
     root.mkdir()
     with emulated_board("quartz16", folder, "--seed", str(seed)) as (link, _):
@@ -90,7 +90,7 @@ def fail_and_read(seconds: float, moments: int, seed: int, folder: Path) -> Resu
 
 
 def _events(directory: Path) -> dict[int, int]:
-    """Return the times of the events that wait, by number."""
+    """Return the times of the waiting events, by number."""
     spool = Spool(directory)
     try:
         found = [json.loads(event.payload) for event in spool.read(_ALL, 1_000_000)]
@@ -125,7 +125,7 @@ def main() -> int:
     for what, lost_s in (("frames", sorted(result.frames_lost_s)), ("events", sorted(result.events_lost_s))):
         print(
             f"{what} missing before a power failure: median {lost_s[len(lost_s) // 2]:.2f} s, "
-            f"longest {lost_s[-1]:.2f} s (asked: at most {LOSS_AT_MOST_S:g} s)"
+            f"longest {lost_s[-1]:.2f} s (limit: {LOSS_AT_MOST_S:g} s)"
         )
         if lost_s[-1] > LOSS_AT_MOST_S:
             result.wrong.append(f"{lost_s[-1]:.2f} s of {what} are missing")
@@ -136,7 +136,7 @@ def main() -> int:
     for store in READERS:
         with tempfile.TemporaryDirectory() as folder:
             count, wrong = fail_while_writing(store, Path(folder), others=options.moments, seed=options.seed)
-        print(f"{store}: {count} outcomes, {len(wrong)} with a broken promise")
+        print(f"{store}: {count} outcomes, {len(wrong)} with a broken guarantee")
         result.wrong += wrong
     for line in result.wrong:
         print(f"  {line}")

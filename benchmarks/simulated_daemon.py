@@ -1,4 +1,4 @@
-"""One run of a daemon in simulated time: session, pipeline, event queue on disk, and a broker that records."""
+"""One run of a daemon in simulated time: session, pipeline, event queue on disk, and a substitute for the broker."""
 
 import asyncio
 import json
@@ -30,9 +30,9 @@ from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.frames import Arrival, Frame, in_blocks
 from resonator_daemon.session.link_state_machine import LinkStateMachine
 
-EXACT: Final = 1 << 53  # up to here every reader of JSON has integers exactly
+EXACT: Final = 1 << 53  # largest integer that every reader of JSON has exactly
 BLOCK: Final = 50
-HANDSHAKE_FRAMES: Final = 100  # by which an outage is longer than until the board is read again
+HANDSHAKE_FRAMES: Final = 100  # that an outage lasts longer, until the board is identified
 _CLOSE_S: Final = 10.0
 _NO_RECORDING: Final = RecordingInfo(
     file=None, since_t_ns=None, failure=None, file_bytes=0, files=0, files_removed=0, events_missing=0,
@@ -42,7 +42,7 @@ _NO_RECORDING: Final = RecordingInfo(
 
 @dataclass
 class Seen:
-    """What subscribers received in the whole time, and what was wrong with it."""
+    """Messages that subscribers received in the whole time, and their errors."""
 
     messages: Counter[str] = field(default_factory=Counter)
     events: Counter[tuple[str, int]] = field(default_factory=Counter)  # by boot and seq: how often delivered
@@ -57,7 +57,7 @@ class Seen:
 
 
 class RecordingBroker:
-    """Stands in for a connection: accepts and acknowledges all; delivers events to `seen`."""
+    """Substitute for a connection: accepts and acknowledges all packets; adds events to `seen`."""
 
     version = MQTT_5
     writable = True
@@ -81,7 +81,7 @@ class RecordingBroker:
 
 
 class SimulatedDaemon:
-    """A daemon from its start to its end; its spool is what the next one finds."""
+    """A daemon from its start to its end; the next one continues with its spool."""
 
     def __init__(
         self,
@@ -140,7 +140,7 @@ class SimulatedDaemon:
                 self._set_back_ns[path] = self._set_back_ns.get(path, 0) - step_ns
 
     def burst(self, seconds: float, fault: str | None = None, *, replay: bool = False) -> None:
-        """Let frames come; with `replay`, a second state machine follows from a snapshot, through stored events."""
+        """Receive frames; with `replay`, a second state machine replays the stored events from a snapshot."""
         self._wants_shadow = replay
         self.link.run(seconds, self._handle, fault)
         if self._shadow is not None:
@@ -246,7 +246,7 @@ class SimulatedDaemon:
         )  # fmt: skip
 
     async def end(self) -> None:
-        """End in order; check that each account balances."""
+        """Stop the daemon; check that each account balances."""
         self.report_health()
         self.outbox.disconnected()
         self.outbox.close()
@@ -295,6 +295,6 @@ def _of_frame(frame: Frame) -> _Frame:
 
 
 def _differ(replayed: _Frame, live: _Frame) -> bool:
-    """Whether two frames are not the same one, or their times differ by more than they are known to."""
+    """Return whether two frames differ in number or ticks, or their times by more than their uncertainties."""
     apart_ns = abs(replayed.middle.utc_ns - live.middle.utc_ns)
     return replayed[:2] != live[:2] or apart_ns > live.middle.uncertainty_ns + replayed.middle.uncertainty_ns

@@ -1,4 +1,4 @@
-"""Recordings of emulated boards in simulated time: an hour of a skin takes as long as its frames take to be made.
+"""Recordings of emulated boards in simulated time, as fast as their frames are computed.
 
 Run as `python benchmarks/simulated_recording.py skin32 60 run.mcap` (plate, minutes, file).
 """
@@ -45,14 +45,14 @@ def record(
     name: str = "left-index",
     seed: int = 0,
 ) -> None:
-    """Record a board for so many simulated seconds; with messages, as a daemon that measures and decodes has them."""
+    """Record a board for so many simulated seconds; with messages, those of a daemon that decodes are included."""
     link = parse_link("tcp://127.0.0.1:1")
     config = config_of(plate, _Settings(), link, name=name)  # type: ignore[arg-type]
     origin = Origin(plate, str(link), name, BOOT_ID, None, plate_text(plate), settings_text(config))
     writer = RecordingWriter(path, origin, utc_ns)
     messages = RecordedMessages(writer.publish, include_messages=include_messages)
     pipeline = BoardPipeline(config, BOOT_ID, messages.record) if include_messages else None
-    events = _OfUse(writer)
+    events = _WrittenEvents(writer)
     queue = FrameQueue(1 << 30, lambda: None, ())
     machine = LinkStateMachine(plate, queue, events.put)
     played = load_scenario(scenario or default_scenario(plate), plate)
@@ -73,9 +73,9 @@ def record(
         machine.apply(wire.StateAnnounced(now(0), Condition.STARTING, Reason(ReasonCode.OPENING, "opening")))
         machine.apply(wire.Opened(now(0)))
         for elapsed_ns in range(0, round(seconds * 1e9), STEP_NS):
-            # Timers make pings, which leave at that time, as those of a reader do; their answers come 50 us later.
+            # Timers create pings, which are sent at that time; their answers arrive 50 us later.
             machine.apply(wire.TimersRun(now(elapsed_ns), idle=elapsed_ns > 0))
-            for start_ns in (elapsed_ns, elapsed_ns + 100_000):  # the second time, answers to what the first brought
+            for start_ns in (elapsed_ns, elapsed_ns + 100_000):  # the second time, answers to the first data
                 send(start_ns)
                 board.advance(int((start_ns + 40_000) * ticks_per_ns))
                 while (outgoing := board.next_output()) is not None:
@@ -93,22 +93,22 @@ def record(
 
 
 class _Settings:
-    """The tables that a recording carries, with their defaults."""
+    """The tables of settings in a recording, with their defaults."""
 
     def __iter__(self):  # type: ignore[no-untyped-def]
         return iter({"measurement": Measurement(), "decoding": Decoding()}.items())
 
 
-class _OfUse:
-    """Passes events to a file, of the snapshots those that a recorder writes."""
+class _WrittenEvents:
+    """Passes events to a file, and of the snapshots those that a recorder writes."""
 
     def __init__(self, writer: RecordingWriter) -> None:
         self._writer = writer
 
     def put(self, event: wire.WireEvent) -> None:
         writer = self._writer
-        of_use = not writer.begun or (writer.snapshot_due and not _is_of_closed_link(event))
-        if not isinstance(event, wire.SnapshotTaken) or of_use:
+        is_written = not writer.begun or (writer.snapshot_due and not _is_of_closed_link(event))
+        if not isinstance(event, wire.SnapshotTaken) or is_written:
             writer.write(event)
         if event.now.monotonic_ns % 1_000_000_000 < STEP_NS:
             writer.flush()

@@ -1,4 +1,4 @@
-"""A year of a daemon and its board, drawn from a seed: restarts, outages, suspends, clocks that are set."""
+"""Events of a simulated year, drawn from a seed: restarts, outages, suspends, changes of the clock."""
 
 import asyncio
 import datetime
@@ -32,7 +32,7 @@ _SKIPPED_FRAMES: Final = 20 * 86_400_000  # at most 2^31: beyond, numbers of fra
 
 @dataclass
 class Sample:
-    """What the process held at the end of a day, and the losses until then."""
+    """Memory and descriptors of the process at the end of a day, and the losses until then."""
 
     day: int
     rss_mb: float
@@ -43,7 +43,7 @@ class Sample:
 
 @dataclass
 class Year:
-    """What was done and seen in the whole time."""
+    """Events and results of the whole time."""
 
     expiry: datetime.date
     seen: Seen = field(default_factory=Seen)
@@ -65,8 +65,8 @@ class Year:
         self.done[what] = self.done.get(what, 0) + 1
 
 
-async def simulate(days: int, seed: int, disk: SimulatedDisk, tell: Callable[[str], None] = lambda _: None) -> Year:
-    """Play the days; the board is a quartz16 on which something is touched each day."""
+async def simulate(days: int, seed: int, disk: SimulatedDisk, report: Callable[[str], None] = lambda _: None) -> Year:
+    """Simulate the days of a quartz16 board, which is touched each day."""
     draw = random.Random(seed)
     expiry = START.date() + datetime.timedelta(days=max(1, days * 2 // 3))
     year = Year(expiry, disk_can_fill=disk.can_fill)
@@ -98,7 +98,7 @@ async def simulate(days: int, seed: int, disk: SimulatedDisk, tell: Callable[[st
             await play.touch_on_full_disk()
         play.skip("stopped", max(0, day_end_ns - host.elapsed_ns - HOUR_NS))
         play.touch()
-        if draw.random() < 0.3:  # what the broker has not acknowledged is for the next run
+        if draw.random() < 0.3:  # the next run sends what the broker has not acknowledged
             daemon.outbox.disconnected()
             year.did("events left to the next run")
             play.touch()
@@ -115,7 +115,7 @@ async def simulate(days: int, seed: int, disk: SimulatedDisk, tell: Callable[[st
         blocks = sys.getallocatedblocks() / 1e3
         held = process.memory_info().rss / 1e6, blocks, float(process.num_fds())
         year.samples.append(Sample(day, *held, float(year.frames_lost)))
-        tell(f"day {day}: {held[0]:.1f} MB, {year.frames} frames, {year.touches} touches, {year.done}")
+        report(f"day {day}: {held[0]:.1f} MB, {year.frames} frames, {year.touches} touches, {year.done}")
     await _deliver_the_rest(config, plate, host, board, disk, year, draw)
     return year
 
@@ -136,7 +136,7 @@ class _Day:
         self._disk, self._draw = disk, draw
 
     def slot(self, day_end_ns: int, *, leap: bool, set_clock: bool) -> None:
-        """Skip some of the day in one of the ways that time passes; then frames come."""
+        """Skip a part of the day in one of the ways of `SKIPS`; then receive frames."""
         left_ns = day_end_ns - self._host.elapsed_ns
         self.skip(self._draw.choice(SKIPS), self._draw.randrange(S, max(left_ns // 3, 2 * S)))
         leap = leap and "leap second" not in self._year.done
@@ -220,11 +220,11 @@ class _Day:
                 # Ticks begin near the end of a range: they pass 2^32 or 2^53 in the next minutes.
                 board.reboot(host.elapsed_ns, self._draw.choice((0, (1 << 32) - 10**8, EXACT - 10**8)))
             link.open()
-            self._daemon.burst(0.6)  # identified, and untouched long enough to be known
+            self._daemon.burst(0.6)  # until the board is identified and the baseline valid
 
 
 def _find_expiry(year: Year) -> None:
-    """Note each day on which a calibration that held until then has expired."""
+    """Append each day on which a valid calibration has expired."""
     for _, code, since_ns in year.seen.sensor_states:
         if code == "uncalibrated" and not year.is_expired:
             year.is_expired = True

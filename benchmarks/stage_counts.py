@@ -46,10 +46,13 @@ def counted(run: Callable[[], object], folder: Path) -> int:
     return int(found[1])
 
 
-def _control(order: str) -> None:
-    """Send an order of callgrind to this process."""
+def _control(option: str) -> None:
+    """Control callgrind, which runs this process."""
     subprocess.run(
-        ["callgrind_control", order, str(os.getpid())], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True
+        ["callgrind_control", option, str(os.getpid())],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        check=True,
     )
 
 
@@ -57,7 +60,10 @@ def main(folder: Path) -> None:
     empty = counted(lambda: None, folder)
     counts: dict[str, float] = {}
     with ExitStack() as stack:
-        for stages in (stages_force.stages(), stages_system.stages(stack, folder)):  # a skin's take minutes to set up
+        for stages in (
+            stages_force.stages(),
+            stages_system.stages(stack, folder),
+        ):  # those of a skin need minutes for their set-up
             for stage in stages:
                 work = stage.ours
                 work.run()  # warms up

@@ -21,7 +21,7 @@ class Work(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """A stage, a peer with the same result or purpose, and a limit, which is part of any such program."""
+    """A stage, a peer with the same purpose, and a limit: work that any such program contains."""
 
     name: str
     ours: Work
@@ -57,7 +57,7 @@ class Fit(NamedTuple):
 
 
 def in_turns(works: list[Work], clock: Clock = time.process_time) -> list[Figures]:
-    """Measure works in turns, so that what else the computer does slows each; ratios are those of one round."""
+    """Measure works in turns, so that other programs slow all of them; ratios are within one round."""
     repeats = [_repeats(work, clock) for work in works]
     rounds: list[list[float]] = []
     until_s = time.monotonic() + STAGE_S

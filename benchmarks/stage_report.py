@@ -1,4 +1,4 @@
-"""Tables of `stages.py`, and what has become dearer since its record."""
+"""Tables of `stages.py`, and stages that cost more than in its record."""
 
 import math
 from typing import TypedDict
@@ -38,7 +38,7 @@ class GrowthRecord(TypedDict):
 
 
 class Record(TypedDict):
-    """All that one run has measured."""
+    """Results of one run."""
 
     versions: dict[str, str]
     stages: dict[str, StageRecord]

@@ -76,7 +76,7 @@ class QuartzFrames:
 
 
 def numbers_of(steps: list[bytes]) -> Work:
-    """Return the least that any program in Python does with records."""
+    """Return the work that any Python program does with records."""
 
     def run() -> None:
         for payload in steps:
@@ -117,21 +117,21 @@ def frequency_estimation(frames: QuartzFrames) -> Stage:
 def identify(sites: int) -> Work:
     codes = ladder(400e-6, sites)
     matcher = Matcher(*codes, LARGEST_NEWTON)
-    heard = codes.f0_hz[5] / (1 - codes.sensitivity[5] * 2.0)
+    measured_hz = codes.f0_hz[5] / (1 - codes.sensitivity[5] * 2.0)
     stds = np.full(4, 5e-10)
-    return Work("", lambda: matcher.match(heard, stds, OSCILLATOR_STD, COMMON_MODE_STD))
+    return Work("", lambda: matcher.match(measured_hz, stds, OSCILLATOR_STD, COMMON_MODE_STD))
 
 
 def identification() -> Stage:
     """Four frequencies to site and force, among 16 sites; the daemon does it each 5 frames."""
     codes = ladder(400e-6, 16)
-    heard = np.asarray(codes.f0_hz[5] / (1 - codes.sensitivity[5] * 2.0))
+    measured_hz = np.asarray(codes.f0_hz[5] / (1 - codes.sensitivity[5] * 2.0))
     tree = cKDTree(codes.f0_hz)
     return Stage(
         "identification",
         identify(16),
-        Work("scipy cKDTree, nearest code without force and error", lambda: tree.query(heard)),
-        Work("numpy, relative shift against each code", lambda: heard / codes.f0_hz - 1.0),
+        Work("scipy cKDTree, nearest code without force and error", lambda: tree.query(measured_hz)),
+        Work("numpy, relative shift against each code", lambda: measured_hz / codes.f0_hz - 1.0),
     )
 
 

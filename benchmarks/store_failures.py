@@ -1,4 +1,4 @@
-"""Power failures while a store of the daemon is written: what it promised is there, and nothing half written is used.
+"""Power failures while a store of the daemon is written: guaranteed data is complete, and no partial data is used.
 
 `benchmarks/power_failure.py` runs all stores.
 """
@@ -100,7 +100,7 @@ READERS: Final[dict[str, Callable[[Path, Path, Promises], bool]]] = {
 
 
 def fail_while_writing(store: str, folder: Path, *, others: int, seed: int) -> tuple[int, list[str]]:
-    """Have a program write to a store, and read what power failures leave; return how many, and what is wrong."""
+    """Run a program that writes to a store, and read it after each power failure; return their number, and errors."""
     root = folder / "disk"
     root.mkdir()
     command = [sys.executable, store_writers.__file__, store, str(root)]

@@ -1,4 +1,4 @@
-"""Programs that write to a store below ROOT, and note each promise there: `store_writers.py STORE ROOT`."""
+"""Programs that write to a store below ROOT, and log each guarantee there: `store_writers.py STORE ROOT`."""
 
 import asyncio
 import hashlib
@@ -42,7 +42,7 @@ _HEADER: Final = {"name": "left", "daemon_boot_id": "a", "t_ns": 10**18, "t_unce
 
 
 def piece(number: int) -> bytes:
-    """Return what the link of a recording received."""
+    """Return the bytes that the link of a recording receives, by number."""
     return number.to_bytes(4, "big") + Random(number).randbytes(7000)
 
 

@@ -48,7 +48,7 @@ _given_ports: set[int] = set()
 
 
 def free_port() -> int:
-    """Return a TCP port that nobody has, and that was not returned before: who got it may not listen yet."""
+    """Return an unused TCP port that was not returned before, since its user may not listen yet."""
     while True:
         with socket.create_server(("127.0.0.1", 0)) as probe:
             port: int = probe.getsockname()[1]
@@ -58,7 +58,7 @@ def free_port() -> int:
 
 
 def mosquitto_command(port: int, folder: Path, *settings: str) -> tuple[str, ...]:
-    """Return what starts a Mosquitto that keeps nothing."""
+    """Return the command line of a Mosquitto without persistence."""
     program = shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/local/sbin:/usr/sbin") or "mosquitto"
     lines = (f"listener {port} 127.0.0.1", "allow_anonymous true", "set_tcp_nodelay true", "persistence false")
     path = folder / "mosquitto.conf"
@@ -75,7 +75,7 @@ def tree_s(pid: int) -> float:
 
 @contextmanager
 def child(*command: str, stdout: int = subprocess.DEVNULL) -> Iterator["subprocess.Popen[str]"]:
-    """Give a process that is interrupted at the end."""
+    """Yield a process that is interrupted at the end."""
     process = subprocess.Popen(command, stdout=stdout, stderr=subprocess.DEVNULL, text=True)
     try:
         yield process
@@ -86,10 +86,10 @@ def child(*command: str, stdout: int = subprocess.DEVNULL) -> Iterator["subproce
 
 @dataclass
 class Part:
-    """One process; what it says goes to a file, one start after the other.
+    """One process; its output is appended to a log file at each start.
 
-    `leftover` is what one that is killed would leave behind. It goes before the process does: the name of a dead
-    board's terminal is a door to whichever program of this computer is given a terminal of that number next.
+    `leftover` is a file that a killed process would leave. It is removed before the process is killed: the link to a
+    dead board's terminal would otherwise lead to the next program that opens a terminal of this number.
     """
 
     name: str
@@ -117,7 +117,7 @@ class Part:
         return self.process is not None and self.process.poll() is None
 
     def end(self, number: signal.Signals) -> bool:
-        """Send a signal and wait for the end; tell whether it took that one signal."""
+        """Send a signal and wait for the end; return False if the process had to be killed."""
         if self.process is None:
             return True
         if number is signal.SIGKILL:
@@ -137,7 +137,7 @@ class Part:
             self.leftover.unlink(missing_ok=True)
 
     def holdings(self) -> dict[str, float]:
-        """Return what the process holds of the system."""
+        """Return threads, descriptors and memory of the process."""
         process = psutil.Process(self.pid)
         return {
             "threads": process.num_threads(),
@@ -145,7 +145,7 @@ class Part:
             "rss_mb": process.memory_info().rss / 2**20,
         }
 
-    def last_words(self) -> str:
+    def last_log_line(self) -> str:
         lines = self.log.read_text().splitlines() if self.log.exists() else []
         return lines[-1] if lines else "nothing"
 

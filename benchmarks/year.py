@@ -1,4 +1,4 @@
-"""A year of daemon and board in minutes of simulated time, in one table: accounts, events, times, memory.
+"""A simulated year of a daemon and its board, in one table: accounts, events, times, memory.
 
 Run it with `make soak`, or `python benchmarks/year.py [--days 365] [--seed 1] [--svg FILE] [--json]`. Exit code 1 when
 a criterion failed.
@@ -18,9 +18,9 @@ from long_run_judge import FLAT, FLAT_THOUSANDS, KEPT_MB, Row, rises, trend
 from simulated_disk import small_disk
 from simulated_year import Sample, Year, simulate
 
-_KEPT_THOUSANDS = 0.03  # blocks a day: the samples and events of this benchmark itself
+_KEPT_THOUSANDS = 0.03  # a day: the samples and events of this benchmark
 _SLOPES = (("rss_mb", "MB", KEPT_MB), ("blocks_thousand", "thousand blocks", FLAT_THOUSANDS), ("descriptors", "", FLAT))
-# Number of bytes that begin below 2^53: what exceeds it is known, and is in docs/explanation/long-life.md.
+# Counts of bytes begin below 2^53 and may exceed it, as docs/explanation/long-life.md describes.
 _BYTES = ("health.bytes_in", "health.bytes_by_outcome.accepted")
 
 
@@ -87,7 +87,7 @@ def judge(year: Year) -> list[Row]:
 
 
 def _days_expired(year: Year) -> list[str]:
-    """Return the days within whose runs the calibration must be seen to expire: the first after its expiry."""
+    """Return the days on which the calibration must expire: the first after its expiry date."""
     return [str(np.datetime64(year.expiry) + 1)]
 
 
@@ -137,13 +137,13 @@ def main() -> int:
     logging.getLogger("resonator_daemon").addHandler(logging.NullHandler())
     begun_s = time.monotonic()
 
-    def tell(text: str) -> None:
+    def report(text: str) -> None:
         print(f"{time.monotonic() - begun_s:7.1f} s  {text}", file=sys.stderr, flush=True)
 
     with tempfile.TemporaryDirectory() as folder, small_disk(Path(folder)) as disk:
         if not disk.can_fill:
-            tell("full disks: skipped, as mounting one needs root")
-        year = asyncio.run(simulate(options.days, options.seed, disk, tell))
+            report("full disks: skipped, as mounting one needs root")
+        year = asyncio.run(simulate(options.days, options.seed, disk, report))
     rows = judge(year)
     if options.svg is not None:
         draw(year.samples, options.svg)
@@ -152,7 +152,7 @@ def main() -> int:
     else:
         print(", ".join(f"{what} {count}" for what, count in sorted(year.done.items())))
         for row in rows:
-            print(f"{'ok  ' if row.good else 'MISS'} {row.what}: asked {row.asked}; seen {row.seen}")
+            print(f"{'ok  ' if row.good else 'MISS'} {row.what}: required {row.asked}; result {row.seen}")
     return 0 if all(row.good for row in rows) else 1
 
 

@@ -41,7 +41,7 @@ FAILURES: Final = {
     "dds": "the DDS domain cannot be joined",
     "no_broker": "no broker answers at the address",
     "no_scheduler": "no Dask scheduler answers at the address, or it has ended",
-    "workers_died": "the workers of a Dask cluster died again and again of one chunk of a recording",
+    "workers_died": "workers of a Dask cluster died repeatedly, with one chunk of a recording or while they started",
     "no_daemon": "no such daemon runs",
     "no_answer": "the daemon does not answer",
     "denied": "the access rules of the broker, or of this computer, do not allow it",

@@ -1,4 +1,4 @@
-"""The plate file's model: sites, their tones and the counter, as SI arrays for everyone who measures or emulates."""
+"""Model of a plate file: sites, their tones and the counter, as arrays in SI units."""
 
 from __future__ import annotations
 

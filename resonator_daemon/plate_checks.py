@@ -1,4 +1,4 @@
-"""What is checked across several keys of a plate file."""
+"""Checks of a plate file that depend on several keys."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -22,12 +22,12 @@ from resonator_daemon.toml_files.reading import Number, finding
 
 _MAX_TONES = 46_872  # 63 parts of 744 tones a channel: a frame has at most 255 parts
 _SPREAD_SITES = 4
-_MAX_SHIFT = 0.1  # |K F| beyond this is a slip of the unit, not a resonator
+_MAX_SHIFT = 0.1  # |K F| above this is a wrong unit of K: no resonator shifts so far
 _Positive = Annotated[Number, Field(gt=0)]
 
 
 def findings(raw: dict[str, Any]) -> Iterator[InitErrorDetails]:
-    """Check what depends on several keys, on those parts of the file that are sound by themselves."""
+    """Yield findings that depend on several keys, of those parts of a parsed file that are valid by themselves."""
     outline = _sound(Outline, raw.get("outline_mm")) or ()
     if outline and _area(outline) == 0:
         yield finding(("outline_mm",), outline, "encloses no area; give the corners in their order")
@@ -66,7 +66,7 @@ def findings(raw: dict[str, Any]) -> Iterator[InitErrorDetails]:
 
 
 def _sound(kind: Any, raw: object) -> Any:
-    """Return the value where it is valid by itself, else None."""
+    """Return the value if it is valid by itself, else None."""
     return _accepted(TypeAdapter(kind), raw)
 
 

@@ -19,6 +19,8 @@ SKIN_SIGNALS = ("p_n", "eps_xz", "eps_yz")  # the order of everything that is pu
 
 
 def of_length(length: int, what: str) -> BeforeValidator:
+    """Return a validator of lists of this length; `what` names the items in its error."""
+
     def check(values: object) -> object:
         if not isinstance(values, list | tuple) or len(values) != length:
             raise ValueError(f"must be a list of {length}: {what}")
@@ -28,7 +30,7 @@ def of_length(length: int, what: str) -> BeforeValidator:
 
 
 def at_least(length: int, what: str) -> BeforeValidator:
-    """Not pydantic's min_length: that one counts only those items that are sound."""
+    """Return a validator of lists of at least this length; unlike pydantic's min_length, it counts invalid items."""
 
     def check(values: object) -> object:
         if not isinstance(values, list | tuple) or len(values) < length:
@@ -74,8 +76,8 @@ class Counter(Table):
     frame_rate_hz: Annotated[
         Number, Field(gt=0, le=100_000, default_factory=lambda seen: _default(seen, 1000.0, 100.0))
     ]
-    pilot_hz: Hertz | None = None  # captured by a single-tone counter while nothing is touched; see Plate.pilot_hz
-    codes_may_overlap: StrictBool = False  # take a plate whose sites can be mistaken for each other all the same
+    pilot_hz: Hertz | None = None  # captured by a single-tone counter without touches; see Plate.pilot_hz
+    codes_may_overlap: StrictBool = False  # accept a plate whose sites may be mistaken for each other
 
     @property
     def frames_in_parts(self) -> bool:
@@ -152,7 +154,7 @@ class Grid(Table):
 
 
 class Tone(Table):
-    """One resonance of a site as the four corners see it."""
+    """One resonance of a site, as the four corners receive it."""
 
     signal: Literal["force", "temperature", "p_n", "eps_xz", "eps_yz"]
     f0_hz: Annotated[tuple[Hertz, ...], Corners]
@@ -162,7 +164,7 @@ class Tone(Table):
 
 
 class Site(Table):
-    """A place on the plate that senses: a force (and its own temperature), or the three signals under a skin."""
+    """One sensing place of the plate: a force (and its temperature), or the three signals under a skin."""
 
     id: Annotated[Count, Field(ge=1, le=65_535)]
     position_mm: Point
@@ -170,37 +172,37 @@ class Site(Table):
 
 
 class Thermal(Table):
-    """How warm plate and touches may be, and what of it is not known."""
+    """Temperatures of plate and touches, and their effect on tones, with uncertainties."""
 
     reference_kelvin: Kelvin = 298.15  # at which f0_hz holds
     range_kelvin: Annotated[tuple[Kelvin, ...], of_length(2, "lowest and highest"), AfterValidator(_rising)] = (
         288.15,
         308.15,
     )
-    coefficient_std: Annotated[Number, Field(ge=0, le=1e-3)] = 2e-8  # 1/K, of what the tones' coefficients are off by
+    coefficient_std: Annotated[Number, Field(ge=0, le=1e-3)] = 2e-8  # 1/K, of the errors of the tones' coefficients
     transient_s: Annotated[Number, Field(ge=-1, le=1)] = -2e-7  # relative shift for each K/s of a site
-    contact_std_kelvin: Annotated[Number, Field(ge=0, le=1000)] = 0.0  # by which what touches differs from the plate
-    contact_time_s: Annotated[Number, Field(gt=0, le=1e6)] = 5.0  # in which a touched site takes its temperature
+    contact_std_kelvin: Annotated[Number, Field(ge=0, le=1000)] = 0.0  # of a touching object against the plate
+    contact_time_s: Annotated[Number, Field(gt=0, le=1e6)] = 5.0  # time constant of a touched site's temperature
 
 
 class Response(Table):
-    """What a force site feels of a press besides its force: hysteresis and creep, as calibrated."""
+    """Hysteresis and creep of a force site, as calibrated."""
 
     hysteresis_newton: Annotated[Number, Field(ge=0, le=10_000)]
     creep_fraction: Annotated[Number, Field(ge=0, lt=0.5)]
     creep_time_s: Annotated[Number, Field(gt=0, le=1e6)]
-    relative_std: Annotated[Number, Field(ge=0, le=1)] = 0.1  # of what they are off by
+    relative_std: Annotated[Number, Field(ge=0, le=1)] = 0.1  # relative, of the three values above
 
 
 class Validity(Table):
-    """Forces and temperatures at which a calibration was made."""
+    """Ranges of force and temperature in which a calibration was made."""
 
     force_newton: Annotated[tuple[Number, ...], of_length(2, "lowest and highest"), AfterValidator(_rising)]
     kelvin: Annotated[tuple[Kelvin, ...], of_length(2, "lowest and highest"), AfterValidator(_rising)]
 
 
 class Coupling(Table):
-    """Share of the force on one site that another one feels."""
+    """Share of the force on the site `pressed` that the site `measured` measures."""
 
     pressed: Count
     measured: Count
@@ -208,14 +210,14 @@ class Coupling(Table):
 
 
 class Calibration(Table):
-    """Where the numbers of this file come from, and what they are worth."""
+    """Origin, validity and uncertainty of the numbers in this file."""
 
     id: str | None = None
     date: Day | None = None
     unit: str | None = None  # serial number of the board and plate that were calibrated
     temperature_kelvin: Kelvin | None = None
     model_error: Annotated[Number, Field(gt=0, le=0.5)] = 0.015  # relative, of K from touch to touch and corner
-    sensitivity_std: Annotated[Number, Field(ge=0, le=0.5)] = 0.0  # relative, of all K: the masses' own
+    sensitivity_std: Annotated[Number, Field(ge=0, le=0.5)] = 0.0  # relative, common to all K: error of the masses
     sites: tuple[Count, ...] = ()  # ids of those that were calibrated last, in the order of `residuals`
     residuals: tuple[Number, ...] = ()  # newton rms
     coupling: tuple[Coupling, ...] = ()

@@ -178,9 +178,9 @@ class Board:
         return made
 
     def skip_gates(self, now_ticks: int, *, dropped: bool) -> int:
-        """Close all gates until now without making their frames; return how many.
+        """Close all gates until now without frames; return their number.
 
-        The board reports them as `dropped`; otherwise they count as sent, and never arrive.
+        With `dropped`, the board reports them as dropped; otherwise they count as sent, and never arrive.
         """
         self._now_ticks = now_ticks
         run, end_ticks = self._run, self.next_frame_ticks

@@ -41,7 +41,7 @@ OTHER_SERIAL_NUMBER = "EMU-0002"  # of the board that is plugged in by mistake
 SINGLE_TONE_QUEUE_BYTES = 256 * 1024  # 1.3 s of 204-byte frames at 1 kHz
 CHANNELISED_QUEUE_BYTES = 16 * 1024 * 1024  # 1.1 s of 147 kB frames at 100 Hz
 CREDIT_BYTES = 512  # a dozen requests
-LATE_MAX_S = 2.0  # more than a queue holds
+LATE_MAX_S = 2.0  # longer than the board's queue can bridge
 
 _SPEED_MAX = 100.0
 # Counted ahead where clients may press: the longer, the later a press shows; the shorter, the more processor time.
@@ -135,7 +135,7 @@ class Emulator:
         self._tick_rate_hz = plate.counter.reference_hz * (1.0 + scenario.physics.reference_error)
         self._ticks_per_ns = self._tick_rate_hz * options.speed * 1e-9
         self._truth_delay_ticks = _TRUTH_DELAY_NS * self._ticks_per_ns
-        self._frames_late = 0  # more than LATE_MAX_S
+        self._frames_too_late = 0
         self._made: list[MadeFrame] = []  # whose truth has not been written
         self._newest: MadeFrame | None = None
         self._script = Script(faults, seed)
@@ -181,10 +181,10 @@ class Emulator:
             self._write_truth()
 
     def _skip_late(self, now_ticks: int) -> None:
-        """Drop frames that a busy computer has not made in time: making them all would take longer and longer."""
+        """Drop the due frames if they are more than LATE_MAX_S late: computing them all would increase the delay."""
         due_ticks = self._board.next_frame_ticks
         if due_ticks is not None and now_ticks - due_ticks > LATE_MAX_S * self._tick_rate_hz:
-            self._frames_late += self._board.skip_gates(now_ticks, dropped=True)
+            self._frames_too_late += self._board.skip_gates(now_ticks, dropped=True)
 
     def stop(self) -> None:
         """End `run`; from any thread or signal handler."""
@@ -201,7 +201,7 @@ class Emulator:
             "drop_rate": board.frames_lost,
             "queue_full": board.frames_crowded_out,
             "silence": board.frames_silenced,
-            "too_late": self._frames_late,
+            "too_late": self._frames_too_late,
         }
         return {
             "frames_made": board.frames_made,

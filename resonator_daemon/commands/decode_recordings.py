@@ -22,17 +22,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "patterns", nargs="+", metavar="PATTERN", help="recordings, as 'runs/*.mcap', or directories of them"
     )
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="directory of the results")
-    parser.add_argument("--plate", metavar="NAME|FILE", help="plate file instead of the one that each recording has")
+    parser.add_argument("--plate", metavar="NAME|FILE", help="plate file, instead of the one in each recording")
     parser.add_argument(
         "--settings",
         type=Path,
         metavar="FILE",
-        help="TOML with the tables [measurement] and [decoding], instead of those that each recording has",
+        help="TOML with the tables [measurement] and [decoding], instead of those in each recording",
     )
     parser.add_argument(
-        "--topics", metavar="A,B", help="as contacts,contacts/event (default: all that follow from decoding)"
+        "--topics", metavar="A,B", help="topics to write, such as contacts,contacts/event (default: all)"
     )
-    parser.add_argument("--scheduler", metavar="URL", help="of a Dask cluster, as tcp://host:8786")
+    parser.add_argument("--scheduler", metavar="URL", help="scheduler of a Dask cluster, such as tcp://host:8786")
     parser.add_argument(
         "--workers",
         type=whole_number(1, 1024),
@@ -40,7 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="processes on this computer (default: 1, which needs no Dask)",
     )
     parser.add_argument(
-        "--chunk-seconds", type=number(1.0, 1e6), default=60.0, metavar="N", help="of a chunk, at least (default: 60)"
+        "--chunk-seconds",
+        type=number(1.0, 1e6),
+        default=60.0,
+        metavar="N",
+        help="least length of a chunk (default: 60)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end, and nothing else")
 
@@ -57,12 +61,12 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         raise UsageError("--workers are processes on this computer; a cluster with --scheduler has its own")
     settings = _text(arguments.settings)
     if settings is not None:
-        load_settings_text(settings, arguments.settings)  # findings are reported before anything begins
+        load_settings_text(settings, arguments.settings)  # errors are reported before decoding begins
     plate = plate_text(load_plate(arguments.plate)) if arguments.plate is not None else None
     topics = chosen_topics(arguments.topics)
     # Workers may run in other directories.
     job = Job(arguments.output.absolute(), topics, plate, settings, arguments.chunk_seconds)
-    with interruptible("chunks that are done stay; repeat the command to continue"):
+    with interruptible("complete chunks are kept; repeat the command to continue"):
         paths = [path.absolute() for path in recordings_of(arguments.patterns)]
         progress = not arguments.json
         result, wrong = decode_all(paths, job, arguments.scheduler, arguments.workers or 1, show_progress=progress)
@@ -85,12 +89,12 @@ def _text(path: Path | None) -> str | None:
 
 
 def _print(result: dict[str, Any]) -> None:
-    before = f", {result['chunks_done_before']} of them before" if result["chunks_done_before"] else ""
+    before = f" ({result['chunks_done_before']} of an earlier run)" if result["chunks_done_before"] else ""
     print_note(f"{result['recordings']} recordings, {result['chunks']} chunks{before}, {result['frames']} frames")
     print_note(f"{result['output']}: {result['files']} files, {result['file_bytes'] / 1e6:.1f} MB")
     changes = result["changes"]
     if changes is None:
-        print_note("changes: the recordings store no contacts; record with include_messages to compare")
+        print_note("changes: the recordings store no contacts; to compare, record with include_messages")
         return
     rms = changes["force_difference_newton_rms"]
     force = "" if rms is None else f", net force {1e3 * rms:.3g} mN rms"

@@ -1,4 +1,4 @@
-"""Decoders of many skins: those of equal skins share their matrices, and each has a state of its own."""
+"""Decoders of many skins: those of equal skins share their matrices; each has its own state."""
 
 import pickle
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from resonator_daemon.decoding.streaming import set_up
 
 
 class _Matrices:
-    """Arrays of a decoder that has decoded nothing yet, read-only."""
+    """Read-only arrays of a decoder that has not decoded yet."""
 
     def __init__(self, skin: Skin, options: DecodingOptions, decoder: SkinDecoder) -> None:
         self._geometry, self._options, self._decoder = skin.geometry(), options, decoder
@@ -19,12 +19,12 @@ class _Matrices:
         self._rest = pickle.dumps(decoder, protocol=5, buffer_callback=arrays.append)
         self._arrays = [array.raw().toreadonly() for array in arrays]
 
-    def serve(self, skin: Skin, options: DecodingOptions, noise_std: Floats) -> bool:
+    def match(self, skin: Skin, options: DecodingOptions, noise_std: Floats) -> bool:
         """Return whether a decoder with these matrices decodes signals of such noise, (3, n), under a skin."""
         return skin.geometry() == self._geometry and options == self._options and bool(self._decoder.fits(noise_std))
 
     def decoder(self) -> SkinDecoder:
-        """Return one more decoder with these matrices, which has decoded nothing yet."""
+        """Return another decoder with these matrices, in its initial state."""
         decoder: SkinDecoder = pickle.loads(self._rest, buffers=self._arrays)
         return decoder
 
@@ -42,7 +42,7 @@ class EqualSkins:
         self, skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
     ) -> SkinDecoder:
         """Return a decoder with the matrices of an equal skin of similar noise; without one, as `streaming.set_up`."""
-        known = (each for each in list(self._matrices.values()) if each.serve(skin, options, noise_std))
+        known = (each for each in list(self._matrices.values()) if each.match(skin, options, noise_std))
         matrices = next(known, None) or _Matrices(skin, options, set_up(skin, options, noise_std, progress))
         decoder = matrices.decoder()
         self._matrices[decoder] = matrices

@@ -1,4 +1,4 @@
-"""What decoding again changes against the messages that a recording stores."""
+"""Differences between decoded messages and those that a recording stores."""
 
 import json
 from collections import Counter
@@ -20,45 +20,46 @@ Event = tuple[str, int | None, int]
 
 
 class Changes:
-    """Comparison of messages that are stored with those that are made, of one chunk.
+    """Comparison of stored messages of one chunk with decoded ones.
 
     Parameters
     ----------
     begin_ns, end_ns
-        UTC between which stored messages belong to the chunk; None: from the beginning, to the end.
+        UTC from and before which stored messages belong to the chunk; None: beginning and end of the recording.
     """
 
     def __init__(self, begin_ns: int | None, end_ns: int | None) -> None:
         self._begin_ns = begin_ns or 0
         self._end_ns = end_ns or 1 << 63
         self._stored: dict[int, Floats] = {}  # net force by the board's ticks
-        self._made: dict[int, Floats] = {}
-        self._events: tuple[list[Event], list[Event]] = ([], [])
+        self._decoded: dict[int, Floats] = {}
+        self._stored_events: list[Event] = []
+        self._decoded_events: list[Event] = []
         self._numbers: Counter[str] = Counter()
         self._square_newton2 = 0.0
 
     def add_stored(self, topic: str, data: bytes, utc_ns: int) -> None:
-        """Add a payload that the recording stores; one that is no such message is counted as unreadable."""
+        """Add a stored payload of a topic of `STORED_TOPICS`; a malformed one is counted as unreadable."""
         belongs = self._begin_ns <= utc_ns < self._end_ns
         try:
             payload = json.loads(data)
             if topic == CONTACTS.path:
                 self._numbers["contacts_stored"] += belongs
                 force = [_vector(contact["force_newton"]) for contact in payload["contacts"]]
-                self._pair(int(payload["board_ticks"]), sum(force, np.zeros(3)), self._stored, self._made)
+                self._pair(int(payload["board_ticks"]), sum(force, np.zeros(3)), self._stored, self._decoded)
             elif belongs:
-                self._events[0].append((payload["event"], payload["contact"].get("site"), int(payload["t_ns"])))
+                self._stored_events.append((payload["event"], payload["contact"].get("site"), int(payload["t_ns"])))
         except (ValueError, KeyError, TypeError, AttributeError):
             self._numbers["unreadable"] += 1
 
-    def add_made(self, message: Message) -> None:
-        """Add a message that follows from decoding."""
+    def add_decoded(self, message: Message) -> None:
+        """Add a message that decoding has made; topics that are not stored are ignored."""
         if isinstance(message, Contacts) and message.board_ticks is not None:
-            self._numbers["contacts_made"] += 1
+            self._numbers["contacts_decoded"] += 1
             force = [_vector(contact.force_newton) for contact in message.contacts]
-            self._pair(message.board_ticks, sum(force, np.zeros(3)), self._made, self._stored)
+            self._pair(message.board_ticks, sum(force, np.zeros(3)), self._decoded, self._stored)
         elif isinstance(message, ContactEvent):
-            self._events[1].append((message.event, message.contact.site, message.t_ns))
+            self._decoded_events.append((message.event, message.contact.site, message.t_ns))
 
     def _pair(self, ticks: int, force_newton: Floats, own: dict[int, Floats], others: dict[int, Floats]) -> None:
         other = others.pop(ticks, None)
@@ -72,26 +73,25 @@ class Changes:
         self._square_newton2 += float(np.nansum(difference**2))
 
     def numbers(self) -> dict[str, float]:
-        """Return the numbers of the comparison, which may be added to those of other chunks."""
-        stored, made = self._events
-        both = _matches(stored, made)
+        """Return counts, and the sum of squared differences; all can be added over chunks."""
+        both = _matches(self._stored_events, self._decoded_events)
         numbers: dict[str, float] = dict(self._numbers)
         for kind in _KINDS:
-            numbers[f"{kind}_stored"] = sum(event[0] == kind for event in stored)
-            numbers[f"{kind}_made"] = sum(event[0] == kind for event in made)
+            numbers[f"{kind}_stored"] = sum(event[0] == kind for event in self._stored_events)
+            numbers[f"{kind}_decoded"] = sum(event[0] == kind for event in self._decoded_events)
             numbers[f"{kind}_both"] = both[kind]
         return numbers | {"square_newton2": self._square_newton2}
 
 
 def summary(numbers: Counter[str]) -> dict[str, Any] | None:
-    """Return what has changed by the keys of `--json`; None if the recordings store nothing to compare with."""
+    """Return the value of `changes` in `--json`, from summed numbers; None if the recordings store no contacts."""
     if not numbers["contacts_stored"]:
         return None
     events = {
         kind: {
             "stored": int(numbers[f"{kind}_stored"]),
-            "decoded": int(numbers[f"{kind}_made"]),
-            "gained": int(numbers[f"{kind}_made"] - numbers[f"{kind}_both"]),
+            "decoded": int(numbers[f"{kind}_decoded"]),
+            "gained": int(numbers[f"{kind}_decoded"] - numbers[f"{kind}_both"]),
             "lost": int(numbers[f"{kind}_stored"] - numbers[f"{kind}_both"]),
         }
         for kind in _KINDS
@@ -99,7 +99,7 @@ def summary(numbers: Counter[str]) -> dict[str, Any] | None:
     compared = int(numbers["compared"])
     return {
         "contacts_stored": int(numbers["contacts_stored"]),
-        "contacts_decoded": int(numbers["contacts_made"]),
+        "contacts_decoded": int(numbers["contacts_decoded"]),
         "compared": compared,
         "force_difference_newton_rms": (numbers["square_newton2"] / compared) ** 0.5 if compared else None,
         "events": events,
@@ -107,14 +107,14 @@ def summary(numbers: Counter[str]) -> dict[str, Any] | None:
 
 
 def _vector(force_newton: Any) -> Floats:
-    """Return a force as an array of three; a component that is not known or measured counts as 0."""
+    """Return a force as an array (3,) in newton; a component that is unknown or not measured counts as 0."""
     return np.nan_to_num(np.array([np.nan if part is None else part for part in force_newton], np.float64))
 
 
-def _matches(stored: list[Event], made: list[Event]) -> Counter[str]:
-    """Count the events of both that are the same, each used once, in the order of time."""
+def _matches(stored: list[Event], decoded: list[Event]) -> Counter[str]:
+    """Count pairs of equal stored and decoded events by kind, in the order of time; no event is in two pairs."""
     both: Counter[str] = Counter()
-    left = sorted(made, key=lambda event: event[2])
+    left = sorted(decoded, key=lambda event: event[2])
     for kind, site, t_ns in sorted(stored, key=lambda event: event[2]):
         for index, (other_kind, other_site, other_ns) in enumerate(left):
             if (other_kind, other_site) == (kind, site) and abs(other_ns - t_ns) <= SAME_EVENT_NS:

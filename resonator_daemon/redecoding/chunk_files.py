@@ -1,4 +1,4 @@
-"""Files of one chunk: Parquet by topic, plate and day, and the report that makes them count as done."""
+"""Files of one chunk: Parquet by topic, plate and day, and the report, whose existence marks the chunk as done."""
 
 import json
 import os
@@ -22,24 +22,24 @@ from resonator_daemon.replay.recorded_pipeline import Moment
 from resonator_daemon.sensors.calendar import utc_day
 
 REPORTS = "chunks"  # directory of the reports
-_PARTS = ".parts"  # directory of what is not complete
-_NAME = "of.parquet"  # there
+_PARTS = ".parts"  # directory of incomplete files
+_NAME = "of.parquet"  # there; the format appends the topic to the stem
 
 
 class OutputFailedError(UserError):
-    """Results cannot be written, as on a full disk."""
+    """Results cannot be written, for example on a full disk."""
 
     exit_code = ExitCode.FAILED
     code = "output"
 
 
 def report_path(output: Path, key: str) -> Path:
-    """Return the name of a chunk's report, which exists once all its files do."""
+    """Return the path of a chunk's report, which exists once all files of the chunk are complete."""
     return output / REPORTS / f"{key}.json"
 
 
 def read_report(output: Path, key: str) -> dict[str, Any] | None:
-    """Return the report of a chunk that is done; None if it is not."""
+    """Return the report of a chunk; None if there is none, or it is unreadable."""
     with suppress(FileNotFoundError, ValueError):
         report: dict[str, Any] = json.loads(report_path(output, key).read_text())
         return report
@@ -47,7 +47,7 @@ def read_report(output: Path, key: str) -> dict[str, Any] | None:
 
 
 class ChunkFiles:
-    """Files of one chunk while they are written, in a directory of their own, so that any number may write one chunk.
+    """Files of one chunk while they are written; several processes may write the same chunk, each in a directory.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class ChunkFiles:
     topics
         Paths of the topics to be written.
     recorded
-        Recording of the chunk.
+        Configuration and metadata of the recording.
     """
 
     def __init__(self, output: Path, key: str, topics: tuple[str, ...], recorded: Recorded) -> None:
@@ -72,7 +72,7 @@ class ChunkFiles:
         self.rows: Counter[str] = Counter()
 
     def add(self, moment: Moment) -> list[Message]:
-        """Write the messages of a moment, each by the day of its time; return all of them."""
+        """Write the messages of a moment, each to the files of its UTC day; return all of them."""
         made = [(topic, decoded(topic.payload, message)) for topic, message in moment.messages]
         for topic, message in made:
             if topic.path in self.topics:
@@ -89,7 +89,7 @@ class ChunkFiles:
         return self._days[day]
 
     def close(self, report: Mapping[str, Any]) -> dict[str, Any]:
-        """Put the files in their places, then the report, which is returned with their sizes."""
+        """Move the files to their final names, then write the report; return it with the sizes of the files."""
         files: dict[str, int] = {}
         plate = quote(self._recorded.name, safe="")
         for day, output in self._days.items():
@@ -106,13 +106,13 @@ class ChunkFiles:
         return whole
 
     def discard(self) -> None:
-        """Remove what there is of the files."""
+        """Remove the incomplete files."""
         for output in self._days.values():
             output.discard()
         shutil.rmtree(self._parts, ignore_errors=True)
 
     def _remove_parts(self) -> None:
-        """Remove what killed workers left of this chunk."""
+        """Remove incomplete files of this chunk, also those of killed workers."""
         for part in (self._output / _PARTS).glob(f"{self._key}-*"):
             shutil.rmtree(part, ignore_errors=True)
 
@@ -120,8 +120,8 @@ class ChunkFiles:
 def cannot_write(output: Path, error: OSError) -> OutputFailedError:
     """Return the error for results that cannot be written."""
     return OutputFailedError(
-        f"{output} cannot be written: {meaning_of(error)}; make room there, and repeat the command: it goes on with "
-        "the chunks that are not done"
+        f"{output} cannot be written: {meaning_of(error)}; free space there, and repeat the command: it "
+        "continues with the chunks that are not done"
     )
 
 

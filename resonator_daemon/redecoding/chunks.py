@@ -1,4 +1,4 @@
-"""Chunks of recordings: parts that are decoded independently, each from a moment at which nothing touches the plate."""
+"""Chunks of recordings: parts that are decoded independently, each from a moment without touches."""
 
 import glob
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from resonator_daemon.session.link_state_machine import LinkStateMachine
 
 @dataclass(frozen=True)
 class Job:
-    """What is to be made of recordings.
+    """Settings of one run, equal for all recordings.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Job:
     topics
         Paths of the topics to be written.
     plate_text, settings_text
-        TOML of a plate file, and of the tables [measurement] and [decoding]; None: those of each recording.
+        TOML of a plate file, and of the tables [measurement] and [decoding]; None: those in each recording.
     chunk_s
         Least length of a chunk in seconds.
     """
@@ -53,7 +53,7 @@ class Job:
         Raises
         ------
         ConfigurationError
-            The recording carries none, or its own and the given one do not suit each other.
+            The recording contains none, or plate and settings are incompatible.
         """
         settings: Settings | None = None
         if self.settings_text is not None:
@@ -63,18 +63,20 @@ class Job:
 
 @dataclass(frozen=True)
 class Chunk:
-    """One chunk of a recording; it ends where the next one that comes to rest begins.
+    """One chunk of a recording; it ends at the first rest of a later chunk.
 
     Parameters
     ----------
     identity
-        Of the recording.
+        Name of the recording in names of files: a hash of its first 1 MB.
     number
-        Of the chunk in it, from 0.
+        Number of the chunk in the recording, from 0.
     starts
-        Of all chunks.
+        Starts of all chunks of the recording.
+    size_bytes
+        Size of the recording.
     channels
-        Topics by number of their channel.
+        Topics of the file by channel number.
     """
 
     path: Path
@@ -86,7 +88,7 @@ class Chunk:
 
     @property
     def key(self) -> str:
-        """Name of the chunk, equal in each run."""
+        """Name of the chunk; equal recordings and chunk lengths give equal names."""
         return f"{self.identity}-{self.number:05}"
 
     @property
@@ -99,12 +101,12 @@ class Chunk:
         return self.end_bytes(self.number) - self.starts[self.number].begin_bytes
 
     def end_bytes(self, number: int) -> int:
-        """Return where the bytes of a chunk of this recording end."""
+        """Return the file position at which a chunk of this recording ends."""
         return self.starts[number + 1].begin_bytes if number + 1 < len(self.starts) else self.size_bytes
 
 
 def recordings_of(patterns: Sequence[str]) -> list[Path]:
-    """Return the files that match patterns, and those of directories; NoRecordingError where one matches none."""
+    """Return the files that match patterns, and `*.mcap` of directories; NoRecordingError if a pattern matches none."""
     paths: list[Path] = []
     for pattern in patterns:
         matches = [Path(name) for name in sorted(glob.glob(pattern, recursive=True))]
@@ -116,14 +118,14 @@ def recordings_of(patterns: Sequence[str]) -> list[Path]:
 
 
 def chunks_of(path: Path, job: Job) -> list[Chunk]:
-    """Return the chunks of a recording; one of a plate that never comes to rest is a chunk as a whole.
+    """Return the chunks of a recording; recordings of force plates are one chunk.
 
     Raises
     ------
     LinkUnavailableError
-        It is no recording, or of another plate than that of the job.
+        The file is no recording, or the job has another plate.
     ConfigurationError
-        It cannot be decoded with what it carries and the job has.
+        The recording contains no plate or settings, or they are incompatible with those of the job.
     """
     with open_recording(str(path), job.plate) as recording:
         config = job.config(recording)
@@ -137,7 +139,7 @@ def chunks_of(path: Path, job: Job) -> list[Chunk]:
 
 
 def plan(paths: Sequence[Path], job: Job) -> tuple[list[Chunk], dict[str, str]]:
-    """Return the chunks of all recordings, of equal ones those of the first, and why others cannot be decoded."""
+    """Return the chunks of all recordings, each once, and by path the reason why a file cannot be decoded."""
     chunks: dict[str, Chunk] = {}
     refused: dict[str, str] = {}
     for path in paths:
@@ -154,7 +156,7 @@ def plan(paths: Sequence[Path], job: Job) -> tuple[list[Chunk], dict[str, str]]:
 
 
 def first_rest(chunk: Chunk, number: int, config: Config) -> HostTime | None:
-    """Return when the plate is first at rest in a chunk of this recording; None if it never is.
+    """Return the time at which the plate is first at rest in a chunk of this recording; None if it never is.
 
     It depends on the bytes of that chunk alone, so that the chunk and the one before agree.
     """
@@ -176,9 +178,9 @@ def first_rest(chunk: Chunk, number: int, config: Config) -> HostTime | None:
 
 
 def span_of(chunk: Chunk, config: Config) -> tuple[HostTime | None, HostTime | None] | None:
-    """Return when a chunk begins and ends, None for the beginning and end of the recording; None if it has nothing.
+    """Return the times of begin and end of a chunk, None for those of the recording; None if the chunk has no rest.
 
-    What comes before its first rest belongs to the chunk before.
+    Frames before its first rest belong to the chunk before.
     """
     begin = first_rest(chunk, chunk.number, config) if chunk.number else None
     if chunk.number and begin is None:

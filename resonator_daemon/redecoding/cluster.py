@@ -1,4 +1,4 @@
-"""Chunks decoded by the workers of a Dask cluster: that of a scheduler, or one of this computer's processes."""
+"""Chunks decoded by the workers of a Dask cluster: an existing one, or processes of this computer."""
 
 import asyncio
 import logging
@@ -19,22 +19,22 @@ try:
     from distributed.scheduler import NoWorkerError
 except ImportError as error:
     raise MissingLibraryError(
-        f"several workers, and --scheduler, need dask.distributed: {how_to_install('distributed')}"
+        f"--workers above 1 and --scheduler need dask.distributed: {how_to_install('distributed')}"
     ) from error
 
-logging.getLogger("distributed").propagate = False  # what ends the command is reported by the command
+logging.getLogger("distributed").propagate = False  # the command itself reports errors that end it
 
 CONNECT_S: Final = 10.0
 _ANY_PORT: Final = "127.0.0.1:0"
-DEATHS_MAX: Final = 20  # of workers that had one chunk; more: the chunk is at fault
-_STARTS_MAX: Final = 5  # of a cluster of which a worker dies while it starts
+DEATHS_MAX: Final = 20  # workers that may die with one chunk, before it counts as the cause
+_STARTS_MAX: Final = 5  # attempts, if a worker dies while it starts
 _SETTINGS: Final = {
     "distributed.scheduler.allowed-failures": DEATHS_MAX,
-    "distributed.scheduler.worker-saturation": 1.0,  # each worker has one chunk, and no other waits for it
+    "distributed.scheduler.worker-saturation": 1.0,  # a worker receives its next chunk when it has none
     "distributed.scheduler.no-workers-timeout": "5 minutes",
-    "distributed.deploy.lost-worker-timeout": "1 day",  # a killed one starts again, however long that takes
+    "distributed.deploy.lost-worker-timeout": "1 day",  # wait until a killed one has restarted
     "distributed.worker.profile.enabled": False,
-    # Without Dask's limit for malloc, by which it returns memory to the system after each array.
+    # Omits Dask's limit for malloc, with which each freed array returns its memory to the system.
     "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
 }
 _LOST: Final = (FutureCancelledError, CommClosedError, asyncio.CancelledError, TimeoutError)
@@ -48,7 +48,7 @@ class SchedulerError(UserError):
 
 
 class WorkersDiedError(UserError):
-    """Workers died again and again, of one chunk or while they started."""
+    """Workers died repeatedly, with one chunk or while they started."""
 
     exit_code = ExitCode.FAILED
     code = "workers_died"
@@ -57,19 +57,21 @@ class WorkersDiedError(UserError):
 def decode_on_cluster(
     chunks: Sequence[Chunk], job: Job, scheduler: str | None, workers: int
 ) -> Iterator[dict[str, Any]]:
-    """Give the report of each chunk once it is done, in any order.
+    """Yield the report of each chunk once it is done, in any order.
 
     Parameters
     ----------
     scheduler
-        Address of a scheduler; None: as many processes of this computer as there are `workers`.
+        Address of a scheduler; None: processes of this computer.
+    workers
+        Number of these processes.
 
     Raises
     ------
     SchedulerError, WorkersDiedError
         The cluster cannot be used, or is lost.
     UsageError
-        The address is none.
+        The address is invalid.
     UserError
         What `decode_chunk` raises.
     """
@@ -77,7 +79,7 @@ def decode_on_cluster(
         stack.enter_context(dask.config.set(_SETTINGS))
         cluster = stack.enter_context(_local_cluster(workers)) if scheduler is None else scheduler
         client = stack.enter_context(_client(cluster, scheduler))
-        # In this order; a long chunk at the end would leave the other workers idle.
+        # Longest first: a long chunk at the end would leave the other workers idle.
         chunks = sorted(chunks, key=lambda chunk: -chunk.length_bytes)
         futures = client.map(decode_chunk, chunks, job=job, key=[f"decode-{chunk.key}" for chunk in chunks], pure=False)
         stack.callback(client.cancel, futures)
@@ -86,8 +88,8 @@ def decode_on_cluster(
                 yield future.result()
             except (KilledWorker, NoWorkerError) as error:
                 raise WorkersDiedError(
-                    f"{future.key}: its workers died again and again; give them more memory, then repeat the command: "
-                    "it goes on with the chunks that are not done"
+                    f"{future.key}: more than {DEATHS_MAX} workers died with this chunk, or none was left for "
+                    "5 minutes; give workers more memory, then repeat the command: it continues with the other chunks"
                 ) from error
             except _LOST as error:
                 raise _lost(scheduler) from error
@@ -111,7 +113,7 @@ def _client(cluster: Any, scheduler: str | None) -> Any:
     try:
         return Client(cluster, timeout=CONNECT_S, set_as_default=False)
     except ValueError as error:
-        raise UsageError(f"--scheduler: {scheduler!r} is no address: {error}; as tcp://host:8786") from error
+        raise UsageError(f"--scheduler: {scheduler!r} is no address ({error}); use one as tcp://host:8786") from error
     except (OSError, *_LOST) as error:
         raise SchedulerError(
             f"no scheduler answers at {scheduler} within {CONNECT_S:g} s; start one (dask scheduler), or leave "
@@ -121,6 +123,6 @@ def _client(cluster: Any, scheduler: str | None) -> Any:
 
 def _lost(scheduler: str | None) -> SchedulerError:
     return SchedulerError(
-        f"the scheduler{'' if scheduler is None else f' at {scheduler}'} has ended; repeat the command: it goes on "
-        "with the chunks that are not done"
+        f"the scheduler{'' if scheduler is None else f' at {scheduler}'} has ended; repeat the command: it "
+        "continues with the chunks that are not done"
     )

@@ -1,4 +1,4 @@
-"""Recordings of a fleet decoded again: plan, workers, and the sum of what came of it."""
+"""One run over many recordings: plan, workers, progress, summary."""
 
 import hashlib
 import json
@@ -29,7 +29,7 @@ _SETTINGS_FILE: Final = "settings.json"
 
 
 def chosen_topics(text: str | None) -> tuple[str, ...]:
-    """Return the topics that a text names with commas between them, None: all; UsageError for another one."""
+    """Return the topics in a comma-separated text, None: all; UsageError for a topic that cannot be decoded again."""
     topics = TOPICS if text is None else tuple(dict.fromkeys(text.split(",")))
     for topic in topics:
         if topic not in TOPICS:
@@ -40,14 +40,14 @@ def chosen_topics(text: str | None) -> tuple[str, ...]:
 def decode_all(
     paths: Sequence[Path], job: Job, scheduler: str | None, workers: int, *, show_progress: bool
 ) -> tuple[dict[str, Any], list[str]]:
-    """Decode recordings; return what came of it by the keys of `--json`, and what is wrong.
+    """Decode recordings; return the summary by the keys of `--json`, and a sentence for each problem.
 
     Raises
     ------
     NoRecordingError
         None of the files can be decoded.
     UsageError
-        The directory has results of other settings.
+        The directory contains results of other settings.
     UserError
         A recording lacks settings, the results cannot be written, or the cluster cannot be used.
     """
@@ -79,7 +79,7 @@ def _reports(chunks: list[Chunk], job: Job, scheduler: str | None, workers: int)
 
 
 def _claim(job: Job) -> None:
-    """Write the settings into the directory; UsageError if it has results of others."""
+    """Write the settings into the directory; UsageError if it contains results of other settings."""
     texts = [job.plate_text, job.settings_text, job.chunk_s, job.topics, version("resonatord")]
     settings = {
         "settings_sha256": hashlib.sha256(json.dumps(texts).encode()).hexdigest(),
@@ -95,8 +95,8 @@ def _claim(job: Job) -> None:
         replace_file(path, json.dumps(settings, indent=2).encode())
     elif json.loads(path.read_text()).get("settings_sha256") != settings["settings_sha256"]:
         raise UsageError(
-            f"{job.output} has results of another plate file, other settings, topics or another version, as {path} has "
-            "them; choose another --output"
+            f"{job.output} contains results of another plate file, or of other settings, topics, --chunk-seconds or "
+            f"version (those in {path}); choose another --output"
         )
 
 

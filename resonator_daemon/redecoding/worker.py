@@ -1,4 +1,4 @@
-"""Decoding of one chunk, in whichever process: a function of the recording and the job alone."""
+"""Decoding of one chunk, in any process: the result depends on the recording and the job only."""
 
 import gc
 from dataclasses import replace
@@ -18,11 +18,11 @@ from resonator_daemon.replay.source import UNKNOWN_BOOT_ID
 from resonator_daemon.sensors.surface_decoding import SequentialDecoding, SurfaceClient, SurfaceDecoding
 from resonator_daemon.sensors.surface_stream import SurfaceSettings
 
-_ID_STEP_NS = 10_000  # contacts of a chunk have the numbers from its time on, in these: more than it can have
+_ID_STEP_NS = 10_000  # contact ids of a chunk count from its UTC in these steps, so that no two chunks share one
 
 
 def decode_chunk(chunk: Chunk, job: Job) -> dict[str, Any]:
-    """Decode a chunk unless that is done; return its report.
+    """Decode a chunk, unless its report exists; return the report.
 
     Raises
     ------
@@ -32,7 +32,7 @@ def decode_chunk(chunk: Chunk, job: Job) -> dict[str, Any]:
     done = read_report(job.output, chunk.key)
     if done is not None:
         return done
-    gc.collect()  # the decoder before, of 100 MB and more, is part of reference cycles
+    gc.collect()  # the decoder of the chunk before, 100 MB and more, is part of reference cycles
     with open_recording(str(chunk.path), job.plate) as recording:
         config = job.config(recording)
         span = span_of(chunk, config)
@@ -42,7 +42,7 @@ def decode_chunk(chunk: Chunk, job: Job) -> dict[str, Any]:
             try:
                 report = {"chunk": chunk.key, "recording": str(chunk.path), "plate": config.name or config.plate.name}
                 if span is None:
-                    return files.close(report | _NOTHING)
+                    return files.close(report | _NO_FRAMES)
                 begin, end = span
                 changes = Changes(begin and begin.utc_ns, end and end.utc_ns)
                 return files.close(report | _decode(chunk, recording, config, files, changes, span))
@@ -50,13 +50,13 @@ def decode_chunk(chunk: Chunk, job: Job) -> dict[str, Any]:
                 files.discard()
                 raise
         except OSError as error:
-            done = read_report(job.output, chunk.key)  # another worker may have been faster, and have tidied up
+            done = read_report(job.output, chunk.key)  # another worker may have completed it, and removed these files
             if done is not None:
                 return done
             raise cannot_write(job.output, error) from error
 
 
-_NOTHING: dict[str, Any] = {"frames": 0, "rows": {}, "differences": 0, "damage": None, "refused": [], "changes": {}}
+_NO_FRAMES: dict[str, Any] = {"frames": 0, "rows": {}, "differences": 0, "damage": None, "refused": [], "changes": {}}
 
 
 def _decode(
@@ -79,7 +79,7 @@ def _decode(
             break
         if begin is None or moment.now.monotonic_ns >= begin.monotonic_ns:
             for message in files.add(moment):
-                changes.add_made(message)
+                changes.add_decoded(message)
     return {
         "frames": files.rows[DECODED.path] + files.rows[FORCES.path],
         "rows": {topic: rows for topic, rows in files.rows.items() if topic in files.topics},

@@ -39,26 +39,29 @@ MakeDecoding = Callable[[str, SurfaceSettings, SurfaceClient[Signals]], Decoding
 
 
 class FollowedPlate:
-    """Decoder of one plate: the newest signals, as the daemon would; skips what it has no time for.
+    """Decoder of one plate, with the results of a daemon that decodes itself; skips frames that it has no time for.
 
     Parameters
     ----------
     config
         With the name of the plate.
     options
+        Options of the decoder.
     decoder_id
+        Id of this process, in each result.
     publish
+        Called with the plate's name, a topic and a message.
     make_decoding
-        Called with the plate's name, the settings and this client; by default, decoding is by a child process.
+        Called with the plate's name, the settings and this client; by default, a child process decodes.
     latency
-        Histogram to add to; by default one of its own.
+        Histogram to add to; by default one for this plate alone.
 
     Attributes
     ----------
     topic_filter
-        Of the signals.
+        Topic of the signals.
     latency
-        Of `decoded`.
+        Histogram of the age of `decoded` when it is published.
     """
 
     def __init__(
@@ -81,7 +84,7 @@ class FollowedPlate:
         self._decoder: Decoding | None = None
         self._changed = asyncio.Event()
         self._note: Reason | None = None
-        self._decoder_has_ended = False  # what it announced last is why
+        self._decoder_has_ended = False  # the reason is its last announcement
         self._is_set_up = False  # the decoder
         self._events = 0
         self.latency = latency or LatencyHistogram()
@@ -122,7 +125,7 @@ class FollowedPlate:
 
     async def run(self) -> None:
         """Decode until cancelled; another `info` starts another decoder."""
-        looking = asyncio.create_task(self._end_contacts_in_silence(), name="silence")
+        ending = asyncio.create_task(self._end_contacts_without_signals(), name="contacts without signals")
         try:
             last_contact_id = 0
             while True:
@@ -132,7 +135,7 @@ class FollowedPlate:
                 else:
                     last_contact_id = await self._decode(self._plate.skin, last_contact_id)
         finally:
-            looking.cancel()
+            ending.cancel()
 
     async def _decode(self, skin: SkinPlate, last_contact_id: int) -> int:
         """Decode until the plate has changed; return the number of the last contact."""
@@ -193,7 +196,7 @@ class FollowedPlate:
         self._is_set_up = note is None
 
     def lost(self, origin: Signals) -> Lost:
-        """Return the daemon's losses, as of the signals."""
+        """Return the daemon's losses, as the signals state them."""
         return origin.lost
 
     def contacts_header(self, origin: Signals) -> MeasuredFields:
@@ -212,7 +215,7 @@ class FollowedPlate:
         self._publish(self._plate.name, CONTACT_EVENT, event.model_copy(update={"seq": self._events}))
         self._events += 1
 
-    async def _end_contacts_in_silence(self) -> None:
+    async def _end_contacts_without_signals(self) -> None:
         ended_s = -np.inf
         while True:
             await asyncio.sleep(LOOK_S)

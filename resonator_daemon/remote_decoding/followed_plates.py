@@ -1,4 +1,4 @@
-"""Several plates, each followed frame after frame, by one thread; equal skins share their matrices."""
+"""Several plates that one thread follows frame after frame; equal skins share their matrices."""
 
 import asyncio
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from resonator_daemon.remote_decoding.plate import Publish
 from resonator_daemon.remote_decoding.thread_decoding import DecodingThread, ThreadDecoding
 
 _NAMED_MAX: Final = 3  # plates that are not decoded, in the reason of a state
-# The first of these in which a plate is; that of the process.
+# The condition of the process is the first of these that a plate has.
 _CONDITIONS: Final = (Condition.ONLINE, Condition.STARTING, Condition.WAITING, Condition.REFUSED)
 
 
@@ -30,7 +30,7 @@ class FollowedPlates:
     config
         With the names of the plates.
     options
-        Without background: matrices are prepared in the thread that decodes.
+        Options of the decoders, without background: the decoding thread also prepares matrices.
     decoder_id, publish
         As of `FollowedPlate`.
     """
@@ -56,7 +56,7 @@ class FollowedPlates:
         return [subscription for plate in self._plates for subscription in plate.subscriptions]
 
     def condition(self) -> tuple[Condition, Reason]:
-        """Return that of the plates that are decoded, with the reasons of the others."""
+        """Return the best condition among the plates, and the reasons of those that are not decoded."""
         found = [plate.condition() for plate in self._plates]
         online = sum(condition is Condition.ONLINE for condition, _ in found)
         others = [reason for condition, reason in found if condition is not Condition.ONLINE]
@@ -74,7 +74,7 @@ class FollowedPlates:
         return {name: health for plate in self._plates for name, health in plate.health().items()}
 
     def process_info(self) -> DecoderProcessInfo | None:
-        """Return None: frames are decoded in this process."""
+        """Return None: this process has no child that decodes."""
         return None
 
     async def run(self) -> None:

@@ -9,27 +9,27 @@ from resonator_daemon.publishing.topics import DECODER_EXPIRY_S
 from resonator_daemon.reasons import Reason, ReasonCode
 
 _ID_LENGTH_MAX: Final = 120
-_NAMED_MAX: Final = 4  # nobody runs more, but anyone may claim to
+_NAMED_MAX: Final = 4  # any client can publish states of more
 
 
 class RivalDecoders:
-    """Decoders that take signals that this one takes; each state is published again within `DECODER_EXPIRY_S`.
+    """Other decoders of the same signals, by their states, which they repeat within `DECODER_EXPIRY_S`.
 
-    A live state adds a decoder, `offline` removes it. What the broker had retained adds none: that decoder may be
-    long gone, and one that runs publishes again when it receives this one's state.
+    A live state adds a decoder, `offline` removes it. Retained states add none: their decoder may have ended, and one
+    that runs publishes again when it receives the state of this one.
 
     Parameters
     ----------
     decoder_id
-        Of this process.
+        Id of this process.
     topic_filter
-        Of its signals; several are separated by spaces.
+        Topics of its signals, separated by spaces.
     """
 
     def __init__(self, decoder_id: str, topic_filter: str) -> None:
         self._decoder_id = decoder_id
         self._topic_filters = set(topic_filter.split())
-        self._seen_s: dict[str, float] = {}  # when its last state came, by id
+        self._seen_s: dict[str, float] = {}  # arrival of the last state, by id
 
     def receive(self, message: Incoming, now_s: float) -> None:
         """Handle the state of any decoder."""
@@ -48,7 +48,7 @@ class RivalDecoders:
             self._seen_s[other] = now_s
 
     def remark(self, now_s: float) -> Reason | None:
-        """Return which other decoders are there; None without one."""
+        """Return a reason that lists the other decoders; None without one."""
         self._seen_s = {other: at_s for other, at_s in self._seen_s.items() if now_s - at_s < DECODER_EXPIRY_S}
         if not self._seen_s:
             return None

@@ -1,4 +1,4 @@
-"""Many plates whose frames many decoders share: a broker hands each frame to one of them."""
+"""Many plates whose frames many decoders share: the broker delivers each frame to one of them."""
 
 import asyncio
 import logging
@@ -47,14 +47,11 @@ from resonator_daemon.sensors.surface_messages import SurfaceMessages
 PLATES_MAX: Final = 1000
 PROBLEMS_MAX: Final = 100  # of plates that are not in the table
 NAME_LENGTH_MAX: Final = 100
-GIVES_WAY_AFTER_S: Final = 60.0
-
-_PROBLEMS_NAMED = 3  # in the reason of a state
-
-log = logging.getLogger(__name__)
-
+REPLACED_AFTER_S: Final = 60.0  # without messages, by another plate
 DECODERS_MAX: Final = 4  # of some 80 MB; equal skins share one
 TOGETHER_MAX: Final = 16  # frames of equal skins whose maps are computed together
+
+_PROBLEMS_NAMED = 3  # in the reason of a state
 
 Origin = TypeVar("Origin")
 
@@ -71,27 +68,27 @@ class _Frame(Generic[Origin]):
 
 
 class SharedStage(Generic[Origin]):
-    """Decoder in a thread of its own; signals that come while it is busy replace those of their plate that wait.
+    """Decoder in a separate thread; signals that arrive while it is busy replace waiting ones of the same plate.
 
     Waiting frames of equal skins are decoded together; those that show a load wait again, and are decoded one by one.
 
     Parameters
     ----------
     options
-        Without background: no decoder gets enough frames of a plate to follow it.
+        Options of the decoders, without background: no decoder receives enough frames of a plate to follow it.
     deliver
-        Called on the event loop with the plate, what `offer` was given as origin, and the reading.
+        Called on the event loop with the plate, the `origin` that `offer` received, and the reading.
     announce
-        Called on the event loop with what is being set up, and with None when that is done.
+        Called on the event loop with the present step of a set-up, and with None at its end.
     refuse
-        Called on the event loop with a plate that cannot be decoded, and why.
+        Called on the event loop with a plate that cannot be decoded, and the reason.
 
     Attributes
     ----------
     skipped, unusable
-        Frames by plate: a newer one came first; the noise was not known, or the plate was refused.
+        Number of frames by plate: replaced by a newer one; with unknown noise, or of a refused plate.
     served
-        By plate: the skin of the last frame that a decoder was there for.
+        By plate, the skin of the last frame for which a decoder was set up.
     """
 
     def __init__(
@@ -105,7 +102,7 @@ class SharedStage(Generic[Origin]):
         self._deliver = deliver
         self._announce = announce
         self._refuse = refuse
-        self._newest: dict[str, _Frame[Origin]] = {}  # by plate, whose turn it is first
+        self._newest: dict[str, _Frame[Origin]] = {}  # by plate, the next one first
         self._busy_with: set[str] = set()
         self._offered = asyncio.Event()
         self._decoders: list[tuple[tuple[object, ...], SkinDecoder]] = []  # by geometry, the one used last at the end
@@ -114,17 +111,17 @@ class SharedStage(Generic[Origin]):
         self.served: dict[str, SkinPlate] = {}
 
     def waiting(self, plate: str) -> int:
-        """Frames of a plate that are being decoded, or are next."""
+        """Return the number of frames of a plate that are being decoded, or wait."""
         return (plate in self._busy_with) + (plate in self._newest)
 
     def offer(self, plate: str, origin: Origin, skin: SkinPlate, signals: Floats, noise_std: Floats) -> None:
-        """Queue one frame of a plate, both arrays (3, sites); never waits."""
+        """Queue one frame of a plate, both arrays (3, sites); return at once."""
         self.skipped[plate] += plate in self._newest
         self._newest[plate] = _Frame(origin, skin, signals, noise_std)
         self._offered.set()
 
     def discard(self, plate: str) -> None:
-        """Discard the counters and waiting frames of a plate; the result of a frame in work is not delivered."""
+        """Discard the counters and waiting frames of a plate, and the result of one that is being decoded."""
         self._newest.pop(plate, None)
         self.served.pop(plate, None)
         del self.skipped[plate], self.unusable[plate]
@@ -175,7 +172,7 @@ class SharedStage(Generic[Origin]):
                 self._newest[name] = replace(each, shows_load=True)
 
     def _alike(self, frame: _Frame[Origin], decoder: SkinDecoder) -> dict[str, _Frame[Origin]]:
-        """Return waiting frames, by plate, that the decoder of a frame serves, too."""
+        """Return waiting frames, by plate, that the decoder of this frame can decode with it."""
         geometry = frame.skin.geometry
         alike = (
             (name, each)
@@ -224,7 +221,7 @@ def _decode(decoder: SkinDecoder, frames: Sequence[_Frame[Any]]) -> Sequence[Sur
             return [decoder.decode_alone(frames[0].signals, frames[0].noise_std)]
         signals, noise_std = (np.array([getattr(f, key) for f in frames]) for key in ("signals", "noise_std"))
         return decoder.decode_untouched(signals, noise_std)
-    except Exception as error:  # noqa: BLE001  whatever one frame does, the next one is decoded
+    except Exception as error:  # noqa: BLE001  an error of one frame must not stop the next
         return [failed(decoder, error)] if len(frames) == 1 else [None] * len(frames)
 
 
@@ -234,7 +231,7 @@ class _Origin(NamedTuple):
 
 
 class SharedPlates:
-    """Decodes each frame that the broker hands to this process on its own: no contacts, no events.
+    """Decoder of each frame by itself, as the broker delivers them to this process: no contact ids, no events.
 
     Parameters
     ----------
@@ -254,8 +251,8 @@ class SharedPlates:
         self._reporters: dict[str, SurfaceMessages] = {}
         self._stage = SharedStage[_Origin](options, self._deliver, self._announce, self._refuse)
         self._note: Reason | None = None
-        self._entered_s: dict[str, float] = {}
-        self._problems: dict[str, str] = {}  # of plates that are not entered, the oldest first
+        self._added_s: dict[str, float] = {}
+        self._problems: dict[str, str] = {}  # of plates that were not added, the oldest first
         self._is_full = False
         self.latency = LatencyHistogram()
         self.topic_filter = " ".join(self._filter(name, SIGNALS.path) for name in self._names)
@@ -270,6 +267,7 @@ class SharedPlates:
         return (*infos, *signals)
 
     def condition(self) -> tuple[Condition, Reason]:
+        """Return the present state and its reason."""
         if self._note:
             return Condition.STARTING, self._note
         now_s = time.monotonic()
@@ -291,6 +289,7 @@ class SharedPlates:
         return Condition.WAITING, Reason(NO_SIGNALS.code, text)
 
     def health(self) -> dict[str, DecoderPlateHealth]:
+        """Return the counters of each plate's signals."""
         return {
             name: plate.health(
                 waiting=self._stage.waiting(name),
@@ -301,17 +300,18 @@ class SharedPlates:
         }
 
     def process_info(self) -> DecoderProcessInfo | None:
-        """Return None: frames are decoded in this process."""
+        """Return None: this process has no child that decodes."""
         return None
 
     async def run(self) -> None:
+        """Decode until cancelled."""
         await self._stage.run()
 
     def _filter(self, name: str, path: str) -> str:
         return f"$share/{self._decoding.group}/{full_topic(self._prefix, name, path)}"
 
     def _name(self, message: Incoming) -> str | None:
-        """Return whose message it is; None where no plate can be called so."""
+        """Return the plate of a message; None if its topic contains no valid name of a plate."""
         name, _ = split_topic(self._prefix, message.topic)
         if len(name) > NAME_LENGTH_MAX or name in (".", ".."):
             return None
@@ -335,21 +335,21 @@ class SharedPlates:
         plate = RemotePlate(name)
         plate.read_info(message.payload)
         if not plate.skin:
-            self._remember(name, plate.problem.text if plate.problem else "")
+            self._add_problem(name, plate.problem.text if plate.problem else "")
         elif self._has_room(name):
-            self._plates[name], self._entered_s[name] = plate, time.monotonic()
+            self._plates[name], self._added_s[name] = plate, time.monotonic()
         else:
-            self._remember(name, f"is beyond {PLATES_MAX} plates; name the plates of each group in decoding.plates")
+            self._add_problem(name, f"is beyond {PLATES_MAX} plates; name the plates of each group in decoding.plates")
 
     def _has_room(self, name: str) -> bool:
-        """Whether one more plate can be entered; the one silent the longest gives way."""
+        """Return whether a plate can be added, if necessary instead of the one that has been silent for longest."""
         if len(self._plates) < PLATES_MAX:
             self._is_full = False
             return True
         silent_s, silent = min(
-            (max(plate.last_s, self._entered_s[known]), known) for known, plate in self._plates.items()
+            (max(plate.last_s, self._added_s[known]), known) for known, plate in self._plates.items()
         )
-        if time.monotonic() - silent_s > GIVES_WAY_AFTER_S:
+        if time.monotonic() - silent_s > REPLACED_AFTER_S:
             self._remove(silent)
             return True
         if not self._is_full:
@@ -357,7 +357,7 @@ class SharedPlates:
         self._is_full = True
         return False
 
-    def _remember(self, name: str, problem: str) -> None:
+    def _add_problem(self, name: str, problem: str) -> None:
         if len(self._problems) >= PROBLEMS_MAX:
             del self._problems[next(iter(self._problems))]
         self._problems[name] = problem
@@ -365,7 +365,7 @@ class SharedPlates:
     def _remove(self, name: str) -> None:
         if self._plates.pop(name, None) is None:
             return
-        del self._entered_s[name]
+        del self._added_s[name]
         self._reporters.pop(name, None)
         self._stage.discard(name)
 

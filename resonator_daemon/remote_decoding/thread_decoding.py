@@ -1,4 +1,4 @@
-"""Decoding of one plate of many in a thread that they share: frame after frame, its state from one to the next."""
+"""Decoding of several plates in one thread: each frame continues from the previous one of its plate."""
 
 import asyncio
 import logging
@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 
 
 class DecodingThread:
-    """Thread that decodes the frames of many plates in turn, and their set-up; equal skins share their matrices."""
+    """Thread that sets up and runs the decoders of several plates in turn; equal skins share their matrices."""
 
     def __init__(self) -> None:
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="decoding")
@@ -36,7 +36,7 @@ class DecodingThread:
         self.skins = EqualSkins()
 
     async def run(self, work: Callable[[], Result]) -> Result:
-        """Return what the thread returns; if cancelled, wait until it has ended this work."""
+        """Run work in the thread and return its result; if cancelled, wait until running work has ended."""
         future = self._executor.submit(work)
         try:
             return await asyncio.wrap_future(future)
@@ -46,7 +46,7 @@ class DecodingThread:
             raise
 
     async def end(self) -> None:
-        """Wait until its work has ended."""
+        """Stop the thread; wait until running work has ended."""
         await asyncio.to_thread(self._executor.shutdown)
 
 
@@ -59,19 +59,20 @@ class ThreadDecoding(Generic[Origin]):
     Parameters
     ----------
     name
-        Name of the plate, in the log.
+        Name of the plate, for the log.
     settings
+        Settings of the decoder.
     client
-        Receives the messages.
+        Receiver of the messages.
     thread
-        Of all plates.
+        Thread that all plates share.
 
     Attributes
     ----------
     skipped
         Number of frames that were not decoded, by cause.
     last_contact_id
-        The highest number of a contact so far.
+        The highest contact id so far.
     """
 
     def __init__(
@@ -83,9 +84,9 @@ class ThreadDecoding(Generic[Origin]):
         self._loop = asyncio.get_running_loop()
         self._stream = SurfaceStream(settings, self._publish, self._report_step, thread.skins.set_up)
         self._waiting: deque[tuple[Origin, SurfaceFrame, int]] = deque()  # with the time of its offer, in ns
-        self._present: Origin | None = None  # of the frame that the thread has, until its map is there
-        self._last: Origin | None = None  # of the frame that the thread got last
-        self._wanted = asyncio.Event()
+        self._present: Origin | None = None  # of the frame in the thread, until its map is published
+        self._last: Origin | None = None  # of the frame that the thread received last
+        self._has_work = asyncio.Event()
         self._interruption: Reason | None = None
         self._undecodable = False
         self.skipped: Counter[Skipped] = Counter()
@@ -93,7 +94,7 @@ class ThreadDecoding(Generic[Origin]):
 
     @property
     def waiting(self) -> int:
-        """Number of frames that are being decoded, or wait."""
+        """Number of frames that are being decoded or wait."""
         return (self._present is not None) + len(self._waiting)
 
     @property
@@ -102,22 +103,22 @@ class ThreadDecoding(Generic[Origin]):
         return self.skipped.total()
 
     def info(self) -> DecoderProcessInfo | None:
-        """Return None: there is no process of its own."""
+        """Return None: there is no child process."""
         return None
 
     def offer(self, origin: Origin, frame: SurfaceFrame) -> None:
-        """Queue a frame for decoding; it is skipped when it waits for too long."""
+        """Queue a frame for decoding; it is skipped if it waits for more than 30 ms and a newer one waits."""
         if self._undecodable:
             self.skipped["undecodable"] += 1
             return
         self._waiting.append((origin, frame, time.monotonic_ns()))
         self._skip_old()
-        self._wanted.set()
+        self._has_work.set()
 
     def interrupt(self, reason: Reason) -> None:
         """Release all contacts, because frames have stopped arriving."""
         self._interruption = reason
-        self._wanted.set()
+        self._has_work.set()
 
     def release_contacts(self, reason: Reason) -> None:
         """Release all contacts after `run` has ended, and publish that there are none."""
@@ -126,10 +127,10 @@ class ThreadDecoding(Generic[Origin]):
             self._stream.end_contacts(lambda: header, reason)
 
     async def run(self) -> None:
-        """Decode until cancelled, or until it turns out that the sites cannot be decoded."""
+        """Decode until cancelled, or until the set-up finds that the sites cannot be decoded."""
         try:
             while not self._undecodable:
-                await self._wanted.wait()
+                await self._has_work.wait()
                 async with self._thread.turns:
                     await self._take_turn()
         finally:
@@ -144,7 +145,7 @@ class ThreadDecoding(Generic[Origin]):
             self._skip_old()
             await self._decode(*self._waiting.popleft())
         else:
-            self._wanted.clear()
+            self._has_work.clear()
 
     async def _decode(self, origin: Origin, frame: SurfaceFrame, offered_ns: int) -> None:
         self._present = self._last = origin
@@ -174,21 +175,21 @@ class ThreadDecoding(Generic[Origin]):
         return None
 
     def _skip_old(self) -> None:
-        """Skip frames that have waited for too long, but for the newest."""
+        """Skip frames that have waited for more than 30 ms, except the newest."""
         oldest_ns = time.monotonic_ns() - WAIT_MAX_NS
         while len(self._waiting) > 1 and self._waiting[0][2] < oldest_ns:
             self._waiting.popleft()
             self.skipped["newer_frame"] += 1
 
     def _publish(self, topic: Topic[Any], message: Message) -> None:
-        """Have the event loop deliver a message."""
+        """Deliver a message on the event loop."""
         encoded = Encoded(encode(message), message.t_ns) if isinstance(message, Header) else message
         is_event = isinstance(message, ContactEvent)
         self._loop.call_soon_threadsafe(self._deliver, topic, message if is_event else encoded)
 
     def _deliver(self, topic: Topic[Any], message: Message | Encoded) -> None:
         if self._last is None:
-            raise ValueError("a message of no frame")
+            raise ValueError("message before the first frame")
         if isinstance(message, ContactEvent):
             self.last_contact_id = max(self.last_contact_id, message.contact.id)
             self._client.deliver_event(self._last, message)

@@ -170,7 +170,7 @@ def test_a_full_disk_is_one_message_and_the_repeat_goes_on(
         (disk / "filler").write_bytes(bytes(5 * result_bytes // 2))
         assert decode(skin, "--output", disk / "out", "--chunk-seconds", 6.5) == 1
         [message] = capsys.readouterr().err.splitlines()
-        assert "No space left on device; make room there, and repeat the command" in message
+        assert "No space left on device; free space there, and repeat the command" in message
         free()
         assert decode(skin, "--output", disk / "out", "--chunk-seconds", 6.5, "--json") == 0
         assert json.loads(capsys.readouterr().out)["chunks_done_before"] > 0
