@@ -45,7 +45,7 @@ class Record(TypedDict):
     growth: list[GrowthRecord]
 
 
-def dearer(counts: dict[str, float], record: Record | None) -> list[str]:
+def regressions(counts: dict[str, float], record: Record | None) -> list[str]:
     """Return a line for each stage whose instructions exceed their record by more than 10 %."""
     stages = {} if record is None else record["stages"]
     recorded = {name: stage["instructions"] or math.inf for name, stage in stages.items()}

@@ -25,7 +25,7 @@ import stages_skin
 import stages_system
 from stage_counts import counts_of_all
 from stage_measure import Figures, Growth, Stage, Work, fit_growth, grow, in_turns
-from stage_report import Cost, GrowthRecord, Record, StageRecord, block, dearer, with_block
+from stage_report import Cost, GrowthRecord, Record, StageRecord, block, regressions, with_block
 from threadpoolctl import threadpool_info, threadpool_limits
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -131,7 +131,7 @@ def main() -> int:
         if options.record:
             RECORD.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n")
             PAGE.write_text(with_block(PAGE.read_text(), found))
-    lines = dearer(counts, recorded)
+    lines = regressions(counts, recorded)
     print("\n".join(lines) or "no stage executes more than 10 % above its record", file=sys.stderr)
     return 1 if lines and not options.record else 0
 

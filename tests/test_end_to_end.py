@@ -33,13 +33,13 @@ def test_ideal_sites_are_all_found_and_their_forces_right_to_3_millinewtons() ->
     assert played.errors.rms_newton <= 3e-3
 
 
-def test_creep_is_taken_out_where_the_plate_file_tells_it() -> None:
+def test_creep_is_taken_out_where_the_plate_file_determines_it() -> None:
     told = creeping_touches(TOUCHES, told=True)
     assert told.errors.rms_newton <= 10e-3
     assert creeping_touches(TOUCHES, told=False).errors.rms_newton > 3.0 * told.errors.rms_newton
 
 
-def test_hysteresis_is_taken_out_where_the_plate_file_tells_it() -> None:
+def test_hysteresis_is_taken_out_where_the_plate_file_determines_it() -> None:
     told = hysteretic_touches(TOUCHES, told=True)
     assert told.errors.rms_newton <= 35e-3
     assert hysteretic_touches(TOUCHES, told=False).errors.rms_newton > 3.0 * told.errors.rms_newton
@@ -76,7 +76,7 @@ def test_two_touches_on_channelised_tones_are_both_found() -> None:
     assert max(apart_m for pair in pairs for apart_m in pair.apart_m) < 5e-3
 
 
-def test_a_press_held_while_the_room_warms_does_not_drift_where_all_tones_are_heard() -> None:
+def test_a_press_held_while_the_room_warms_does_not_drift_where_all_tones_are_received() -> None:
     plate = with_counter(load_plate("comb16"), frame_rate_hz=12.5)
     site, _ = hold(plate, Physics(ideal=True, temperature_coefficient=-5e-8), 7, HELD_S)
     assert site.told == 1.0

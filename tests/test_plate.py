@@ -207,7 +207,7 @@ def test_corners_of_one_sign_where_a_channelised_counter_combines_them(tmp_path:
             assert "sensitivity" in message
 
 
-def test_a_channelised_counter_may_hear_forces_and_the_temperature_of_their_sites(tmp_path: Path) -> None:
+def test_a_channelised_counter_may_receive_forces_and_the_temperature_of_their_sites(tmp_path: Path) -> None:
     text = one_sign(FORCE_PLATE.replace('"single-tone"', '"channelised"').replace("pilot_hz = 10.01e6\n", ""))
     tone = text[text.rindex("[[sites.tones]]") :].replace('"force"', '"temperature"').replace("99", "98")
     plate = load_plate(written(tmp_path, text + tone + "temperature_coefficients = [-5e-8, -5e-10, 1e-10]\n"))
@@ -218,7 +218,7 @@ def test_a_channelised_counter_may_hear_forces_and_the_temperature_of_their_site
     assert np.isnan(plate.tones.temperature_coefficients[:2]).all()
 
 
-def test_a_spread_of_touches_needs_sites_enough_and_tones_that_are_all_heard(tmp_path: Path) -> None:
+def test_a_spread_of_touches_needs_sites_enough_and_tones_that_are_all_received(tmp_path: Path) -> None:
     text = FORCE_PLATE.replace("[counter]", "spread_width_mm = 2.5\n[counter]")
     few, captured = refusals(tmp_path, text)
     assert "spread_width_mm: got 2.5; needs at least 4 sites, there are 2" in few
@@ -226,7 +226,7 @@ def test_a_spread_of_touches_needs_sites_enough_and_tones_that_are_all_heard(tmp
     assert load_plate("comb16").spread_width_m == pytest.approx(2.5e-3)
 
 
-def test_what_a_calibration_says(tmp_path: Path) -> None:
+def test_what_a_calibration_states(tmp_path: Path) -> None:
     text = FORCE_PLATE + (
         "[thermal]\nrange_kelvin = [280, 320]\ncontact_std_kelvin = 4\n"
         "[response]\nhysteresis_newton = 0.1\ncreep_fraction = 0.005\ncreep_time_s = 20\n"

@@ -1,11 +1,11 @@
-"""The table of stages: its exponents, its ratios, its page, and what it calls dearer."""
+"""The table of stages: its exponents, its ratios, its page, and regressions."""
 
 import json
 from pathlib import Path
 
 import pytest
 from stage_measure import Work, fit_growth, in_turns
-from stage_report import BEGIN, END, Cost, Record, StageRecord, block, dearer
+from stage_report import BEGIN, END, Cost, Record, StageRecord, block, regressions
 
 ROOT = Path(__file__).parents[1]
 COST: Cost = {"name": "other", "us": 2.0, "spread_percent": 3.0, "ours_over": 0.5}
@@ -28,9 +28,9 @@ def test_works_are_measured_in_turns_by_a_clock_of_processor_time() -> None:
     assert peer == pytest.approx((2000.0, 0.0, 0.25), abs=1e-6)
 
 
-def test_a_stage_that_executes_more_than_10_percent_above_its_record_is_dearer() -> None:
-    assert dearer({"map": 1099.0, "new": 1e9}, RECORD) == dearer({"map": 1101.0}, None) == []
-    assert [line.partition(":")[0] for line in dearer({"map": 1101.0}, RECORD)] == ["map"]
+def test_a_stage_that_executes_more_than_10_percent_above_its_record_is_a_regression() -> None:
+    assert regressions({"map": 1099.0, "new": 1e9}, RECORD) == regressions({"map": 1101.0}, None) == []
+    assert [line.partition(":")[0] for line in regressions({"map": 1101.0}, RECORD)] == ["map"]
 
 
 def test_the_page_shows_the_record_of_this_commit() -> None:

@@ -30,7 +30,7 @@ def commands_of(heard: Observer, boot_id: str) -> dict[str, int]:
     return dict(mine[-1]["commands"]) if mine else {}
 
 
-async def test_both_say_so_until_one_has_gone(
+async def test_both_report_it_until_one_has_gone(
     tmp_path: Path, broker: Mosquitto | Amqtt, caplog: pytest.LogCaptureFixture
 ) -> None:
     folders = [tmp_path / "one", tmp_path / "two"]

@@ -116,7 +116,7 @@ async def test_json_is_one_object(mosquitto: Mosquitto, tmp_path: Path, calibrat
     assert fit["log_evidence_gain"] >= 0.0
 
 
-async def test_another_plate_than_the_file_says(mosquitto: Mosquitto, tmp_path: Path, calibrate: Calibrate) -> None:
+async def test_another_plate_than_the_file_states(mosquitto: Mosquitto, tmp_path: Path, calibrate: Calibrate) -> None:
     config = write_config(tmp_path, mosquitto.url)
     async with plate(mosquitto.url, [np.zeros((3, 42))]):
         code, printed, reported = await calibrate("--config", config)
@@ -124,7 +124,7 @@ async def test_another_plate_than_the_file_says(mosquitto: Mosquitto, tmp_path: 
     assert "plate 'left' publishes 42 sites, the plate file has 49" in reported
 
 
-async def test_what_cannot_work_is_said_at_once(tmp_path: Path, calibrate: Calibrate) -> None:
+async def test_what_cannot_work_is_reported_at_once(tmp_path: Path, calibrate: Calibrate) -> None:
     port = free_port()
     code, printed, reported = await calibrate("--config", write_config(tmp_path, f"mqtt://127.0.0.1:{port}"))
     assert (code, printed) == (69, "")

@@ -118,7 +118,7 @@ def test_schema_prints_the_document_of_daemons(form: tuple[str, ...], resonatord
     assert (printed.count("\n") == 1) == bool(form)
 
 
-def test_emulate_says_its_link_first_and_its_accounts_last(tmp_path: Path) -> None:
+def test_emulate_states_its_link_first_and_its_accounts_last(tmp_path: Path) -> None:
     port = tmp_path / "board"
     emulator = subprocess.Popen(
         [*COMMAND, "emulate", "--plate", "quartz16", "--pty", str(port), "--json"],

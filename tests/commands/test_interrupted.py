@@ -73,7 +73,7 @@ def test_one_that_runs_until_it_is_stopped_ends_well(
     assert capsys.readouterr() == ("", "")
 
 
-async def test_a_replay_to_a_broker_says_what_it_published(mosquitto: Mosquitto) -> None:
+async def test_a_replay_to_a_broker_states_what_it_published(mosquitto: Mosquitto) -> None:
     recording = str(CORPUS / "touches" / "recording.mcap")
     command = [*COMMAND, "replay", recording, "--url", mosquitto.url, "--name", "hand", "--speed", "0.1", "--json"]
     async with observe(mosquitto.url) as heard:

@@ -86,7 +86,7 @@ def test_ports_are_listed_with_the_line_to_copy(
         ({"vid": 0x0403, "pid": 0x6001, "product": "Resonator counter"}, True),
     ],
 )
-def test_what_looks_like_a_board_is_told_without_opening_it(
+def test_what_looks_like_a_board_is_reported_without_opening_it(
     present: list[ListPortInfo], capsys: pytest.CaptureFixture[str], printed: dict[str, Any], expected: bool
 ) -> None:
     present.append(serial_port("/dev/null", **printed))

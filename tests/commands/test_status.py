@@ -76,7 +76,7 @@ async def test_one_of_many_by_its_name_or_its_files(name: str, capsys: pytest.Ca
     assert "no daemon called nobody runs" in capsys.readouterr().err
 
 
-async def test_one_that_is_stopped_is_said_beside_the_others(
+async def test_one_that_is_stopped_is_reported_beside_the_others(
     home: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(status_client, "ANSWER_S", 0.2)
@@ -103,7 +103,7 @@ async def test_one_that_is_stopped_is_said_beside_the_others(
         (b'{"version": "9.9\\u001b[31m", "name": 5}', "version 9.9\N{REPLACEMENT CHARACTER}[31m sends a status", 0),
     ],
 )
-async def test_an_answer_that_cannot_be_read_is_said(
+async def test_an_answer_that_cannot_be_read_is_reported(
     home: Path, capsys: pytest.CaptureFixture[str], answer: bytes, printed: str, code: int
 ) -> None:
     async def give(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -26,7 +26,7 @@ def test_the_daemons_file_will_do(tmp_path: Path) -> None:
     assert (config.name, config.mqtt.prefix, config.method) == ("left-index", "resonator", "open-plane")
 
 
-def test_what_only_the_daemon_needs_is_passed_over_whatever_it_says(tmp_path: Path) -> None:
+def test_what_only_the_daemon_needs_is_passed_over_whatever_it_states(tmp_path: Path) -> None:
     text = (
         'name = "left"\nplate = "no such plate"\nlink = 7\nmeasurement = "?"\n[recording]\nx = 1\n[commands]\ny = 2\n'
     )

@@ -40,7 +40,7 @@ def ticks_per_message(messages: list[dict[str, Any]]) -> set[float]:
     }
 
 
-async def test_each_command_does_what_it_says(bench: Bench) -> None:
+async def test_each_command_does_what_it_states(bench: Bench) -> None:
     async def ask(verb: str, **payload: Any) -> dict[str, Any]:
         answer = await request(Mqtt(url=bench.broker_url), "hand", verb, {"id": verb, **payload})
         assert answer["ok"], answer

@@ -21,7 +21,9 @@ from resonator_daemon.recording.reader import open_recording
 RESONATORD = Path(sys.executable).with_name("resonatord")
 
 
-async def test_windows_and_commands_are_taken_live_and_a_bad_file_is_told(bench: Bench, mosquitto: Mosquitto) -> None:
+async def test_windows_and_commands_are_taken_live_and_a_bad_file_is_reported(
+    bench: Bench, mosquitto: Mosquitto
+) -> None:
     async with observe(mosquitto.url) as heard, bench.emulated():
         service = bench.service()
         async with bench.running(service):

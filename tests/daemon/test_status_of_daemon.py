@@ -58,9 +58,7 @@ def scrape(port: int) -> tuple[Samples, set[str]]:
     return samples, counters
 
 
-async def test_counters_go_on_over_a_pulled_cable_and_the_status_tells_of_it(
-    bench: Bench, mosquitto: Mosquitto
-) -> None:
+async def test_counters_go_on_over_a_pulled_cable_and_the_status_reports_it(bench: Bench, mosquitto: Mosquitto) -> None:
     port = free_port()
     scrapes: list[Samples] = []
     async with (

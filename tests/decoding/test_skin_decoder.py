@@ -143,7 +143,7 @@ def test_noise_is_rounded_finely_and_the_same_for_what_hardly_differs() -> None:
     np.testing.assert_array_equal(rounded_noise(SCATTERED, rounded * random.uniform(0.995, 1.005, (3, SITES))), rounded)
 
 
-def test_friction_that_was_told_bounds_shear() -> None:
+def test_friction_that_is_configured_bounds_shear() -> None:
     """A sliding contact contradicts a coefficient of a fifth of its own; its own it does not."""
     sliding = press(sites_m=SKIN.site_positions_m, shear_newton=(FRICTION, 0.0))
     status = {}
@@ -183,7 +183,7 @@ def test_untouched_frames_together_are_read_as_each_of_them_alone(physics: SkinD
         np.testing.assert_allclose(reading.decoded.traction_pascal, alone.decoded.traction_pascal, atol=1e-5 * size)
 
 
-def test_a_successor_goes_on_counting_and_tells_how_contacts_end(linear: SkinDecoder, physics: SkinDecoder) -> None:
+def test_a_successor_goes_on_counting_and_reports_how_contacts_end(linear: SkinDecoder, physics: SkinDecoder) -> None:
     for seed in range(2):
         (*_, last) = physics.decode(frame(seed), NOISE).contacts or [None]
     assert last is not None
@@ -244,7 +244,7 @@ def test_contacts_on_one_support_share_its_load(long: SkinDecoder) -> None:
         np.testing.assert_allclose(contact.patch.centroid_m, centre_m, atol=4e-5)
 
 
-def test_at_the_border_error_bars_say_how_little_is_known(long: SkinDecoder) -> None:
+def test_at_the_border_error_bars_state_how_little_is_known(long: SkinDecoder) -> None:
     edge_m = float(SITES_M[:, 0].max())
     (contact,) = settled(long, press(1.0, (edge_m - 2e-4, 0.0))).contacts
     patch = contact.patch

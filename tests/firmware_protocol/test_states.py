@@ -28,7 +28,7 @@ def device_in(state: BoardState) -> DeviceSession:
 
 @pytest.mark.parametrize("request_type", REQUESTS)
 @pytest.mark.parametrize("state", BoardState)
-def test_board_reacts_as_the_table_says(state: BoardState, request_type: MessageType) -> None:
+def test_board_reacts_as_the_table_states(state: BoardState, request_type: MessageType) -> None:
     reaction = BOARD[state, request_type]
     device = device_in(state)
     request = encode_packet(request_type, 77, PAYLOADS.get(request_type, b""))
@@ -94,7 +94,7 @@ USER: dict[Cue, Callable[[HostSession], None]] = {
 
 @pytest.mark.parametrize("cue", Cue)
 @pytest.mark.parametrize("state", HostState)
-def test_host_moves_as_the_table_says(state: HostState, cue: Cue) -> None:
+def test_host_moves_as_the_table_states(state: HostState, cue: Cue) -> None:
     host, _, _ = host_in(state)
     if cue is Cue.STARTED and state is HostState.RUNNING:
         host.resume()

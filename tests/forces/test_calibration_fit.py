@@ -165,14 +165,14 @@ def test_many_readings_of_scattering_touches_do_not_bend_hysteresis_and_creep():
     assert rms(standardised) == pytest.approx(1.0, abs=0.25)
 
 
-def test_a_plate_without_hysteresis_and_creep_is_said_to_have_none():
+def test_a_plate_without_hysteresis_and_creep_is_reported_to_have_none():
     fit = Bench(5, 4).calibrate(UP_AND_DOWN, 1e-3, readings=4, with_response=True)
     assert fit.response.hysteresis_newton < 4 * fit.response.hysteresis_std_newton < 4e-3
     assert fit.response.creep_fraction < 4 * fit.response.creep_fraction_std < 1e-4
     assert fit.response.creep_time_std_s > 10  # nothing creeps, nothing tells how fast
 
 
-def test_loading_alone_does_not_tell_hysteresis_and_says_so():
+def test_loading_alone_does_not_determine_hysteresis_and_reports_it():
     fit = Bench(5, 4).calibrate(UP_AND_DOWN[:3], 1e-3, h=0.1, c=0.005, readings=4, with_response=True)
     assert fit.response.hysteresis_std_newton > 0.1
     assert fit.f0_std.min() > 1e-7
@@ -193,7 +193,7 @@ def test_one_bad_loading_is_named_and_not_used(load):
         assert rms(bench.standardised(fit)) == pytest.approx(1.0, abs=0.3)
 
 
-def test_one_of_three_loadings_that_is_bad_cannot_be_told_and_its_site_is_left_out():
+def test_one_of_three_loadings_that_is_bad_cannot_be_identified_and_its_site_is_left_out():
     bench = Bench(6)
     fit = bench.calibrate(ONE_BY_ONE, 1e-3, scatter=0.015, wrong={15: 1.6})
     assert fit.doubtful_steps == (13, 15, 17)
@@ -229,7 +229,7 @@ def test_one_load_gives_k_with_the_f0_of_the_plate_file():
     assert np.isnan(fit.f0_std).all()
 
 
-def test_too_few_loadings_tell_no_scatter():
+def test_too_few_loadings_determine_no_scatter():
     fit = Bench(11, 2).calibrate(ONE_BY_ONE[:4], 1e-3)
     assert np.isnan([fit.model_error, fit.model_error_std]).all()
     assert np.isfinite(fit.sensitivity_std).all()

@@ -24,7 +24,7 @@ def test_between_two_bands_a_common_shift_is_wrong_by_the_share_beyond_the_middl
     assert share == pytest.approx(10 / 60 / 2, abs=2e-3)
 
 
-def test_sites_of_one_code_cannot_be_told_apart() -> None:
+def test_sites_of_one_code_cannot_be_distinguished() -> None:
     codes = ladder(0.0, np.full(4, -6e-6))
     found = one_touch(codes, SCATTER, 2000, np.random.default_rng(2))
     assert found.right + found.wrong < 10
@@ -40,7 +40,7 @@ def test_a_ladder_overlaps_where_its_bands_do() -> None:
         assert overlaps(codes, SCATTER, 1e-7) is overlapping
 
 
-def test_a_common_shift_that_matters_is_told_to_the_matcher() -> None:
+def test_a_common_shift_that_matters_is_passed_to_the_matcher() -> None:
     codes = ladder(220e-6, np.full(8, -6.3e-6))
     unnoticed = replace(SCATTER, common_std=0.0, common_shift=20e-6)
     assert unnoticed.common_mode_std == pytest.approx(20e-6 / 3**0.5)

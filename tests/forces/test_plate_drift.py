@@ -180,7 +180,7 @@ def test_one_outlying_frame_is_no_contact_and_is_not_learnt():
     assert abs(np.mean(errors)) < 0.4e-3
 
 
-def test_sites_that_are_not_heard_keep_what_was_known():
+def test_sites_that_are_not_received_keep_what_was_known():
     plate = Plate(13).untouched()
     variance = np.full(SITES, NOISE_STD**2)
     variance[0] = np.nan

@@ -116,7 +116,7 @@ def test_a_force_beyond_the_range_is_an_overload_of_its_site(force, pull):
     assert match.forces[0].at_least_newton == 10.0
 
 
-def test_a_touch_between_sites_is_told_in_parts_or_covered_by_what_may_be_hidden():
+def test_a_touch_between_sites_is_reported_in_parts_or_covered_by_what_may_be_hidden():
     plate = Ladder()
     hidden = hidden_fraction(plate.positions_m, plate.outline_m, 4.0)
     matcher = matcher_of(plate, hidden_fraction=hidden)

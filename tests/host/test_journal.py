@@ -94,7 +94,7 @@ def test_nothing_for_a_terminal_to_obey(handler: JournalHandler, journal_socket:
     assert fields(journal_socket.recv(1 << 20))["MESSAGE"] == r"board:\x1b[31m\ud800 x" + "\ty" + r"\x00 20 µs"
 
 
-def test_a_full_journal_is_not_waited_for_and_what_is_lost_is_said(
+def test_a_full_journal_is_not_waited_for_and_what_is_lost_is_reported(
     handler: JournalHandler, elsewhere: Elsewhere, journal_socket: socket.socket
 ) -> None:
     for _ in range(1000):

@@ -95,7 +95,7 @@ async def test_a_living_daemons_socket_is_not_taken_and_becomes_free_when_it_end
 
 
 @pytest.mark.parametrize("beyond", [0, 1])
-async def test_a_path_longer_than_sockets_take_is_said_once(
+async def test_a_path_longer_than_sockets_take_is_reported_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, beyond: int
 ) -> None:
     room = PATH_BYTES_MAX - len(os.fsencode(tmp_path)) - len("//status.sock")
@@ -145,7 +145,7 @@ async def test_one_who_never_reads_a_huge_answer_is_left(path: Path) -> None:
 
 
 @pytest.mark.parametrize("lost", ["directory", "socket", "lock"])
-async def test_a_socket_or_lock_that_is_removed_is_made_again_and_said_once(
+async def test_a_socket_or_lock_that_is_removed_is_made_again_and_reported_once(
     path: Path, caplog: pytest.LogCaptureFixture, lost: str
 ) -> None:
     async with serving(path, check_s=0.001):

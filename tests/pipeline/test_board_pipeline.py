@@ -46,7 +46,7 @@ def change(state: str, at_s: float, reason: str = "", since_s: float | None = No
     return LinkChange(state, Reason(ReasonCode.UNPLUGGED, reason), since_ns, T0_NS + round(S * at_s))
 
 
-def test_a_state_of_the_link_is_dated_when_it_was_said_and_an_outage_goes_with_it(tmp_path: Path) -> None:
+def test_a_state_of_the_link_is_dated_when_it_was_reported_and_an_outage_goes_with_it(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.handle(change("online", 1), Outage(T0_NS, T0_NS + 2 * S, 7, GONE), change("lost", 3, "gone", since_s=2))
     states = [message for topic, message in bench.said if topic == "state/link"]
@@ -61,7 +61,7 @@ def test_a_state_of_the_link_is_dated_when_it_was_said_and_an_outage_goes_with_i
     assert (sensor.state, sensor.reason, sensor.t_ns - T0_NS) == ("waiting", "link lost: gone", 3 * S)
 
 
-def test_losses_count_from_the_gap_on_that_told_of_them(tmp_path: Path) -> None:
+def test_losses_count_from_the_gap_on_that_reports_them(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.handle(change("online", 1))
     assert bench.last("state/link").lost.damaged == 0
@@ -82,7 +82,7 @@ def test_what_subscribers_missed_is_asked_for_each_message(tmp_path: Path) -> No
     assert [message.lost.skipped_late for message in said] == [2 * number for number in range(len(said))]
 
 
-def test_an_expired_calibration_is_told_by_the_day_of_what_arrives(tmp_path: Path) -> None:
+def test_an_expired_calibration_is_reported_by_the_day_of_what_arrives(tmp_path: Path) -> None:
     plate = tmp_path / "expired.toml"
     plate.write_text(PLATE + '[calibration]\nid = "c1"\nexpiry = 2026-09-10\n')
     bench = Bench(tmp_path, str(plate))

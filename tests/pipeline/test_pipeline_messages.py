@@ -127,7 +127,7 @@ def test_a_contact_keeps_its_date(messages: Messages) -> None:
 
 
 @pytest.mark.parametrize("word", ["onset", "release"])
-def test_an_event_tells_of_its_own_contact_with_its_peak(messages: Messages, word: Any) -> None:
+def test_an_event_reports_its_own_contact_with_its_peak(messages: Messages, word: Any) -> None:
     gone = contact(0, NAN, "no_signal", number=3)
     present = reading(contacts=(contact(),))
     said = literal(messages.force.event(ContactEvent(word, 1_999_000_000, gone, WHY), present, GATE_MIDDLE))

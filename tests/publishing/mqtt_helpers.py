@@ -184,7 +184,7 @@ async def happen(left: Publisher, numbers: range) -> None:
             await asyncio.sleep(0.001)
 
 
-async def heard_events(observer: Observer, last: int) -> list[dict[str, Any]]:
+async def received_events(observer: Observer, last: int) -> list[dict[str, Any]]:
     """Wait for the last event; return all, doubles of those that were sent before passed over as a subscriber does."""
     await observer.until_last(EVENTS, seq=last)
     seen: dict[int, dict[str, Any]] = {}

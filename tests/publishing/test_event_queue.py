@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from brokers import Mosquitto
-from mqtt_helpers import happen, heard_events, publishing, until
+from mqtt_helpers import happen, publishing, received_events, until
 from observer import observe
 from small_disk import small_disk
 
@@ -31,7 +31,7 @@ async def test_what_a_run_leaves_is_sent_first_by_the_next(mosquitto, tmp_path: 
     assert (left.account.waiting, left.account.spooled) == (100, 100)
     async with observe(mosquitto.url) as observer, publishing(mosquitto.url, spool_directory=tmp_path) as left:
         await happen(left, range(100, 105))
-        events = await heard_events(observer, 104)
+        events = await received_events(observer, 104)
         await until(lambda: left.account.waiting == 0)
         assert left.account.recovered == 100
         assert left.account.enqueued == 105
@@ -64,7 +64,7 @@ async def test_a_full_disk_costs_the_oldest_events_beyond_memory_and_no_exceptio
             assert caplog.text.count("events cannot be kept on disk") == 1
             await generous.start()
             async with observe(generous.url) as observer:
-                await heard_events(observer, 3999)
+                await received_events(observer, 3999)
                 await until(lambda: left.account.waiting == 0)
             kept = 4000 - account.dropped["spool_failed"]
             assert left.account.acknowledged == kept
@@ -82,7 +82,7 @@ async def test_a_spool_that_another_process_holds_is_left_alone(
             await happen(second, range(20, 25))
             await until(lambda: second.account.waiting == 0)
             assert second.account.recovered == 0
-            events = await heard_events(observer, 24)
+            events = await received_events(observer, 24)
             assert [event["seq"] for event in events] == list(range(20, 25))
     assert first.account.spooled == 20
     assert caplog.text.count("another process holds") == 1
@@ -106,7 +106,7 @@ async def test_a_spool_that_is_damaged_while_in_use_costs_what_was_on_disk_alone
         monkeypatch.setattr(spool.Spool, "read", damaged)
         await generous.start()
         async with observe(generous.url) as observer:
-            await heard_events(observer, 1999)
+            await received_events(observer, 1999)
             await until(lambda: left.account.waiting == 0)
         account = left.account
         assert account.dropped["spool_failed"] == 2000 - account.acknowledged
@@ -136,6 +136,6 @@ async def test_a_spool_that_is_removed_is_made_again_and_said_once(
         f"{directory / spool.FILE} was removed or replaced: made again; 15 events wait in it"
     ]
     async with observe(mosquitto.url) as observer, publishing(mosquitto.url, spool_directory=directory) as left:
-        events = await heard_events(observer, expected - 1)
+        events = await received_events(observer, expected - 1)
         assert left.account.recovered == expected
     assert [event["seq"] for event in events] == list(range(expected))

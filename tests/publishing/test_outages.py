@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from brokers import Amqtt, Mosquitto
-from mqtt_helpers import EVENTS, IMPATIENT, LEFT, Messages, assert_exact, happen, heard_events, publishing, until
+from mqtt_helpers import EVENTS, IMPATIENT, LEFT, Messages, assert_exact, happen, publishing, received_events, until
 from observer import observe
 from relay import relay
 
@@ -58,7 +58,7 @@ async def test_events_of_an_outage_come_in_order_with_their_times_and_a_mark(gen
         async with observe(generous.url) as observer:
             await until(lambda: left.connected)
             await happen(left, range(10))
-            events = await heard_events(observer, 9)
+            events = await received_events(observer, 9)
             assert not any(event["replayed"] for event in events)
         await generous.kill()
         await until(lambda: not left.connected)
@@ -66,10 +66,10 @@ async def test_events_of_an_outage_come_in_order_with_their_times_and_a_mark(gen
         await until(lambda: left.account.spooled == 990)
         await generous.start()
         async with observe(generous.url) as observer:
-            events = await heard_events(observer, 999)
+            events = await received_events(observer, 999)
             await until(lambda: left.account.waiting == 0)
             await happen(left, range(1000, 1010))
-            events = await heard_events(observer, 1009)
+            events = await received_events(observer, 1009)
         seqs = [event["seq"] for event in events]
         assert seqs == list(range(seqs[0], 1010))
         assert {event["t_ns"] for event in events} == {str(Messages.event(0).t_ns)}
@@ -93,7 +93,7 @@ async def test_events_wait_for_the_first_subscriber(mosquitto, tmp_path: Path, l
             left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
         await until(lambda: left.account.resent >= 2)  # two attempts
         async with observe(mosquitto.url) as observer:
-            events = await heard_events(observer, late + 1)
+            events = await received_events(observer, late + 1)
             await until(lambda: left.account.waiting == 0)
         assert [(event["seq"], event["replayed"]) for event in events] == [
             (n, n < max(late, 1)) for n in range(late + 2)
@@ -127,7 +127,7 @@ async def test_a_frozen_broker_stalls_nobody_and_every_message_is_accounted_for(
         assert frozen.waiting == number - 1  # events alone, the first of which was acknowledged
         mosquitto.thaw()
         async with observe(mosquitto.url) as observer:
-            events = await heard_events(observer, number - 1)
+            events = await received_events(observer, number - 1)
             assert [event["seq"] for event in events] == list(range(events[0]["seq"], number))
             await until(lambda: left.account.waiting == 0)
         assert left.account.acknowledged == 1 + 1 + number  # the state once more, each event

@@ -6,7 +6,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import aiomqtt
-from mqtt_helpers import LEFT, Messages, happen, heard_events, make_will, publishing, until
+from mqtt_helpers import LEFT, Messages, happen, make_will, publishing, received_events, until
 from observer import observe
 from paho.mqtt.enums import MQTTProtocolVersion
 
@@ -52,7 +52,7 @@ async def test_what_is_retained_on_topics_of_further_rates_is_cleared_at_first(m
         async with publishing(mosquitto.url, spool_directory=tmp_path, cleared_at_first=filters) as left:
             await until(lambda: left.account.resent >= 2)  # no subscriber is there for the events
             async with observe(mosquitto.url, f"{LEFT}/#") as late:
-                assert [event["seq"] for event in await heard_events(late, 2)] == [0, 1, 2]
+                assert [event["seq"] for event in await received_events(late, 2)] == [0, 1, 2]
                 await other.publish(f"{LEFT}/marker", b"", qos=1)  # comes after what is retained
                 await late.until_count(f"{LEFT}/marker", 1)
                 assert not any(b"junk" in late.raw(topic) for topic in rates)

@@ -44,7 +44,7 @@ async def send_until_decoded(hand: Daemon, heard: Observer, seq: int) -> None:
                 await heard.until(lambda: seq in seqs(heard, "hand"))
 
 
-async def test_a_followed_plate_is_decoded_and_its_states_and_account_are_told(
+async def test_a_followed_plate_is_decoded_and_its_states_and_account_are_reported(
     tmp_path: Path, broker: Mosquitto | Amqtt, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 3600.0)  # else a slow computer releases the contact
@@ -53,7 +53,7 @@ async def test_a_followed_plate_is_decoded_and_its_states_and_account_are_told(
         decoder = process(tmp_path, broker.url, decoding=LINEAR)
         async with running(decoder):
             await heard.until_last(STATE, state="waiting", reason=NO_INFO)
-            await hand.tell("hand", info())
+            await hand.send_info("hand", info())
             await heard.until_last(STATE, state="waiting", reason="hand: no signals that could be decoded")
             for seq in range(5):
                 await send_until_decoded(hand, heard, seq)
@@ -100,7 +100,7 @@ async def test_frames_of_many_plates_are_shared_and_none_is_decoded_twice(tmp_pa
     plates, frames = ("left", "right"), 40
     async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand:
         for plate in plates:
-            await hand.tell(plate, info())
+            await hand.send_info(plate, info())
         decoders = [
             process(tmp_path, mosquitto.url, f"host-{number}", decoding=SHARING, name=None) for number in (1, 2)
         ]
@@ -163,7 +163,7 @@ async def test_an_event_of_an_outage_arrives_after_it(
     decoder = process(tmp_path, mosquitto.url, decoding=LINEAR)
     async with running(decoder):
         async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand:
-            await hand.tell("hand", info())
+            await hand.send_info("hand", info())
             await heard.until_last(STATE, state="waiting", reason="hand: no signals that could be decoded")
             for seq in range(3):
                 await send_until_decoded(hand, heard, seq)
@@ -189,7 +189,7 @@ async def test_an_event_of_an_outage_arrives_after_it(
     assert release["contact"]["id"] == onset["contact"]["id"]
 
 
-async def test_a_stop_during_a_set_up_is_said_before_that_has_ended(
+async def test_a_stop_during_a_set_up_is_reported_before_that_has_ended(
     tmp_path: Path, mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     began, may_end = threading.Event(), threading.Event()
@@ -209,7 +209,7 @@ async def test_a_stop_during_a_set_up_is_said_before_that_has_ended(
 
         task = asyncio.create_task(decoder.run())
         try:
-            await hand.tell("hand", info())
+            await hand.send_info("hand", info())
             await until(lambda: bool(heard.raw(STATE)) and "no info" not in heard.payloads(STATE)[-1]["reason"])
             await until(lambda: "hand" in decoder.health().plates)
             while not began.is_set():
@@ -227,7 +227,7 @@ async def test_a_stop_during_a_set_up_is_said_before_that_has_ended(
             await task
 
 
-async def test_a_state_lasts_while_its_reason_changes_and_is_said_again_before_it_expires(
+async def test_a_state_lasts_while_its_reason_changes_and_is_reported_again_before_it_expires(
     tmp_path: Path, mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert DECODER_STATE.expiry_s is not None
@@ -236,7 +236,7 @@ async def test_a_state_lasts_while_its_reason_changes_and_is_said_again_before_i
     decoder = process(tmp_path, mosquitto.url, decoding=LINEAR)
     async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand, running(decoder):
         await heard.until(lambda: [state["reason"] for state in heard.payloads(STATE)].count(NO_INFO) >= 3)
-        await hand.tell("hand", info())
+        await hand.send_info("hand", info())
         await heard.until_last(STATE, state="waiting", reason="hand: no signals that could be decoded")
         await send_until_decoded(hand, heard, 0)
         await heard.until_last(STATE, state="online")

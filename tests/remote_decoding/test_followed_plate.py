@@ -49,15 +49,15 @@ class Followed:
     def on(self, path: str) -> list[Any]:
         return [message for _, topic, message in self.published if topic == path]
 
-    async def tell(self, message: Info) -> None:
+    async def send_info(self, message: Info) -> None:
         """Send an info, and wait until it has taken effect: frames before that are skipped."""
         self._info.handle(incoming(self._info.topic_filter, encode(message)))
         await until(lambda: not self.plate._changed.is_set())
         await asyncio.sleep(0)
 
     async def prepare(self, message: Info) -> None:
-        """Send an info, and untouched frames until its decoder is set up; what they give is forgotten."""
-        await self.tell(message)
+        """Send an info, and untouched frames until its decoder is set up; their results are discarded."""
+        await self.send_info(message)
         published, decoded = len(self.published), self.account.decoded
         sites = len(message.sites)
         noise_std = np.tile(NOISE[:, :1], sites).astype(np.float32)
@@ -135,12 +135,12 @@ async def test_only_what_is_asked_for_is_published(uncertainty: bool, displaceme
     assert (found.traction_std_pascal is not None, found.displacement_m is not None) == (uncertainty, displacement)
 
 
-async def test_a_plate_without_a_skin_and_one_that_cannot_be_decoded_are_told_apart() -> None:
+async def test_a_plate_without_a_skin_and_one_that_cannot_be_decoded_are_distinguished() -> None:
     on_a_line = tuple(site.model_copy(update={"position_m": (1e-4 * i, 0.0)}) for i, site in enumerate(info().sites))
     async with Followed(DecodingOptions("fourier")).running() as followed:
-        await followed.tell(info(skin=None))
+        await followed.send_info(info(skin=None))
         assert followed.plate.condition()[1].code == "info_unusable"
-        await followed.tell(info(sites=on_a_line, grid=None))
+        await followed.send_info(info(sites=on_a_line, grid=None))
         followed.send(signals(0))
         await until(lambda: followed.plate.condition()[0] == "refused")
         assert followed.plate.condition()[1].code == "undecodable"

@@ -35,7 +35,7 @@ class Shared:
     def _publish(self, plate: str, topic: Any, message: Message) -> None:
         self.published.append((plate, topic.path, message))
 
-    def tell(self, plate: str, message: Info) -> None:
+    def send_info(self, plate: str, message: Info) -> None:
         self._info.handle(incoming(f"resonator/{plate}/info", encode(message)))
 
     def withdraw(self, plate: str) -> None:
@@ -68,11 +68,11 @@ async def test_another_info_takes_effect_with_the_next_frame() -> None:
     )
     async with Shared().running() as shared:
         for plate in ("left", "right"):
-            shared.tell(plate, info())
+            shared.send_info(plate, info())
             decoded, summary = await shared.read(plate, signals(0))
             assert decoded.grid.origin_m == info().sites[0].position_m
             assert decoded.decoder_id == summary.decoder_id == "host-1"
-        shared.tell("left", info(sites=sites, grid=moved))
+        shared.send_info("left", info(sites=sites, grid=moved))
         decoded, _ = await shared.read("left", signals(1))
         assert decoded.grid.origin_m == sites[0].position_m
         decoded, _ = await shared.read("right", signals(1))
@@ -83,8 +83,8 @@ async def test_it_is_online_while_signals_come_and_waits_afterwards(monkeypatch:
     monkeypatch.setattr(shared_plates, "WAITS_AFTER_S", 0.2)
     async with Shared().running() as shared:
         assert shared.plates.condition() == NOTHING
-        shared.tell("left", info())
-        shared.tell("right", info(skin=None))
+        shared.send_info("left", info())
+        shared.send_info("right", info(skin=None))
         shared.send("left", signals(0))
         problem = "right: has no skin to decode; waits for another plate of this name"
         decoding = Reason(ReasonCode.DECODING, f"signals of 1 plates are decoded; {problem}")
@@ -96,16 +96,16 @@ async def test_it_is_online_while_signals_come_and_waits_afterwards(monkeypatch:
 async def test_a_plate_that_its_daemon_decodes_is_left_alone_until_it_does_not() -> None:
     rates_hz = {"signals": 100.0, "decoded": 100.0}
     async with Shared().running() as shared:
-        shared.tell("left", info(rates_hz=rates_hz))
-        shared.tell("right", info())
+        shared.send_info("left", info(rates_hz=rates_hz))
+        shared.send_info("right", info())
         shared.send("left", signals(0))
         await shared.read("right", signals(0))
         assert {plate for plate, _, _ in shared.published} == {"right"}
         problem = "left: the daemon decodes this plate itself; set external = true in [decoding] of its configuration"
         assert problem in shared.plates.condition()[1].text
-        shared.tell("left", info())
+        shared.send_info("left", info())
         await shared.read("left", signals(1))
-        shared.tell("left", info(rates_hz=rates_hz))
+        shared.send_info("left", info(rates_hz=rates_hz))
         shared.send("left", signals(2))
         await shared.read("right", signals(1))
         assert [(plate, path) for plate, path, _ in shared.published].count(("left", "decoded")) == 1
@@ -115,8 +115,8 @@ async def test_a_plate_that_its_daemon_decodes_is_left_alone_until_it_does_not()
 @pytest.mark.parametrize("name", ["decoder", "", "..", ".", "a b", " ", "$left", "a\x00b", "x" * 101])
 def test_what_no_plate_is_called_is_passed_over(name: str) -> None:
     shared = Shared()
-    shared.tell(name, info())
-    shared.tell(name, info(skin=None))
+    shared.send_info(name, info())
+    shared.send_info(name, info(skin=None))
     shared.send(name, signals(0))
     assert shared.plates.health() == {}
     assert shared.plates.condition() == NOTHING
@@ -126,21 +126,21 @@ async def test_a_plate_is_there_from_its_first_skin_until_its_info_is_gone() -> 
     async with Shared().running() as shared:
         longest = "x" * 100
         shared.send(longest, signals(0))
-        shared.tell(longest, info(skin=None))
+        shared.send_info(longest, info(skin=None))
         shared.send(longest, signals(0))
         assert shared.plates.health() == {}
-        shared.tell(longest, info())
+        shared.send_info(longest, info())
         await shared.read(longest, signals(0))
         assert shared.plates.health()[longest].received == 1
         shared.withdraw(longest)
         assert shared.plates.health() == {}
         assert shared.plates.condition() == NOTHING
         shared.send(longest, signals(1))
-        shared.tell(longest, info())
+        shared.send_info(longest, info())
         await shared.read(longest, signals(2))
         account = shared.plates.health()[longest]
         assert (account.received, account.decoded, account.missed) == (1, 1, 0)
-        shared.tell("bad", info(skin=None))
+        shared.send_info("bad", info(skin=None))
         assert "bad" in shared.plates.condition()[1].text
         shared.withdraw("bad")
         assert "bad" not in shared.plates.condition()[1].text
@@ -157,14 +157,14 @@ async def test_a_plate_forgotten_while_its_frame_is_decoded_begins_anew(monkeypa
 
     monkeypatch.setattr(shared_plates, "set_up", slow)
     async with Shared().running() as shared:
-        shared.tell("left", info())
+        shared.send_info("left", info())
         shared.send("left", signals(0))
         await until(began.is_set)
         for seq in (1, 2):
             shared.send("left", signals(seq))
         assert shared.plates.health()["left"].skipped == 1
         shared.withdraw("left")
-        shared.tell("left", info())
+        shared.send_info("left", info())
         assert shared.plates.health()["left"].waiting == 0
         shared.send("left", signals(3))
         may_end.set()
@@ -183,22 +183,22 @@ async def test_beyond_its_places_only_silent_plates_give_way(
     shared = Shared()
     for name in ("a", "b", "c"):
         assert "no more are taken" not in shared.plates.condition()[1].text
-        shared.tell(name, info())
+        shared.send_info(name, info())
         clock.now_s += 1.0
     clock.now_s = 60.0
     shared.send("a", signals(0))
     for name in ("d", "e"):
-        shared.tell(name, info())
+        shared.send_info(name, info())
     assert set(shared.plates.health()) == {"a", "b", "c"}
     assert "3 plates are known, no more are taken; d: is beyond 3 plates" in shared.plates.condition()[1].text
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
     clock.now_s = 61.5
-    shared.tell("e", info())
+    shared.send_info("e", info())
     assert set(shared.plates.health()) == {"a", "c", "e"}
     assert "e: is beyond" not in shared.plates.condition()[1].text
-    shared.tell("f", info())
+    shared.send_info("f", info())
     assert set(shared.plates.health()) == {"a", "c", "e"}
     shared.withdraw("c")
     assert "no more are taken" not in shared.plates.condition()[1].text
-    shared.tell("f", info())
+    shared.send_info("f", info())
     assert set(shared.plates.health()) == {"a", "e", "f"}

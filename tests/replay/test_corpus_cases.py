@@ -130,7 +130,7 @@ def test_a_difference_is_printed_and_ends_with_a_failure(tmp_path: Path, capsys:
     [b"", b"nothing", gzip.compress(b""), gzip.compress(b"[]\n"), None],
     ids=["empty", "no gzip", "no line", "no header", "no file"],  # the bytes of gzip tell the time
 )
-def test_what_is_no_case_is_said(tmp_path: Path, content: bytes | None) -> None:
+def test_what_is_no_case_is_reported(tmp_path: Path, content: bytes | None) -> None:
     if content is not None:
         (tmp_path / EXPECTED_FILE).write_bytes(content)
     with pytest.raises(ConfigurationError, match=EXPECTED_FILE):
@@ -202,7 +202,7 @@ def test_the_largest_value_of_a_field_sets_its_scale_in_whatever_order_they_come
         assert scales.tolerance("forces.f[]") == pytest.approx(2e-6)
 
 
-def test_another_version_says_the_same() -> None:
+def test_another_version_states_the_same() -> None:
     scales = Scales()
     old, new = {"plate": "p", "daemon_version": "0.8"}, {"plate": "p", "daemon_version": "0.9"}
     assert list(payload_differences("info", old | {"commands": []}, new | {"commands": ["ping"]}, scales)) == []

@@ -72,7 +72,7 @@ def test_a_part_has_its_first_moment_and_not_its_last() -> None:
     assert span.words == " from 5e-09 s until 9e-09 s"
 
 
-def test_of_marks_that_say_the_same_the_first_counts(tmp_path: Path) -> None:
+def test_of_marks_that_state_the_same_the_first_counts(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with Recorder(path, Origin(load_plate("quartz16"), "tcp://board:1")) as recorder:
         recorder.put(Received(at(0), b"x"))

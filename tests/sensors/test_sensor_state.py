@@ -53,7 +53,7 @@ def online() -> Sensor:
     return sensor
 
 
-def test_a_calibration_that_expires_is_said_once_and_hides_nothing_worse() -> None:
+def test_a_calibration_that_expires_is_reported_once_and_hides_nothing_worse() -> None:
     sensor = online()
     for _ in range(3):
         sensor.state.calibration("c1 expired", T0_NS)
@@ -97,7 +97,7 @@ def test_what_a_touch_can_do_to_a_reading_is_no_trouble_of_the_sensor(status: st
         assert sensor.read(at_ms, status, "the touch's own reason") == []
 
 
-def test_trouble_that_lasts_is_said_with_its_newest_reason_since_its_first_reading() -> None:
+def test_trouble_that_lasts_is_reported_with_its_newest_reason_since_its_first_reading() -> None:
     sensor = online()
     sensor.read(100, "no_signal", "channel 0: no signal")
     sensor.read(349.999999, "no_signal", "channel 0: no signal")

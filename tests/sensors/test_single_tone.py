@@ -47,7 +47,7 @@ def test_a_press_gives_force_site_and_contact_whatever_the_clock_error(error, mi
 
 
 @pytest.mark.parametrize("phase", range(5))
-def test_an_onset_is_told_at_once_between_two_steps(phase):
+def test_an_onset_is_reported_at_once_between_two_steps(phase):
     bench = Bench().untouched()
     bench.hold(UNTOUCHED, phase)
     captured_ticks = bench.board.board_ticks

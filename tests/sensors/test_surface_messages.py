@@ -177,7 +177,7 @@ def test_what_is_not_known_of_a_patch_is_null(skin_reporter: SkinReporter, slip:
 
 
 @pytest.mark.parametrize("status", ["rejected", "no_signal"])
-def test_a_frame_that_was_not_decoded_says_so(skin_reporter: SkinReporter, status: str) -> None:
+def test_a_frame_that_was_not_decoded_reports_it(skin_reporter: SkinReporter, status: str) -> None:
     frame = decoded((3, 32, 32), displacement=True, status=status, reason="why", **UNDECODED)
     said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame, "fourier")))
     expected = {"decoder": "fourier", "status": status, "reason": "why", "chi2": None, "border_contact": False}
@@ -188,7 +188,7 @@ def test_a_frame_that_was_not_decoded_says_so(skin_reporter: SkinReporter, statu
 
 
 @pytest.mark.parametrize("word", ["onset", "incipient_slip", "gross_slip", "release"])
-def test_an_event_of_a_skin_tells_of_its_contact_with_its_peak(skin_reporter: SkinReporter, word: Any) -> None:
+def test_an_event_of_a_skin_reports_its_contact_with_its_peak(skin_reporter: SkinReporter, word: Any) -> None:
     said = literal(skin_reporter.skin_event(SkinEvent(word, skin_contact()), MEASURED_OF_SKIN, GATE_MIDDLE))
     assert said["event"] == word
     assert said["contact"] == CONTACT_LITERAL | HISTORY_LITERAL

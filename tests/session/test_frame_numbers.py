@@ -43,7 +43,7 @@ def test_frames_that_never_came_are_a_link_gap() -> None:
     assert accept(it, 4) == (4, Gap(1, FrameLoss(link_gap=3)))
 
 
-def test_discarded_bytes_tell_how_many_came_damaged() -> None:
+def test_discarded_bytes_determine_how_many_came_damaged() -> None:
     it = begun()
     it.discarded(2 * FRAME_BYTES)
     assert accept(it, 4) == (4, Gap(1, FrameLoss(damaged=2, link_gap=1)))
@@ -118,7 +118,7 @@ def test_an_outage_is_a_gap_and_no_shift_of_time() -> None:
     assert accept(it, 1, gate=501) == (501, None)
 
 
-def test_after_a_reboot_the_hosts_clock_tells_the_outage() -> None:
+def test_after_a_reboot_the_hosts_clock_determines_the_outage() -> None:
     it = numbering()
     it.accept(1, 0, 10**12, at(0))
     it.started(0)
@@ -138,7 +138,7 @@ def test_a_boot_id_that_came_twice_does_not_make_the_ticks_go_on() -> None:
     assert it.accept(1, 0, GATE_TICKS, at(700)) == Accepted(700, Gap(1, FrameLoss(link_gap=699)), at(0))
 
 
-def test_ticks_that_jumped_during_an_outage_do_not_tell_its_length() -> None:
+def test_ticks_that_jumped_during_an_outage_do_not_determine_its_length() -> None:
     it = begun()
     it.started(0)
     assert it.accept(1, 0, 10**9, at(700)) == Accepted(700, Gap(1, FrameLoss(link_gap=699)), at(0))
@@ -156,7 +156,7 @@ def test_a_host_that_slept_knows_how_long(boot_id: int, ticks: int) -> None:
     assert accepted.index == 3_600_100
 
 
-def test_frames_that_lie_otherwise_than_their_numbers_say_are_told() -> None:
+def test_frames_that_lie_otherwise_than_their_numbers_state_are_reported() -> None:
     it = begun()
     with pytest.raises(BrokenSpacingError) as first:
         it.accept(1, 1, 2 * GATE_TICKS, at(1))

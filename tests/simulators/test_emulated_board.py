@@ -49,7 +49,7 @@ def frames_in(events: list[HostEvent]) -> list[Frame]:
     return [event for event in events if isinstance(event, Frame)]
 
 
-def test_a_full_queue_drops_its_oldest_frames_and_says_so_before_the_next_that_goes_out() -> None:
+def test_a_full_queue_drops_its_oldest_frames_and_reports_it_before_the_next_that_goes_out() -> None:
     bench = Bench(queue_limit_bytes=3 * FRAME_BYTES + 20)
     bench.start()
     bench.advance(10 * GATE_TICKS)

@@ -15,7 +15,7 @@ from firmware_protocol.messages import BoardStatus
 from simulators.emulator import EmulatorOptions
 
 
-def test_quartz16_sends_its_frames_in_time_and_tells_the_truth_beside_them(tmp_path: Path) -> None:
+def test_quartz16_sends_its_frames_in_time_and_writes_the_truth_beside_them(tmp_path: Path) -> None:
     path, truth_path = tmp_path / "board", tmp_path / "truth.jsonl"
     fds = len(os.listdir("/proc/self/fd"))
     options = EmulatorOptions("quartz16", pty=path, scenario="held", truth=truth_path)

@@ -79,12 +79,12 @@ def incoming(topic: str, payload: bytes) -> Incoming:
 
 
 class Daemon:
-    """The part of a daemon that a decoder sees."""
+    """Topics of a daemon that a decoder receives."""
 
     def __init__(self, client: aiomqtt.Client) -> None:
         self._client = client
 
-    async def tell(self, plate: str, message: Info) -> None:
+    async def send_info(self, plate: str, message: Info) -> None:
         await self._client.publish(f"resonator/{plate}/info", encode(message), qos=1, retain=True)
 
     async def send(self, plate: str, message: Signals) -> None:

@@ -86,7 +86,7 @@ class FakeLivePage:
         for socket in self._sockets:
             await socket.send_bytes(message)
 
-    async def tell(self, **message: Any) -> None:
+    async def send_text(self, **message: Any) -> None:
         """Send a text message of these keys."""
         for socket in self._sockets:
             await socket.send_str(json.dumps(message))

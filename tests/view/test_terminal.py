@@ -118,7 +118,7 @@ def test_an_overload_and_an_unknown_force_are_no_numbers() -> None:
     assert "nan" not in text
 
 
-def test_nothing_touched_is_told_from_nothing_known() -> None:
+def test_nothing_touched_is_distinguished_from_nothing_known() -> None:
     assert "no touch" in page(quartz16(("forces", forces())))
     pressed = page(quartz16(("forces", forces(status="pressed_at_start"))))
     assert "no touch" not in pressed

@@ -107,7 +107,7 @@ async def test_error_against_the_truth_is_zero_where_the_map_is_right(fake: Fake
     touch = {"id": 1, "site": 1, "position_m": [0, 0], "force_newton": [0.25, 0, 1], "radius_m": 0.0025}
     for force_newton in (1.0, 3.0):
         await fake.send("decoded", decoded(hertz(force_newton, 0.0025)))
-        await fake.tell(truth={"plate": "p", "t_ns": str(10**18), "contacts": [touch], "traction_pascal": None})
+        await fake.send_text(truth={"plate": "p", "t_ns": str(10**18), "contacts": [touch], "traction_pascal": None})
         await expect(page.locator("option[value=error]")).to_be_enabled()
         await page.select_option(".surface-panel select", "error")
         await drawn(page)
@@ -125,7 +125,7 @@ async def test_contacts_show_force_margin_events_and_truth(fake: FakeLivePage, o
     touch = contact((0.3, -0.1, 1.25), moment_newton_m=[1e-3, 2e-3, 3e-3], moment_std_newton_m=[1e-6] * 3, **slip)
     await fake.send("contacts", header(status="ok", contacts=[touch]))
     true = touch | {"force_newton": [0.3, 0, 1.3], "radius_m": 0.002}
-    await fake.tell(truth={"plate": "p", "t_ns": "1", "contacts": [true]})
+    await fake.send_text(truth={"plate": "p", "t_ns": "1", "contacts": [true]})
     await fake.send("contacts/event", header(event="incipient_slip", contact=touch))
     await expect(page.locator(".card .normal")).to_have_text("1.2500 ± 0.0030 N")
     await expect(page.locator(".card .true")).to_have_text("true 1.300 N, off by \u221250 mN")
@@ -255,7 +255,7 @@ async def test_recordings_play_seek_and_stand_side_by_side(fake: FakeLivePage, o
     await expect(page.locator(".view")).to_have_count(2)
     one = page.locator(".view").first
     position = {"source": "a", "t_s": 12.3, "playing": False, "speed": 1.0, "ended": False, "truncated": "cut off"}
-    await fake.tell(position=position)
+    await fake.send_text(position=position)
     await expect(one.locator(".time")).to_have_text("12.3 of 60.0 s")
     await expect(one.locator(".truncated")).to_have_text("Incomplete: cut off")
     await fake.send("state/link", header(state="lost", reason_code="recording_over"), source="a")
@@ -278,12 +278,12 @@ async def test_recordings_of_the_directory_are_opened_compared_and_closed(fake: 
     page = await open_page()
     await page.get_by_role("button", name="Open one.mcap").click()
     source = {"source": "a", "file": "one.mcap", "duration_s": None, "failure": "it is empty", "opening": 1}
-    await fake.tell(hello=fake.hello | {"sources": [source]})
+    await fake.send_text(hello=fake.hello | {"sources": [source]})
     await expect(page.locator(".failure")).to_contain_text("it is empty")
     await expect(page.locator(".recording-panel input[type=range]")).to_be_hidden()
     await page.get_by_role("button", name="Compare with two.mcap").click()
     await fake.until("open", 2)
-    await fake.tell(hello=fake.hello | {"sources": [source | {"source": s, "opening": 2} for s in "ab"]})
+    await fake.send_text(hello=fake.hello | {"sources": [source | {"source": s, "opening": 2} for s in "ab"]})
     await expect(page.locator(".view")).to_have_count(2)
     await fake.disconnect()  # the server closes what was open
     assert await fake.until("open", 3) == [{"names": ["one.mcap"]}, *2 * [{"names": ["one.mcap", "two.mcap"]}]]
@@ -317,10 +317,10 @@ async def test_connects_again_and_watches_again(fake: FakeLivePage, open_page: O
     await expect(page.locator("#notice")).to_contain_text("No connection to the page's server")
     await fake.until("watch", watched + 1)
     await expect(page.locator("#notice")).to_be_hidden()
-    await fake.tell(broker={"connected": False, "reason_code": "no_broker", "reason": "no broker answers"})
+    await fake.send_text(broker={"connected": False, "reason_code": "no_broker", "reason": "no broker answers"})
     await expect(page.locator(".situation")).to_have_attribute("data-situation", "no_broker")
     await expect(page.locator("#notice")).to_contain_text("no broker answers")
-    await fake.tell(broker={"connected": True, "reason_code": "connected", "reason": ""})
+    await fake.send_text(broker={"connected": True, "reason_code": "connected", "reason": ""})
     await fake.send("info", b"")  # the broker has lost it
     await expect(page.get_by_text("No plate has published yet")).to_be_visible()
 
@@ -385,8 +385,8 @@ async def test_nothing_throws(fake: FakeLivePage, open_page: Open) -> None:
     for path, payload in ODD:
         await fake.send(path, payload)
         await drawn(page)
-    await fake.tell(truth={}, position=None, clients=None, unheard_of=1)
-    await fake.tell(truth={"plate": "p", "contacts": [{}]}, answer={"id": 99})
+    await fake.send_text(truth={}, position=None, clients=None, unheard_of=1)
+    await fake.send_text(truth={"plate": "p", "contacts": [{}]}, answer={"id": 99})
     await fake.send("info", info(), plate="other plate")
     await page.get_by_role("button", name="other plate").click()
     await drawn(page)
