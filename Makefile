@@ -64,9 +64,9 @@ FASTDDS := g++:g++ /usr/include/fastdds/dds/domain/DomainParticipant.hpp:libfast
 DASHBOARDS := $(BROKER) $(GENERATORS) /usr/share/gocode/src/github.com/tidwall/gjson/gjson.go:golang-github-tidwall-gjson-dev
 
 help:  ## list the targets
-	@sed -n 's/^\([a-z0-9-]*\):.*## /make \1\t/p' Makefile | expand -t 20
+	@sed -n 's/^\([a-z0-9-]*\):.*## /make \1\t/p' Makefile | expand -t 22
 
-setup: .venv/run-stamp  ## leave .venv/bin/resonatord, from pinned and hashed packages; PYTHON=python3.13 chooses
+setup: .venv/run-stamp  ## leave .venv/bin/resonatord, from pinned and hashed packages; PYTHON=python3.13 selects another Python
 
 demo: .venv/run-stamp  ## two emulated plates, a broker, the daemon and a live view
 	@.venv/bin/resonatord demo || {
@@ -134,7 +134,7 @@ test-schema: .venv/test-stamp  ## types that modelina and json-schema-to-typescr
 	cd ../..
 	.venv/bin/pytest -m generators tests/generators
 
-test-dashboards: .venv/test-stamp  ## the configurations of docs/how-to/dashboards.md: Node-RED, and Telegraf's as far as gjson reads it
+test-dashboards: .venv/test-stamp  ## the configurations of docs/how-to/dashboards.md: the flow in Node-RED, the paths of Telegraf in gjson
 	$(debian-packages)
 	debian-packages $(DASHBOARDS)
 	mkdir -p build/dashboards
@@ -170,13 +170,13 @@ build/pico-sdk:  # the Pico SDK as an npm package, without TinyUSB; PICO_SDK_PAT
 	mv package pico-sdk
 	rm "$$archive"
 
-coverage: .venv/test-stamp  ## all tests once more, slower, with the branches that they do not reach
+coverage: .venv/test-stamp  ## all tests, more slowly, and the branches that they do not reach
 	$(debian-packages)
 	debian-packages $(BROKER) $(SYSTEMD) $(USB) $(COMPILER) $(EXAMPLES)
 	export OMP_NUM_THREADS=1
 	.venv/bin/pytest --cov --numprocesses 2
 
-bench: .venv/peers-stamp  ## processor time of each stage beside a peer and a limit, and its record, 6 minutes; RECORD=--record renews the record
+bench: .venv/peers-stamp  ## processor time of each stage, of a peer and of a limit, compared with a record, 6 minutes; RECORD=--record renews the record
 	$(debian-packages)
 	debian-packages $(BROKER) $(COUNTER)
 	OMP_NUM_THREADS=1 .venv/bin/python benchmarks/stages.py $(RECORD)
@@ -288,7 +288,7 @@ soak: .venv/test-stamp  ## MINUTES=60 of faults; a simulated year; brokers froze
 	$(MAKE) build/browser .venv/browser-stamp
 	.venv/bin/pytest -o faulthandler_timeout=900 -m 'soak and browser' tests/live_page/browser
 
-pins: .venv/run-stamp  ## make the requirements files anew from pyproject.toml
+pins: .venv/run-stamp  ## write .ci/requirements/*.txt from pyproject.toml
 	@.venv/bin/python -m pip install --quiet --require-hashes -r .ci/requirements/pins.txt
 	compile() {
 	  .venv/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 --fork-strategy fewest \

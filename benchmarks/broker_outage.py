@@ -76,8 +76,8 @@ async def listening(port: int) -> None:
 
 
 @dataclass
-class Heard:
-    """What a subscriber heard that is there whenever the daemon can reach the broker."""
+class Subscriber:
+    """Subscriber that is connected whenever the daemon can reach the broker."""
 
     events: list[tuple[int, bool]] = field(default_factory=list)  # seq, replayed
     retained: set[str] = field(default_factory=set)  # since the last subscription
@@ -188,25 +188,25 @@ class Scene:
     broker: Part
     broker_port: int
     gate: Gate
-    heard: Heard
+    subscriber: Subscriber
     service: Service
     restored_s: float | None = None  # from the gate's opening to the whole retained set
 
     async def start_broker(self) -> None:
-        """Start a broker that knows nothing, let the subscriber in, and then the daemon."""
+        """Start an empty broker, connect the subscriber, then let the daemon connect."""
         self.broker.start()
         await listening(self.broker_port)
-        await self.heard.subscribe(self.broker_port)
+        await self.subscriber.subscribe(self.broker_port)
         self.gate.opened = True
         opened = time.monotonic()
         with suppress(TimeoutError):
-            await asyncio.wait_for(self.heard.restored.wait(), _AFTER_S)
+            await asyncio.wait_for(self.subscriber.restored.wait(), _AFTER_S)
         self.restored_s = time.monotonic() - opened
 
     async def kill_broker(self) -> None:
         self.gate.shut()
         await asyncio.sleep(_DELIVERED_S)  # what the broker had acknowledged is its own to lose, and not measured here
-        await self.heard.end()
+        await self.subscriber.end()
         self.broker.end(signal.SIGKILL)
 
 
@@ -304,10 +304,10 @@ async def measure(case: str, seconds: float, folder: Path) -> Outcome:
             url = f"mqtt://127.0.0.1:{gate.port}"
             path.write_text(f'name = "{NAME}"\nplate = "quartz16"\nlink = "{link}"\n[mqtt]\nurl = "{url}"\n')
             gate.opened = False
-            heard = Heard()
+            subscriber = Subscriber()
             service = Service(ConfigStore(path, path.parent / "last-good"))
             running = asyncio.create_task(service.run())
-            scene = Scene(folder, broker, port, gate, heard, service)
+            scene = Scene(folder, broker, port, gate, subscriber, service)
             try:
                 await scene.start_broker()
                 await asyncio.sleep(_BEFORE_S)
@@ -323,7 +323,7 @@ async def measure(case: str, seconds: float, folder: Path) -> Outcome:
                 await asyncio.sleep(_QUIET_S)
                 return _outcome(case, scene, watch, made, board_account())
             finally:
-                await heard.end()
+                await subscriber.end()
                 broker.end(signal.SIGKILL)
 
 
@@ -339,7 +339,7 @@ async def _until_all_is_sent(service: Service) -> None:
 
 
 def _outcome(case: str, scene: Scene, watch: Watch, before_end: MessageAccount, board: dict[str, int]) -> Outcome:
-    account, link, heard = scene.service.message_account, scene.service.link_counters, scene.heard
+    account, link, subscriber = scene.service.message_account, scene.service.link_counters, scene.subscriber
     off = max(watch.worst_imbalance, abs(imbalance(account)))
     more_mb = watch.rss_most_mb - watch.rss_first_mb
     excused = sum(account.dropped.get(cause, 0) for cause in ("spool_full", "spool_failed"))
@@ -349,9 +349,9 @@ def _outcome(case: str, scene: Scene, watch: Watch, before_end: MessageAccount, 
         f"{account.enqueued}, off by {off} in {watch.samples} samples, acknowledged {account.acknowledged}, written "
         f"{account.written}, dropped {dict(account.dropped)}, unknown {account.unknown_at_disconnect}, resent "
         f"{account.resent}; waiting at most {watch.waiting_most}, on disk {watch.spooled_most}; memory "
-        f"{watch.rss_first_mb:.0f} MB + {more_mb:.1f} MB; events heard {len(heard.events)}, "
-        f"{sum(replayed for _, replayed in heard.events)} replayed, missing {heard.missing}, out of order "
-        f"{heard.out_of_order}, doubled unmarked {heard.doubles_unmarked}{restored}",
+        f"{watch.rss_first_mb:.0f} MB + {more_mb:.1f} MB; events received {len(subscriber.events)}, "
+        f"{sum(replayed for _, replayed in subscriber.events)} replayed, missing {subscriber.missing}, out of order "
+        f"{subscriber.out_of_order}, doubled unmarked {subscriber.doubles_unmarked}{restored}",
         flush=True,
     )
     findings = {
@@ -359,14 +359,14 @@ def _outcome(case: str, scene: Scene, watch: Watch, before_end: MessageAccount, 
         f"accounts off by {off}": off,
         f"memory grew by {more_mb:.1f} MB, more than {_MEMORY_MORE_MB:g} MB": more_mb > _MEMORY_MORE_MB,
         f"{before_end.spooled} events still on disk": before_end.spooled,
-        f"{heard.missing} events missing, {excused} accounted for": heard.missing > excused,
-        f"{heard.out_of_order} events out of order": heard.out_of_order,
-        f"{heard.doubles_unmarked} events twice without a mark": heard.doubles_unmarked,
+        f"{subscriber.missing} events missing, {excused} accounted for": subscriber.missing > excused,
+        f"{subscriber.out_of_order} events out of order": subscriber.out_of_order,
+        f"{subscriber.doubles_unmarked} events twice without a mark": subscriber.doubles_unmarked,
         f"retained set only after {scene.restored_s} s": (scene.restored_s or 0.0) > _RESTORED_S,
-        "no events heard": not heard.events,
+        "no events received": not subscriber.events,
     }
     return Outcome(
-        f"{link.frames} frames, {link.lost.total} lost; {len(heard.events)} events, {heard.missing} missing",
+        f"{link.frames} frames, {link.lost.total} lost; {len(subscriber.events)} events, {subscriber.missing} missing",
         f"{account.enqueued} messages, off by {off} in {watch.samples} samples",
         [f"{case}: {words}" for words, found in findings.items() if found],
     )

@@ -49,7 +49,7 @@ QUIET_S = 20.0
 
 
 @dataclass
-class Heard:
+class Subscriber:
     """What a listener has counted."""
 
     decoded: Counter[tuple[str, int]] = field(default_factory=Counter)  # by plate and seq
@@ -223,18 +223,18 @@ async def run(count: int, rate_hz: float, seconds: float, plate: Plate, frames: 
             sender = await stack.enter_async_context(aiomqtt.Client(host, port, max_queued_outgoing_messages=0))
             for topic in ("resonator/+/decoded/summary", "resonator/decoder/+/health", "resonator/decoder/+/state"):
                 await listener.subscribe(topic)
-            heard = Heard()
-            listening = asyncio.create_task(heard.listen(listener))
+            subscriber = Subscriber()
+            listening = asyncio.create_task(subscriber.listen(listener))
             stack.callback(listening.cancel)
             for name in PLATES:
                 await sender.publish(f"resonator/{name}/info", encode(info_of(plate)), qos=1, retain=True)
             processes = [await stack.enter_async_context(decoder(config)) for _ in range(count)]
-            await until(lambda: len(heard.health) == count)
-            while heard.total("decoded") < 20 * count or set(heard.states.values()) != {"online"}:
+            await until(lambda: len(subscriber.health) == count)
+            while subscriber.total("decoded") < 20 * count or set(subscriber.states.values()) != {"online"}:
                 await send(sender, frames, OWN_HZ, 0.5)  # until all are set up
             await asyncio.sleep(SETTLED_S)
-            heard.decoded.clear()
-            before = {key: heard.total(key) for key in ("received", "decoded", "skipped", "unusable")}
+            subscriber.decoded.clear()
+            before = {key: subscriber.total(key) for key in ("received", "decoded", "skipped", "unusable")}
             broker = next(child for child in psutil.Process().children() if child.name() == "mosquitto")
             used = [cpu_s(process) for process in processes]
             used_by_broker = cpu_s(broker)
@@ -244,18 +244,18 @@ async def run(count: int, rate_hz: float, seconds: float, plate: Plate, frames: 
             used = [cpu_s(process) - at_first for process, at_first in zip(processes, used, strict=True)]
             used_by_broker = cpu_s(broker) - used_by_broker
             while True:  # until nothing more comes
-                last = heard.total("received")
+                last = subscriber.total("received")
                 await asyncio.sleep(2.5)
-                if heard.total("received") == last and not heard.total("waiting"):
+                if subscriber.total("received") == last and not subscriber.total("waiting"):
                     break
-            after = {key: heard.total(key) - before[key] for key in before}
+            after = {key: subscriber.total(key) - before[key] for key in before}
             return Result(
                 count,
                 rate_hz,
                 sent * len(PLATES),
                 took_s,
-                len(heard.decoded),
-                sum(number - 1 for number in heard.decoded.values()),
+                len(subscriber.decoded),
+                sum(number - 1 for number in subscriber.decoded.values()),
                 after["skipped"],
                 after["unusable"],
                 sent * len(PLATES) - after["received"],

@@ -2,12 +2,12 @@
 
 Run it with `python benchmarks/fleet.py [--daemons N] [--plates N]... [--decoders N] [--seconds S] [--json]`.
 
-Daemons publish to the near broker; a bridge carries `signals` and `info` to the far broker, and what is decoded back.
+Daemons publish to the near broker; a bridge carries `signals` and `info` to the far broker, and results back.
 Decoders connect to the far broker and share frames (`$share`). First, real daemons with emulated boards of skin32 run;
-the messages of one are kept. Then a player publishes them under as many names as asked for, at the real rate, over a
-connection for each: what daemons cost is known from the first part, and brokers and decoders get the whole computer.
+the messages of one are stored. Then a player publishes them under `--plates` names, at the real rate, over a
+connection for each: the first part measures daemons, the second one brokers and decoders without them.
 Processor time of emulators, player and this process is excluded. Brokers count bytes and messages (`$SYS`).
-Everything shares this computer: a row is valid while the player reaches its rate.
+All parts share this computer: a row is valid if the player reaches its rate.
 """
 
 import argparse
