@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The product on arm64, in a Debian root under user-mode emulation: set-up, a demo, and every tenth test. Needs root.
+# The product on arm64, in a Debian root under user-mode emulation: set-up, a demo, and a tenth of the tests. Needs root.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 root=$PWD/build/arm64
@@ -49,7 +49,22 @@ inside 'uname -m
   git init --quiet
   git add .
   make setup .venv/test-stamp'
-inside '.venv/bin/resonatord demo --headless --plate quartz16 --seconds 10 --json' ||
-  echo "arm64: the demo ended with $?; an emulated processor can be too slow for real time"
-inside '.venv/bin/pytest --quiet --collect-only | grep :: | awk "NR % 10 == 1" >/tmp/tenth
-  .venv/bin/pytest --numprocesses 2 -o faulthandler_timeout=600 @/tmp/tenth'
+
+# 1000 frames/s, as of the plate, are too many for an emulated processor: the demo has 200, and no skin.
+demo=passed
+inside 'plate=resonator_daemon/plates/quartz16-slow.toml
+  sed -e "s/^frame_rate_hz = 1000/frame_rate_hz = 200/" -e "s/^name = .*/name = \"quartz16-slow\"/" resonator_daemon/plates/quartz16.toml >$plate
+  trap "rm $plate" EXIT
+  .venv/bin/resonatord demo --headless --plate quartz16-slow --seconds 10 --json' || demo="failed, exit code $?"
+
+# Tests of an emulated board in real time are left out, for the same reason. What fails is run once more, one after the other.
+tests=passed
+inside 'real_time=$(grep -rlE "^ *from (emulation|service_bench|documented_commands) " tests --include="test_*.py")
+  .venv/bin/pytest --quiet --collect-only | grep :: >/tmp/all
+  grep -vF "$real_time" /tmp/all | grep -vE "^tests/(daemon|demo)/" >/tmp/without_board
+  echo "arm64: every tenth of $(wc -l </tmp/without_board) tests; $(wc -l </tmp/all) with those that need a board in real time"
+  awk "NR % 10 == 1" /tmp/without_board >/tmp/tenth
+  .venv/bin/pytest --numprocesses 2 -o faulthandler_timeout=600 @/tmp/tenth ||
+    { [ $? -eq 1 ]; .venv/bin/pytest --last-failed -o faulthandler_timeout=600; }' || tests="failed, exit code $?"
+echo "arm64: set-up passed; demo $demo; tests $tests"
+[ "$demo $tests" = "passed passed" ]
