@@ -5,24 +5,29 @@
 
 import json
 import os
+import pickle
 import re
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
+from itertools import chain
 from pathlib import Path
 
 import stages_force
 import stages_system
+from stage_measure import Work
 
 FILE = "counted"
+SKIN = "skin.pickle"
 
 
-def counts_of_all() -> dict[str, float]:
-    """Return the instructions of one frame by stage."""
+def counts_of_all(skin: dict[str, Work]) -> dict[str, float]:
+    """Return the instructions of one frame by stage; works of a skin come set up, for which valgrind needs minutes."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
+        (folder / SKIN).write_bytes(pickle.dumps(skin))
         valgrind = ["valgrind", "--quiet", "--tool=callgrind", "--instr-atstart=no"]
         command = [*valgrind, f"--callgrind-out-file={folder / FILE}", sys.executable, __file__, name]
         fixed = os.environ | {"PYTHONHASHSEED": "0", "OMP_NUM_THREADS": "1"}
@@ -60,15 +65,12 @@ def main(folder: Path) -> None:
     empty = counted(lambda: None, folder)
     counts: dict[str, float] = {}
     with ExitStack() as stack:
-        for stages in (
-            stages_force.stages(),
-            stages_system.stages(stack, folder),
-        ):  # those of a skin need minutes for their set-up
-            for stage in stages:
-                work = stage.ours
-                work.run()  # warms up
-                counts[stage.name] = round((counted(work.run, folder) - empty) / work.frames)
-                print(f"counted: {stage.name}", file=sys.stderr, flush=True)
+        stages = chain(stages_force.stages(), stages_system.stages(stack, folder))  # each is set up when its turn comes
+        works = ((stage.name, stage.ours) for stage in stages)
+        for name, work in chain(works, pickle.loads((folder / SKIN).read_bytes()).items()):
+            work.run()  # warms up
+            counts[name] = round((counted(work.run, folder) - empty) / work.frames)
+            print(f"counted: {name}", file=sys.stderr, flush=True)
     print(json.dumps(counts))
 
 

@@ -121,7 +121,7 @@ def main() -> int:
     parser.add_argument("--count", action="store_true", help="count instructions only")
     options = parser.parse_args()
     recorded: Record | None = json.loads(RECORD.read_text()) if RECORD.exists() else None
-    counts = counts_of_all()
+    counts = counts_of_all(stages_skin.countable())
     if options.count:
         for name, instructions in counts.items():
             print(f"{name:50} {instructions:14,.0f} instructions a frame")

@@ -2,16 +2,17 @@
 
 import itertools
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from decoding_peers import DenseEstimates, pixel_operator
 from decoding_scenes import DEPTH_M, NOISE_STD, PITCH_M, SKIN, contact, frame_of, grid
-from elastic_contact import BODY, CURVATURE_RADIUS_M, LOAD_NEWTON, SIDE_M, with_press, with_tamaas
+from elastic_contact import BODY, CURVATURE_RADIUS_M, LOAD_NEWTON, SIDE_M, TOLERANCE, with_tamaas
 from frame_cost import SCENES, Load, signals
 from scipy import fft
 from scipy.linalg import cho_factor
 from scipy.optimize import least_squares, nnls
+from skin_frames import ContactFrames, SlipFrames
 from stage_measure import Growth, Stage, Work
 
 from resonator_daemon.arrays import Floats
@@ -22,6 +23,7 @@ from resonator_daemon.decoding.fitting.contact_start import ContactStart
 from resonator_daemon.decoding.fitting.slip import SlipWatch
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_decoder import SkinDecoder
+from resonator_daemon.elastic.contact import press
 from resonator_daemon.elastic.influence import SurfaceCompliance, Z
 from resonator_daemon.elastic.profiles import paraboloid
 
@@ -32,6 +34,10 @@ FRAMES = 64  # of a scene, to and fro
 SIDES_OF_SITES = (4, 8, 16, 32)  # 16 to 1024 sites
 SIDES = (16, 32, 64, 128)
 CONTACT_RADIUS_M = 2.5e-3
+MAP = "map, 32 x 32 sites"
+CONSTRAINED = "constrained solution in a frame, map included"
+HERTZ = "constrained solution, Hertz, 128 x 128"
+SLIP = "slip, one contact"
 
 
 def frame(side: int) -> Floats:
@@ -41,7 +47,7 @@ def frame(side: int) -> Floats:
 
 def linear_map(side: int) -> Work:
     decoder, seen = OpenPlaneDecoder(SKIN, grid(side), DEPTH_M, NOISE_STD), frame(side)
-    return Work("", lambda: decoder.decode(seen))
+    return Work("", partial(decoder.decode, seen))
 
 
 def transforms(side: int) -> Work:
@@ -57,7 +63,7 @@ def map_stage() -> Stage:
     single = seen.ravel().astype(np.float32)
     matrix = cache(lambda: DenseEstimates(grid(SIDE), grid(SIDE)).matrix(1.0))
     peer = Work("numpy, product with the exact 3072 x 3072 matrix, scale given", lambda: matrix() @ single)
-    return Stage("map, 32 x 32 sites", linear_map(SIDE), peer, transforms(48))
+    return Stage(MAP, linear_map(SIDE), peer, transforms(48))
 
 
 def sliding(noise_seed: int = 1) -> tuple[list[Floats], float]:
@@ -68,18 +74,15 @@ def sliding(noise_seed: int = 1) -> tuple[list[Floats], float]:
     return [each + noise * rng.standard_normal(each.shape) for each in way + way[::-1]], noise
 
 
-def constrained_map() -> Stage:
-    """Map with contact physics, frame after frame; matrices of a moved contact are made at once."""
+def constrained_map() -> tuple[Work, list[Floats]]:
     frames, noise = sliding()
+    decoder = ContactDecoder(OpenPlaneDecoder(SKIN, grid(SIDE), DEPTH_M, noise), background=True)
+    return Work("", ContactFrames(decoder, frames), FRAMES), frames
+
+
+def constrained_stage() -> Stage:
+    work, frames = constrained_map()
     sites_m = grid(SIDE)
-    decoder = ContactDecoder(OpenPlaneDecoder(SKIN, sites_m, DEPTH_M, noise), background=True)
-    coming = itertools.cycle(frames)
-
-    def ours() -> None:
-        for _ in range(FRAMES):
-            decoder.decode(next(coming))
-            decoder.rebuild()
-
     middle_m = np.array([-2.5e-3, 0.4e-3])
     near = np.flatnonzero(np.hypot(*(sites_m - middle_m).T) < 1.2 * CONTACT_RADIUS_M)
     seen = frames[FRAMES // 4].ravel()
@@ -91,16 +94,17 @@ def constrained_map() -> Stage:
     square = np.zeros((3 * len(near),) * 2, np.float32)
     vector = np.zeros(3 * len(near), np.float32)
     return Stage(
-        "constrained solution in a frame, map included",
-        Work("", ours, FRAMES),
+        CONSTRAINED,
+        work,
         Work(f"scipy nnls, pressure of {len(near)} given pixels; no shear", lambda: nnls(matrix(), seen)),
         Work(f"numpy, one product with a matrix of {len(vector)} unknowns", lambda: square @ vector),
     )
 
 
 def hertz(side: int) -> Work:
-    profile, press = paraboloid((side, side), SIDE_M / side, CURVATURE_RADIUS_M), with_press(side)
-    return Work("", lambda: press(profile))
+    compliance = SurfaceCompliance(BODY, (side, side), SIDE_M / side)
+    profile = paraboloid((side, side), SIDE_M / side, CURVATURE_RADIUS_M)
+    return Work("", partial(press, compliance, profile, load_newton=LOAD_NEWTON, tolerance=TOLERANCE))
 
 
 def hertz_contact() -> Stage:
@@ -110,7 +114,7 @@ def hertz_contact() -> Stage:
     depth_by_pressure = SurfaceCompliance(BODY, (side, side), SIDE_M / side).convolution((Z,), (Z,), (side, side))
     pressure = np.full((1, side, side), LOAD_NEWTON)
     return Stage(
-        "constrained solution, Hertz, 128 x 128",
+        HERTZ,
         hertz(side),
         Work("tamaas, PolonskyKeerRey with dcfft", lambda: solve(profile)),
         Work("one convolution with the influence of a pixel", lambda: depth_by_pressure(pressure)),
@@ -124,15 +128,9 @@ def slip_watch(side: int) -> tuple[Work, DiscModel, list[Floats], float]:
     frames, noise = sliding()
     model = DiscModel(SKIN, grid(SIDE)[chosen], DEPTH_M, 6e-3)
     frames = [np.ascontiguousarray(each[:, chosen]) for each in frames]
-    watch, coming = SlipWatch(model), itertools.cycle(frames)
     start = {1: ContactStart((-3e-3, 0.4e-3), CONTACT_RADIUS_M)}
     noise_std = np.full((3, len(chosen)), noise)
-
-    def ours() -> None:
-        for _ in range(FRAMES):
-            watch.update(next(coming), noise_std, start)
-
-    return Work("", ours, FRAMES), model, frames, noise
+    return Work("", SlipFrames(SlipWatch(model), frames, noise_std, start), FRAMES), model, frames, noise
 
 
 def slip() -> Stage:
@@ -155,7 +153,7 @@ def slip() -> Stage:
 
     rows = np.zeros((8, 3 * SIDE * SIDE), np.float32)
     return Stage(
-        "slip, one contact",
+        SLIP,
         work,
         Work("scipy least_squares from the frame before, with the same signals and slopes", peer),
         Work("numpy, normal equations of 7 parameters and 3072 signals", lambda: rows @ rows[1:].T),
@@ -185,10 +183,15 @@ def fourier_map(side: int) -> Work:
 
 def stages() -> Iterator[Stage]:
     yield map_stage()
-    yield constrained_map()
+    yield constrained_stage()
     yield hertz_contact()
     yield slip()
     yield set_up_stage()
+
+
+def countable() -> dict[str, Work]:
+    """Return works that can be pickled, by the names of their stages."""
+    return {MAP: linear_map(SIDE), CONSTRAINED: constrained_map()[0], HERTZ: hertz(128), SLIP: slip_watch(SIDE)[0]}
 
 
 def growths() -> Iterator[Growth]:
