@@ -150,8 +150,8 @@ class ContactTracker:
         newton = touch.force_newton
         at_least = newton if touch.at_least_newton is None else touch.at_least_newton
         if number is None:
-            is_above = newton >= ONSET_NEWTON and newton - RELEASE_NEWTON >= _CERTAIN_STDS * touch.noise_newton
-            if not (is_above or touch.status == "overload"):
+            onset_newton = max(ONSET_NEWTON, RELEASE_NEWTON + _CERTAIN_STDS * touch.noise_newton)
+            if not (newton >= onset_newton or touch.status == "overload"):
                 return []
             self._last_id += 1
             bound = touch.at_least_newton is not None
