@@ -10,12 +10,15 @@ from pathlib import Path
 
 import pytest
 from brokers import Amqtt, Mosquitto
+from hypothesis import settings
 
 
 def pytest_configure() -> None:
     """Processes that tests start can be interrupted, though a shell or nohup ignores signals, and start fast."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    settings.register_profile("any speed", deadline=None)
+    settings.load_profile("any speed")
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.dont_write_bytecode = False
 

@@ -130,7 +130,7 @@ VALUES = st.one_of(
 )
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=120)
 @given(changes=st.dictionaries(st.integers(0, 11), VALUES, min_size=1, max_size=4))
 def test_whatever_value_a_key_gets(tmp_path_factory: pytest.TempPathFactory, changes: dict[int, str]) -> None:
     lines = example_config().splitlines()

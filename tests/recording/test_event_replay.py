@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from emulation import emulated
-from listener import Listener, frames, outages
+from listener import Listener, frames
 from recording_bench import PLATE, at, record, replayed, same
 
 from firmware_protocol.host import HostSession
@@ -46,7 +46,7 @@ def test_a_board_with_faults_is_replayed_to_the_bit(tmp_path: Path) -> None:
             emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
             Listener(link, PLATE, on_event=recorder.put) as it,
         ):
-            it.wait_for(lambda arrivals: len(outages(arrivals)) == 2)
+            it.wait_for(lambda _: len(it.reader.counters().boots) == 2)
             it.wait_for_frames(len(frames(it.arrivals)) + 200)
         it.take_the_rest()
     arrivals, counters, differences = replayed(path, PLATE)
