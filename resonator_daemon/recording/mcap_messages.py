@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
+from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, McapRecord, Message
 from mcap.stream_reader import CRCValidationError, StreamReader
@@ -113,8 +113,12 @@ def declared_channels(record: McapRecord) -> dict[int, str]:
         return {record.id: record.topic}
     if not isinstance(record, Chunk):
         return {}
-    within = StreamReader(BytesIO(chunk_data(record)), skip_magic=True).records
-    return {inner.id: inner.topic for inner in within if isinstance(inner, Channel)}
+    channels: dict[int, str] = {}
+    with suppress(EndOfFile):  # a chunk has no footer, for which the reader looks
+        for inner in StreamReader(BytesIO(chunk_data(record)), skip_magic=True).records:
+            if isinstance(inner, Channel):
+                channels[inner.id] = inner.topic
+    return channels
 
 
 def chunk_data(chunk: Chunk) -> bytes:

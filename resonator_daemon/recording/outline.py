@@ -17,7 +17,7 @@ from resonator_daemon.recording.repair import read_index
 _MAGIC_BYTES: Final = 8
 _HEAD: Final = struct.Struct("<BQQ")  # opcode, length, and of a chunk the log time of its first message
 _RECORD_BYTES: Final = 9
-_IDENTITY_BYTES: Final = 1 << 20  # from the beginning: plate, boot of the daemon, and times of the first events
+_CHUNK_HEAD_BYTES: Final = 37  # of its record: times, size and check sum of what it contains
 _CHUNKS_READ: Final = 64  # for the channels of a file without an index
 
 
@@ -34,7 +34,8 @@ class Outline(NamedTuple):
     Attributes
     ----------
     identity
-        Hash of the first bytes: equal for copies of one recording, whatever their names.
+        Hash up to the check sum of the first chunk of MCAP with messages: equal for copies of one recording, whatever
+        their names, also if one is truncated, or the recording has grown since.
     size_bytes
         Of the file.
     starts
@@ -52,13 +53,13 @@ class Outline(NamedTuple):
 def read_outline(path: Path, part_s: float) -> Outline:
     """Read where the parts of a recording begin: with the first chunk of MCAP, then so many seconds apart."""
     with path.open("rb") as file:
-        identity = hashlib.sha256(file.read(_IDENTITY_BYTES)).hexdigest()[:16]
         size_bytes = os.fstat(file.fileno()).st_size
         starts: list[PartStart] = []
         for start in _chunk_starts(file, size_bytes):
             if not starts or not 0 <= start.utc_ns - starts[-1].utc_ns < part_s * 1e9:  # the clock may be set back
                 starts.append(start)
-        return Outline(identity, size_bytes, tuple(starts), _channels(file))
+        first = file.read(starts[0].begin_bytes + _CHUNK_HEAD_BYTES) if starts else b""
+        return Outline(hashlib.sha256(first).hexdigest()[:16], size_bytes, tuple(starts), _channels(file))
 
 
 def _chunk_starts(file: IO[bytes], size_bytes: int) -> Iterator[PartStart]:

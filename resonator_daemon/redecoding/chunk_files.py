@@ -89,7 +89,10 @@ class ChunkFiles:
         return self._days[day]
 
     def close(self, report: Mapping[str, Any]) -> dict[str, Any]:
-        """Move the files to their final names, then write the report; return it with the sizes of the files."""
+        """Move the files to their final names, then write the report; return it with the sizes of the files.
+
+        Other files of the chunk are removed: an earlier run wrote them, when the recording was shorter.
+        """
         files: dict[str, int] = {}
         plate = quote(self._recorded.name, safe="")
         for day, output in self._days.items():
@@ -100,6 +103,9 @@ class ChunkFiles:
                 os.replace(name, place)
                 _sync_directory(place.parent)
                 files[str(place.relative_to(self._output))] = size_bytes
+        for place in self._output.glob(f"*/plate={plate}/day=*/{self._key}.parquet"):
+            if str(place.relative_to(self._output)) not in files:
+                place.unlink(missing_ok=True)
         whole = {**report, "files": files}
         replace_file(report_path(self._output, self._key), json.dumps(whole).encode())
         self._remove_parts()

@@ -4,6 +4,7 @@ import glob
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from resonator_daemon.config import Config, Decoding
 from resonator_daemon.config.text import Settings, load_plate_text, load_settings_text
@@ -68,7 +69,7 @@ class Chunk:
     Parameters
     ----------
     identity
-        Name of the recording in names of files: a hash of its first 1 MB.
+        Name of the recording in names of files: a hash of its beginning.
     number
         Number of the chunk in the recording, from 0.
     starts
@@ -103,6 +104,38 @@ class Chunk:
     def end_bytes(self, number: int) -> int:
         """Return the file position at which a chunk of this recording ends."""
         return self.starts[number + 1].begin_bytes if number + 1 < len(self.starts) else self.size_bytes
+
+    def boundaries_bytes(self, last: int) -> list[int]:
+        """Return the file positions at which this chunk begins, and at which it and each chunk up to `last` end."""
+        ends = (self.end_bytes(number) for number in range(self.number, last + 1))
+        return [self.starts[self.number].begin_bytes, *ends]
+
+    def is_described_by(self, report: dict[str, Any]) -> bool:
+        """Return whether a report is of the same bytes of the recording, or of more, as of a longer copy."""
+        reported: list[int] = report["boundaries_bytes"]
+        return reported >= self.boundaries_bytes(len(self.starts) - 1)[: len(reported)]
+
+
+class Span(NamedTuple):
+    """Part of a recording that a chunk decodes.
+
+    Attributes
+    ----------
+    begin, end
+        Times of begin and end; None: those of the recording.
+    boundaries_bytes
+        Boundaries of the chunks on which this depends: up to the one with the rest at which the chunk ends.
+    is_empty
+        The chunk has no rest: its frames belong to the chunk before.
+    damage
+        Why the search for a rest ended early, if it is empty.
+    """
+
+    begin: HostTime | None
+    end: HostTime | None
+    boundaries_bytes: list[int]
+    is_empty: bool = False
+    damage: str | None = None
 
 
 def recordings_of(patterns: Sequence[str]) -> list[Path]:
@@ -139,8 +172,11 @@ def chunks_of(path: Path, job: Job) -> list[Chunk]:
 
 
 def plan(paths: Sequence[Path], job: Job) -> tuple[list[Chunk], dict[str, str]]:
-    """Return the chunks of all recordings, each once, and by path the reason why a file cannot be decoded."""
-    chunks: dict[str, Chunk] = {}
+    """Return the chunks of all recordings, and by path the reason why a file cannot be decoded.
+
+    Of copies of one recording, the longest counts.
+    """
+    recordings: dict[str, list[Chunk]] = {}
     refused: dict[str, str] = {}
     for path in paths:
         try:
@@ -150,15 +186,18 @@ def plan(paths: Sequence[Path], job: Job) -> tuple[list[Chunk], dict[str, str]]:
             continue
         if not found:
             refused[str(path)] = f"{path} has no events; record again"
-        for chunk in found:
-            chunks.setdefault(chunk.key, chunk)
-    return list(chunks.values()), refused
+            continue
+        other = recordings.setdefault(found[0].identity, found)
+        if found[0].size_bytes > other[0].size_bytes:
+            recordings[found[0].identity] = found
+    return [chunk for chunks in recordings.values() for chunk in chunks], refused
 
 
-def first_rest(chunk: Chunk, number: int, config: Config) -> HostTime | None:
-    """Return the time at which the plate is first at rest in a chunk of this recording; None if it never is.
+def first_rest(chunk: Chunk, number: int, config: Config) -> tuple[HostTime | None, str | None]:
+    """Return the time at which the plate is first at rest in a chunk of this recording, and any damage before.
 
-    It depends on the bytes of that chunk alone, so that the chunk and the one before agree.
+    The time is None if it never is. It depends on the bytes of that chunk alone, so that the chunk and the one before
+    agree.
     """
     with open_recording(str(chunk.path), config.plate) as recording:
         recording.resume_at(chunk.starts[number].begin_bytes, chunk.channels)
@@ -173,17 +212,19 @@ def first_rest(chunk: Chunk, number: int, config: Config) -> HostTime | None:
             for arrival in queue.pop_all():
                 board.handle(arrival)
             if board.sensor.at_rest:
-                return event.now
-    return None
+                return event.now, None
+        return None, recording.damage
 
 
-def span_of(chunk: Chunk, config: Config) -> tuple[HostTime | None, HostTime | None] | None:
-    """Return the times of begin and end of a chunk, None for those of the recording; None if the chunk has no rest.
-
-    Frames before its first rest belong to the chunk before.
-    """
-    begin = first_rest(chunk, chunk.number, config) if chunk.number else None
-    if chunk.number and begin is None:
-        return None
-    following = range(chunk.number + 1, len(chunk.starts))
-    return begin, next((rest for number in following if (rest := first_rest(chunk, number, config))), None)
+def span_of(chunk: Chunk, config: Config) -> Span:
+    """Return the span of a chunk. Frames before its first rest belong to the chunk before."""
+    begin = None
+    if chunk.number:
+        begin, damage = first_rest(chunk, chunk.number, config)
+        if begin is None:
+            return Span(None, None, chunk.boundaries_bytes(chunk.number), is_empty=True, damage=damage)
+    for number in range(chunk.number + 1, len(chunk.starts)):
+        end, _ = first_rest(chunk, number, config)
+        if end is not None:
+            return Span(begin, end, chunk.boundaries_bytes(number))
+    return Span(begin, None, chunk.boundaries_bytes(len(chunk.starts) - 1))

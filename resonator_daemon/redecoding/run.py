@@ -18,9 +18,9 @@ from resonator_daemon.host.new_file import replace_file
 from resonator_daemon.publishing.topics import SIGNALS, STATE_LINK, STATE_SENSOR
 from resonator_daemon.recording.reader import damage_in_words
 from resonator_daemon.redecoding import changes
-from resonator_daemon.redecoding.chunk_files import REPORTS, cannot_write, read_report
+from resonator_daemon.redecoding.chunk_files import REPORTS, cannot_write
 from resonator_daemon.redecoding.chunks import Chunk, Job, plan
-from resonator_daemon.redecoding.worker import decode_chunk
+from resonator_daemon.redecoding.worker import decode_chunk, report_of
 from resonator_daemon.toml_files.reading import nearest
 
 TOPICS: Final = tuple(path for path in WITH_TABLE if path not in (SIGNALS.path, STATE_LINK.path, STATE_SENSOR.path))
@@ -58,7 +58,7 @@ def decode_all(
         _claim(job)
     except OSError as error:
         raise cannot_write(job.output, error) from error
-    reports = {chunk.key: report for chunk in chunks if (report := read_report(job.output, chunk.key)) is not None}
+    reports = {chunk.key: report for chunk in chunks if (report := report_of(chunk, job)) is not None}
     waiting = [chunk for chunk in chunks if chunk.key not in reports]
     skipped = len(reports)
     with _bar(show_progress) as bar:

@@ -12,7 +12,7 @@ from resonator_daemon.publishing.topics import DECODED, FORCES
 from resonator_daemon.recording.reader import Recording, open_recording
 from resonator_daemon.redecoding.changes import STORED_TOPICS, Changes
 from resonator_daemon.redecoding.chunk_files import ChunkFiles, cannot_write, read_report
-from resonator_daemon.redecoding.chunks import Chunk, Job, span_of
+from resonator_daemon.redecoding.chunks import Chunk, Job, Span, span_of
 from resonator_daemon.replay.recorded_pipeline import RecordingReplay
 from resonator_daemon.replay.source import UNKNOWN_BOOT_ID
 from resonator_daemon.sensors.surface_decoding import SequentialDecoding, SurfaceClient, SurfaceDecoding
@@ -22,14 +22,14 @@ _ID_STEP_NS = 10_000  # contact ids of a chunk count from its UTC in these steps
 
 
 def decode_chunk(chunk: Chunk, job: Job) -> dict[str, Any]:
-    """Decode a chunk, unless its report exists; return the report.
+    """Decode a chunk, unless it is done; return its report.
 
     Raises
     ------
     OutputFailedError
         The results cannot be written.
     """
-    done = read_report(job.output, chunk.key)
+    done = report_of(chunk, job)
     if done is not None:
         return done
     gc.collect()  # the decoder of the chunk before, 100 MB and more, is part of reference cycles
@@ -40,29 +40,40 @@ def decode_chunk(chunk: Chunk, job: Job) -> dict[str, Any]:
         try:
             files = ChunkFiles(job.output, chunk.key, job.topics, Recorded(config, metadata))
             try:
-                report = {"chunk": chunk.key, "recording": str(chunk.path), "plate": config.name or config.plate.name}
-                if span is None:
-                    return files.close(report | _NO_FRAMES)
-                begin, end = span
-                changes = Changes(begin and begin.utc_ns, end and end.utc_ns)
+                report = {
+                    "chunk": chunk.key,
+                    "recording": str(chunk.path),
+                    "boundaries_bytes": span.boundaries_bytes,
+                    "plate": config.name or config.plate.name,
+                }
+                if span.is_empty:
+                    return files.close(report | _NO_FRAMES | {"damage": span.damage})
+                changes = Changes(span.begin and span.begin.utc_ns, span.end and span.end.utc_ns)
                 return files.close(report | _decode(chunk, recording, config, files, changes, span))
             except BaseException:
                 files.discard()
                 raise
         except OSError as error:
             done = read_report(job.output, chunk.key)  # another worker may have completed it, and removed these files
-            if done is not None:
+            if done is not None and chunk.is_described_by(done):
                 return done
             raise cannot_write(job.output, error) from error
+
+
+def report_of(chunk: Chunk, job: Job) -> dict[str, Any] | None:
+    """Return the report of a chunk that is done; None if its recording was damaged, or has grown since."""
+    report = read_report(job.output, chunk.key)
+    is_done = report is not None and report["damage"] is None and chunk.is_described_by(report)
+    return report if is_done else None
 
 
 _NO_FRAMES: dict[str, Any] = {"frames": 0, "rows": {}, "differences": 0, "damage": None, "refused": [], "changes": {}}
 
 
 def _decode(
-    chunk: Chunk, recording: Recording, config: Config, files: ChunkFiles, changes: Changes, span: Any
+    chunk: Chunk, recording: Recording, config: Config, files: ChunkFiles, changes: Changes, span: Span
 ) -> dict[str, Any]:
-    begin, end = span
+    begin, end = span.begin, span.end
     if begin is not None:
         recording.resume_at(chunk.starts[chunk.number].begin_bytes, chunk.channels)
     for topic in STORED_TOPICS:

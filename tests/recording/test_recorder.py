@@ -57,16 +57,12 @@ EVENTS: list[WireEvent] = [
 DEADLINE_S = 30.0
 
 
-def kinds(events: list[WireEvent]) -> list[type[WireEvent]]:
-    return [type(event) for event in events]
-
-
 def test_every_event_comes_back_exactly(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     recorder = record(path, EVENTS)
     events, damage = read(path)
     assert events == EVENTS
-    assert kinds(events) == kinds(EVENTS)  # named tuples of two kinds can be equal
+    assert list(map(type, events)) == list(map(type, EVENTS))  # named tuples of two kinds can be equal
     assert damage is None
     assert (recorder.counts.events_missing, recorder.failure) == (0, None)
 
@@ -186,15 +182,11 @@ def test_no_bit_that_flips_is_taken_for_an_event(tmp_path: Path) -> None:
 
 def test_what_is_no_recording_is_said(tmp_path: Path) -> None:
     path = tmp_path / "file"
-    path.write_bytes(b"")
-    with pytest.raises(
-        LinkUnavailableError,
-        match="is no recording, or nothing of it was written; name a file that `resonatord record` has written",
-    ):
-        open_recording(str(path), PLATE)
-    path.write_bytes(Random(5).randbytes(5000))
-    with pytest.raises(LinkUnavailableError, match="is no recording"):
-        open_recording(str(path), PLATE)
+    said = "is no recording, or nothing of it was written; name a file that `resonatord record` has written"
+    for content in (b"", Random(5).randbytes(5000)):
+        path.write_bytes(content)
+        with pytest.raises(LinkUnavailableError, match=said):
+            open_recording(str(path), PLATE)
     with pytest.raises(LinkUnavailableError, match="is no regular file"):
         open_recording(str(tmp_path), PLATE)
     for profile, name, metadata, said in (

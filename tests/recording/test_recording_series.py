@@ -45,14 +45,6 @@ def contents(directory: Path) -> list[list[WireEvent]]:
     return [read(path)[0] for path in files]
 
 
-def log_to(lines: list[tuple[int, str]]) -> Callable[[int, str], None]:
-    return lambda level, text: lines.append((level, text))
-
-
-def disk(monkeypatch: pytest.MonkeyPatch, free_bytes: list[int]) -> None:
-    monkeypatch.setattr(recording_budget.shutil, "disk_usage", lambda _: SimpleNamespace(free=free_bytes[-1]))
-
-
 def test_the_next_file_begins_with_the_standing_at_which_the_last_ended(tmp_path: Path) -> None:
     series = Series(tmp_path, "left", file_max_ns=1_000_000_000)
     with Recorder(series, LEFT, times=ONE_BATCH) as recorder:
@@ -60,11 +52,8 @@ def test_the_next_file_begins_with_the_standing_at_which_the_last_ended(tmp_path
             recorder.put(snapshot(at(ms)))
             recorder.put(Received(at(ms), bytes([ms // 100])))
             recorder.put(TimersRun(at(ms + 1), idle=False))
-    assert [[event.now for event in events if isinstance(event, SnapshotTaken)] for events in contents(tmp_path)] == [
-        [at(0)],
-        [at(1000)],
-        [at(2000)],
-    ]
+    begun = [[event.now for event in events if isinstance(event, SnapshotTaken)] for events in contents(tmp_path)]
+    assert begun == [[at(0)], [at(1000)], [at(2000)]]
     assert all(isinstance(events[0], SnapshotTaken) for events in contents(tmp_path))
     received = [event.data for events in contents(tmp_path) for event in events if isinstance(event, Received)]
     assert received == [bytes([number]) for number in range(30)]
@@ -113,10 +102,10 @@ def test_a_recording_ends_before_the_disk_is_full_and_resumes_where_it_may(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, resumes: bool
 ) -> None:
     free_bytes = [200]
-    disk(monkeypatch, free_bytes)
+    monkeypatch.setattr(recording_budget.shutil, "disk_usage", lambda _: SimpleNamespace(free=free_bytes[-1]))
     said: list[tuple[int, str]] = []
     series = Series(tmp_path, "left", keep_free_bytes=100, resumes=resumes)
-    with Recorder(series, LEFT, log_line=log_to(said), times=FLUSHING) as recorder:
+    with Recorder(series, LEFT, log_line=lambda *line: said.append(line), times=FLUSHING) as recorder:
         recorder.put(Opened(at(0)))
         wait_until(lambda: recorder.events == 1)
         free_bytes.append(99)
@@ -166,7 +155,7 @@ def test_after_an_error_a_recording_goes_on_in_a_new_file(tmp_path: Path) -> Non
 def test_a_file_that_nobody_finds_any_more_is_said_once_and_another_begun(tmp_path: Path, how: str) -> None:
     said: list[tuple[int, str]] = []
     directory = tmp_path / "recordings"
-    with Recorder(Series(directory, "left", resumes=True), LEFT, log_line=log_to(said)) as recorder:
+    with Recorder(Series(directory, "left", resumes=True), LEFT, log_line=lambda *line: said.append(line)) as recorder:
         recorder.put(snapshot(at(0)))
         wait_until(lambda: recorder.events == 1)
         first = recorder.path

@@ -25,7 +25,7 @@ from resonator_daemon.replay.source import open_replay
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 FILE = "recording.mcap"
-CASES = CORPUS / "touches" / FILE, CORPUS / "cut-off" / FILE
+CASES = CORPUS / "touches" / FILE, CORPUS / "slide" / FILE
 UNDAMAGED = "touches", "two-touches", "slide", "comb", "warm-finger", "pressed-at-start", "overload"
 PRESSES = 3  # each is followed by more than the 40 untouched frames that a chunk begins with
 PRESS = """
@@ -146,10 +146,19 @@ def test_killed_workers_change_nothing(source: str, kills: int, request: pytest.
         assert os.listdir(output / ".parts") == []
 
 
-def test_an_interrupted_run_goes_on_where_it_was(
+def test_a_repeat_decodes_only_what_is_missing_or_was_truncated(
     skin: Path, reference: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert decode(skin, "--output", tmp_path, "--chunk-seconds", 6.5) == 0
+    (truncated := tmp_path / skin.name).write_bytes(skin.read_bytes()[: skin.stat().st_size * 7 // 10])
+    assert decode(truncated, "--output", tmp_path, "--chunk-seconds", 6.5) == 1
+    assert "the file is cut off" in capsys.readouterr().err
+    last = sorted((tmp_path / REPORTS).iterdir())[-1].with_suffix(".parquet")
+    (stale := tmp_path / "contacts" / "plate=left-index" / "day=2026-09-12" / last.name).parent.mkdir()
+    stale.touch()
+    assert decode(truncated, skin, "--output", tmp_path, "--chunk-seconds", 6.5, "--json") == 0  # the longer copy
+    assert json.loads(capsys.readouterr().out)["chunks_done_before"] == 1
+    assert contents(tmp_path) == contents(reference)
+    assert decode(truncated, "--output", tmp_path, "--chunk-seconds", 6.5) == 0  # nothing is replaced by less
     one, *others = sorted((tmp_path / REPORTS).iterdir())
     one.unlink()
     times = {path: path.stat().st_mtime_ns for path in others}
@@ -216,8 +225,8 @@ def test_force_plates_are_decoded_as_replayed_and_damage_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "runs").mkdir()
-    for number, case in enumerate(CASES):
-        (tmp_path / "runs" / f"{number}.mcap").write_bytes(case.read_bytes())
+    for case, end_bytes in zip(CASES, (None, -1000), strict=True):
+        (tmp_path / "runs" / f"{case.parent.name}.mcap").write_bytes(case.read_bytes()[:end_bytes])
     (tmp_path / "runs" / "no.mcap").write_text("no recording")
     assert decode(tmp_path / "runs" / "*.mcap", "--output", tmp_path / "out", "--json", "--chunk-seconds", 1) == 1
     printed = json.loads(capsys.readouterr().out)
