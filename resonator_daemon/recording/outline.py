@@ -10,19 +10,21 @@ from typing import IO, Final, NamedTuple
 from mcap.opcode import Opcode
 from mcap.records import Channel
 
-from resonator_daemon.recording.mcap_messages import MAX_CHUNK_BYTES, ChunkReader, declared_channels
-from resonator_daemon.recording.reader import DAMAGE, MAX_RECORD_BYTES
+from resonator_daemon.recording.mcap_messages import ChunkReader, declared_channels
+from resonator_daemon.recording.reader import DAMAGE, MAX_RECORD_BYTES, TOPIC
 from resonator_daemon.recording.repair import read_index
 
 _MAGIC_BYTES: Final = 8
-_HEAD: Final = struct.Struct("<BQQ")  # opcode, length, and of a chunk the log time of its first message
+_HEAD: Final = struct.Struct(
+    "<BQHIQ"
+)  # opcode, length; of a message index: channel, size, log time of the first message
 _RECORD_BYTES: Final = 9
 _CHUNK_HEAD_BYTES: Final = 37  # of its record: times, size and check sum of what it contains
 _CHUNKS_READ: Final = 64  # for the channels of a file without an index
 
 
 class PartStart(NamedTuple):
-    """First byte of a part, and UTC of its first message."""
+    """First byte of a part, and UTC of its first event."""
 
     begin_bytes: int
     utc_ns: int
@@ -34,12 +36,12 @@ class Outline(NamedTuple):
     Attributes
     ----------
     identity
-        Hash up to the check sum of the first chunk of MCAP with messages: equal for copies of one recording, whatever
+        Hash up to the check sum of the first chunk of MCAP with events: equal for copies of one recording, whatever
         their names, also if one is truncated, or the recording has grown since.
     size_bytes
         Of the file.
     starts
-        Of its parts, in order; empty if the file has no messages.
+        Of its parts, in order; empty if the file has no events.
     channels
         Topics by number of their channel, as far as the index or the first chunks have them.
     """
@@ -51,30 +53,38 @@ class Outline(NamedTuple):
 
 
 def read_outline(path: Path, part_s: float) -> Outline:
-    """Read where the parts of a recording begin: with the first chunk of MCAP, then so many seconds apart."""
+    """Read where the parts of a recording begin: with the first chunk of MCAP, then so many seconds apart.
+
+    Events on the link count. Messages that the daemon has published are of an earlier time than events beside them.
+    """
     with path.open("rb") as file:
         size_bytes = os.fstat(file.fileno()).st_size
+        channels = _channels(file)
+        file.seek(0)
         starts: list[PartStart] = []
-        for start in _chunk_starts(file, size_bytes):
-            if not starts or not 0 <= start.utc_ns - starts[-1].utc_ns < part_s * 1e9:  # the clock may be set back
+        for start in _chunk_starts(file, size_bytes, channels):
+            if not starts or abs(start.utc_ns - starts[-1].utc_ns) >= part_s * 1e9:  # the clock may be set back
                 starts.append(start)
         first = file.read(starts[0].begin_bytes + _CHUNK_HEAD_BYTES) if starts else b""
-        return Outline(hashlib.sha256(first).hexdigest()[:16], size_bytes, tuple(starts), _channels(file))
+        return Outline(hashlib.sha256(first).hexdigest()[:16], size_bytes, tuple(starts), channels)
 
 
-def _chunk_starts(file: IO[bytes], size_bytes: int) -> Iterator[PartStart]:
-    """Give the beginning of each chunk, up to the end or to what is no record."""
+def _chunk_starts(file: IO[bytes], size_bytes: int, channels: dict[int, str]) -> Iterator[PartStart]:
+    """Give the beginning of each chunk with events, up to the end or to what is no record."""
     at = _MAGIC_BYTES
+    chunk_bytes = at
     while True:
         head = os.pread(file.fileno(), _HEAD.size, at)
         if len(head) < _HEAD.size:
             return
-        opcode, length, utc_ns = _HEAD.unpack(head)
+        opcode, length, channel, _, utc_ns = _HEAD.unpack(head)
         end = at + _RECORD_BYTES + length
         if end > size_bytes or length > MAX_RECORD_BYTES:
             return
-        if opcode == Opcode.CHUNK and length < MAX_CHUNK_BYTES and utc_ns:  # 0: it has no messages
-            yield PartStart(at, utc_ns)
+        if opcode == Opcode.CHUNK:
+            chunk_bytes = at
+        elif opcode == Opcode.MESSAGE_INDEX and channels.get(channel) == TOPIC:  # of the chunk before
+            yield PartStart(chunk_bytes, utc_ns)
         at = end
 
 
