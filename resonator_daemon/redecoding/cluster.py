@@ -15,7 +15,7 @@ try:
     import dask
     from dask.distributed import Client, KilledWorker, LocalCluster, as_completed
     from distributed.client import FutureCancelledError
-    from distributed.comm import CommClosedError
+    from distributed.comm import CommClosedError, get_address_host_port
     from distributed.scheduler import NoWorkerError
 except ImportError as error:
     raise MissingLibraryError(
@@ -75,6 +75,8 @@ def decode_on_cluster(
     UserError
         What `decode_chunk` raises.
     """
+    if scheduler is not None:
+        _check_address(scheduler)
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(_SETTINGS))
         cluster = stack.enter_context(_local_cluster(workers)) if scheduler is None else scheduler
@@ -109,11 +111,19 @@ def _local_cluster(workers: int) -> Any:
     ) from last
 
 
+def _check_address(scheduler: str) -> None:
+    """Raise UsageError if an address is invalid; a `Client` would also wait for half a minute and print a traceback."""
+    try:
+        host, port = get_address_host_port(scheduler)
+        if not host or not 0 < port < 1 << 16:
+            raise ValueError(f"got host {host!r} and port {port}")
+    except ValueError as error:
+        raise UsageError(f"--scheduler: {scheduler!r} is no address ({error}); use one as tcp://host:8786") from error
+
+
 def _client(cluster: Any, scheduler: str | None) -> Any:
     try:
         return Client(cluster, timeout=CONNECT_S, set_as_default=False)
-    except ValueError as error:
-        raise UsageError(f"--scheduler: {scheduler!r} is no address ({error}); use one as tcp://host:8786") from error
     except (OSError, *_LOST) as error:
         raise SchedulerError(
             f"no scheduler answers at {scheduler} within {CONNECT_S:g} s; start one (dask scheduler), or leave "

@@ -49,10 +49,7 @@ def test_the_oldest_recordings_of_this_name_make_room(tmp_path: Path) -> None:
     own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
     room.keep_budget(own)
     assert [path.exists() for path in old] == [False, False, True, True]  # what is foreign does not count
-    assert other.exists()
-    assert foreign.exists()
-    assert notes.exists()
-    assert own.path.exists()
+    assert all(path.exists() for path in (other, foreign, notes, own.path))
     assert room.files_removed == 2
     assert said == [(logging.INFO, f"{path} was removed: recordings exceeded 0.055 MB") for path in old[:2]]
     own.abandon()

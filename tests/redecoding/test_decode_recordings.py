@@ -248,6 +248,7 @@ def test_force_plates_are_decoded_as_replayed_and_damage_is_reported(
         ([CASES[0], "--topics", "force"], 2, "forces"),
         ([CASES[0], "--scheduler", "tcp://127.0.0.1:1"], 69, "no scheduler answers"),
         ([CASES[0], "--scheduler", "127.0.0.1:1", "--workers", "2"], 2, "--workers"),
+        ([CASES[0], "--scheduler", "foo"], 2, "missing port number"),
         ([CASES[0], "--output", "/dev/null/out"], 1, "cannot be written"),
     ],
 )
