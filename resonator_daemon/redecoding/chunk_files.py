@@ -46,6 +46,11 @@ def read_report(output: Path, key: str) -> dict[str, Any] | None:
     return None
 
 
+def has_results(output: Path) -> bool:
+    """Return whether a chunk is done, or a process writes one or was killed while it did."""
+    return any(next((output / part).glob("*"), None) is not None for part in (REPORTS, _PARTS))
+
+
 class ChunkFiles:
     """Files of one chunk while they are written; several processes may write the same chunk, each in a directory.
 

@@ -18,7 +18,7 @@ from resonator_daemon.host.new_file import replace_file
 from resonator_daemon.publishing.topics import SIGNALS, STATE_LINK, STATE_SENSOR
 from resonator_daemon.recording.reader import damage_in_words
 from resonator_daemon.redecoding import changes
-from resonator_daemon.redecoding.chunk_files import REPORTS, cannot_write
+from resonator_daemon.redecoding.chunk_files import REPORTS, cannot_write, has_results
 from resonator_daemon.redecoding.chunks import Chunk, Job, plan
 from resonator_daemon.redecoding.worker import decode_chunk, report_of
 from resonator_daemon.toml_files.reading import nearest
@@ -79,7 +79,10 @@ def _reports(chunks: list[Chunk], job: Job, scheduler: str | None, workers: int)
 
 
 def _claim(job: Job) -> None:
-    """Write the settings into the directory; UsageError if it contains results of other settings."""
+    """Write the settings into the directory; UsageError if it contains results of other settings.
+
+    A run that has not begun a chunk, as without a scheduler, leaves settings that others may replace.
+    """
     texts = [job.plate_text, job.settings_text, job.chunk_s, job.topics, version("resonatord")]
     settings = {
         "settings_sha256": hashlib.sha256(json.dumps(texts).encode()).hexdigest(),
@@ -91,7 +94,7 @@ def _claim(job: Job) -> None:
     }
     (job.output / REPORTS).mkdir(parents=True, exist_ok=True)
     path = job.output / _SETTINGS_FILE
-    if not path.exists():
+    if not path.exists() or not has_results(job.output):
         replace_file(path, json.dumps(settings, indent=2).encode())
     elif json.loads(path.read_text()).get("settings_sha256") != settings["settings_sha256"]:
         raise UsageError(

@@ -149,6 +149,7 @@ def test_killed_workers_change_nothing(source: str, kills: int, request: pytest.
 def test_a_repeat_decodes_only_what_is_missing_or_was_truncated(
     skin: Path, reference: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    assert decode(skin, "--output", tmp_path, "--scheduler", "foo") == 2  # other settings, and no chunk is begun
     (truncated := tmp_path / skin.name).write_bytes(skin.read_bytes()[: skin.stat().st_size * 7 // 10])
     assert decode(truncated, "--output", tmp_path, "--chunk-seconds", 6.5) == 1
     assert "the file is cut off" in capsys.readouterr().err
