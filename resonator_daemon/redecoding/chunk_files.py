@@ -1,5 +1,6 @@
 """Files of one chunk: Parquet by topic, plate and day, and the report, whose existence marks the chunk as done."""
 
+import errno
 import json
 import os
 import shutil
@@ -24,6 +25,7 @@ from resonator_daemon.sensors.calendar import utc_day
 REPORTS = "chunks"  # directory of the reports
 _PARTS = ".parts"  # directory of incomplete files
 _NAME = "of.parquet"  # there; the format appends the topic to the stem
+_NO_PLACE = (errno.ENOENT, errno.ENOTDIR, errno.EEXIST, errno.EACCES, errno.EPERM, errno.EROFS)
 
 
 class OutputFailedError(UserError):
@@ -130,10 +132,12 @@ class ChunkFiles:
 
 def cannot_write(output: Path, error: OSError) -> OutputFailedError:
     """Return the error for results that cannot be written."""
-    return OutputFailedError(
-        f"{output} cannot be written: {meaning_of(error)}; free space there, and repeat the command: it "
-        "continues with the chunks that are not done"
-    )
+    remedy = "repeat the command: it continues with the chunks that are not done"
+    if error.errno in _NO_PLACE:
+        remedy = "name a directory in which this user may make files"
+    elif error.errno in (errno.ENOSPC, errno.EDQUOT):
+        remedy = f"free space there, and {remedy}"
+    return OutputFailedError(f"{output} cannot be written: {meaning_of(error)}; {remedy}")
 
 
 def _sync_directory(path: Path) -> None:

@@ -250,7 +250,8 @@ def test_force_plates_are_decoded_as_replayed_and_damage_is_reported(
         ([CASES[0], "--scheduler", "tcp://127.0.0.1:1"], 69, "no scheduler answers"),
         ([CASES[0], "--scheduler", "127.0.0.1:1", "--workers", "2"], 2, "--workers"),
         ([CASES[0], "--scheduler", "foo"], 2, "missing port number"),
-        ([CASES[0], "--output", "/dev/null/out"], 1, "cannot be written"),
+        ([CASES[0], "--output", "/dev/null/out"], 1, "Not a directory; name a directory in which"),
+        ([CASES[0], "--output", "/proc/out"], 1, "No such file or directory; name a directory in which"),
     ],
 )
 def test_what_cannot_be_done_is_one_message(
