@@ -8,13 +8,21 @@ Example: resonatord decode-recordings 'runs/*.mcap' --output decoded --plate cal
 
 import argparse
 import logging
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from resonator_daemon.commands._argument_types import number, whole_number
 from resonator_daemon.commands._output import print_json
 from resonator_daemon.errors import ConfigurationError, DifferenceError, ExitCode, UsageError
 from resonator_daemon.host.printable import print_note
+
+_NO_MAPS: Final = "; force plates have no maps: name forces or contacts"
+_NO_ROWS: Final = {
+    "decoded": _NO_MAPS,
+    "decoded/summary": _NO_MAPS,
+    "forces": "; skins have no force sites: name contacts or decoded",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,7 +79,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         progress = not arguments.json
         result, wrong = decode_all(paths, job, arguments.scheduler, arguments.workers or 1, show_progress=progress)
     if not arguments.json:
-        _print(result)
+        _print(result, topics if arguments.topics is not None else ())
     if wrong:
         raise DifferenceError(*wrong, so_far=result)
     if arguments.json:
@@ -88,10 +96,13 @@ def _text(path: Path | None) -> str | None:
         raise ConfigurationError(f"--settings {path} cannot be read: {error}") from error
 
 
-def _print(result: dict[str, Any]) -> None:
+def _print(result: dict[str, Any], named_topics: Sequence[str]) -> None:
     before = f" ({result['chunks_done_before']} of an earlier run)" if result["chunks_done_before"] else ""
     print_note(f"{result['recordings']} recordings, {result['chunks']} chunks{before}, {result['frames']} frames")
     print_note(f"{result['output']}: {result['files']} files, {result['file_bytes'] / 1e6:.1f} MB")
+    for topic in named_topics:
+        if not result["rows"][topic]:
+            print_note(f"{topic}: no rows{_NO_ROWS.get(topic, '')}")
     changes = result["changes"]
     if changes is None:
         print_note("changes: the recordings store no contacts; to compare, record with include_messages")

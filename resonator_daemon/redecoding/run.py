@@ -113,7 +113,7 @@ def _summary(
     reports: list[dict[str, Any]], skipped: int, refused: dict[str, str], job: Job
 ) -> tuple[dict[str, Any], list[str]]:
     numbers: Counter[str] = Counter()
-    rows: Counter[str] = Counter()
+    rows = Counter(dict.fromkeys(job.topics, 0))
     wrong = list(refused.values())
     for report in reports:
         numbers.update(report["changes"])

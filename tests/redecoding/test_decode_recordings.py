@@ -238,6 +238,8 @@ def test_force_plates_are_decoded_as_replayed_and_damage_is_reported(
     assert "the file is cut off" in printed["error"]["message"]
     assert (printed["recordings"], printed["changes"]) == (2, None)
     assert printed["rows"]["forces"] > forces
+    assert decode(CASES[0], "--output", tmp_path / "maps", "--topics", "decoded") == 0
+    assert "decoded: no rows; force plates have no maps" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
