@@ -181,7 +181,7 @@ bench: .venv/peers-stamp  ## processor time of each stage, of a peer and of a li
 	debian-packages $(BROKER) $(COUNTER)
 	OMP_NUM_THREADS=1 .venv/bin/python benchmarks/stages.py $(RECORD)
 
-bench-cost: .venv/peers-stamp  ## instructions of each stage, compared with its record, a minute; fails if one exceeds it by more than 10 %
+bench-cost: .venv/peers-stamp  ## instructions of each stage, compared with its record, 3 minutes; fails if one exceeds it by more than 10 %
 	$(debian-packages)
 	debian-packages $(BROKER) $(COUNTER)
 	.venv/bin/python benchmarks/stages.py --count

@@ -70,4 +70,4 @@ async def test_both_report_it_until_one_has_gone(
     warnings = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
     for boot_id in ids:
         assert sum(f"boot id {boot_id}) publishes under this name" in warning for warning in warnings) == 1
-    assert states <= 30  # they do not go on telling each other
+    assert states <= 30  # neither answers the other without end

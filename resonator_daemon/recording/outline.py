@@ -15,9 +15,8 @@ from resonator_daemon.recording.reader import DAMAGE, MAX_RECORD_BYTES, TOPIC
 from resonator_daemon.recording.repair import read_index
 
 _MAGIC_BYTES: Final = 8
-_HEAD: Final = struct.Struct(
-    "<BQHIQ"
-)  # opcode, length; of a message index: channel, size, log time of the first message
+# Opcode and length; of a message index: channel, size of the entries, log time of the first one.
+_HEAD: Final = struct.Struct("<BQHIQ")
 _RECORD_BYTES: Final = 9
 _CHUNK_HEAD_BYTES: Final = 37  # of its record: times, size and check sum of what it contains
 _CHUNKS_READ: Final = 64  # for the channels of a file without an index
@@ -55,7 +54,7 @@ class Outline(NamedTuple):
 def read_outline(path: Path, part_s: float) -> Outline:
     """Read where the parts of a recording begin: with the first chunk of MCAP, then so many seconds apart.
 
-    Events on the link count. Messages that the daemon has published are of an earlier time than events beside them.
+    Events on the link count. Messages that the daemon has published are of an earlier time than the events around them.
     """
     with path.open("rb") as file:
         size_bytes = os.fstat(file.fileno()).st_size
@@ -77,13 +76,13 @@ def _chunk_starts(file: IO[bytes], size_bytes: int, channels: dict[int, str]) ->
         head = os.pread(file.fileno(), _HEAD.size, at)
         if len(head) < _HEAD.size:
             return
-        opcode, length, channel, _, utc_ns = _HEAD.unpack(head)
+        opcode, length, channel, entries_bytes, utc_ns = _HEAD.unpack(head)
         end = at + _RECORD_BYTES + length
         if end > size_bytes or length > MAX_RECORD_BYTES:
             return
         if opcode == Opcode.CHUNK:
             chunk_bytes = at
-        elif opcode == Opcode.MESSAGE_INDEX and channels.get(channel) == TOPIC:  # of the chunk before
+        elif opcode == Opcode.MESSAGE_INDEX and entries_bytes and channels.get(channel) == TOPIC:  # of the chunk before
             yield PartStart(chunk_bytes, utc_ns)
         at = end
 
