@@ -10,6 +10,8 @@ SHELL := /bin/bash
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
 
 # pip-install TITLE ARGUMENTS: one line that names each package as it comes; pip's own words go to a log.
+# requirements TITLE NAME...: installs those files of .ci/requirements. Without --no-deps, the pip of Python 3.11 takes the
+# newest version of a package that a pinned one wants with an extra; that version has no hash there.
 define pip-install
 @pip-install() {
   printf 'setup: %s' "$$1"
@@ -23,6 +25,10 @@ define pip-install
         esac
       done || { printf '\n'; tail -n 15 .venv/setup.log; echo "setup: pip failed; see .venv/setup.log"; exit 1; } >&2
   printf '\n'
+}
+requirements() {
+  pip-install "$$1" --no-deps --require-hashes $$(printf -- '-r .ci/requirements/%s.txt ' "$${@:2}")
+  .venv/bin/python -m pip check --quiet --disable-pip-version-check >&2
 }
 endef
 
@@ -238,7 +244,8 @@ test-deb: deb build/debian  ## lintian; the package built twice and compared; in
 test-arm64: .venv/run-stamp  ## wheels for each Python and processor; set-up, a demo and a tenth of the tests on an emulated arm64
 	$(debian-packages)
 	debian-packages debootstrap:debootstrap qemu-aarch64-static:qemu-user-static
-	.venv/bin/python -m pip install --quiet --no-deps --require-hashes -r .ci/requirements/pins.txt
+	$(pip-install)
+	requirements "uv" pins
 	tests/distribution/arm64.sh
 
 # Packages of an installed Debian 12; the archive is the one that this computer's apt uses.
@@ -289,7 +296,8 @@ soak: .venv/test-stamp  ## MINUTES=60 of faults; a simulated year; brokers froze
 	.venv/bin/pytest -o faulthandler_timeout=900 -m 'soak and browser' tests/live_page/browser
 
 pins: .venv/run-stamp  ## write .ci/requirements/*.txt from pyproject.toml
-	@.venv/bin/python -m pip install --quiet --no-deps --require-hashes -r .ci/requirements/pins.txt
+	$(pip-install)
+	requirements "uv" pins
 	compile() {
 	  .venv/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 --fork-strategy fewest \
 	    --generate-hashes --no-annotate --no-emit-index-url --custom-compile-command 'make pins' "$$@"
@@ -340,7 +348,7 @@ PATH_FILE := from pathlib import Path; from sysconfig import get_path; \
 
 .venv/run-stamp: .venv/bin/python .venv/bin/pip pyproject.toml .ci/requirements/build.txt .ci/requirements/run.txt
 	$(pip-install)
-	pip-install "packages" --no-deps --require-hashes -r .ci/requirements/build.txt -r .ci/requirements/run.txt
+	requirements "packages" build run
 	pip-install "resonatord itself" --no-deps --no-build-isolation --editable .
 	.venv/bin/python -c "$(PATH_FILE)"
 	echo 'setup: done, see .venv/bin/resonatord --help'
@@ -348,17 +356,17 @@ PATH_FILE := from pathlib import Path; from sysconfig import get_path; \
 
 .venv/figures-stamp: .venv/run-stamp .ci/requirements/figures.txt
 	$(pip-install)
-	pip-install "packages for pictures" --no-deps --require-hashes -r .ci/requirements/figures.txt
+	requirements "packages for pictures" figures
 	touch $@
 
 .venv/dist-stamp: .venv/run-stamp .ci/requirements/dist.txt
 	$(pip-install)
-	pip-install "packages for distribution" --no-deps --require-hashes -r .ci/requirements/dist.txt
+	requirements "packages for distribution" dist
 	touch $@
 
 .venv/docs-stamp: .venv/run-stamp .ci/requirements/docs.txt
 	$(pip-install)
-	pip-install "packages for documentation" --no-deps --require-hashes -r .ci/requirements/docs.txt
+	requirements "packages for documentation" docs
 	touch $@
 
 # Peers are compared with where they install; one is built from source.
@@ -368,7 +376,7 @@ PATH_FILE := from pathlib import Path; from sysconfig import get_path; \
 	  echo "setup: Debian packages g++ libeigen3-dev"
 	  { apt-get update -qq || true; apt-get install -qq -y --no-install-recommends g++ libeigen3-dev; } >.venv/apt.log 2>&1 || true
 	fi
-	if (pip-install "peers to compare with" --no-deps --require-hashes -r .ci/requirements/peers.txt); then
+	if (requirements "peers to compare with" peers); then
 	  touch $@
 	else
 	  echo "setup: goes on without peers; on Debian, as root: apt-get install g++ libeigen3-dev" >&2
@@ -376,10 +384,10 @@ PATH_FILE := from pathlib import Path; from sysconfig import get_path; \
 
 .venv/test-stamp: .venv/run-stamp .ci/requirements/test.txt
 	$(pip-install)
-	pip-install "packages for tests" --no-deps --require-hashes -r .ci/requirements/test.txt
+	requirements "packages for tests" test
 	touch $@
 
 .venv/browser-stamp: .venv/test-stamp .ci/requirements/browser.txt
 	$(pip-install)
-	pip-install "packages for tests in a browser" --no-deps --require-hashes -r .ci/requirements/browser.txt
+	requirements "packages for tests in a browser" browser
 	touch $@

@@ -188,7 +188,7 @@ def download_wheels() -> None:
     """Fetch what a page installs, because pages have no network."""
     folder = ROOT / "build" / "wheels"
     lists = [word for name in ("build", "run") for word in ("-r", str(ROOT / ".ci" / "requirements" / f"{name}.txt"))]
-    pip = [str(PYTHON), "-m", "pip", "download", "-qq", "--disable-pip-version-check", "--require-hashes"]
+    pip = [str(PYTHON), "-m", "pip", "download", "-qq", "--disable-pip-version-check", "--no-deps", "--require-hashes"]
     subprocess.run([*pip, *lists, "--dest", str(folder)], check=True)
     os.environ |= {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(folder), "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
 
