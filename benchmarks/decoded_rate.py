@@ -68,7 +68,7 @@ def main() -> int:
         folder, port = Path(stack.enter_context(tempfile.TemporaryDirectory())), free_port()
         broker = stack.enter_context(child(*mosquitto_command(port, folder)))
         plate, config = folder / "skin32.toml", folder / "rate.toml"
-        shipped = (ROOT / "resonator_daemon" / "plates" / "skin32.toml").read_text()
+        shipped = (ROOT / "resonator_daemon/plates" / "skin32.toml").read_text()
         plate.write_text(re.sub("(?m)^frame_rate_hz = .*", f"frame_rate_hz = {options.rate:g}", shipped))
         emulate = ("emulate", "--plate", "skin32", "--tcp", "127.0.0.1:0", "--frame-rate-hz", f"{options.rate:g}")
         emulator = stack.enter_context(child(*cli, *emulate, "--json", stdout=subprocess.PIPE))

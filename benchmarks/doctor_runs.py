@@ -21,7 +21,7 @@ from typing import Any
 from system_parts import free_port
 
 COMMAND = (sys.executable, "-m", "resonator_daemon")
-PLATES = Path(__file__).parents[1] / "resonator_daemon" / "plates"
+PLATES = Path(__file__).parents[1] / "resonator_daemon/plates"
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from stages_system import broker
 from system_parts import child, tree_s
 
-SHIPPED = Path(__file__).resolve().parents[1] / "resonator_daemon" / "plates" / "quartz16.toml"
+SHIPPED = Path(__file__).resolve().parents[1] / "resonator_daemon/plates" / "quartz16.toml"
 CLI = (sys.executable, "-m", "resonator_daemon")
 RATES_HZ = (200, 400, 1000, 2000)  # steps of 5 ms are whole frames
 PLATE_COUNTS = (1, 2, 4, 8)

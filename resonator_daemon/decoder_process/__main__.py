@@ -1,4 +1,4 @@
-"""Entry of the decoder process, started by a daemon: `python -m resonator_daemon.decoder_process NAME DESCRIPTOR`."""
+"""Decoder process, started by a daemon: `python -m resonator_daemon.decoder_process NAME DESCRIPTOR`."""
 
 import contextlib
 import ctypes

@@ -71,7 +71,8 @@ def test_both_plates_against_the_truth() -> None:
 def test_without_mosquitto_amqtt_is_the_broker() -> None:
     """Mosquitto is hidden; the rest of the command line stays."""
     program = (
-        "import os, sys; from resonator_daemon.commands import main; from resonator_daemon.demo import local_broker\n"
+        "import os, sys; from resonator_daemon.commands import main\n"
+        "from resonator_daemon.demo import local_broker\n"
         "local_broker.MORE_PLACES, os.environ['PATH'] = '', ''; sys.exit(main())"
     )
     options = ("demo", "--plate", "quartz16", "--headless", "--seconds", "2", "--json")

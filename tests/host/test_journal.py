@@ -55,7 +55,8 @@ def journal_socket(tmp_path: Path) -> Iterator[socket.socket]:
 
 
 def line(message: str, level: int = logging.INFO) -> logging.LogRecord:
-    return logging.LogRecord("resonator_daemon.daemon.daemon", level, "/x/service.py", 7, message, (), None, "run")
+    name = "resonator_daemon.daemon.daemon"
+    return logging.LogRecord(name, level, "/x/service.py", 7, message, (), None, "run")
 
 
 def fields(datagram: bytes) -> dict[str, str]:

@@ -65,18 +65,18 @@ __all__ = [
 ]
 
 _MODULES: Final = {
-    "config": ("Mqtt",),
-    "errors": ("UserError",),
-    "publishing.daemon_search": ("NoDaemonError",),
-    "publishing.payloads": (
+    "resonator_daemon.config": ("Mqtt",),
+    "resonator_daemon.errors": ("UserError",),
+    "resonator_daemon.publishing.daemon_search": ("NoDaemonError",),
+    "resonator_daemon.publishing.payloads": (
         *("ContactEvent", "Contacts", "Decoded", "DecodedSummary", "Forces", "Health", "Info", "Signals", "State"),
     ),
-    "publishing.requests": ("BrokerUnreachableError", "NoAnswerError", "RefusedError"),
-    "publishing.subscriber": ("Received",),
-    "python_api.errors": ("RecordingError", "RecordingWarning"),
-    "python_api.live": ("command", "subscribe"),
-    "python_api.recordings": ("LoadedRecording", "Mark", "load_recording"),
-    "python_api.tables": ("Table",),
+    "resonator_daemon.publishing.requests": ("BrokerUnreachableError", "NoAnswerError", "RefusedError"),
+    "resonator_daemon.publishing.subscriber": ("Received",),
+    "resonator_daemon.python_api.errors": ("RecordingError", "RecordingWarning"),
+    "resonator_daemon.python_api.live": ("command", "subscribe"),
+    "resonator_daemon.python_api.recordings": ("LoadedRecording", "Mark", "load_recording"),
+    "resonator_daemon.python_api.tables": ("Table",),
 }
 
 
@@ -87,7 +87,7 @@ def __getattr__(name: str) -> Any:
         return version("resonatord")
     for module, names in _MODULES.items():
         if name in names:
-            return getattr(import_module(f"resonator_daemon.{module}"), name)
+            return getattr(import_module(module), name)
     raise AttributeError(f"module 'resonatord' has no attribute {name!r}; it has {', '.join(__all__)}")
 
 
