@@ -128,7 +128,7 @@ class SimulatedBoard:
     def hang_up(self, elapsed_ns: int) -> None:
         """Let time pass without a host."""
         self._board.skip_gates(self.ticks(elapsed_ns), dropped=False)
-        self._board.discard_output()
+        self._board.connection_ended()
         self._end_ns.clear()
         self._outage = True
 

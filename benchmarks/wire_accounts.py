@@ -15,6 +15,7 @@ import numpy as np
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.layouts import CHANNEL_COUNT, SINGLE_TONE_STRUCT
 from firmware_protocol.messages import BoardStatus, CounterKind, Description, Identity
+from firmware_protocol.output_queue import Outgoing
 from firmware_protocol.packets import PACKET_OVERHEAD_BYTES, SYNC
 from firmware_protocol.states import BoardState
 from resonator_daemon.plate import load_plate
@@ -26,7 +27,6 @@ from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.frames import Arrival, Gap, SingleToneFrame
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_state import LinkState
-from simulators.board import Outgoing
 from simulators.faults import FaultPlan
 from simulators.faults.byte_faults import ByteFaults
 

@@ -41,6 +41,7 @@ from firmware_protocol.states import BOARD, BoardState, Reaction
 MAX_TONES_PER_PART = (MAX_PAYLOAD_BYTES - BLOCK_STRUCT.size) // TONE_STRUCT.size
 MAX_TONES = 255 // CHANNEL_COUNT * MAX_TONES_PER_PART  # on each channel: a frame has at most 255 parts
 PING_BYTES = 8
+VANISHED_S = 10  # a TCP host from which nothing comes for so long gives way to another
 SERIAL_NUMBER = re.compile("[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
 
 
@@ -49,6 +50,7 @@ class DeviceSession:
 
     `started` counts the runs, so that a board sees a new START; a repeated START does not begin a new run. `located`
     counts the requests to blink. While `fault` gives the reason why the board cannot count, START is refused with it.
+    Frames, STATUS and LOG are for a host that has `asked` something since it came.
 
     Raises
     ------
@@ -76,7 +78,10 @@ class DeviceSession:
         self.configuration: Configuration | None = None
         self.started = 0
         self.located = 0
+        self.asked = False
         self._fault: str | None = None
+        self._connected = False  # to a host, over TCP
+        self._received_ticks = 0  # when its last bytes came, or it connected
 
     @property
     def fault(self) -> str | None:
@@ -84,12 +89,12 @@ class DeviceSession:
         return self._fault
 
     def set_fault(self, reason: str | None, board_ticks: int) -> bytes:
-        """Set or clear the fault; return the LOG that goes out where it ends a run, nothing elsewhere."""
+        """Set or clear the fault; return the LOG that goes out where it ends a run of a host that is there."""
         self._fault = reason
         if reason is None or self.state is not BoardState.RUNNING:
             return b""
         self.state = BoardState.CONFIGURED
-        return self.log(BoardLog(LogLevel.ERROR, reason), board_ticks)
+        return self.log(BoardLog(LogLevel.ERROR, reason), board_ticks) if self.asked else b""
 
     @property
     def waiting_bytes(self) -> int:
@@ -98,15 +103,32 @@ class DeviceSession:
 
     def begin(self) -> None:
         """Be idle, and give up a request that has begun: a host begins afresh, where the link has a signal for that."""
-        self._decoder.abandon()
+        self.connection_ended()
         self.state = BoardState.IDLE
         self.configuration = None
 
+    def connection_ended(self) -> None:
+        """Give up a request that has begun, and wait for the next host to ask; the state stays."""
+        self._decoder.abandon()
+        self.asked = self._connected = False
+
+    def host_connects(self, board_ticks: int) -> bool:
+        """Return whether another TCP connection is served, which ends the one before it; it is closed if not."""
+        vanished_ticks = VANISHED_S * self._description.reference_millihertz // 1000
+        if self._connected and board_ticks - self._received_ticks < vanished_ticks:
+            return False
+        self.connection_ended()
+        self._connected, self._received_ticks = True, board_ticks
+        return True
+
     def receive(self, data: bytes, board_ticks: int) -> bytes:
         """Process bytes from the host, received at `board_ticks`; return the answers."""
+        if data:
+            self._received_ticks = board_ticks  # packets or not: its end of the connection is there
         answers = []
         for found in self._decoder.feed(data):
             if isinstance(found, Packet):
+                self.asked = True
                 answers.append(self._answer(found, board_ticks))
             elif isinstance(found, ForeignVersion) and not found.type & FROM_BOARD:
                 text = f"this board speaks version {PROTOCOL_MAJOR}, not {found.major}"

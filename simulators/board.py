@@ -9,7 +9,8 @@ import numpy as np
 
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.layouts import Capability
-from firmware_protocol.messages import BoardStatus, CounterKind, Identity, ResetCause
+from firmware_protocol.messages import CounterKind, Identity, ResetCause
+from firmware_protocol.output_queue import Outgoing, OutputQueue
 from firmware_protocol.states import BoardState
 from simulators.faults.byte_faults import packets_in
 from simulators.faults.misbehaviour import Misbehaviour
@@ -26,24 +27,11 @@ class MadeFrame(NamedTuple):
     plate_kelvin: float
 
 
-class Outgoing(NamedTuple):
-    """Packets that are sent together: an answer, or all parts of a frame, after a STATUS where it is due."""
-
-    data: bytes
-    sequence: int | None = None  # of a frame; None of all else
-
-    @property
-    def is_frame(self) -> bool:
-        return self.sequence is not None
-
-
 @dataclass(slots=True)
 class _Run:
     """From one START to the next."""
 
     gate_ticks: int
-    frames_taken: int = 0  # from the queue, to be sent
-    frames_dropped_reported: int = 0
     frames_packed: int = 0
     ahead: deque[tuple[MadeFrame, Outgoing]] = field(default_factory=deque)  # counted and packed, a block at once
 
@@ -63,8 +51,7 @@ class Board:
     boot_id
         Of the first boot.
     queue_limit_bytes
-        What the output queue holds at most. When it is full, its oldest whole frames are dropped and counted; an answer
-        that finds no room even then is dropped too, the host will ask again.
+        What the output queue holds at most.
     drop_rate, seed
         Share of its frames that the board loses, drawn from that seed; it counts and reports them like the others.
     misbehaviour
@@ -128,14 +115,21 @@ class Board:
         self._runs_begun = 0
         self._run: _Run | None = None
         self.next_frame_ticks: int | None = None
-        self._queue: deque[Outgoing] = deque()
-        self._queued_bytes = 0
+        self._queue = OutputQueue(self._session, self._queue_limit_bytes)
 
     def begin(self) -> None:
         """Become idle with an empty output, as a host's BEGIN asks for."""
-        self._session.begin()
+        self._queue.begin()
         self.next_frame_ticks = None
-        self.discard_output()
+
+    def host_connects(self, now_ticks: int, frames_cut: int = 0) -> bool:
+        """Return whether another TCP connection is served, which ends the one before it; it is closed if not."""
+        self._now_ticks = now_ticks
+        return self._queue.host_connects(self._board_ticks, frames_cut)
+
+    def connection_ended(self, frames_cut: int = 0) -> None:
+        """Empty the output; `frames_cut`: frames that left the queue and did not go out whole. A run goes on."""
+        self._queue.connection_ended(frames_cut)
 
     def step_ticks(self, ticks: int) -> None:
         """Shift the tick count; frames that are counted ahead still have the old one."""
@@ -167,7 +161,7 @@ class Board:
         elif not self.running:
             self.next_frame_ticks = None
         for answer in self._lies.answers(packets_in(answers)):
-            self._enqueue(Outgoing(answer))
+            self.frames_crowded_out += self._queue.put(Outgoing(answer))
 
     def advance(self, now_ticks: int) -> list[MadeFrame]:
         """Advance to this time; return the frames of all gates that have closed, which now wait for `next_output`."""
@@ -191,7 +185,7 @@ class Board:
         for _ in range(min(gates, len(run.ahead))):
             run.ahead.popleft()
         if not dropped:
-            run.frames_taken += gates
+            self._queue.frames_taken += gates
         self.frames_made += gates
         self.next_frame_ticks = end_ticks + gates * run.gate_ticks
         return gates
@@ -215,33 +209,11 @@ class Board:
 
     @property
     def frames_queued(self) -> int:
-        return sum(outgoing.is_frame for outgoing in self._queue)
+        return self._queue.frames
 
     def next_output(self) -> Outgoing | None:
         """Remove and return what goes out next."""
-        if not self._queue:
-            return None
-        outgoing = self._queue.popleft()
-        self._queued_bytes -= len(outgoing.data)
-        run, sequence = self._run, outgoing.sequence
-        if sequence is None or run is None:
-            return outgoing
-        dropped = sequence - run.frames_taken  # all before this one that were not sent
-        run.frames_taken += 1
-        if dropped == run.frames_dropped_reported:
-            return outgoing
-        run.frames_dropped_reported = dropped
-        # Together with the frame that follows the gap: none is dropped between the two.
-        status = self._session.status(self._status(dropped), self._board_ticks)
-        return Outgoing(status + outgoing.data, sequence)
-
-    def discard_output(self) -> None:
-        """Empty the queue because its host is gone; frames in it count as dropped."""
-        self._queue.clear()
-        self._queued_bytes = 0
-
-    def _status(self, frames_dropped: int) -> BoardStatus:
-        return BoardStatus(frames_dropped, bytes_discarded=self._session.counts.discarded)
+        return self._queue.take(self._board_ticks)
 
     @property
     def _board_ticks(self) -> int:
@@ -250,7 +222,7 @@ class Board:
     def _begin_run(self, gate_ticks: int) -> None:
         if self.first_start_ticks is None:
             self.first_start_ticks = self._now_ticks
-        self.discard_output()  # frames of another run, numbered like those of this one
+        self._queue.begin_run()
         self._run = _Run(gate_ticks)
         self.next_frame_ticks = self._now_ticks + gate_ticks
         self._plate.start()
@@ -275,19 +247,5 @@ class Board:
         elif self.silent:
             self.frames_silenced += 1
         else:
-            self._enqueue(outgoing)
+            self.frames_crowded_out += self._queue.put(outgoing)
         return made
-
-    def _enqueue(self, outgoing: Outgoing) -> None:
-        size_bytes = len(outgoing.data)
-        while self._queued_bytes + size_bytes > self._queue_limit_bytes:
-            oldest = next((index for index, waiting in enumerate(self._queue) if waiting.is_frame), None)
-            if oldest is None:
-                self.frames_crowded_out += outgoing.is_frame
-                return
-            dropped = self._queue[oldest]
-            del self._queue[oldest]
-            self._queued_bytes -= len(dropped.data)
-            self.frames_crowded_out += 1
-        self._queue.append(outgoing)
-        self._queued_bytes += size_bytes

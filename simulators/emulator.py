@@ -220,7 +220,7 @@ class Emulator:
             self._pty = PtyLink(options.pty, bits_per_s)
             return self._pty
         if options.tcp is not None:
-            return TcpLink(*options.tcp)
+            return TcpLink(*options.tcp, lambda: self._output.host_connects(self._now_ticks()))
         from simulators.usb_link import UsbLink
 
         usb = UsbLink(SERIAL_NUMBER, self._begin)
@@ -295,7 +295,6 @@ class Emulator:
         self._board.reboot(_draw_boot_id(), self._now_ticks(), cause, serial_number=serial_number)
 
     def _receive(self, data: bytes, now_ticks: int) -> None:
-        self._output.asked = True
         located = self._board.times_located
         self._board.receive(data, now_ticks)
         if self._board.times_located > located:

@@ -2,9 +2,7 @@
 
 import math
 import os
-import select
 import socket
-import time
 import tty
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,7 +13,6 @@ from resonator_daemon.errors import ListenError
 _BAUD = 4_000_000
 _SPARE = 1.25  # of the bits of frames, for other messages
 _READ_BYTES = 65536
-_VANISHED_S = 10.0  # of a client that sends nothing: it gives way to another (PROTOCOL.md, section 5)
 
 
 class Link(Protocol):
@@ -136,9 +133,9 @@ class PtyLink:
 
 
 class TcpLink:
-    """A listener that serves one client at a time and turns others away; port 0 picks one.
+    """A listener that serves one client at a time; port 0 picks one.
 
-    A client that has sent nothing for 10 s of `clock` (seconds) gives way to another.
+    `connects` decides on each client that comes: it is served, in place of the one before it, or closed at once.
 
     Raises
     ------
@@ -146,10 +143,9 @@ class TcpLink:
         The address is in use, or not this computer's.
     """
 
-    def __init__(self, host: str, port: int, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, host: str, port: int, connects: Callable[[], bool]) -> None:
         self._host, self._port = host, port
-        self._clock = clock
-        self._received_s = 0.0  # when the client last sent something, or connected
+        self._connects = connects
         self.read_fds: Sequence[int] = ()
         self.write_fd: int | None = None
         self._listener: socket.socket | None = None
@@ -162,31 +158,27 @@ class TcpLink:
         return f"tcp://{host}:{self._port}"
 
     def read(self) -> bytes:
-        """Return what the client has sent, b"" if nothing; accepts and drops clients. A second one is refused."""
-        if self._client is None:
-            self._client = self._accept()
-            self._received_s = self._clock()
-            self._list_descriptors()
-            return b""
-        try:
-            if data := self._client.recv(_READ_BYTES):
-                self._received_s = self._clock()
-                self._turn_away()
-                return data
-        except BlockingIOError:
-            self._turn_away()
-            return b""
-        except OSError:
-            pass  # the connection was reset, which ends it as well
-        self._drop_client()  # who left may be back already: that one is taken next time
-        return b""
-
-    def _turn_away(self) -> None:
-        if self._clock() - self._received_s >= _VANISHED_S and self._listener is not None:
-            if select.select([self._listener], [], [], 0)[0]:
-                self._drop_client()  # what is queued for it is lost; the other one is accepted by the next read
-        elif (second := self._accept()) is not None:
-            second.close()
+        """Return what the client has sent, b"" if nothing; accepts clients, and drops one that has left."""
+        data = b""
+        if self._client is not None:
+            try:
+                data = self._client.recv(_READ_BYTES)
+                if not data:
+                    self._drop_client()  # who left may be back already: that one is accepted next time
+                    return b""
+            except BlockingIOError:
+                pass
+            except OSError:  # the connection was reset, which ends it as well
+                self._drop_client()
+                return b""
+        if not data and (client := self._accept()) is not None:
+            if self._connects():
+                self._drop_client()
+                self._client = client
+                self._list_descriptors()
+            else:
+                client.close()
+        return data
 
     def write(self, data: bytes | memoryview) -> int:
         if self._client is None:

@@ -27,7 +27,6 @@ class Output:
         self._lot: Lot | None = None  # is being written
         self._unsent: bytes | memoryview = b""  # of it
         self._after_cut: Callable[[], None] | None = None
-        self.asked = True  # a host that has come after another gets nothing before it asks (PROTOCOL.md, section 8)
         self.held = False  # the board is frozen: what it has sent already still arrives
         self.counts = FaultCounts()
         self.frames_sent = 0
@@ -56,9 +55,6 @@ class Output:
         """Write what can be written now, `elapsed_s` after the first START."""
         link = self._link
         while link.write_fd is not None:
-            if not self.asked:
-                self._board.discard_output()
-                return
             if self._lot is None:
                 self._lot = self._next_lot(now_ns, elapsed_s)
                 if self._lot is None:
@@ -68,11 +64,17 @@ class Output:
                 return  # the host does not take more now
         self.lose()
 
+    def host_connects(self, now_ticks: int) -> bool:
+        """Return whether another TCP connection is served; what waits ends with the one before it."""
+        served = self._board.host_connects(now_ticks, self.frames_unsent)
+        if served:
+            self.clear()
+        return served
+
     def lose(self) -> None:
         """Discard everything that waits: the host is gone."""
-        self.asked = False
+        self._board.connection_ended(self.frames_unsent)
         self.clear()
-        self._board.discard_output()
         self._end_board()
 
     def clear(self) -> None:

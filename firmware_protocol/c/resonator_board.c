@@ -235,10 +235,12 @@ bool resonator_init(struct resonator_board *board, const struct resonator_identi
     board->output_counts.answers_dropped = 0;
     board->output_counts.logs_dropped = 0;
     board->ticks = 0;
+    board->received_ticks = 0;
     board->frame_sequence = 0;
     board->run_dropped = 0;
     board->run_skipped = 0;
     board->run_reported = 0;
+    board->open_frame = RESONATOR_NO_CHUNK;
     board->notice_sequence = 0;
     board->temperature_known = false;
     board->temperature_millikelvin = 0;
@@ -259,10 +261,23 @@ void resonator_connection_ended(struct resonator_board *board)
     resonator_decoder_abandon(&board->decoder);
     resonator_queue_clear(&board->queue);
     board->asked = false;
+    board->connected = false;
     board->open_frame = RESONATOR_NO_CHUNK;
     board->status_due = false;
     board->status_bytes = 0;
     board->status_read_bytes = 0;
+}
+
+bool resonator_host_connects(struct resonator_board *board, uint64_t ticks)
+{
+    uint64_t vanished_ticks = board->description->reference_millihertz / 1000 * RESONATOR_VANISHED_S;
+    if (board->connected && ticks - board->received_ticks < vanished_ticks) {
+        return false;
+    }
+    resonator_connection_ended(board);
+    board->connected = true;
+    board->received_ticks = ticks;
+    return true;
 }
 
 void resonator_receive(struct resonator_board *board, const uint8_t *bytes, uint32_t size, uint64_t ticks)
@@ -272,5 +287,8 @@ void resonator_receive(struct resonator_board *board, const uint8_t *bytes, uint
     handler.packet = packet_found;
     handler.damage = damage_found;
     board->ticks = ticks;
+    if (size > 0) {
+        board->received_ticks = ticks; /* packets or not: its end of the connection is there */
+    }
     resonator_decoder_feed(&board->decoder, bytes, size, &handler);
 }

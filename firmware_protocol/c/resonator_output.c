@@ -23,16 +23,18 @@ bool resonator_make_room(struct resonator_board *board, uint32_t payload_bytes)
 
 void resonator_count_queued_as_dropped(struct resonator_board *board)
 {
-    bool in_frame = false;
+    uint32_t cut = 0;
     for (uint16_t at = board->queue.first_packet; at != RESONATOR_NO_CHUNK; at = board->queue.chunks[at].next_packet) {
-        if (board->queue.chunks[at].kind == RESONATOR_KIND_FRAME) {
-            board->run_dropped++;
-            board->output_counts.frames_dropped++;
-            in_frame = true;
-        } else if (board->queue.chunks[at].kind == RESONATOR_KIND_FRAME_MORE && !in_frame) {
-            board->output_counts.parts_dropped++; /* the first parts of its frame have gone out */
+        uint8_t kind = board->queue.chunks[at].kind;
+        if (kind == RESONATOR_KIND_FRAME || (kind == RESONATOR_KIND_FRAME_MORE && cut == 0)) {
+            cut++;
         }
     }
+    if (cut == 0 && board->open_frame != RESONATOR_NO_CHUNK) {
+        cut = 1; /* its first parts have gone out, the others are not made yet */
+    }
+    board->run_dropped += cut;
+    board->output_counts.frames_dropped += cut;
 }
 
 struct resonator_head resonator_head_of(const struct resonator_board *board, uint8_t type, uint32_t sequence)

@@ -8,7 +8,7 @@
 /* Drops the oldest frames until so many payload bytes find room as a packet. */
 bool resonator_make_room(struct resonator_board *board, uint32_t payload_bytes);
 
-/* Counts the frames in the queue as dropped, before it is emptied. */
+/* Counts the frames in the queue, and one that is cut off, as dropped, before it is emptied. */
 void resonator_count_queued_as_dropped(struct resonator_board *board);
 
 struct resonator_head resonator_head_of(const struct resonator_board *board, uint8_t type, uint32_t sequence);

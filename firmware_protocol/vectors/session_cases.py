@@ -1,5 +1,7 @@
 """Boards: bytes from the host, and what they answer."""
 
+from typing import Any
+
 from firmware_protocol.vectors.wire import (
     CONFIGURE,
     FRAME,
@@ -11,6 +13,7 @@ from firmware_protocol.vectors.wire import (
     PONG_ME,
     REFUSED,
     START,
+    STATUS,
     STOP,
     TWO,
     Case,
@@ -64,39 +67,66 @@ DESCRIPTION_PAYLOAD = b"".join(
 )
 
 
+SECOND = 10**9  # in ticks
+
+
 def board_sessions() -> list[Case]:
     ticks = 5000
 
-    def answer(message_type: int, sequence: int, payload: bytes = b"") -> bytes:
-        return packet(message_type, sequence, payload, ticks=ticks, boot_id=0x11223344)
+    def answer(message_type: int, sequence: int, payload: bytes = b"", when: int = ticks) -> bytes:
+        return packet(message_type, sequence, payload, ticks=when, boot_id=0x11223344)
 
-    def asked(request: bytes, answers: list[bytes], state: str) -> Case:
+    def asked(request: bytes, answers: list[bytes], state: str, when: int = ticks) -> Case:
         sends = [answer.hex() for answer in answers]
-        return {"do": "receive", "ticks": ticks, "bytes": request.hex(), "sends": sends, "state": state}
+        return {"do": "receive", "ticks": when, "bytes": request.hex(), "sends": sends, "state": state}
 
-    def with_numbers(message_type: int, sequence: int, numbers: dict[int, int]) -> Case:
-        """Return a message whose texts are free: its header, and the numbers among its fields."""
-        header = {"type": message_type, "sequence": sequence, "board_ticks": ticks, "boot_id": 0x11223344}
+    def with_numbers(message_type: int, sequence: int | None, numbers: dict[int, int], when: int = ticks) -> Case:
+        """Return a message whose texts are free: its header, its number if it is fixed, and numbers of its fields."""
+        header = {"type": message_type} | ({} if sequence is None else {"sequence": sequence})
+        header |= {"board_ticks": when, "boot_id": 0x11223344}
         return {**header, "numbers": {str(tag): value for tag, value in numbers.items()}}
 
-    def refused(request: bytes, sequence: int, code: int, state: str) -> Case:
-        return asked(request, [], state) | {"sends": [with_numbers(REFUSED, sequence, {1: code})]}
+    def refused(request: bytes, sequence: int, code: int, state: str, when: int = ticks) -> Case:
+        return asked(request, [], state, when) | {"sends": [with_numbers(REFUSED, sequence, {1: code}, when)]}
 
-    def fault(text: str | None, state: str, sends: list[Case]) -> Case:
-        return {"do": "fault", "ticks": ticks, "text": text, "state": state, "sends": sends}
+    def fault(text: str | None, state: str, sends: list[Any], when: int = ticks) -> Case:
+        return {"do": "fault", "ticks": when, "text": text, "state": state, "sends": sends}
 
-    def session(name: str, steps: list[Case], *, capabilities: int = 0) -> Case:
-        board = {**BOARD, "description": {**BOARD["description"], "capabilities": capabilities}}
-        return {"name": name, "board": board, "steps": steps}
+    def session(name: str, steps: list[Case], *, capabilities: int = 0, queue_bytes: int = 4352) -> Case:
+        changed = {"capabilities": capabilities, "queue_bytes": queue_bytes}
+        return {"name": name, "board": {**BOARD, "description": {**BOARD["description"], **changed}}, "steps": steps}
 
-    gate = number(1, 20_000)
-    configured = asked(packet(CONFIGURE, 3, gate), [answer(0x83, 3, gate)], "configured")
+    def connects(state: str, *, served: bool = True, when: int = ticks) -> Case:
+        return {"do": "connect", "ticks": when, "served": served, "sends": [], "state": state}
+
+    def disconnects(state: str) -> Case:
+        return {"do": "disconnect", "sends": [], "state": state}
+
+    gate_payload = number(1, 20_000)
+    configured = asked(packet(CONFIGURE, 3, gate_payload), [answer(0x83, 3, gate_payload)], "configured")
     started = asked(packet(START, 4), [answer(0x84, 4)], "running")
     records = bytes(range(176))
 
+    def frame_packet(sequence: int, when: int) -> str:
+        return packet(FRAME, sequence, records, ticks=when, boot_id=0x11223344).hex()
+
+    def gate(when: int, sends: list[Any]) -> Case:
+        return {"do": "frame", "ticks": when, "records": records.hex(), "sends": sends, "state": "running"}
+
     def frame(sequence: int, when: int) -> Case:
-        sends = packet(FRAME, sequence, records, ticks=when, boot_id=0x11223344)
-        return {"do": "frame", "ticks": when, "records": records.hex(), "sends": [sends.hex()], "state": "running"}
+        return gate(when, [frame_packet(sequence, when)])
+
+    def cut_frame(sequence: int, when: int, takes: int) -> Case:
+        return gate(when, [frame_packet(sequence, when)[: 2 * takes]]) | {"takes": takes}
+
+    def reported_frame(sequence: int, when: int, notice: int, dropped: int) -> Case:
+        return gate(when, [with_numbers(STATUS, notice, {1: dropped}, when), frame_packet(sequence, when)])
+
+    def skip(when: int) -> Case:
+        return {"do": "skip", "ticks": when, "sends": [], "state": "running"}
+
+    def identified(when: int, state: str) -> Case:
+        return asked(ONE, [answer(0x81, 1, IDENTITY_PAYLOAD, when)], state, when)
 
     return [
         session(
@@ -156,7 +186,9 @@ def board_sessions() -> list[Case]:
             "more payload than this version knows",
             [
                 asked(packet(IDENTIFY, 1, b"later"), [answer(0x81, 1, IDENTITY_PAYLOAD)], "idle"),
-                asked(packet(CONFIGURE, 3, gate + number(77, 1)), [answer(0x83, 3, gate)], "configured"),
+                asked(
+                    packet(CONFIGURE, 3, gate_payload + number(77, 1)), [answer(0x83, 3, gate_payload)], "configured"
+                ),
                 asked(packet(START, 4, b"!"), [answer(0x84, 4)], "running"),
             ],
         ),
@@ -209,6 +241,116 @@ def board_sessions() -> list[Case]:
                 fault(None, "configured", []),
                 asked(packet(START, 6), [answer(0x84, 6)], "running"),
                 frame(0, 99_000),
+            ],
+        ),
+        session(
+            "a new connection changes no state, and discards a request that has begun",
+            [
+                connects("idle"),
+                asked(packet(PING, 1, bytes(36))[:30], [], "idle"),
+                disconnects("idle"),
+                connects("idle"),
+                identified(ticks, "idle"),
+                refused(packet(START, 2), 2, 3, "idle"),
+                configured,
+                disconnects("configured"),
+                connects("configured"),
+                started,
+            ],
+        ),
+        session(
+            "a run goes on behind its connection, and the next host gets nothing before it asks",
+            [
+                connects("idle"),
+                configured,
+                started,
+                frame(0, 25_000),
+                disconnects("running"),
+                gate(45_000, []),
+                connects("running", when=50_000),
+                gate(65_000, []),
+                asked(b"noise", [], "running", 70_000),
+                refused(packet(IDENTIFY, 7, major=2), 7, 6, "running", 75_000),
+                gate(85_000, []),
+                identified(90_000, "running"),
+                reported_frame(4, 105_000, 0, dropped=3),
+            ],
+        ),
+        session(
+            "a frame that the end of a connection cuts off counts as dropped, as those behind it",
+            [
+                connects("idle"),
+                configured,
+                started,
+                frame(0, 25_000),
+                cut_frame(1, 45_000, takes=203),
+                cut_frame(2, 65_000, takes=0),
+                disconnects("running"),
+                connects("running", when=70_000),
+                identified(75_000, "running"),
+                reported_frame(3, 85_000, 0, dropped=2),
+            ],
+        ),
+        session(
+            "STATUS goes before each frame that follows another drop, however soon, and before no other",
+            [
+                configured,
+                started,
+                frame(0, 25_000),
+                skip(45_000),
+                reported_frame(2, 65_000, 0, dropped=1),
+                skip(85_000),
+                skip(105_000),
+                reported_frame(5, 125_000, 1, dropped=3),
+                frame(6, 145_000),
+                skip(165_000),
+                reported_frame(8, 185_000, 2, dropped=4),
+            ],
+        ),
+        session(
+            "a host gives way 10 s after its last byte, of a packet or not, or after it connected",
+            [
+                connects("idle"),
+                connects("idle", served=False, when=ticks + 10 * SECOND - 1),
+                asked(b"noise", [], "idle", ticks + 10 * SECOND - 1),
+                connects("idle", served=False, when=ticks + 20 * SECOND - 2),
+                connects("idle", when=ticks + 20 * SECOND - 1),
+                connects("idle", served=False, when=ticks + 30 * SECOND - 2),
+                connects("idle", when=ticks + 30 * SECOND - 1),
+            ],
+        ),
+        session(
+            "frames in a full queue make room for the LOG of a fault",
+            [
+                configured,
+                started,
+                cut_frame(0, 25_000, takes=0),
+                cut_frame(1, 45_000, takes=0),
+                fault(
+                    "why " * 15,
+                    "configured",
+                    [
+                        with_numbers(STATUS, None, {1: 1}, 50_000),
+                        frame_packet(1, 45_000),
+                        with_numbers(LOG, None, {1: 40}, 50_000),
+                    ],
+                    50_000,
+                ),
+                refused(packet(START, 5), 5, 5, "configured", 55_000),
+            ],
+            queue_bytes=7 * 68,
+        ),
+        session(
+            "a fault without a host is not logged: its reason comes with the next START",
+            [
+                connects("idle"),
+                configured,
+                started,
+                disconnects("running"),
+                fault("reference not locked", "configured", [], 10_000),
+                connects("configured", when=15_000),
+                identified(20_000, "configured"),
+                refused(packet(START, 5), 5, 5, "configured", 25_000),
             ],
         ),
     ]

@@ -50,7 +50,7 @@ def text(tag: int, value: str) -> bytes:
 
 
 IDENTIFY, DESCRIBE, CONFIGURE, START, STOP, PING, LOCATE = range(1, 8)
-REFUSED, LOG, FRAME = 0x9F, 0x93, 0x90
+REFUSED, LOG, STATUS, FRAME = 0x9F, 0x93, 0x92, 0x90
 ONE, TWO = packet(IDENTIFY, 1), packet(DESCRIBE, 2)
 PONG_ME = packet(PING, 9, b"12345678")
 

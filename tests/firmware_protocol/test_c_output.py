@@ -13,7 +13,6 @@ from firmware_protocol.messages import (
     Configuration,
     Description,
     Identity,
-    LogLevel,
     decode_message,
     encode_message,
 )
@@ -188,33 +187,20 @@ def running_board(chunks: int = 12) -> list[str]:
     return [*commands, f"receive 0 {CONFIGURE.hex()}", f"receive 0 {START.hex()}", "output 1000"]
 
 
-def test_a_run_goes_on_behind_a_connection_and_its_frames_wait_for_a_request() -> None:
+@pytest.mark.parametrize("sent_bytes", [0, 10, 36, 40, 72])  # of two parts of 36 bytes
+@pytest.mark.parametrize("made", [1, 2])
+def test_a_frame_of_which_a_connection_took_no_end_is_one_that_is_dropped(made: int, sent_bytes: int) -> None:
+    parts = [f"part 1 1 0 0 {part} 2 -" for part in range(2)]
+    commands = [*running_board(), *parts[:made], f"output {sent_bytes}", "ended", *parts[made:], "skipped", "status"]
+    before = run_commands([*commands, "log 4 20 6869", "output 1000"])
+    assert before[-1] == "output "  # all that the next host gets before it asks
     identify = encode_packet(MessageType.IDENTIFY, 1)
-    commands = [*running_board(), f"frame 1 {'00' * 176}", "output 10", f"frame 2 {'00' * 176}", "ended", "state"]
-    commands += [f"frame 3 {'00' * 176}", "skipped", "part 4 1 0 0 0 2 -", "part 4 1 0 0 1 2 -", "log 4 20 6869"]
-    commands += ["status", "output 1000"]
-    before = run_commands(commands)
-    assert before[-1] == "output "  # all that the new host gets before it asks
     after = run_commands([*commands, f"receive 5 {identify.hex()}", f"frame 6 {'00' * 176}", "output 1000", "state"])
-    answer, status, frame = found_in(after[len(before) :])
+    answer, status, frame = found_in(after[len(before) - 2 :])
     assert (answer.type, status.type, frame.type) == (MessageType.IDENTITY, MessageType.STATUS, MessageType.FRAME)
-    # Two were queued, three closed without a host, one of them skipped; the first was cut within its bytes.
-    assert frame.sequence == decode_message(BoardStatus, status.payload).frames_dropped == 5
-    assert after[-1].startswith("state running 1000 1 0 5 ")
-
-
-def test_a_request_that_has_begun_ends_with_its_connection() -> None:
-    identify = encode_packet(MessageType.IDENTIFY, 1)
-    commands = [*running_board(), f"receive 5 {identify[:20].hex()}", "ended", f"receive 6 {identify.hex()}", "counts"]
-    assert run_commands(commands)[-1] == f"counts {60 + 20 + 28} {60 + 28} 0 0 20 0"
-
-
-def test_a_fault_logs_its_text_even_if_frames_fill_the_queue() -> None:
-    commands = [*running_board(chunks=4), f"frame 1 {'00' * 176}", f"fault 7 {'66' * 60}", "state", "output 1000"]
-    printed = run_commands(commands)
-    (log,) = [packet for packet in found_in(printed) if packet.type == MessageType.LOG]
-    assert (log.board_ticks, decode_message(BoardLog, log.payload)) == (7, BoardLog(LogLevel.ERROR, "f" * 60))
-    assert printed[-2].startswith("state configured 1000 1 0 1 ")  # the frame made room
+    dropped = 2 - (made == 2 and sent_bytes == 72)
+    assert (frame.sequence, decode_message(BoardStatus, status.payload).frames_dropped) == (2, dropped)
+    assert after[-1].startswith(f"state running 1000 1 0 {dropped} ")
 
 
 @pytest.mark.parametrize(

@@ -29,12 +29,21 @@ def test_board_sessions(case: dict[str, Any]) -> None:
                 commands.append(f"receive {step['ticks']} {step['bytes']}")
             case "frame":
                 commands.append(f"frame {step['ticks']} {step['records']}")
+            case "skip":
+                commands.append("skipped")
             case "begin":
                 commands.append("begin")
             case "fault":
                 commands.append(f"fault {step['ticks']} {hexadecimal((step['text'] or '').encode())}")
-        commands += ["output 100000", "state"]
-    printed = [line.split() for line in run_commands(commands) if line.startswith(("output", "state"))]
+            case "connect":
+                commands.append(f"connects {step['ticks']}")
+            case "disconnect":
+                commands.append("ended")
+        commands += [f"output {step.get('takes', 100_000)}", "state"]
+    lines = run_commands(commands)
+    served = [line == "served 1" for line in lines if line.startswith("served")]
+    assert served == [step["served"] for step in case["steps"] if step["do"] == "connect"]
+    printed = [line.split() for line in lines if line.startswith(("output", "state"))]
     for step, sent, state in zip(case["steps"], printed[::2], printed[1::2], strict=True):
-        check_sent(step["sends"], bytes.fromhex("".join(sent[1:])))
+        check_sent(step, bytes.fromhex("".join(sent[1:])))
         assert state[1] == step["state"], step

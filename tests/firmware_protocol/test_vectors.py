@@ -21,6 +21,7 @@ from firmware_protocol.messages import (
     decode_message,
     encode_message,
 )
+from firmware_protocol.output_queue import Outgoing, OutputQueue
 from firmware_protocol.packets import PacketDecoder
 
 MESSAGES = {
@@ -68,20 +69,33 @@ def test_messages(case: dict[str, Any]) -> None:
 @pytest.mark.parametrize("case", cases("board_sessions"), ids=named)
 def test_board_sessions(case: dict[str, Any]) -> None:
     session = DeviceSession(*board_of(case))
-    runs, sequence = 0, 0
+    queue = OutputQueue(session, case["board"]["description"]["queue_bytes"])
+    runs, sequence, begun = 0, 0, False
     for step in case["steps"]:
-        sent = b""
+        ticks = step.get("ticks", 0)
         match step["do"]:
             case "receive":
-                sent = session.receive(bytes.fromhex(step["bytes"]), step["ticks"])
+                answers = session.receive(bytes.fromhex(step["bytes"]), ticks)
+                if session.started != runs:
+                    runs, sequence = session.started, 0
+                    queue.begin_run()
+                queue.put(Outgoing(answers))
             case "frame":
-                sent = session.frame(sequence, step["ticks"], bytes.fromhex(step["records"]))
+                queue.put(Outgoing(session.frame(sequence, ticks, bytes.fromhex(step["records"])), sequence))
+                sequence += 1
+            case "skip":
                 sequence += 1
             case "begin":
-                session.begin()
+                queue.begin()
             case "fault":
-                sent = session.set_fault(step["text"], step["ticks"])
-        if session.started != runs:
-            runs, sequence = session.started, 0
-        check_sent(step["sends"], sent)
+                queue.set_fault(step["text"], ticks)
+            case "connect":
+                assert queue.host_connects(ticks) is step["served"]
+            case "disconnect":
+                queue.connection_ended(frames_cut=begun)
+        if step.get("takes") == 0:
+            continue
+        sent = b"".join(outgoing.data for outgoing in iter(lambda: queue.take(ticks), None))  # noqa: B023 - read here
+        begun = "takes" in step
+        check_sent(step, sent[: step.get("takes")])
         assert session.state.value == step["state"], step

@@ -1,12 +1,18 @@
 """The emulated board, seen from the host's end of the same protocol; time passes by hand."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from fake_plate import FakePlate, fake_board
 
 from firmware_protocol.host import Frame, FramePart, HostEvent, HostSession, Pong, Rebooted
 from firmware_protocol.messages import BoardStatus, Configuration, CounterKind, ResetCause
-from simulators.board import MadeFrame, Outgoing
+from firmware_protocol.output_queue import Outgoing
+from simulators.board import MadeFrame
+from simulators.faults import FaultPlan
+from simulators.links import PtyLink
+from simulators.output import Output
 
 GATE_TICKS = 1000
 FRAME_BYTES = 204
@@ -102,3 +108,40 @@ def test_a_channelised_frame_goes_out_whole_in_parts() -> None:
         block = part.block
         tones[part.sequence - 2, block.channel, block.first_tone : block.first_tone + block.tones] += 1
     assert np.all(tones == 1)
+
+
+class NarrowLink(PtyLink):
+    """Link to a host that takes `room` bytes."""
+
+    room, taken = 10**6, b""
+
+    def write(self, data: bytes | memoryview) -> int:
+        piece = bytes(data[: self.room])
+        self.room -= len(piece)
+        self.taken += piece
+        return len(piece)
+
+
+def test_a_frame_that_is_cut_off_with_its_connection_is_reported_to_the_next_host(tmp_path: Path) -> None:
+    bench, link = Bench(), NarrowLink(tmp_path / "board")
+    output = Output(bench.board, link, FaultPlan(), 0)
+    bench.start()
+    for room in (FRAME_BYTES, FRAME_BYTES - 1):
+        bench.advance(GATE_TICKS)
+        link.room = room
+        output.send(0, 0.0)
+    link.hang_up()
+    output.send(0, 0.0)
+    link.plug_in()
+    bench.advance(GATE_TICKS)
+    bench.board.receive(b"noise", bench.now)
+    output.send(0, 0.0)
+    bench.host.ping(b"12345678")
+    bench.board.receive(bench.host.data_to_send(), bench.now)
+    bench.advance(GATE_TICKS)
+    link.taken, link.room = b"", 10**6
+    output.send(0, 0.0)
+    _, status, frame = bench.host.receive(link.taken)
+    assert isinstance(frame, Frame)
+    assert (status, frame.sequence) == (BoardStatus(2, bytes_discarded=5), 3)  # the other one had no host
+    link.close()

@@ -4,7 +4,6 @@ import os
 import select
 import socket
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -21,13 +20,6 @@ def pty(tmp_path: Path) -> Iterator[tuple[PtyLink, Path]]:
     path = tmp_path / "board"
     link = PtyLink(path)
     yield link, path
-    link.close()
-
-
-@pytest.fixture
-def tcp() -> Iterator[TcpLink]:
-    link = TcpLink("127.0.0.1", 0)
-    yield link
     link.close()
 
 
@@ -56,25 +48,17 @@ def test_a_host_that_does_not_read_never_blocks_the_board(pty: tuple[PtyLink, Pa
     assert link.write(b"x") == 1
 
 
-def test_a_client_that_vanished_gives_way_to_another() -> None:
-    now = [100.0]
-    link = TcpLink("127.0.0.1", 0, clock=lambda: now[0])
+@pytest.mark.parametrize("served", [False, True])
+def test_another_client_is_served_in_place_of_the_first_or_closed(served: bool) -> None:
+    decisions = iter((True, served))
+    link = TcpLink("127.0.0.1", 0, lambda: next(decisions))
     host, port = link.address.removeprefix("tcp://").rsplit(":", 1)
-    with connect(link) as first, ExitStack() as stack:
-        first.sendall(b"a")
-        assert select.select(link.read_fds[1:], [], [], WAIT_S)[0]
-        assert link.read() == b"a"
-        for silent_s, served in ((9.9, False), (0.2, True)):
-            now[0] += silent_s
-            second = stack.enter_context(socket.create_connection((host, int(port)), timeout=WAIT_S))
-            assert select.select(link.read_fds, [], [], WAIT_S)[0]
-            assert link.read() == b""
-            assert (link.write_fd is None) is served  # in between nobody is: what was queued ends with the first
-            if not served:
-                assert second.recv(1) == b""
-        link.read()
+    with connect(link) as first, socket.create_connection((host, int(port)), timeout=WAIT_S) as second:
+        assert select.select(link.read_fds, [], [], WAIT_S)[0]
+        assert link.read() == b""
         link.write(b"on")
-        assert (first.recv(1), second.recv(2)) == (b"", b"on")
+        kept, closed = (second, first) if served else (first, second)
+        assert (closed.recv(1), kept.recv(2)) == (b"", b"on")
     link.close()
 
 

@@ -197,7 +197,7 @@ def bench(kind: str, directory: Path) -> Iterator[Bench]:
     """Set up a board on a link of this kind: serial, tcp or usb."""
     makers: dict[str, Callable[[Callable[[], None]], device_links.Link]] = {
         "serial": lambda _begin: device_links.PtyLink(directory / "board"),
-        "tcp": lambda _begin: device_links.TcpLink("127.0.0.1", 0),
+        "tcp": lambda _begin: device_links.TcpLink("127.0.0.1", 0, lambda: True),
         "usb": lambda begin: UsbLink(IDENTITY.serial_number, begin),
     }
     board: BoardEnd[Any] = BoardEnd(makers[kind])

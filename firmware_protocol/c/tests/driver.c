@@ -10,6 +10,7 @@
  *   frame TICKS HEX, part TICKS CHANNEL FIRST TONES PART PARTS HEX     prints "queued 0" or "queued 1"
  *   log TICKS LEVEL HEX                           the same
  *   skipped | status | temperature MILLIKELVIN | fault TICKS HEX | begin | ended | abandon
+ *   connects TICKS                                prints "served 0" or "served 1"
  *   sums STRIDE HEX                               stamps, 8 bytes each: edge, ticks; prints "sums" and the record
  *   counts                                        bytes: received accepted other own discarded waiting
  *   state                                         state gate_ticks started located, dropped: frames parts answers logs
@@ -300,6 +301,8 @@ static void carry_out(const char *command)
         resonator_begin(&board);
     } else if (strcmp(command, "ended") == 0) {
         resonator_connection_ended(&board);
+    } else if (strcmp(command, "connects") == 0) {
+        printf("served %d\n", resonator_host_connects(&board, number()));
     } else if (strcmp(command, "abandon") == 0) {
         resonator_decoder_abandon(decoder);
     } else {
