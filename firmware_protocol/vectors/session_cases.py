@@ -168,6 +168,8 @@ def board_sessions() -> list[Case]:
                 refused(packet(CONFIGURE, 5, number(1, 999)), 5, 4, "idle"),
                 refused(packet(CONFIGURE, 6, number(1, 2**64 - 1)), 6, 4, "idle"),
                 refused(packet(CONFIGURE, 7, number(1, 1005)), 7, 4, "idle"),
+                refused(packet(CONFIGURE, 7, number(1, 0)), 7, 4, "idle"),
+                refused(packet(CONFIGURE, 7, number(1, 1_000_001)), 7, 4, "idle"),
                 refused(packet(PING, 8, b"1234567"), 8, 1, "idle"),
                 refused(packet(PING, 9), 9, 1, "idle"),
                 refused(packet(IDENTIFY, 10, major=2), 10, 6, "idle"),
@@ -180,6 +182,26 @@ def board_sessions() -> list[Case]:
                 started,
                 refused(packet(CONFIGURE, 5, number(1, 5)), 5, 4, "running"),
                 frame(0, 25_000),
+            ],
+        ),
+        session(
+            "the shortest and the longest gate",
+            [
+                asked(packet(CONFIGURE, 1, number(1, length)), [answer(0x83, 1, number(1, length))], "configured")
+                for length in (1000, 1_000_000)
+            ],
+        ),
+        session(
+            "frames of the last run that still wait do not follow a START, answers do",
+            [
+                configured,
+                started,
+                cut_frame(0, 25_000, takes=0),
+                asked(packet(STOP, 5), [], "configured", 30_000) | {"takes": 0},
+                asked(
+                    packet(START, 6), [answer(0x85, 5, when=30_000), answer(0x84, 6, when=35_000)], "running", 35_000
+                ),
+                frame(0, 55_000),
             ],
         ),
         session(

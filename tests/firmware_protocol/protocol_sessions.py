@@ -4,6 +4,7 @@ from firmware_protocol.device import DeviceSession
 from firmware_protocol.host import HostEvent, HostSession
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, Capability, SingleToneRecord
 from firmware_protocol.messages import Configuration, CounterKind, Description, Identity
+from firmware_protocol.packets import Packet, PacketDecoder
 
 IDENTITY = Identity("test plate", "0042", "1.0", 0)
 DESCRIPTION = Description(
@@ -33,3 +34,13 @@ def running(identity: Identity = IDENTITY) -> tuple[HostSession, DeviceSession]:
     host.configure(GATE)
     exchange(host, device)
     return host, device
+
+
+def packets_in(data: bytes, *, from_board: bool = False) -> list[Packet]:
+    return [found for found in PacketDecoder(from_board=from_board).feed(data) if isinstance(found, Packet)]
+
+
+def check_accounts(decoder: PacketDecoder) -> None:
+    counts = decoder.counts
+    parts = counts.accepted + counts.other_version + counts.echo + counts.discarded
+    assert counts.received == parts + decoder.waiting_bytes

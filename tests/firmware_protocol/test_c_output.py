@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 from c_reference import CHUNK_BYTES, board_command, run_commands
+from protocol_sessions import packets_in
 
 from firmware_protocol.layouts import BLOCK_STRUCT, MessageType
 from firmware_protocol.messages import (
@@ -16,7 +17,7 @@ from firmware_protocol.messages import (
     decode_message,
     encode_message,
 )
-from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
+from firmware_protocol.packets import Packet, encode_packet
 
 BOOT_ID = 99
 IDENTITY = Identity("queue", "1", "1", 0, 64, 0)
@@ -147,16 +148,6 @@ class Model:
         return sent
 
 
-def test_frames_of_the_last_run_do_not_follow_a_start() -> None:
-    stop = encode_packet(MessageType.STOP, 3)
-    commands = [board_command(IDENTITY, DESCRIPTION, BOOT_ID)]
-    commands += [f"receive 0 {CONFIGURE.hex()}", f"receive 0 {START.hex()}", f"frame 1 {'00' * 176}", "output 140"]
-    commands += [f"frame 2 {'00' * 176}", f"receive 3 {stop.hex()}", f"receive 4 {START.hex()}", "output 1000"]
-    outputs = [line.split()[1] for line in run_commands(commands) if line.startswith("output ")]
-    found = PacketDecoder(from_board=True).feed(bytes.fromhex("".join(outputs)))
-    assert [packet.type for packet in found] == [0x83, 0x84, 0x90, 0x85, 0x84]
-
-
 @pytest.mark.parametrize(
     ("description", "least_chunks"),
     [
@@ -177,8 +168,7 @@ def test_the_queue_must_hold_the_longest_packet(description: Description, least_
 def found_in(printed: list[str]) -> list[Packet]:
     """Return the packets of all lines of output."""
     sent = "".join(line.partition(" ")[2] for line in printed if line.startswith("output "))
-    found = PacketDecoder(from_board=True).feed(bytes.fromhex(sent))
-    return [packet for packet in found if isinstance(packet, Packet)]
+    return packets_in(bytes.fromhex(sent), from_board=True)
 
 
 def running_board(chunks: int = 12) -> list[str]:

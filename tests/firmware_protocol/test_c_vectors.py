@@ -6,6 +6,11 @@ import pytest
 from c_reference import board_command, event_line, hexadecimal, run_commands
 from vector_files import board_of, cases, check_sent, expected_events, named
 
+COMMANDS = {
+    "receive": "receive {ticks} {bytes}", "frame": "frame {ticks} {records}", "skip": "skipped", "begin": "begin",
+    "connect": "connects {ticks}", "disconnect": "ended", "fault": "fault {ticks} {text}"
+}  # fmt: skip
+
 
 @pytest.mark.parametrize("piece_bytes", [1, 3, 10_000])
 def test_streams(piece_bytes: int) -> None:
@@ -24,22 +29,12 @@ def test_streams(piece_bytes: int) -> None:
 def test_board_sessions(case: dict[str, Any]) -> None:
     commands = [board_command(*board_of(case))]
     for step in case["steps"]:
-        match step["do"]:
-            case "receive":
-                commands.append(f"receive {step['ticks']} {step['bytes']}")
-            case "frame":
-                commands.append(f"frame {step['ticks']} {step['records']}")
-            case "skip":
-                commands.append("skipped")
-            case "begin":
-                commands.append("begin")
-            case "fault":
-                commands.append(f"fault {step['ticks']} {hexadecimal((step['text'] or '').encode())}")
-            case "connect":
-                commands.append(f"connects {step['ticks']}")
-            case "disconnect":
-                commands.append("ended")
-        commands += [f"output {step.get('takes', 100_000)}", "state"]
+        text = hexadecimal((step.get("text") or "").encode())
+        commands += [
+            COMMANDS[step["do"]].format(**{**step, "text": text}),
+            f"output {step.get('takes', 10**5)}",
+            "state",
+        ]
     lines = run_commands(commands)
     served = [line == "served 1" for line in lines if line.startswith("served")]
     assert served == [step["served"] for step in case["steps"] if step["do"] == "connect"]

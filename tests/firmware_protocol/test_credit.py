@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from protocol_sessions import BOOT, GATE, IDENTITY, exchange, new_device, running
+from protocol_sessions import BOOT, GATE, IDENTITY, exchange, new_device, packets_in, running
 
 from firmware_protocol.host import HostSession, Pong
 from firmware_protocol.layouts import MessageType
-from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
+from firmware_protocol.packets import encode_packet
 from firmware_protocol.requests import Requests
 from firmware_protocol.states import HostState
 
@@ -17,7 +17,7 @@ PING = bytes(8)
 
 
 def types(data: bytes) -> list[int]:
-    return [found.type for found in PacketDecoder(from_board=False).feed(data) if isinstance(found, Packet)]
+    return [packet.type for packet in packets_in(data)]
 
 
 def test_requests_wait_in_order_until_there_is_room() -> None:
@@ -120,9 +120,7 @@ def test_outstanding_bytes_never_exceed_the_credit(credit_bytes: int, acts: list
             on_the_way.clear()
             host.ask_again()
         sent = host.data_to_send()
-        on_the_way += [
-            found.size_bytes for found in PacketDecoder(from_board=False).feed(sent) if isinstance(found, Packet)
-        ]
+        on_the_way += [packet.size_bytes for packet in packets_in(sent)]
         assert sum(on_the_way) <= credit_bytes
         line += sent
         if act in ("lose", "answer"):

@@ -1,5 +1,7 @@
 """Field lists: absent fields and texts; the vectors have round trips and what is malformed."""
 
+from dataclasses import replace
+
 import pytest
 
 from firmware_protocol.messages import (
@@ -19,6 +21,7 @@ def test_fields_that_may_be_absent_have_the_meanings_of_the_page() -> None:
     required = b"".join(bytes((tag, 1, 1)) for tag in range(1, 7)) + bytes((7, 0))
     description = decode_message(Description, required)
     assert description == Description(1, 1, 1, 1, 1, 1, "", 0, 0, None, 0, 1)
+    assert [replace(description, counter_kind=kind).oscillators for kind in (0, 1)] == [0, 1]
     assert encode_message(description) == required + bytes((8, 1, 0, 9, 1, 0, 11, 1, 0, 12, 1, 1))  # no queue_bytes
     assert decode_message(BoardStatus, bytes((1, 1, 0))) == BoardStatus(0, None, None)
 

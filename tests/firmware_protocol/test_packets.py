@@ -5,6 +5,7 @@ import random
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from protocol_sessions import check_accounts
 
 from firmware_protocol.packets import (
     MAX_PACKET_BYTES,
@@ -35,12 +36,6 @@ def encoded(packet: Packet) -> bytes:
     return encode_packet(
         packet.type, packet.sequence, packet.payload, board_ticks=packet.board_ticks, boot_id=packet.boot_id
     )
-
-
-def check_accounts(decoder: PacketDecoder) -> None:
-    counts = decoder.counts
-    parts = counts.accepted + counts.other_version + counts.echo + counts.discarded
-    assert counts.received == parts + decoder.waiting_bytes
 
 
 @given(st.lists(st.one_of(packets, awkward_bytes), max_size=12), st.data())

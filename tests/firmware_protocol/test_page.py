@@ -37,6 +37,7 @@ from firmware_protocol.messages import (
     CounterKind,
     Description,
     Identity,
+    LogLevel,
     RefusalCode,
     ResetCause,
     encode_message,
@@ -128,6 +129,7 @@ def test_other_numbers() -> None:
     }
     expected = [[name, str(member.value), words(member)] for name, kind in kinds.items() for member in kind]
     assert heads(table("Numbers"), 3) == expected
+    assert table("LOG")[0][4] == ", ".join(f"{level} {words(level)}" for level in LogLevel)
 
 
 def words(member: IntEnum) -> str:

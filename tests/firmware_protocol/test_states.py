@@ -3,13 +3,13 @@
 from collections.abc import Callable
 
 import pytest
-from protocol_sessions import BOOT, GATE, IDENTITY, new_device
+from protocol_sessions import BOOT, GATE, IDENTITY, new_device, packets_in
 
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.host import HostSession
 from firmware_protocol.layouts import FROM_BOARD, MessageType
 from firmware_protocol.messages import Refusal, RefusalCode, encode_message
-from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
+from firmware_protocol.packets import encode_packet
 from firmware_protocol.states import BOARD, HOST, BoardState, Cue, HostState
 
 REQUESTS = [member for member in MessageType if not member & FROM_BOARD]
@@ -32,8 +32,7 @@ def test_board_reacts_as_the_table_states(state: BoardState, request_type: Messa
     reaction = BOARD[state, request_type]
     device = device_in(state)
     request = encode_packet(request_type, 77, PAYLOADS.get(request_type, b""))
-    (answer,) = PacketDecoder(from_board=True).feed(device.receive(request, 5))
-    assert isinstance(answer, Packet)
+    (answer,) = packets_in(device.receive(request, 5), from_board=True)
     assert (answer.type, answer.sequence, answer.boot_id, answer.board_ticks) == (reaction.answer, 77, BOOT, 5)
     assert device.state is reaction.next_state
     if reaction.refusal is not None:
@@ -61,12 +60,8 @@ def host_in(state: HostState) -> tuple[HostSession, DeviceSession, MessageType |
         if state is HostState.CONFIGURING:
             host.configure(GATE)
     assert host.state is state
-    sent = requests(host.data_to_send())
+    sent = packets_in(host.data_to_send())
     return host, device, MessageType(sent[-1].type) if sent else None
-
-
-def requests(data: bytes) -> list[Packet]:
-    return [found for found in PacketDecoder(from_board=False).feed(data) if isinstance(found, Packet)]
 
 
 def answer_packet(answer: MessageType, number: int) -> bytes:
@@ -76,13 +71,9 @@ def answer_packet(answer: MessageType, number: int) -> bytes:
         MessageType.REFUSED: encode_message(Refusal(RefusalCode.FAULT, "")),
     }
     device = new_device()
-    described = requests_of_board(device.receive(encode_packet(MessageType.DESCRIBE, 1), 0))
+    described = packets_in(device.receive(encode_packet(MessageType.DESCRIBE, 1), 0), from_board=True)
     payloads[MessageType.DESCRIPTION] = described[0].payload
     return encode_packet(answer, number, payloads.get(answer, b""), boot_id=BOOT)
-
-
-def requests_of_board(data: bytes) -> list[Packet]:
-    return [found for found in PacketDecoder(from_board=True).feed(data) if isinstance(found, Packet)]
 
 
 USER: dict[Cue, Callable[[HostSession], None]] = {
@@ -102,7 +93,7 @@ def test_host_moves_as_the_table_states(state: HostState, cue: Cue) -> None:
     if host.awaits_answer:
         host.data_to_send()
         host.ask_again()  # tells the number that is waited for
-        number = requests(host.data_to_send())[-1].sequence
+        number = packets_in(host.data_to_send())[-1].sequence
     step = HOST.get((state, cue))
     if cue in USER:
         if step is None:
@@ -115,10 +106,10 @@ def test_host_moves_as_the_table_states(state: HostState, cue: Cue) -> None:
         host.receive(encode_packet(MessageType.STOPPED, 0, boot_id=BOOT + 1))
     elif cue is Cue.REFUSED and state is HostState.RUNNING:
         host.resume()
-        host.receive(answer_packet(MessageType.REFUSED, requests(host.data_to_send())[-1].sequence))
+        host.receive(answer_packet(MessageType.REFUSED, packets_in(host.data_to_send())[-1].sequence))
     else:
         host.receive(answer_packet(MessageType[cue.value], number))
-    sent = requests(host.data_to_send())
+    sent = packets_in(host.data_to_send())
     assert host.state is (step.next_state if step else state)
     if cue is not Cue.REFUSED:
         assert [packet.type for packet in sent] == ([step.sends] if step and step.sends else [])
