@@ -232,13 +232,16 @@ int main(int count, char **words)
                 break;
             }
         } else if (drawn(16) == 0) {
-            if (drawn(2)) {
+            uint32_t way = drawn(3);
+            if (way == 0) {
                 resonator_begin(&board);
-            } else {
+            } else if (way == 1) {
                 resonator_connection_ended(&board);
             }
-            abandoned += sent.waiting_bytes;
-            resonator_decoder_abandon(&sent); /* the rest of a packet will not come */
+            if (way < 2 || resonator_host_connects(&board, input)) {
+                abandoned += sent.waiting_bytes;
+                resonator_decoder_abandon(&sent); /* the rest of a packet will not come */
+            }
         }
         check_decoder(&board.decoder, received);
         check_queue(&board);
