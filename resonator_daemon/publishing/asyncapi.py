@@ -24,7 +24,7 @@ from resonator_daemon.publishing.topics import (
     TOPICS,
     Topic,
 )
-from resonator_daemon.publishing.verbs import VERBS, Refusal, Verb
+from resonator_daemon.publishing.verbs import UNKNOWN, VERBS, Refusal, Verb
 
 Object = dict[str, Any]
 
@@ -41,7 +41,7 @@ _PARAMETERS: Final = {
 _NO_BRACES: Final = str.maketrans("", "", "{}")
 _DOCUMENT: Final = "AsyncApiDocument"
 _REPLY: Final = "reply"
-_UNKNOWN: Final = "rsp_unknown"
+_UNKNOWN: Final = f"rsp_{UNKNOWN}"
 _CORRELATION: Final = "command"
 _VERSION: Final = {"type": "string", "const": SCHEMA_VERSION, "description": "user property of MQTT 5"}
 _PROPERTIES: Final[dict[str, Object]] = {
@@ -168,7 +168,7 @@ def _add_verb(channels: Object, operations: Object, verb: Verb) -> None:
 
 def _add_unknown(channels: Object, operations: Object) -> None:
     about = "The refusal of an unknown command, with the `verb` `unknown` and the code `unknown_verb`."
-    channels[_UNKNOWN] = _channel(f"{_PLATE}rsp/unknown", about, Refusal.__name__)
+    channels[_UNKNOWN] = _channel(f"{_PLATE}rsp/{UNKNOWN}", about, Refusal.__name__)
     delivery = _BINDING | {"qos": 1, "retain": False}
     operations[_UNKNOWN] = _operation("send", _UNKNOWN, delivery, Refusal.__name__) | {
         "summary": "Refuses an unknown command that has no response topic."

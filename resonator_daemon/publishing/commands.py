@@ -15,7 +15,17 @@ from pydantic_core import ErrorDetails
 from resonator_daemon.publishing.mqtt_messages import Incoming, Outgoing
 from resonator_daemon.publishing.strict_json import read_object
 from resonator_daemon.publishing.token_bucket import TokenBucket
-from resonator_daemon.publishing.verbs import VERBS, Answer, ErrorCode, Problem, Refusal, Request, Verb, permitted
+from resonator_daemon.publishing.verbs import (
+    UNKNOWN,
+    VERBS,
+    Answer,
+    ErrorCode,
+    Problem,
+    Refusal,
+    Request,
+    Verb,
+    permitted,
+)
 from resonator_daemon.toml_files.reading import nearest
 
 WAITING_MAX: Final = 32
@@ -142,10 +152,10 @@ class Commands:
 
     def _parse(self, message: Incoming) -> _Command:
         word = message.topic.removeprefix(f"{self._base}/cmd/")
-        verb = word if _WORD.fullmatch(word) else "unknown"
+        verb = word if word in self._handlers else UNKNOWN
         topic, correlation = message.response_topic, message.correlation
         refused = None
-        if word not in VERBS or word not in self._handlers:
+        if verb == UNKNOWN:
             allowed = nearest(word, permitted(self.allowed))
             refused = CommandRefusedError("unknown_verb", f"no command is called {_quoted(word)}", allowed)
         if correlation is not None and len(correlation) > CORRELATION_BYTES_MAX:

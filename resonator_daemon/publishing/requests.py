@@ -15,7 +15,7 @@ from resonator_daemon.publishing.broker_connection import FAILURE, MQTT_5, Broke
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.reconnection import connection_session, keep_connected
 from resonator_daemon.publishing.topics import full_topic
-from resonator_daemon.publishing.verbs import VERBS, Answer, Refusal
+from resonator_daemon.publishing.verbs import UNKNOWN, VERBS, Answer, Refusal
 
 REACH_S: Final = 5.0
 ANSWER_S: Final = 10.0
@@ -111,7 +111,8 @@ async def request(
     answer: asyncio.Future[dict[str, Any]] = loop.create_future()
     number = secrets.token_hex(8)
     command_topic = full_topic(broker.prefix, name, f"cmd/{verb}")
-    common_topic = full_topic(broker.prefix, name, f"rsp/{verb}")
+    answered = verb if verb in VERBS else UNKNOWN
+    common_topic = full_topic(broker.prefix, name, f"rsp/{answered}")
     own_topic = f"{common_topic}/{number}"
     payload = {"id": number, **payload}
 
@@ -120,7 +121,7 @@ async def request(
             content = json.loads(message.payload)
         except (ValueError, RecursionError):
             return
-        if not isinstance(content, dict) or content.get("verb") != verb or message.retained or answer.done():
+        if not isinstance(content, dict) or content.get("verb") != answered or message.retained or answer.done():
             return
         if content.get("id") == payload["id"] or message.topic == own_topic:  # a payload that cannot be read has no id
             answer.set_result(content)

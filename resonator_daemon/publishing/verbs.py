@@ -15,6 +15,7 @@ from resonator_daemon.reasons import ReasonCode
 
 LABEL_PATTERN: Final = "^[A-Za-z0-9_-]{1,64}$"
 ID_LENGTH_MAX: Final = 64
+UNKNOWN: Final = "unknown"  # `verb` of the refusal of any other command, and the last level of its topic
 
 
 def _named(name: str, about: str, meanings: Mapping[Any, str | None]) -> FieldInfo:

@@ -66,6 +66,13 @@ async def test_a_request_that_cannot_be_read_is_answered_all_the_same(mosquitto:
     assert (answer["id"], answer["error"]["code"]) == (None, "payload")
 
 
+async def test_an_unknown_verb_is_refused_to_whoever_sent_it(broker: Mosquitto | Amqtt) -> None:
+    async with commanded(broker.url, HANDLERS, ALLOWED) as daemon:
+        await until(lambda: daemon.publisher.connected)
+        answer = await request(Mqtt(url=broker.url), "left", "fly", {"id": "7"})
+    assert (answer["verb"], answer["id"], answer["error"]["code"]) == ("unknown", "7", "unknown_verb")
+
+
 async def test_nobody_there_is_said(mosquitto: Mosquitto) -> None:
     with pytest.raises(NoAnswerError, match=r"no answer to resonator/left/cmd/tare within 0\.2 s; is `resonatord run`"):
         await request(Mqtt(url=mosquitto.url), "left", "tare", {}, answer_s=0.2)
