@@ -43,9 +43,6 @@ _RETURNED_S = 7.0  # the subscriber after the broker
 _SHARED_S = 10.0
 _HUNG_S = 50.0
 _JUNK = 9000  # retained topics
-_OVERWRITES = 200  # of each topic
-_OVERWRITTEN_S = 2.0
-_RETAINED = ("state/daemon", "state/link", "state/sensor", "info", "schema")
 _TOUCHED = ((7, 1.0), (1, 0.2), (13, 4.0))  # site and force, one after the other
 _TOUCH_EVERY_S = 0.2
 _TOUCH = "[[touches]]\nstart_s = {:.2f}\nsite = {}\nforce_newton = {}\nrise_s = 0.02\nhold_s = 0.06\nfall_s = 0.02\n"
@@ -84,7 +81,6 @@ class Scene:
     ledger: Ledger = field(default_factory=Ledger)
     runs: dict[str, Run] = field(default_factory=dict)  # by daemon_boot_id
     plates: list[Plate] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
     wrong: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -296,46 +292,7 @@ async def _retained_junk(scene: Scene) -> None:
     scene.client.start()
     run = await scene.start_plate()
     await asyncio.sleep(_BEFORE_S)
-    await _overwrite(scene)
     await _finish(scene, run)
-
-
-async def _overwrite(scene: Scene) -> None:
-    """Overwrite each retained topic of the daemon, and note what it sends in answer."""
-    junk, sent_bytes, last = b'{"state": "junk"}', 0, dict.fromkeys(_RETAINED, b"")
-    restorations = dict.fromkeys(_RETAINED, 0)
-    async with aiomqtt.Client("127.0.0.1", scene.port, max_inflight_messages=2000) as client:
-        for path in _RETAINED:
-            await client.subscribe(f"{_BASE}/{path}", qos=1)
-
-        async def watch() -> None:
-            nonlocal sent_bytes
-            async for message in client.messages:
-                payload, path = bytes(message.payload), message.topic.value.removeprefix(f"{_BASE}/")
-                last[path] = payload
-                if payload != junk and not message.retain:
-                    sent_bytes += len(payload)
-                    restorations[path] += 1
-
-        watching = asyncio.create_task(watch())
-        started_s = time.monotonic()
-        for n in range(_OVERWRITES):
-            for path in _RETAINED:
-                await client.publish(f"{_BASE}/{path}", junk, retain=True)
-            await asyncio.sleep(max(0.0, started_s + (n + 1) * _OVERWRITTEN_S / _OVERWRITES - time.monotonic()))
-        took_s = time.monotonic() - started_s
-        await asyncio.sleep(_BEFORE_S)
-        watching.cancel()
-        await asyncio.wait([watching])
-    log = scene.plates[0].daemon.log.read_text().splitlines()
-    lines = sum("retained topics" in line for line in log)
-    scene.notes.append(
-        f"{_OVERWRITES} overwrites of {len(_RETAINED)} retained topics in {took_s:.1f} s: {sent_bytes} bytes sent in "
-        f"answer, at most {max(restorations.values())} restorations of a topic in {took_s + _BEFORE_S:.1f} s, "
-        f"{lines} log lines"
-    )
-    if left := [path for path, payload in last.items() if payload in (b"", junk)]:
-        scene.wrong.append(f"not restored: {', '.join(left)}")
 
 
 CASES: dict[str, Callable[[Scene], Awaitable[None]]] = {
@@ -378,8 +335,6 @@ async def measure(case: str, folder: Path) -> list[str]:
         unreported,
     )
     print(f"{case:21}" + "".join(f"{figure:11}" for figure in figures), flush=True)
-    for note in scene.notes:
-        print(f"  {note}", flush=True)
     named = zip(_COLUMNS[4:], figures[4:], strict=True)
     wrong = [*scene.wrong, *(f"{name} {figure}" for name, figure in named if figure)]
     for identifier in scene.runs:

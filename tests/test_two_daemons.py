@@ -1,4 +1,4 @@
-"""Two daemons under one name: both say so, and both go on measuring; one answers."""
+"""Two daemons under one name: both say so, and both go on measuring; one answers. And one that is forged."""
 
 import json
 import logging
@@ -71,3 +71,20 @@ async def test_both_report_it_until_one_has_gone(
     for boot_id in ids:
         assert sum(f"boot id {boot_id}) publishes under this name" in warning for warning in warnings) == 1
     assert states <= 30  # neither answers the other without end
+
+
+async def test_forged_states_cost_that_topic_alone_and_are_no_conflict(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    async with (
+        bench.emulated(scenario="still"),
+        observe(mosquitto.url) as heard,
+        bench.running(bench.service(measurement=SLOW)) as daemon,
+    ):
+        await heard.until_last(STATE, state="online", reason_code="measuring")
+        for state in ("offline", "online") * 200:
+            forged = {"daemon_boot_id": "forged", "state": state, "t_ns": "1", "reason_code": ""}
+            await heard.client.publish(STATE, json.dumps(forged))
+        await heard.until(lambda: sum(b"forged" in state for state in heard.raw(STATE)) == 400)
+        await heard.until_last(STATE, daemon_boot_id=daemon.daemon_boot_id, state="online")
+        assert len(heard.raw("resonator/hand/schema")) == 1
+        assert not any(state["reason_code"] == "name_conflict" for state in heard.payloads(STATE))

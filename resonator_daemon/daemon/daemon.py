@@ -144,7 +144,7 @@ class Service:
         self._tasks = asyncio.TaskGroup()
         self._monitor = HealthMonitor()
         self._state_logs = {STATE_DAEMON: StateLog("daemon", log), STATE_SENSOR: StateLog("sensor", log)}
-        self._daemon = DaemonState(self._daemon_boot_id, self._publish_daemon_state, self._plate_publisher.republish)
+        self._daemon = DaemonState(self._daemon_boot_id, self._publish_daemon_state, self._plate_publisher.restore_now)
         self._version = version("resonatord")  # asked for once: it is in a file
         self._manager = ServiceManager()
         self._liveness = LivenessMonitor()

@@ -1,8 +1,8 @@
 """MQTT endpoint of one plate: its topics below its name, and its commands."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, Final
+from typing import Any
 from urllib.parse import quote
 
 from resonator_daemon.config import Config
@@ -17,10 +17,7 @@ from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.payloads import Info, Message, MessageAccount, State
 from resonator_daemon.publishing.publisher import FRESH_S, Publisher, Subscription
 from resonator_daemon.publishing.topics import (
-    CONTACT_EVENT,
     CONTACTS,
-    DECODED,
-    DECODED_SUMMARY,
     INFO,
     JSON,
     SCHEMA_PATH,
@@ -30,8 +27,6 @@ from resonator_daemon.publishing.topics import (
     full_topic,
 )
 from resonator_daemon.reasons import Reason, ReasonCode
-
-_OF_DECODERS: Final = (CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY)  # where decoding is apart
 
 MakeOffline = Callable[[Reason], State]
 
@@ -120,9 +115,7 @@ class PlatePublisher:
             spool_directory=state_directory() / "spool" / quote(broker.prefix, safe="") / name,
             boot_id=self._daemon_boot_id,
             on_connected=daemon_state.connected,
-            conflict=lambda: daemon_state.conflict,
-            never_retained=self._never_retained(),
-            cleared_at_first=self._cleared_at_first(),
+            announce=daemon_state.announce,
             stream_wait_max_s=FRESH_S,
         )
         self._publisher.retain(full_topic(broker.prefix, name, SCHEMA_PATH), asyncapi.encoded(), JSON)
@@ -130,10 +123,10 @@ class PlatePublisher:
             self._publisher.publish(self._base, topic, message.model_copy(update={"name": name}))
         self._waiting.clear()
 
-    def republish(self) -> None:
-        """Publish again what is retained."""
+    def restore_now(self) -> None:
+        """Restore at once the retained topics that another daemon overwrote last."""
         if self._publisher is not None:
-            self._publisher.republish()
+            self._publisher.restore_now()
 
     async def run(self) -> None:
         """Keep connected until `close`."""
@@ -176,28 +169,6 @@ class PlatePublisher:
         message = discovery_message(broker.prefix, name, info, contacts=contacts)
         topic = discovery_topic(broker.home_assistant_discovery, broker.prefix, name)
         self._publisher.retain(topic, message, JSON)
-
-    def _never_retained(self) -> Collection[str]:
-        # Not events: a subscription of the daemon's own would hide from it that no other client subscribes to them.
-        written = [topic for topic in TOPICS.values() if not topic.retained and topic.qos == 0]
-        if self._config.decoding.external:  # its messages would come back here, from the decoder
-            written = [topic for topic in written if topic not in _OF_DECODERS]
-        paths = [topic.path for topic in written]
-        for topic in written:
-            if topic.slow_hz is not None:  # contacts/+ has the events
-                paths.append(topic.slow_path if topic is CONTACTS else f"{topic.path}/+")
-        return [f"{self._base}/{path}" for path in paths]
-
-    def _cleared_at_first(self) -> Sequence[str]:
-        """Return filters of topics at further rates, also those of earlier runs, and of what decoders publish.
-
-        And of the message for Home Assistant, where an earlier run has published it and this one does not.
-        """
-        rates = [f"{topic.path}/+" for topic in TOPICS.values() if topic.slow_hz is not None]
-        filters = [f"{self._base}/{path}" for path in (*rates, *(topic.path for topic in _OF_DECODERS))]
-        if self._config.mqtt.home_assistant_discovery is None:
-            filters.append(discovery_topic("+", self._config.mqtt.prefix, self._name))
-        return filters
 
     def _answer(self, answer: Outgoing) -> None:
         if self._publisher is not None:

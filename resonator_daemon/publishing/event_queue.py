@@ -98,7 +98,6 @@ class EventQueue:
         self._passed = -1
         self.spool_opened = self._spool is None  # by an earlier run: that goes first
         self._connected = False
-        self._paused_by_sender = False
         self._reconnected = False  # subscribers may return later than the daemon
         self._awaits_subscribers = False  # those that wait are sent one by one
         self._subscribers_due_s = 0.0
@@ -136,7 +135,7 @@ class EventQueue:
 
     def pop(self) -> Event | None:
         """Return what is to be sent next; None: there is nothing, or it is still on its way from the disk."""
-        if not self.spool_opened or self._paused_by_sender or self._must_wait():
+        if not self.spool_opened or self._must_wait():
             return None
         if len(self._head) <= _READ_TOGETHER // 2 and self._on_disk:
             self._wake.set()
@@ -186,14 +185,6 @@ class EventQueue:
             return False
         is_late = bool(self._head or self._on_disk or (self._tail and self._tail[0].late))
         return (is_late or self._reconnected) and bool(self._on_the_way or self._try_again)
-
-    def pause(self) -> None:
-        """Send nothing until `resume`."""
-        self._paused_by_sender = True
-
-    def resume(self) -> None:
-        self._paused_by_sender = False
-        self._on_ready()
 
     def _end_wait(self) -> None:
         self._try_again = None

@@ -13,7 +13,7 @@ from resonator_daemon.publishing.broker_connection import FAILURE, MQTT_5, NO_SU
 from resonator_daemon.publishing.broker_limits import LargestMessages, packet_bytes
 from resonator_daemon.publishing.event_queue import Event, EventQueue
 from resonator_daemon.publishing.message_account import Account, Cause
-from resonator_daemon.publishing.packed_properties import PackedProperties, pack, properties_of
+from resonator_daemon.publishing.packed_properties import PackedProperties, properties_of
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.stream_packets import StreamPackets
 from resonator_daemon.publishing.topics import CONTACT_EVENT
@@ -26,7 +26,6 @@ UNACKNOWLEDGED_MAX: Final = 10  # below every broker's usual limit of 20
 
 _TOGETHER: Final = 32  # writes before other tasks of the event loop run
 _SEND_BYTES: Final = 64 * 1024  # of streams in one write
-_NO_PROPERTIES: Final = pack()
 
 log = logging.getLogger(__name__)
 
@@ -152,12 +151,6 @@ class Outbox:
         self._account.enqueued += len(again)
         self._account.republished += len(again)
         self._states.update(again)
-        self.pump_soon()
-
-    def clear_retained(self, topics: Collection[str]) -> None:
-        """Have the broker remove what it retains on topics that are not retained."""
-        self._account.enqueued += len([topic for topic in topics if topic not in self._states])
-        self._states.update((topic, Packet(topic, b"", _NO_PROPERTIES)) for topic in topics)
         self.pump_soon()
 
     def disconnected(self) -> None:

@@ -99,12 +99,8 @@ class Publisher:
         Called with the number of each connection, before the retained messages are sent again.
     on_denied
         Called with filter and reason when the broker refuses a subscription.
-    conflict
-        Returns whether another publisher uses the same topics: what it overwrites is not restored.
-    never_retained
-        Filters of topics that this publisher alone writes, without a retained message: those of others are removed.
-    cleared_at_first
-        Filters of topics without a retained message; what others retain there is removed on the first connection alone.
+    announce
+        Publishes a new message on the topic of the last will, if that is overwritten; None: its last one is sent again.
     stream_wait_max_s
         How long a measured message may wait for the socket, in seconds; older ones are skipped.
     times
@@ -122,9 +118,7 @@ class Publisher:
         boot_id: str | None = None,
         on_connected: Callable[[int], None] = ignore,
         on_denied: Callable[[str, str], None] = ignore,
-        conflict: Callable[[], bool] = lambda: False,
-        never_retained: Collection[str] = (),
-        cleared_at_first: Sequence[str] = (),
+        announce: Callable[[], None] | None = None,
         stream_wait_max_s: float = math.inf,
         times: ConnectionTimes | None = None,
     ) -> None:
@@ -132,7 +126,7 @@ class Publisher:
         self._times = times or ConnectionTimes()
         self._identifier = identifier
         self._make_will = make_will
-        self._will = b""  # of the latest attempt
+        self._will_topic = ""  # of the latest attempt
         self._subscriptions = subscriptions
         self._on_connected = on_connected
         self._on_denied = on_denied
@@ -142,12 +136,8 @@ class Publisher:
         self._connections = 0
         self._account = Account()
         self._outbox = Outbox(self._account, spool_directory, stream_wait_max_s, boot_id=boot_id)
-        self._never_retained = never_retained
-        self._cleared_at_first = cleared_at_first
-        self._is_cleared = not cleared_at_first
-        self._retained = RetainedTopics(
-            self._outbox.republish, self._outbox.clear_retained, conflict, (*never_retained, *cleared_at_first)
-        )
+        self._announce = announce
+        self._retained = RetainedTopics(self._restore)
         self._streams: dict[tuple[str, str], _Stream] = {}  # by base and path
         self._denied: set[str] = set()  # filters whose refusal was logged
         self._defects: set[tuple[str, type[Exception]]] = set()  # filters, and kinds of errors that were logged
@@ -223,9 +213,10 @@ class Publisher:
         if self._make(full_topic, Cause.CLOSED if self._closed else None):
             self._put_retained(Packet(full_topic, payload, pack(content_type=content_type)))
 
-    def republish(self) -> None:
-        """Send again the last message of each retained topic, because another publisher wrote over them."""
-        if self._client is not None and not self._closed:
+    def restore_now(self) -> None:
+        """Restore at once the retained topics that another publisher overwrote last."""
+        self._retained.restore_now()
+        if self.protocol == "3.1.1":  # what others send is not received there
             self._outbox.republish(self._outbox.retained_topics)
 
     def answer(self, outgoing: Outgoing) -> None:
@@ -310,7 +301,13 @@ class Publisher:
     def _watch_retained(self, client: BrokerConnection, topic: str) -> None:
         """Subscribe to what others send to a retained topic; before MQTT 5 every own message would come back, too."""
         if client.version is MQTT_5:
-            client.subscribe(topic, no_local=True, retain_as_published=topic in self._never_retained)
+            client.subscribe(topic, no_local=topic != self._will_topic)  # brokers regard a last will as the client's
+
+    def _restore(self, topic: str) -> None:
+        if topic == self._will_topic and self._announce is not None:
+            self._announce()
+        else:
+            self._outbox.republish((topic,))
 
     def _publish_stream(self, base: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
         """Queue the message, and the same bytes on each decimated topic whose pace lets it pass."""
@@ -338,7 +335,7 @@ class Publisher:
 
     def _make_connection(self, version: MQTTProtocolVersion) -> BrokerConnection:
         will = self._make_will()
-        self._will = will.payload
+        self._will_topic = will.topic
         if self._attempt is not None:
             self._limits = self._limits.within(self._attempt.limits)
         properties = None
@@ -367,35 +364,21 @@ class Publisher:
         self._client = client
         self._limits = client.limits
         self._connections += 1
-        self._retained.connected(self._will)
         self._outbox.connected(client, at_once=at_once)
         for subscription in self._subscriptions:
             client.subscribe(
                 subscription.topic_filter, subscription.qos, retain_as_published=subscription.retain_as_published
             )
         subscribed = {subscription.topic_filter for subscription in self._subscriptions}
-        for topic in {*self._outbox.retained_topics, *self._never_retained} - subscribed:
+        for topic in self._outbox.retained_topics - subscribed:
             self._watch_retained(client, topic)
         self._on_connected(self._connections)
         self._outbox.republish(self._outbox.retained_topics)
         try:
-            if not self._is_cleared:
-                await self._receive_retained(client)
             await asyncio.wait([client.lost])
         finally:
             self._client = None
             self._outbox.disconnected()
-
-    async def _receive_retained(self, client: BrokerConnection) -> None:
-        """Receive what is retained on topics that are cleared; meanwhile events wait, as they have this subscriber."""
-        self._outbox.events.pause()
-        try:
-            refused = [client.subscribe(topic_filter, no_local=True) for topic_filter in self._cleared_at_first]
-            await asyncio.wait(refused, timeout=self._times.progress_s)
-            client.unsubscribe(self._cleared_at_first)
-            self._is_cleared = True
-        finally:
-            self._outbox.events.resume()
 
     def _received(self, message: Incoming) -> None:
         self._retained.receive(message)
@@ -411,8 +394,6 @@ class Publisher:
 
     def _denied_by_broker(self, topic_filter: str, reason: str) -> None:
         """Log a denied subscription once, not with each new connection."""
-        if topic_filter in self._cleared_at_first:
-            return
         if topic_filter not in self._denied:
             self._denied.add(topic_filter)
             log.warning("broker denies %s (%s): no messages are received there", topic_filter, reason)

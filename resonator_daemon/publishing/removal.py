@@ -19,7 +19,7 @@ from resonator_daemon.publishing.topics import STATE_DAEMON, full_topic
 
 QUIET_S: Final = 1.0  # retained messages come at once: after such a silence there are no more
 CLEARED_S: Final = 3.0  # for one topic
-RESTORED_S: Final = 2.5  # a running daemon restores its topics within 2 s
+RESTORED_S: Final = 2.5  # a running daemon restores its topics at once, the first time
 REMOVED_S: Final = 30.0  # all of it
 
 

@@ -78,7 +78,7 @@ class AtBroker:
     async def __aenter__(self) -> Self:
         await reach(self._mqtt)
         await self._refuse_a_taken_name()
-        self._state = DaemonState(self.daemon_boot_id, self._publish_state, lambda: self._publisher.republish())
+        self._state = DaemonState(self.daemon_boot_id, self._publish_state, lambda: self._publisher.restore_now())
         topic = full_topic(self._mqtt.prefix, self._name, STATE_DAEMON.path)
         self._publisher = Publisher(
             self._mqtt,
@@ -86,6 +86,7 @@ class AtBroker:
             make_will=self._make_will,
             subscriptions=(Subscription(topic, 1, self._state.receive),),
             on_connected=self._state.connected,
+            announce=self._state.announce,
         )
         self._running = asyncio.create_task(self._publisher.run())
         self._state.become(Condition.ONLINE, Reason(ReasonCode.REPLAYING, self._what), time.time_ns())

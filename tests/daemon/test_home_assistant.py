@@ -57,15 +57,6 @@ async def test_a_plate_appears_shows_its_force_and_goes(bench: Bench, mosquitto:
         await heard.until(lambda: heard.raw(TOPIC)[-1] == b"")
 
 
-async def test_without_the_setting_the_message_of_an_earlier_run_is_cleared(bench: Bench, mosquitto: Mosquitto) -> None:
-    async with observe(mosquitto.url) as heard:
-        for topic in (TOPIC, TOPIC.replace("hand", "other")):
-            await heard.client.publish(topic, b"{}", qos=1, retain=True)
-        async with bench.running(bench.service()):
-            await heard.until(lambda: heard.raw(TOPIC) == [b"{}", b""])
-        assert heard.raw(TOPIC.replace("hand", "other")) == [b"{}"]
-
-
 @pytest.mark.parametrize(
     ("status", "forces", "shown"),
     [

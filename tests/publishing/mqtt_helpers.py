@@ -130,8 +130,6 @@ async def publishing(
     on_connected: Callable[[int], None] = lambda number: None,
     stream_wait_max_s: float = math.inf,
     times: ConnectionTimes | None = None,
-    never_retained: tuple[str, ...] = (),
-    cleared_at_first: tuple[str, ...] = (),
 ) -> AsyncIterator[Publisher]:
     """A running publisher of the plate "left"; closed at the end, when nothing but what is on disk still waits."""
     publisher = Publisher(
@@ -144,8 +142,6 @@ async def publishing(
         on_connected=on_connected,
         stream_wait_max_s=stream_wait_max_s,
         times=times,
-        never_retained=never_retained,
-        cleared_at_first=cleared_at_first,
     )
     running = asyncio.create_task(publisher.run())
     yield publisher

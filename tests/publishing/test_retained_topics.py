@@ -1,21 +1,20 @@
-"""What other clients do to retained topics and to the topics of commands, on Mosquitto."""
+"""What other clients do to retained topics and to the topics of commands."""
 
 import json
-import time
-from pathlib import Path
 from urllib.parse import urlsplit
 
 import aiomqtt
-from mqtt_helpers import LEFT, Messages, happen, make_will, publishing, received_events, until
-from observer import observe
+import pytest
+from mqtt_helpers import LEFT, Messages, make_will, publishing, until
+from observer import Observer, observe, skipping
 from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.publishing import topics
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.publisher import Subscription
+from resonator_daemon.publishing.retained_topics import QUIET_S, RetainedTopics
 
 ONLINE = Messages.state("online", "all is well")
-FORCES, HEALTH = f"{LEFT}/forces", f"{LEFT}/health"
 LINK, SENSOR, SCHEMA, DAEMON = (f"{LEFT}/{path}" for path in ("state/link", "state/sensor", "schema", "state/daemon"))
 
 
@@ -24,42 +23,16 @@ def client(url: str, version: MQTTProtocolVersion = MQTTProtocolVersion.MQTTv311
     return aiomqtt.Client(parts.hostname or "", parts.port or 1883, protocol=aiomqtt.ProtocolVersion(version))
 
 
-async def test_what_another_retains_on_streams_is_cleared_live_and_left_from_before(mosquitto, caplog) -> None:
-    async with client(mosquitto.url) as other:
-        await other.publish(FORCES, b"junk", qos=1, retain=True)
-        async with publishing(mosquitto.url, never_retained=(FORCES, f"{FORCES}/+", HEALTH)) as left:
-            await until(lambda: left.account.acknowledged == 1)
-            await other.publish(FORCES, b"not retained", qos=1)
-            await other.publish(f"{FORCES}/33hz", b"junk", qos=1, retain=True)
-            await other.publish(HEALTH, b"junk", qos=1, retain=True)
-            await until(lambda: left.account.acknowledged == 3)
-        async with observe(mosquitto.url, f"{LEFT}/#") as late:
-            await other.publish(f"{LEFT}/marker", b"", qos=1)  # comes after what is retained
-            await late.until_count(f"{LEFT}/marker", 1)
-            assert late.raw(FORCES) == late.raw(f"{FORCES}/33hz") == late.raw(HEALTH) == []
-    (line,) = [record.getMessage() for record in caplog.records if FORCES in record.getMessage()]
-    assert HEALTH in line
+def live(heard: Observer) -> list[str]:
+    """Return the topics of messages that were sent since the subscription."""
+    return [message.topic.value for message in heard.heard if not message.retain]
 
 
-async def test_what_is_retained_on_topics_of_further_rates_is_cleared_at_first(mosquitto, tmp_path: Path) -> None:
-    rates = [f"{LEFT}/{path}" for path in ("forces/5hz", "contacts/7hz", "contacts/event")]
-    async with publishing("mqtt://127.0.0.1:9", spool_directory=tmp_path) as left:
-        await happen(left, range(3))
-    async with client(mosquitto.url) as other:
-        for topic in (*rates, f"{LEFT}/else/5hz"):
-            await other.publish(topic, b"junk", qos=1, retain=True)
-        filters = (f"{LEFT}/forces/+", f"{LEFT}/contacts/+")
-        async with publishing(mosquitto.url, spool_directory=tmp_path, cleared_at_first=filters) as left:
-            await until(lambda: left.account.resent >= 2)  # no subscriber is there for the events
-            async with observe(mosquitto.url, f"{LEFT}/#") as late:
-                assert [event["seq"] for event in await received_events(late, 2)] == [0, 1, 2]
-                await other.publish(f"{LEFT}/marker", b"", qos=1)  # comes after what is retained
-                await late.until_count(f"{LEFT}/marker", 1)
-                assert not any(b"junk" in late.raw(topic) for topic in rates)
-                assert late.raw(f"{LEFT}/else/5hz") == [b"junk"]
+def foreign(topic: str, payload: bytes = b"junk") -> Incoming:
+    return Incoming(topic, payload, False, None, None)
 
 
-async def test_retained_topics_that_another_overwrites_or_clears_are_restored(mosquitto, caplog) -> None:
+async def test_retained_topics_that_another_overwrites_or_clears_are_restored_and_no_others(mosquitto) -> None:
     async with publishing(mosquitto.url) as left, client(mosquitto.url) as other:
         for topic in (topics.STATE_LINK, topics.STATE_DAEMON):
             left.publish(LEFT, topic, ONLINE)
@@ -67,32 +40,50 @@ async def test_retained_topics_that_another_overwrites_or_clears_are_restored(mo
         await until(lambda: left.connected)
         left.publish(LEFT, topics.STATE_SENSOR, ONLINE)  # after the connection
         await until(lambda: left.account.waiting == 0)
-        before = left.account.republished
-        await other.publish(LINK, b"junk", qos=1, retain=True)
-        await other.publish(SENSOR, b"", qos=1, retain=True)
-        await other.publish(DAEMON, make_will().payload, qos=1, retain=True)  # as a broker that ends
-        await other.publish(SCHEMA, b"", qos=1, retain=True)
-        await until(lambda: left.account.republished == before + 4 and left.account.waiting == 0)
+        async with observe(mosquitto.url, f"{LEFT}/#") as heard:
+            await heard.until_count(SCHEMA, 1)
+            await other.publish(LINK, b"junk", qos=1, retain=True)
+            await other.publish(SENSOR, b"", qos=1, retain=True)
+            await other.publish(DAEMON, make_will().payload, qos=1, retain=True)  # as a last will that comes late
+            await until(lambda: left.account.republished == 3 and left.account.waiting == 0)
+            await heard.until(lambda: len(live(heard)) == 2 * 3)
+            assert SCHEMA not in live(heard)
         async with observe(mosquitto.url, f"{LEFT}/#") as late:
             for topic in (LINK, SENSOR, DAEMON):
                 await late.until_last(topic, state="online")
-            assert await late.until_count(SCHEMA, 1) == [b"{}"]
-    (line,) = [record.getMessage() for record in caplog.records if LINK in record.getMessage()]
-    assert (SENSOR in line, SCHEMA in line, DAEMON in line) == (True, True, False)
 
 
-async def test_a_flood_on_a_retained_topic_draws_a_message_a_second(mosquitto, caplog) -> None:
-    async with publishing(mosquitto.url) as left, client(mosquitto.url) as other:
-        left.publish(LEFT, topics.STATE_LINK, ONLINE)
-        await until(lambda: left.connected and left.account.waiting == 0)
-        before, begun_s = left.account.republished, time.monotonic()
-        for number in range(200):
-            await other.publish(LINK, b"junk %d" % number, qos=1, retain=True)
-        async with observe(mosquitto.url, LINK) as late:
-            await late.until(lambda: bool(late.raw(LINK)) and late.raw(LINK)[-1][:1] == b"{")
-        took_s = time.monotonic() - begun_s
-        assert 1 <= left.account.republished - before <= 2 + took_s
-    assert len([record for record in caplog.records if LINK in record.getMessage()]) == 1
+async def test_a_flood_draws_few_restorations_and_the_last_message_is_restored(monkeypatch: pytest.MonkeyPatch) -> None:
+    restored: list[str] = []
+    retained, skip = RetainedTopics(restored.append), skipping(monkeypatch)
+    for topic in (LINK, SENSOR):
+        retained.published(topic, b"{}")
+    for number in range(400):  # in 8 s
+        retained.receive(foreign(LINK, b"junk %d" % number))
+        await skip(0.02)
+    assert restored == [LINK] * 2
+    await skip(30.0)
+    assert restored == [LINK] * 3
+    for seconds, count in ((59.0, 3), (1.0, 4), (60.0, 5), (QUIET_S, 6), (0.0, 6), (60.0, 7)):
+        retained.receive(foreign(LINK))
+        await skip(seconds)
+        assert len(restored) == count
+    await skip(QUIET_S)
+    for seconds in (0.0, 5.0):  # the pauses begin again
+        retained.receive(foreign(LINK))
+        await skip(seconds)
+    assert restored == [LINK] * 9
+    retained.receive(foreign(LINK))
+    retained.published(LINK, b"{}")  # is newer
+    await skip(60.0)
+    for topic in (LINK, SENSOR):
+        retained.receive(foreign(topic))
+    retained.restore_now()  # as after another daemon has ended
+    assert restored[9:] == [LINK, SENSOR]
+    retained.receive(foreign(LINK))
+    retained.close()
+    await skip(60.0)
+    assert len(restored) == 11
 
 
 async def test_own_messages_that_come_back_are_not_restored(broker) -> None:

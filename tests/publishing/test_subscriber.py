@@ -10,7 +10,7 @@ from functools import partial
 import aiomqtt
 import numpy as np
 import pytest
-from mqtt_helpers import LEFT, Messages, publishing, until
+from mqtt_helpers import LEFT, Messages, publishing
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing import subscriber, topics
@@ -67,18 +67,6 @@ async def test_what_cannot_be_read_is_passed_over_and_logged(mosquitto, caplog: 
     assert [record.levelno for record in caplog.records] == [logging.WARNING] * 2
     assert "Invalid JSON" in caplog.messages[0]
     assert "name: Field required (and " in caplog.messages[1]
-
-
-async def test_a_restart_of_the_broker_is_survived(broker) -> None:
-    async with publishing(broker.url) as left, aclosing(subscribe(Mqtt(url=broker.url))) as received:
-        left.publish(LEFT, topics.STATE_LINK, Messages.state("online"))
-        await next_of(received, "state/link")
-        await broker.kill()
-        await until(lambda: not left.connected)
-        left.publish(LEFT, topics.STATE_LINK, Messages.state("lost"))
-        await broker.start()
-        while (await next_of(received, "state/link")).message.state != "lost":
-            pass
 
 
 async def test_a_slow_reader_loses_what_is_old_of_streams_and_no_event(monkeypatch: pytest.MonkeyPatch) -> None:

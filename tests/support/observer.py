@@ -2,12 +2,13 @@
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import asynccontextmanager, suppress
 from typing import Any
 from urllib.parse import urlsplit
 
 import aiomqtt
+import pytest
 
 DEADLINE_S = 30.0  # far beyond what any wait takes: it ends a test that hangs
 
@@ -17,6 +18,21 @@ async def until(predicate: Callable[[], bool]) -> None:
     async with asyncio.timeout(20):
         while not predicate():  # noqa: ASYNC110  there is no event for every condition
             await asyncio.sleep(0.005)
+
+
+def skipping(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], Awaitable[None]]:
+    """Return what lets time of the event loop pass at once, and the timers of that time run."""
+    loop = asyncio.get_running_loop()
+    now_s = loop.time()
+    monkeypatch.setattr(loop, "time", lambda: now_s)
+
+    async def skip(seconds: float) -> None:
+        nonlocal now_s
+        now_s += seconds
+        for _ in range(3):
+            await asyncio.sleep(0)
+
+    return skip
 
 
 @asynccontextmanager
