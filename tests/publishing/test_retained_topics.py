@@ -1,56 +1,21 @@
 """What other clients do to retained topics and to the topics of commands."""
 
 import json
-from urllib.parse import urlsplit
 
-import aiomqtt
 import pytest
-from mqtt_helpers import LEFT, Messages, make_will, publishing, until
-from observer import Observer, observe, skipping
-from paho.mqtt.enums import MQTTProtocolVersion
+from mqtt_helpers import LEFT, Messages, publishing, until
+from observer import observe, skipping
 
 from resonator_daemon.publishing import topics
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.publisher import Subscription
 from resonator_daemon.publishing.retained_topics import QUIET_S, RetainedTopics
 
-ONLINE = Messages.state("online", "all is well")
-LINK, SENSOR, SCHEMA, DAEMON = (f"{LEFT}/{path}" for path in ("state/link", "state/sensor", "schema", "state/daemon"))
-
-
-def client(url: str, version: MQTTProtocolVersion = MQTTProtocolVersion.MQTTv311) -> aiomqtt.Client:
-    parts = urlsplit(url)
-    return aiomqtt.Client(parts.hostname or "", parts.port or 1883, protocol=aiomqtt.ProtocolVersion(version))
-
-
-def live(heard: Observer) -> list[str]:
-    """Return the topics of messages that were sent since the subscription."""
-    return [message.topic.value for message in heard.heard if not message.retain]
+LINK, SENSOR = f"{LEFT}/state/link", f"{LEFT}/state/sensor"
 
 
 def foreign(topic: str, payload: bytes = b"junk") -> Incoming:
     return Incoming(topic, payload, False, None, None)
-
-
-async def test_retained_topics_that_another_overwrites_or_clears_are_restored_and_no_others(mosquitto) -> None:
-    async with publishing(mosquitto.url) as left, client(mosquitto.url) as other:
-        for topic in (topics.STATE_LINK, topics.STATE_DAEMON):
-            left.publish(LEFT, topic, ONLINE)
-        left.retain(SCHEMA, b"{}", "application/json")
-        await until(lambda: left.connected)
-        left.publish(LEFT, topics.STATE_SENSOR, ONLINE)  # after the connection
-        await until(lambda: left.account.waiting == 0)
-        async with observe(mosquitto.url, f"{LEFT}/#") as heard:
-            await heard.until_count(SCHEMA, 1)
-            await other.publish(LINK, b"junk", qos=1, retain=True)
-            await other.publish(SENSOR, b"", qos=1, retain=True)
-            await other.publish(DAEMON, make_will().payload, qos=1, retain=True)  # as a last will that comes late
-            await until(lambda: left.account.republished == 3 and left.account.waiting == 0)
-            await heard.until(lambda: len(live(heard)) == 2 * 3)
-            assert SCHEMA not in live(heard)
-        async with observe(mosquitto.url, f"{LEFT}/#") as late:
-            for topic in (LINK, SENSOR, DAEMON):
-                await late.until_last(topic, state="online")
 
 
 async def test_a_flood_draws_few_restorations_and_the_last_message_is_restored(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,10 +65,10 @@ async def test_own_messages_that_come_back_are_not_restored(broker) -> None:
 async def test_a_retained_command_is_marked_also_when_it_arrives_live(mosquitto) -> None:
     heard: list[Incoming] = []
     subscription = Subscription(f"{LEFT}/cmd/+", 1, heard.append, retain_as_published=True)
-    async with publishing(mosquitto.url, subscriptions=(subscription,)) as left, client(mosquitto.url) as other:
+    async with publishing(mosquitto.url, subscriptions=(subscription,)) as left, observe(mosquitto.url, LINK) as other:
         await until(lambda: left.connected)
-        await other.publish(f"{LEFT}/cmd/tare", json.dumps({}), qos=1, retain=True)
-        await other.publish(f"{LEFT}/cmd/tare", b"", qos=1, retain=True)
-        await other.publish(f"{LEFT}/cmd/ping", b"{}", qos=1)
+        await other.client.publish(f"{LEFT}/cmd/tare", json.dumps({}), qos=1, retain=True)
+        await other.client.publish(f"{LEFT}/cmd/tare", b"", qos=1, retain=True)
+        await other.client.publish(f"{LEFT}/cmd/ping", b"{}", qos=1)
         await until(lambda: len(heard) >= 3)
     assert [message.retained for message in heard] == [True, True, False]
