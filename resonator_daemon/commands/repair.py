@@ -45,13 +45,12 @@ def _summary(path: Path, copy: Path, done: "Repaired") -> str:
     if not done.ended:
         cut = f", and its last {done.cut_bytes} bytes are left out" if done.cut_bytes else ""
         wrong.append(f"its end is missing{cut}")
-    if done.holes:
-        wrong.append(_left_out(done.holes, "damaged chunk"))
+    if done.damaged_parts:
+        parts = "1 damaged part is" if done.damaged_parts == 1 else f"{done.damaged_parts} damaged parts are"
+        wrong.append(f"{parts} left out ({done.damaged_bytes} bytes)")
     if done.index_damaged:
         wrong.append("its index is damaged")
-    if done.unreadable:
-        wrong.append(_left_out(done.unreadable, "unreadable record"))
-    wrong += [f"its attachment {name} is damaged and left out" for name in done.damaged_attachments]
+    wrong += [f"its attachment {name} is damaged" for name in done.damaged_attachments]
     if done.events_missing:
         wrong.append("1 event is missing" if done.events_missing == 1 else f"{done.events_missing} events are missing")
     end = f"{done.events} events"
@@ -61,7 +60,3 @@ def _summary(path: Path, copy: Path, done: "Repaired") -> str:
     if not done.carries_config:
         end += "; it does not carry its plate file and settings: replay it with --config FILE"
     return f"{path}: {'; '.join(wrong)}; {copy} has {end}"
-
-
-def _left_out(count: int, what: str) -> str:
-    return f"1 {what} is left out" if count == 1 else f"{count} {what}s are left out"

@@ -12,13 +12,12 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final
 
-from mcap.stream_reader import StreamReader
-
 from resonator_daemon.errors import UserError
 from resonator_daemon.host.new_file import make_directory
 from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.link import LinkUnavailableError
-from resonator_daemon.recording.reader import MAX_RECORD_BYTES, Origin, read_header
+from resonator_daemon.recording.mcap_messages import read_records
+from resonator_daemon.recording.reader import Origin, read_header
 from resonator_daemon.recording.writer import RecordingWriter
 
 _MS_NS: Final = 1_000_000
@@ -210,8 +209,7 @@ class DiskSpace:
 
     def _is_ours(self, path: str) -> bool:
         with open(path, "rb") as file:
-            records = StreamReader(file, record_size_limit=MAX_RECORD_BYTES).records
             try:
-                return read_header(path, records).get("name") == self._series.name
+                return read_header(path, read_records(file)).get("name") == self._series.name
             except LinkUnavailableError:
                 return False

@@ -1,31 +1,42 @@
-"""Messages and attachments of an MCAP file in their order, without what reading by records would make of each."""
+"""Records and messages of an MCAP file in their order: each record is verified, and no length is trusted."""
 
+import os
+import re
 import struct
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
-from typing import Final, NamedTuple
+from typing import IO, Any, Final, NamedTuple
 
 from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, McapRecord, Message
-from mcap.stream_reader import CRCValidationError, StreamReader
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, McapRecord, Metadata
+from mcap.stream_reader import CRCValidationError
+from mcap.writer import MCAP0_MAGIC
 
 _RECORD: Final = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE: Final = struct.Struct("<BQHIQQ")  # with channel, sequence, log time, publish time; its data follow
 _MESSAGE_OPCODE: Final = int(Opcode.MESSAGE)
+_INDEX_ENTRY_BYTES: Final = 16
 
 CHUNK_BYTES: Final = 256 << 10  # as written: about a millisecond to compress
 MAX_CHUNK_BYTES: Final = 16 << 20  # as read
 """Of a chunk's records: those that are written have 256 KiB and what fills them, an event of 256 KiB or a message."""
+MAX_RECORD_BYTES: Final = 64 << 20  # of MCAP; a chunk ends with the event that fills it
 
-_TIMES_BYTES: Final = 16
+# Opcode and length of what may follow damage: chunk, index of messages, attachment, metadata, end of the data.
+_HEADS: Final = re.compile(rb"(?=[\x06\x07\x09\x0c\x0f].{3}[\x00-\x04]\0{4})", re.DOTALL)
+_SEARCH_BYTES: Final = 1 << 20
+
+_TIMES_BYTES: Final = 16  # of an attachment, before its name
+_KINDS: Final[dict[int, Any]] = {Opcode.HEADER: Header, Opcode.METADATA: Metadata, Opcode.DATA_END: DataEnd}
 _CRC: Final = struct.Struct("<I")
-_UNREADABLE: Final = (McapError, ValueError, OverflowError, MemoryError, struct.error)
+# What mcap, lz4 and `decode` raise about bytes that they cannot read.
+DAMAGE = (McapError, ValueError, KeyError, TypeError, RuntimeError, struct.error, OverflowError, MemoryError, OSError)
 
 
 @dataclass
@@ -41,24 +52,132 @@ class DamagedAttachment(McapRecord):
     name: str
 
 
-def read_attachment(content: bytes) -> Attachment | DamagedAttachment:
+@dataclass
+class IndexedMessages(McapRecord):
+    """How many messages of a channel the chunk before has, from the index behind it."""
+
+    channel_id: int
+    count: int
+
+
+@dataclass
+class Damage(McapRecord):
+    """Bytes of a file that are no intact record; `reason`: of the first of them."""
+
+    begin_bytes: int
+    end_bytes: int
+    reason: Exception
+
+
+class _Content(ReadDataStream):
+    """Content of a record; nothing is shorter than its length states."""
+
+    def read(self, length: int) -> bytes:
+        data: bytes = super().read(length)
+        if len(data) < length:
+            raise EndOfFile
+        return data
+
+
+def read_records(file: IO[bytes], begin_bytes: int = 0, end_bytes: int | None = None) -> Iterator[McapRecord]:
+    """Give the records of a file up to the end of its data, and a `Damage` in place of what is none.
+
+    After damage, it goes on with the next bytes that are a record and agree with their check sum, if they have one.
+
+    Parameters
+    ----------
+    begin_bytes
+        Where a record begins; 0: with the file.
+    end_bytes
+        Where the data end; None: with the file.
+    """
+    at = begin_bytes
+    while True:
+        try:
+            file.seek(at)
+            if not at and file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+                raise McapError("not an MCAP file")
+            record = _read_record(file)
+        except DAMAGE as error:
+            reason = error.with_traceback(None)  # which would keep the content of the record
+        else:
+            at = file.tell()
+            yield record
+            if isinstance(record, DataEnd):
+                return
+            continue
+        size_bytes = end_bytes or file.seek(0, os.SEEK_END)
+        begin, at = at, _next_record(file, at + 1, size_bytes)
+        yield Damage(begin, at, reason)
+        if at >= size_bytes:
+            return
+
+
+def _read_record(file: IO[bytes]) -> McapRecord:
+    """Read the record that begins here; an exception of DAMAGE if none does."""
+    opcode, length = _RECORD.unpack(file.read(_RECORD.size))
+    if length > MAX_RECORD_BYTES:
+        raise ValueError(f"a record has {length} bytes, at most {MAX_RECORD_BYTES} are read")
+    content = file.read(length)
+    if len(content) < length:
+        raise EndOfFile
+    record = _parsed(opcode, content)
+    if isinstance(record, DamagedAttachment):
+        end = file.tell()
+        _read_record(file)  # or its length is damaged, too
+        file.seek(end)
+    return record
+
+
+def _parsed(opcode: int, content: bytes) -> McapRecord:
+    stream = _Content(BytesIO(content))
+    record: McapRecord
+    match opcode:
+        case Opcode.ATTACHMENT:
+            return _read_attachment(content)
+        case Opcode.MESSAGE_INDEX:  # its entries are of no use to a reader of all in order
+            channel_id, entries_bytes = stream.read2(), stream.read4()
+            stream.read(entries_bytes)
+            record = IndexedMessages(channel_id, entries_bytes // _INDEX_ENTRY_BYTES)
+        case Opcode.CHUNK:
+            chunk = Chunk.read(stream)
+            record = replace(chunk, compression="", data=_chunk_data(chunk))
+        case Opcode.HEADER | Opcode.METADATA | Opcode.DATA_END:
+            record = _KINDS[opcode].read(stream)
+        case _:
+            raise ValueError(f"no record of a recording has opcode {opcode}")
+    if stream.count != len(content):
+        raise ValueError(f"a record of {len(content)} bytes contains {stream.count}")
+    return record
+
+
+def _next_record(file: IO[bytes], at: int, end_bytes: int) -> int:
+    """Return where the next record begins that is intact, or `end_bytes`."""
+    while at < end_bytes:
+        file.seek(at)
+        for match in _HEADS.finditer(file.read(_SEARCH_BYTES + _RECORD.size)):
+            with suppress(*DAMAGE):
+                file.seek(at + match.start())
+                _read_record(file)
+                return at + match.start()
+        at += _SEARCH_BYTES
+    return end_bytes
+
+
+def _read_attachment(content: bytes) -> Attachment | DamagedAttachment:
     """Read the content of an attachment's record.
 
     As in the specification of MCAP the check sum, CRC-32, is of all content before it, and 0 means that there is none.
     """
-    with suppress(*_UNREADABLE):
+    with suppress(*DAMAGE):
         (crc,) = _CRC.unpack(content[-_CRC.size :])
         if crc in (0, zlib.crc32(content[: -_CRC.size])):
-            attachment: Attachment = Attachment.read(ReadDataStream(BytesIO(content)))
+            attachment: Attachment = Attachment.read(_Content(BytesIO(content)))
             return attachment
-    return DamagedAttachment(_name(content))
-
-
-def _name(content: bytes) -> str:
     name = "?"
-    with suppress(*_UNREADABLE):
-        name = ReadDataStream(BytesIO(content[_TIMES_BYTES:])).read_prefixed_string()
-    return name
+    with suppress(*DAMAGE):
+        name = _Content(BytesIO(content[_TIMES_BYTES:])).read_prefixed_string()
+    return DamagedAttachment(name)
 
 
 class Logged(NamedTuple):
@@ -70,58 +189,28 @@ class Logged(NamedTuple):
     log_ns: int
 
 
-class ChunkReader(StreamReader):
-    """Reads the records of a file but for message indexes; chunks as they are, attachments checked."""
-
-    # Of no use to a reader of all in order, and two thirds of the time that reading takes. Should another version of
-    # mcap have no such method, the indexes are parsed again.
-    def _read_record(self, opcode: int, length: int) -> McapRecord | None:
-        if opcode == Opcode.MESSAGE_INDEX:
-            self._stream.read(length)
-            return None
-        if opcode == Opcode.ATTACHMENT:
-            return read_attachment(self._stream.read(length))
-        return super()._read_record(opcode, length)
-
-
-def messages(records: Iterator[McapRecord], topics: Collection[str]) -> Iterator[Logged]:
+def messages(records: Iterator[McapRecord], topics: Collection[str], channels: Mapping[int, str]) -> Iterator[Logged]:
     """Give the messages on these topics.
 
     Parameters
     ----------
     records
-        Of a file, its chunks whole, as a ChunkReader gives them. What it raises about damage is passed on.
+        Of a file.
+    channels
+        Topics of the channels that records before these have declared.
 
     Raises
     ------
     ValueError
-        A chunk does not agree with its check sum or its records.
+        A chunk does not agree with its records.
     """
-    of_channel: dict[int, str] = {}
+    of_channel = {number: topic for number, topic in channels.items() if topic in topics}
     for record in records:
         if isinstance(record, Chunk):
-            yield from _of_chunk(record, topics, of_channel)
-        elif isinstance(record, Channel):
-            _note(record, topics, of_channel)
-        elif isinstance(record, Message) and record.channel_id in of_channel:
-            yield Logged(of_channel[record.channel_id], record.data, record.publish_time, record.log_time)
+            yield from _of_chunk(record.data, topics, of_channel)
 
 
-def declared_channels(record: McapRecord) -> dict[int, str]:
-    """Return the topics by number of the channels that a record is, or a chunk contains; ValueError for damage."""
-    if isinstance(record, Channel):
-        return {record.id: record.topic}
-    if not isinstance(record, Chunk):
-        return {}
-    channels: dict[int, str] = {}
-    with suppress(EndOfFile):  # a chunk has no footer, for which the reader looks
-        for inner in StreamReader(BytesIO(chunk_data(record)), skip_magic=True).records:
-            if isinstance(inner, Channel):
-                channels[inner.id] = inner.topic
-    return channels
-
-
-def chunk_data(chunk: Chunk) -> bytes:
+def _chunk_data(chunk: Chunk) -> bytes:
     """Return the records of a chunk, never more than MAX_CHUNK_BYTES of them.
 
     Raises
@@ -145,10 +234,9 @@ def chunk_data(chunk: Chunk) -> bytes:
     return data
 
 
-def _of_chunk(chunk: Chunk, topics: Collection[str], of_channel: dict[int, str]) -> Iterator[Logged]:
+def _of_chunk(data: bytes, topics: Collection[str], of_channel: dict[int, str]) -> Iterator[Logged]:
     # Two thousand messages a second of recorded time: locals, and tuples are made without the detour of their class.
     new_tuple, message_bytes = tuple.__new__, _MESSAGE.size
-    data = chunk_data(chunk)
     size_bytes = len(data)
     end = 0
     while end < size_bytes:
@@ -164,9 +252,6 @@ def _of_chunk(chunk: Chunk, topics: Collection[str], of_channel: dict[int, str])
             if topic is not None:
                 yield new_tuple(Logged, (topic, data[begin + message_bytes : end], publish_ns, log_ns))
         elif opcode == Opcode.CHANNEL:
-            _note(Channel.read(ReadDataStream(BytesIO(data[start:end]))), topics, of_channel)
-
-
-def _note(channel: Channel, topics: Collection[str], of_channel: dict[int, str]) -> None:
-    if channel.topic in topics:
-        of_channel[channel.id] = channel.topic
+            channel = Channel.read(_Content(BytesIO(data[start:end])))
+            if channel.topic in topics:
+                of_channel[channel.id] = channel.topic

@@ -4,14 +4,16 @@ import hashlib
 import os
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import IO, Final, NamedTuple
 
 from mcap.opcode import Opcode
-from mcap.records import Channel
+from mcap.records import Metadata
 
-from resonator_daemon.recording.mcap_messages import ChunkReader, declared_channels
-from resonator_daemon.recording.reader import DAMAGE, MAX_RECORD_BYTES, TOPIC
+from resonator_daemon.recording.mcap_messages import DAMAGE, MAX_RECORD_BYTES, read_records
+from resonator_daemon.recording.reader import CHANNEL, TOPIC, WIRE_CHANNEL
 from resonator_daemon.recording.repair import read_index
 
 _MAGIC_BYTES: Final = 8
@@ -19,7 +21,7 @@ _MAGIC_BYTES: Final = 8
 _HEAD: Final = struct.Struct("<BQHIQ")
 _RECORD_BYTES: Final = 9
 _CHUNK_HEAD_BYTES: Final = 37  # of its record: times, size and check sum of what it contains
-_CHUNKS_READ: Final = 64  # for the channels of a file without an index
+_RECORDS_READ: Final = 64  # for the channels of a file without an index
 
 
 class PartStart(NamedTuple):
@@ -37,8 +39,8 @@ class Outline(NamedTuple):
     identity
         Hash up to the check sum of the first chunk of MCAP with events: equal for copies of one recording, whatever
         their names, also if one is truncated, or the recording has grown since.
-    size_bytes
-        Of the file.
+    size_bytes, changed_ns
+        Of the file; UTC of its last change.
     starts
         Of its parts, in order; empty if the file has no events.
     channels
@@ -47,6 +49,7 @@ class Outline(NamedTuple):
 
     identity: str
     size_bytes: int
+    changed_ns: int
     starts: tuple[PartStart, ...]
     channels: dict[int, str]
 
@@ -57,15 +60,16 @@ def read_outline(path: Path, part_s: float) -> Outline:
     Events on the link count. Messages that the daemon has published are of an earlier time than the events around them.
     """
     with path.open("rb") as file:
-        size_bytes = os.fstat(file.fileno()).st_size
+        status = os.fstat(file.fileno())
         channels = _channels(file)
         file.seek(0)
         starts: list[PartStart] = []
-        for start in _chunk_starts(file, size_bytes, channels):
+        for start in _chunk_starts(file, status.st_size, channels):
             if not starts or abs(start.utc_ns - starts[-1].utc_ns) >= part_s * 1e9:  # the clock may be set back
                 starts.append(start)
         first = file.read(starts[0].begin_bytes + _CHUNK_HEAD_BYTES) if starts else b""
-        return Outline(hashlib.sha256(first).hexdigest()[:16], size_bytes, tuple(starts), channels)
+        identity = hashlib.sha256(first).hexdigest()[:16]
+        return Outline(identity, status.st_size, status.st_ctime_ns, tuple(starts), channels)
 
 
 def _chunk_starts(file: IO[bytes], size_bytes: int, channels: dict[int, str]) -> Iterator[PartStart]:
@@ -88,15 +92,12 @@ def _chunk_starts(file: IO[bytes], size_bytes: int, channels: dict[int, str]) ->
 
 
 def _channels(file: IO[bytes]) -> dict[int, str]:
-    index = read_index(file)
-    channels = {record.id: record.topic for record in index.records if isinstance(record, Channel)}
+    channels = {channel.id: channel.topic for channel in read_index(file).channels}
     if channels:
         return channels
-    file.seek(0)
-    records = ChunkReader(file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records
-    try:
-        for _, record in zip(range(_CHUNKS_READ), records, strict=False):
-            channels |= declared_channels(record)
-    except DAMAGE:
-        pass  # those before it are all there is
+    channels[WIRE_CHANNEL] = TOPIC
+    for record in islice(read_records(file), _RECORDS_READ):
+        if isinstance(record, Metadata) and record.name == CHANNEL:
+            with suppress(*DAMAGE):
+                channels[int(record.metadata["id"])] = record.metadata["topic"]
     return channels

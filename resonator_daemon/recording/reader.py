@@ -6,22 +6,20 @@ import json
 import logging
 import os
 import stat
-import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from itertools import chain, dropwhile
 from typing import IO, Final, NamedTuple, Self
 
-from mcap.exceptions import McapError
-from mcap.records import Attachment, Channel, Header, McapRecord, Metadata
+from mcap.records import Attachment, Header, McapRecord, Metadata
 
 from resonator_daemon.host.printable import printable
 from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.plate import Plate
 from resonator_daemon.reasons import ReasonCode
-from resonator_daemon.recording.mcap_messages import ChunkReader, DamagedAttachment, messages
+from resonator_daemon.recording.mcap_messages import DAMAGE, Damage, DamagedAttachment, messages, read_records
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import SnapshotTaken, WireEvent, decode
 
@@ -32,9 +30,11 @@ STILL_WRITTEN: Final = "still being written"  # damage of a file whose end is to
 PROFILE = "resonatord"
 FORMAT = "2"
 TOPIC = "wire"
+WIRE_CHANNEL: Final = 1  # in each file
 ENCODING = "application/octet-stream"
-RECORDING, BOARD = "recording", "board"  # metadata of the file
+RECORDING, BOARD, CHANNEL = "recording", "board", "channel"  # metadata of the file
 PLATE_FILE, SETTINGS_FILE = "plate.toml", "settings.toml"  # attachments
+DESCRIPTION_FILE: Final = "recording.json"  # attachment: metadata `recording` once more, with a check sum
 
 MARKS = "marks"
 JSON_ENCODING, JSON_SCHEMA_ENCODING = "json", "jsonschema"
@@ -54,10 +54,6 @@ MARK_SCHEMA_DATA: Final = {
     },
 }
 INFO_LEVEL = 2  # before WARNING and ERROR
-
-MAX_RECORD_BYTES = 64 << 20  # of MCAP; a chunk ends with the event that fills it
-# What mcap, lz4 and `decode` raise about bytes that they cannot read.
-DAMAGE = (McapError, ValueError, KeyError, TypeError, RuntimeError, struct.error, OverflowError, MemoryError, OSError)
 
 
 class Mark(NamedTuple):
@@ -201,6 +197,7 @@ class Recording:
     _records: Iterator[McapRecord]
     damage: str | None = None
     receivers: dict[str, Callable[[bytes, int], None]] = field(default_factory=dict)
+    _channels: Mapping[int, str] = field(default_factory=dict)  # those that were declared before `_records`
     _resumed: bool = False
 
     def __enter__(self) -> Self:
@@ -240,10 +237,8 @@ class Recording:
         channels
             Topics of the channels that records before it have declared.
         """
-        self._file.seek(begin_bytes)
-        records = ChunkReader(self._file, skip_magic=True, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records
-        declared = (Channel(number, topic, "", {}, 0) for number, topic in channels.items())
-        self._records = chain(declared, records)
+        self._records = read_records(self._file, begin_bytes)
+        self._channels = channels
         self._resumed = True
 
     def entries(self) -> Iterator[WireEvent | Mark]:
@@ -252,16 +247,26 @@ class Recording:
 
     def _all_entries(self) -> Iterator[WireEvent | Mark]:
         try:
-            for topic, data, publish_ns, log_ns in messages(self._records, (TOPIC, MARKS, *self.receivers)):
+            topics = (TOPIC, MARKS, *self.receivers)
+            for topic, data, publish_ns, log_ns in messages(self._intact(), topics, self._channels):
                 if topic in self.receivers:
                     self.receivers[topic](data, log_ns)
                     continue
                 yield decode(data, publish_ns, log_ns) if topic == TOPIC else decode_mark(data, publish_ns, log_ns)
         except DAMAGE as error:
-            at = self._file.tell()
-            whole = self._file.seek(0, 2)
-            end = STILL_WRITTEN if is_being_written(self._file) else "cut off"
-            self.damage = end if at >= whole else f"damaged before byte {at} of {whole} ({meaning_of(error)})"
+            self._end(self._file.tell(), error)
+
+    def _intact(self) -> Iterator[McapRecord]:
+        for record in self._records:
+            if isinstance(record, Damage):
+                self._end(record.end_bytes, record.reason)
+                return
+            yield record
+
+    def _end(self, at: int, error: Exception) -> None:
+        whole = self._file.seek(0, os.SEEK_END)
+        end = STILL_WRITTEN if is_being_written(self._file) else "cut off"
+        self.damage = end if at >= whole else f"damaged before byte {at} of {whole} ({meaning_of(error)})"
 
 
 def _is_before_a_snapshot(entry: WireEvent | Mark) -> bool:
@@ -276,14 +281,9 @@ def open_recording(path: str, plate: Plate | None = None) -> Recording:
     RecordingUnusableError
         No such file, no recording, of another format, or of a plate whose frames are others.
     """
+    file = open_file(path)
     try:
-        if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would be waited for
-            raise RecordingUnusableError(f"recording {path} is no regular file")
-        file = open(path, "rb")  # noqa: SIM115 - the recording closes it
-    except OSError as error:
-        raise RecordingUnusableError(f"recording {path}: {meaning_of(error)}") from error
-    try:
-        records = ChunkReader(file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records
+        records = read_records(file)
         header = read_header(path, records)
         check_format(path, header)
         attachments, damaged, records = _attachments(records)
@@ -297,6 +297,16 @@ def open_recording(path: str, plate: Plate | None = None) -> Recording:
     return Recording(path, header, damaged, attachments, file, records)
 
 
+def open_file(path: str) -> IO[bytes]:
+    """Open a regular file. Raises RecordingUnusableError."""
+    try:
+        if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would be waited for
+            raise RecordingUnusableError(f"recording {path} is no regular file")
+        return open(path, "rb")
+    except OSError as error:
+        raise RecordingUnusableError(f"recording {path}: {meaning_of(error)}") from error
+
+
 def read_header(path: str, records: Iterator[McapRecord]) -> dict[str, str]:
     """Read the first two records of a file; return its metadata.
 
@@ -305,16 +315,20 @@ def read_header(path: str, records: Iterator[McapRecord]) -> dict[str, str]:
     RecordingUnusableError
         It is no recording.
     """
-    try:
-        first, second = next(records), next(records)
-    except (*DAMAGE, StopIteration) as error:
-        remedy = "name a file that `resonatord record` has written"
-        raise RecordingUnusableError(f"{path} is no recording, or nothing of it was written; {remedy}") from error
-    if not isinstance(first, Header) or first.profile != PROFILE:
+    first, second = next(records, None), next(records, None)
+    if not isinstance(first, Header) or isinstance(second, Damage):
+        raise no_recording(path, "; if it is damaged, resonatord repair FILE copies what is intact")
+    if first.profile != PROFILE:
         raise RecordingUnusableError(f"{path} is an MCAP file, but not of this program")
     if not isinstance(second, Metadata) or second.name != RECORDING:
         raise RecordingUnusableError(f"{path} does not contain the description of its plate or board")
     return dict(second.metadata)
+
+
+def no_recording(path: str, remedy: str = "") -> RecordingUnusableError:
+    """Return the error for a file that is none."""
+    what = f"{path} is no recording, or nothing of it was written"
+    return RecordingUnusableError(f"{what}; name a file that `resonatord record` has written{remedy}")
 
 
 def check_format(path: str, header: dict[str, str]) -> None:
@@ -331,28 +345,17 @@ def _attachments(
     """Read the attachments that come next; return them, the names of damaged ones, and the records that follow."""
     texts: dict[str, str] = {}
     damaged: list[str] = []
-    following: Iterator[McapRecord] = iter(())
-    try:
-        for record in records:
-            if isinstance(record, DamagedAttachment):
+    for record in records:
+        if isinstance(record, DamagedAttachment):
+            damaged.append(record.name)
+        elif isinstance(record, Attachment):
+            try:
+                texts[record.name] = record.data.decode()
+            except UnicodeDecodeError:
                 damaged.append(record.name)
-            elif isinstance(record, Attachment):
-                try:
-                    texts[record.name] = record.data.decode()
-                except UnicodeDecodeError:
-                    damaged.append(record.name)
-            else:
-                following = chain([record], records)
-                break
-    except DAMAGE as error:
-        following = _raising(error)
-    return texts, tuple(damaged), following
-
-
-def _raising(error: Exception) -> Iterator[McapRecord]:
-    """Raise an error where its record would be read."""
-    raise error
-    yield
+        else:
+            return texts, tuple(damaged), chain([record], records)
+    return texts, tuple(damaged), records
 
 
 def _check_plate(path: str, header: dict[str, str], plate: Plate) -> None:

@@ -1,166 +1,87 @@
 """Repair of recordings that were cut off or damaged: copies what is intact to a new file."""
 
+import json
 import os
 import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
-from typing import IO, Final, NamedTuple, Self
+from typing import IO, Final, NamedTuple
 
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    Channel,
-    Chunk,
-    Header,
-    McapRecord,
-    Message,
-    MessageIndex,
-    Metadata,
-    Schema,
-)
+from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader, breakup_chunk
-from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+from mcap.writer import MCAP0_MAGIC, Writer
 
 from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.new_file import NewFile, check_new
-from resonator_daemon.host.system_limits import meaning_of, reason_of
+from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.recording.mcap_messages import (
-    CHUNK_BYTES,
-    MAX_CHUNK_BYTES,
+    DAMAGE,
+    MAX_RECORD_BYTES,
+    Damage,
     DamagedAttachment,
-    chunk_data,
-    read_attachment,
+    IndexedMessages,
+    read_records,
 )
 from resonator_daemon.recording.reader import (
-    DAMAGE,
-    MARKS,
-    MAX_RECORD_BYTES,
+    CHANNEL,
+    DESCRIPTION_FILE,
+    JSON_ENCODING,
     PLATE_FILE,
+    PROFILE,
+    RECORDING,
     SETTINGS_FILE,
     TOPIC,
-    decode_mark,
+    WIRE_CHANNEL,
+    check_format,
     is_being_written,
-    open_recording,
+    no_recording,
+    open_file,
 )
+from resonator_daemon.recording.writer import NUMBERS, McapFile, channel_metadata
 from resonator_daemon.session.host_time import HostTime
-from resonator_daemon.session.link_events import Skipped, decode, encode
+from resonator_daemon.session.link_events import Skipped, encode
 
 _FOOTER: Final = struct.Struct("<BQQQI8s")  # opcode, length, where summary and its offsets begin, crc, magic
 _CRC_AND_MAGIC_BYTES: Final = 12  # what the summary's check sum leaves out
-
-
-class DamagedRange(NamedTuple):
-    """Damaged part of a file, a chunk or a message; `messages` by channel, from the index behind a chunk."""
-
-    size_bytes: int
-    messages: Counter[int]
-
-    def joined(self, other: Self) -> "DamagedRange":
-        """Return both as one."""
-        return DamagedRange(self.size_bytes + other.size_bytes, self.messages + other.messages)
+_DATA_END_BYTES: Final = 13
+_BEGINNING_BYTES: Final = 4096  # with metadata, attachments and header, which all name the profile
 
 
 class FileIndex(NamedTuple):
-    """Index at the end of a file; `records`: schemas and channels of it, which a damaged chunk may have held."""
+    """Index at the end of a file; `begin_bytes`: where it begins, None if it is damaged or there is none."""
 
-    is_whole: bool
-    records: tuple[Schema | Channel, ...] = ()
+    begin_bytes: int | None = None
+    channels: tuple[Channel, ...] = ()
+    schemas: tuple[Schema, ...] = ()
+    message_counts: dict[int, int] | None = None
 
 
 def read_index(file: IO[bytes]) -> FileIndex:
-    """Read the index that other programs look for at the end of a file, and go back to the beginning."""
-    index = FileIndex(is_whole=False)
+    """Read the index that other programs look for at the end of a file."""
     with suppress(*DAMAGE):
         end = file.seek(-_FOOTER.size, os.SEEK_END)
         footer = file.read(_FOOTER.size)
         opcode, _, begin, _, crc, magic = _FOOTER.unpack(footer)
-        size_bytes = end - (begin or end)
-        if opcode == Opcode.FOOTER and magic == MCAP0_MAGIC and 0 <= size_bytes <= MAX_RECORD_BYTES:
-            file.seek(end - size_bytes)
-            summary = file.read(size_bytes)
+        if opcode == Opcode.FOOTER and magic == MCAP0_MAGIC and 0 < end - begin <= MAX_RECORD_BYTES:
+            file.seek(begin)
+            summary = file.read(end - begin)
             if crc == zlib.crc32(footer[:-_CRC_AND_MAGIC_BYTES], zlib.crc32(summary)):
-                records = StreamReader(BytesIO(summary + footer), skip_magic=True).records
-                index = FileIndex(True, tuple(record for record in records if isinstance(record, Schema | Channel)))
-            else:
-                index = FileIndex(is_whole=not crc)  # written without a checksum
-    file.seek(0)
-    return index
-
-
-class _BoundedReader(StreamReader):
-    """Reads an attachment, or an index behind a chunk, from the bytes of its own record, whatever is in them."""
-
-    def _read_record(self, opcode: int, length: int) -> McapRecord | None:
-        if opcode == Opcode.ATTACHMENT:
-            return read_attachment(self._stream.read(length))
-        if opcode != Opcode.MESSAGE_INDEX:
-            record: McapRecord | None = super()._read_record(opcode, length)
-            return record
-        data = self._stream.read(length)
-        with suppress(*DAMAGE):
-            index: MessageIndex = MessageIndex.read(ReadDataStream(BytesIO(data)))
-            return index
-        return None
-
-
-class Records:
-    """Records one by one, those of chunks too, up to where none can be decoded any more.
-
-    Attributes
-    ----------
-    good_bytes : int
-        Where the last record ended.
-    ended : bool
-        The file's own end was found.
-    """
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self.good_bytes = 0
-        self.ended = False
-
-    def __iter__(self) -> Iterator[McapRecord | DamagedRange]:
-        hole: DamagedRange | None = None
-        for record in self._outer():
-            if isinstance(record, MessageIndex):
-                if hole is not None:
-                    hole.messages[record.channel_id] = len(record.records)
-                continue
-            if hole is not None:
-                yield hole
-                hole = None
-            if not isinstance(record, Chunk):
-                yield record
-                continue
-            try:
-                inner = breakup_chunk(replace(record, compression="", data=chunk_data(record)))
-            except DAMAGE:
-                hole = DamagedRange(min(record.uncompressed_size, MAX_CHUNK_BYTES), Counter())
-            else:
-                yield from inner
-        if hole is not None:
-            yield hole
-
-    def _outer(self) -> Iterator[McapRecord]:
-        reader = _BoundedReader(self._file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES)
-        records = iter(reader.records)
-        while True:
-            try:
-                record = next(records, None)
-            except DAMAGE:
-                return
-            if record is None:
-                self.ended = True
-                return
-            self.good_bytes = self._file.tell()
-            yield record
+                records = list(StreamReader(BytesIO(summary + footer), skip_magic=True).records)
+                return FileIndex(
+                    begin,
+                    tuple(record for record in records if isinstance(record, Channel)),
+                    tuple(record for record in records if isinstance(record, Schema)),
+                    next((record.channel_message_counts for record in records if isinstance(record, Statistics)), None),
+                )
+    return FileIndex()
 
 
 class RepairError(UserError):
@@ -179,35 +100,37 @@ class NotRepairableError(RepairError):
 
 @dataclass
 class Repaired:
-    """What came of it; `cut_bytes` of the file's end are in no copy, nor are `holes` chunks before.
+    """What came of it; `cut_bytes` of the file's end are in no copy, nor are `damaged_bytes` of `damaged_parts` before.
 
     `index_damaged`: the index at its end is not what was written, and other programs read the file by it.
-    `unreadable` of the messages and marks of chunks that are whole, and of attachments, are in no copy, since no replay
-    can read them; nor are `damaged_attachments`, by their names, which are not what was written. `carries_config`:
-    plate file and settings are in it.
+    `damaged_attachments`, by their names, are in no copy, either. `carries_config`: plate file and settings are in it.
+    `recovered` and `missing` are messages by topic, and those of the link are
+    `events` and `events_missing`. What was written behind a missing end is unknown, and not in these.
     """
 
     ended: bool = False
     cut_bytes: int = 0
-    holes: int = 0
+    damaged_parts: int = 0
+    damaged_bytes: int = 0
     index_damaged: bool = False
-    unreadable: int = 0
     damaged_attachments: list[str] = field(default_factory=list)
     events: int = 0
     events_missing: int = 0
+    recovered: dict[str, int] = field(default_factory=dict)
+    missing: dict[str, int] = field(default_factory=dict)
     last_event_utc_ns: int | None = None
     carries_config: bool = False
 
     @property
     def was_whole(self) -> bool:
-        return self.ended and not (self.holes or self.index_damaged or self.unreadable or self.damaged_attachments)
+        damaged = self.damaged_parts or self.index_damaged or self.damaged_attachments
+        return self.ended and not (damaged or any(self.missing.values()))
 
 
 def repair(path: Path, copy: Path) -> Repaired:
-    """Copy what is whole of a recording; no copy is left where all of it is.
+    """Copy what is intact of a recording; no copy is left where all of it is.
 
-    A damaged chunk is left out, and so is what a replay could not read; an event in its place reports it. Where the
-    frame of a record itself is damaged, what follows is cut.
+    A damaged chunk is left out; an event in its place reports it.
 
     Raises
     ------
@@ -215,156 +138,207 @@ def repair(path: Path, copy: Path) -> Repaired:
         It is no recording of this format, has no event, is being written, or the copy cannot be made.
     """
     try:
-        with open_recording(str(path)):
-            pass
-        file = path.open("rb")
+        with open_file(str(path)) as file:
+            if is_being_written(file):
+                raise RepairError(f"{path} is being written; stop that first")
+            index = read_index(file)
+            records = read_records(file, end_bytes=index.begin_bytes)
+            head = _head(path, file, records)
+            description = _description(path, head)
+            check_new(copy)
+            new = NewFile(copy)
+            try:
+                done = _Copier(new.file, description, index).copy(chain(head, records), file)
+                if not done.events:
+                    raise RepairError(f"{path} has no event that can be read; no copy is made")
+                if done.was_whole:
+                    new.discard()
+                else:
+                    new.keep()
+            except OSError as error:
+                new.discard()
+                raise RepairError(f"{copy} cannot be written: {meaning_of(error)}") from error
+            except BaseException:
+                new.discard()
+                raise
     except LinkUnavailableError as error:
         raise NotRepairableError(str(error)) from error
-    except OSError as error:
-        raise NotRepairableError(reason_of(error)) from error
-    with file:
-        if is_being_written(file):
-            raise RepairError(f"{path} is being written; stop that first")
-        check_new(copy)
-        new = NewFile(copy)
-        try:
-            done = _copy(file, new.file)
-            if not done.events:
-                raise RepairError(f"{path} has no event that can be read; no copy is made")
-            if done.was_whole:
-                new.discard()
-            else:
-                new.keep()
-        except OSError as error:
-            new.discard()
-            raise RepairError(f"{copy} cannot be written: {meaning_of(error)}") from error
-        except BaseException:
-            new.discard()
-            raise
     return done
 
 
-def _copy(file: IO[bytes], target: IO[bytes]) -> Repaired:
-    index = read_index(file)
-    copier = _Copier(target, index.records)
-    records = Records(file)
+def _head(path: Path, file: IO[bytes], records: Iterator[McapRecord]) -> list[McapRecord]:
+    """Read up to the first chunk that is intact."""
+    file.seek(0)
+    if PROFILE.encode() not in file.read(_BEGINNING_BYTES):  # no large file of another kind is searched
+        raise no_recording(str(path))
+    head: list[McapRecord] = []
     for record in records:
-        copier.add(record)
-    copier.finish()
-    done = copier.done
-    done.ended, done.index_damaged = records.ended, records.ended and not index.is_whole
-    if not records.ended:
-        done.cut_bytes = file.seek(0, os.SEEK_END) - records.good_bytes
-    done.carries_config = copier.texts >= {PLATE_FILE, SETTINGS_FILE}
-    return done
+        head.append(record)
+        if isinstance(record, Chunk):
+            break
+    return head
+
+
+def _description(path: Path, head: list[McapRecord]) -> dict[str, str]:
+    """Return the metadata of a recording; of the two places that have them, the attachment has a check sum."""
+    found: list[dict[str, str]] = []
+    for record in head:
+        if isinstance(record, Attachment) and record.name == DESCRIPTION_FILE:
+            with suppress(*DAMAGE):
+                found.append(dict(json.loads(record.data)))
+        elif isinstance(record, Metadata) and record.name == RECORDING:
+            found.insert(0, record.metadata)
+    if not found:
+        raise no_recording(str(path))
+    check_format(str(path), found[-1])
+    return found[-1]
 
 
 class _Copier:
-    """Writes records to a new file, whose index is made again.
+    """Copies the records of a recording to a new file, whose index is made again.
 
     Parameters
     ----------
-    known
-        Schemas and channels for messages whose data names none.
+    target
+        The new file.
+    description
+        Metadata of the recording.
+    index
+        Of the recording; has the schemas and channels that a damaged chunk may have held.
     """
 
-    def __init__(self, target: IO[bytes], known: Iterable[Schema | Channel]) -> None:
-        self._writer = Writer(target, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
-        self._begun = False
-        self._schemas = {0: 0}  # here by the number there
-        self._channels: dict[int, int] = {}
-        self._topics: dict[int, str] = {}
-        self._known_schemas = {record.id: record for record in known if isinstance(record, Schema)}
-        self._known_channels = {record.id: record for record in known if isinstance(record, Channel)}
-        self._hole: DamagedRange | None = None
+    def __init__(self, target: IO[bytes], description: dict[str, str], index: FileIndex) -> None:
+        self._index = index
+        self._writer: Writer = McapFile(target, description)
+        self._schemas = {schema.id: schema for schema in index.schemas}
+        self._channels = {WIRE_CHANNEL: Channel(WIRE_CHANNEL, TOPIC, "", {}, 0)}
+        self._channels |= {channel.id: channel for channel in index.channels}
+        self._topics = {TOPIC: WIRE_CHANNEL}  # with their numbers in the new file
+        self._passed = Counter[int]()  # by channel, messages up to here, whether they are recovered or not
+        self._recovered = Counter[int]()
+        self._indexed = Counter[int]()  # messages since, by the indexes of damaged chunks or of unknown channels
+        self._own_indexes = Counter[int]()  # of the last intact chunk
+        self._hole_bytes = 0  # since the last event
         self.done = Repaired()
-        self.texts: set[str] = set()
+        self._texts: set[str] = set()
 
-    def add(self, record: McapRecord | DamagedRange) -> None:
+    def copy(self, records: Iterable[McapRecord], file: IO[bytes]) -> Repaired:
+        """Copy these records of a file."""
+        done, data_crc = self.done, 0
+        damage: Damage | None = None  # nothing intact follows yet
+        for record in records:
+            if damage is not None:
+                self._note_damage(damage)
+            damage = record if isinstance(record, Damage) else None
+            if isinstance(record, DataEnd):
+                done.ended, data_crc = True, record.data_section_crc
+            else:
+                self._add(record)
+        if damage is not None and self._index.begin_bytes is None:
+            done.cut_bytes = damage.end_bytes - damage.begin_bytes
+        elif damage is not None:
+            done.ended = True
+            self._note_damage(damage)
+        self._count()
+        done.index_damaged = done.ended and self._index.begin_bytes is None
+        if done.was_whole and data_crc and _crc_of(file, self._index) != data_crc:
+            done.damaged_parts += 1  # where no record has a check sum of its own
+        done.carries_config = self._texts >= {PLATE_FILE, SETTINGS_FILE}
+        self._writer.finish()
+        return done
+
+    def _count(self) -> None:
+        written = self._index.message_counts
+        if written is None:
+            written = self._passed + self._indexed
+        for number in sorted(written.keys() | self._recovered.keys()):
+            topic = self._channels[number].topic if number in self._channels else str(number)
+            self.done.recovered[topic] = self._recovered[number]
+            self.done.missing[topic] = max(0, written.get(number, 0) - self._recovered[number])
+        self.done.events, self.done.events_missing = self.done.recovered.get(TOPIC, 0), self.done.missing.get(TOPIC, 0)
+
+    def _add(self, record: McapRecord) -> None:
         match record:
-            case DamagedRange():
-                self.done.holes += 1
-                self._miss(record)
-            case Header() if not self._begun:
-                self._begun = True
-                self._writer.start(record.profile, record.library)
-            case Metadata():
+            case Metadata() if record.name == CHANNEL:
+                with suppress(*DAMAGE):
+                    number = int(record.metadata["id"])
+                    self._channels.setdefault(number, Channel(number, record.metadata["topic"], JSON_ENCODING, {}, 0))
+            case Metadata() if record.name != RECORDING:
                 self._writer.add_metadata(record.name, record.metadata)
             case DamagedAttachment():
                 self.done.damaged_attachments.append(record.name)
-            case Attachment():
-                self._attach(record)
-            case Schema():
-                self._add_schema(record)
-            case Channel():
-                self._add_channel(record)
-            case Message():
-                if record.channel_id in self._known_channels and record.channel_id not in self._channels:
-                    self._add_channel(self._known_channels[record.channel_id])
-                if record.channel_id in self._channels:
-                    self._message(record)
+            case Attachment() if record.name != DESCRIPTION_FILE:
+                self._texts.add(record.name)
+                self._writer.add_attachment(
+                    record.create_time, record.log_time, record.name, record.media_type, record.data
+                )
+            case IndexedMessages():
+                if self._own_indexes.pop(record.channel_id, None) != record.count and self._hole_bytes:
+                    self._indexed[record.channel_id] += record.count
+            case Chunk():
+                self._add_chunk(record)
 
-    def finish(self) -> None:
-        if self._hole is not None:
-            self.done.events_missing += self._missing(self._hole)
-        self._writer.finish()
-
-    def _attach(self, attachment: Attachment) -> None:
+    def _add_chunk(self, chunk: Chunk) -> None:
+        self._own_indexes.clear()
         try:
-            attachment.data.decode()
-        except UnicodeDecodeError:
-            self.done.unreadable += 1
+            records = breakup_chunk(chunk)
+        except DAMAGE as error:
+            self._note_damage(Damage(0, len(chunk.data), error))
             return
-        self.texts.add(attachment.name)
-        self._writer.add_attachment(
-            attachment.create_time, attachment.log_time, attachment.name, attachment.media_type, attachment.data
-        )
+        for record in records:
+            if isinstance(record, Schema):
+                self._schemas[record.id] = record
+            elif isinstance(record, Channel):
+                self._channels[record.id] = record
+            elif isinstance(record, Message):
+                self._own_indexes[record.channel_id] += 1
+                self._message(record)
 
-    def _add_schema(self, schema: Schema) -> None:
-        if schema.id not in self._schemas:
-            self._schemas[schema.id] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
-
-    def _add_channel(self, channel: Channel) -> None:
-        if channel.id in self._channels:
-            return
-        if channel.schema_id not in self._schemas and channel.schema_id in self._known_schemas:
-            self._add_schema(self._known_schemas[channel.schema_id])
-        schema_id = self._schemas.get(channel.schema_id, 0)  # 0: none, which leaves its messages as they are
-        self._channels[channel.id] = self._writer.register_channel(
-            channel.topic, channel.message_encoding, schema_id, channel.metadata
-        )
-        self._topics[channel.id] = channel.topic
+    def _note_damage(self, damage: Damage) -> None:
+        size_bytes = damage.end_bytes - damage.begin_bytes
+        self.done.damaged_parts += 1
+        self.done.damaged_bytes += size_bytes
+        self._hole_bytes += size_bytes
 
     def _message(self, message: Message) -> None:
-        topic = self._topics[message.channel_id]
-        try:
-            if topic == TOPIC:
-                decode(message.data, message.publish_time, message.log_time)
-            elif topic == MARKS:
-                decode_mark(message.data, message.publish_time, message.log_time)
-        except DAMAGE:
-            self.done.unreadable += 1
-            self._miss(DamagedRange(len(message.data), Counter({message.channel_id: 1})))
+        number = message.channel_id
+        channel = self._channels.get(number)
+        if channel is None:
+            self._indexed[number] += 1
             return
-        if topic == TOPIC:
-            if self._hole is not None:
-                self._write_missing(self._hole, message)
-                self._hole = None
-            self.done.events += 1
+        # Recordings of earlier versions have no numbers.
+        lost = self._indexed.pop(number, 0)
+        if message.sequence:
+            lost = (message.sequence - self._passed[number] - 1) % NUMBERS
+        self._passed[number] += lost + 1
+        self._recovered[number] += 1
+        if channel.topic == TOPIC:
+            if lost or (self._hole_bytes and not message.sequence):
+                now = HostTime(message.publish_time, message.log_time - message.publish_time, 0)
+                data = encode(Skipped(now, lost, self._hole_bytes))
+                self._writer.add_message(WIRE_CHANNEL, now.utc_ns, data, now.monotonic_ns)
+            self._hole_bytes = 0
             self.done.last_event_utc_ns = message.log_time
-        self._writer.add_message(
-            self._channels[message.channel_id], message.log_time, message.data, message.publish_time, message.sequence
-        )
+        self._writer.add_message(self._registered(channel), message.log_time, message.data, message.publish_time)
 
-    def _miss(self, hole: DamagedRange) -> None:
-        self._hole = hole if self._hole is None else self._hole.joined(hole)
+    def _registered(self, channel: Channel) -> int:
+        if channel.topic not in self._topics:
+            number = len(self._topics) + WIRE_CHANNEL
+            self._writer.add_metadata(CHANNEL, channel_metadata(number, channel.topic))
+            schema = self._schemas.get(channel.schema_id)
+            schema_id = 0 if schema is None else self._writer.register_schema(schema.name, schema.encoding, schema.data)
+            self._topics[channel.topic] = self._writer.register_channel(
+                channel.topic, channel.message_encoding, schema_id, channel.metadata
+            )
+        return self._topics[channel.topic]
 
-    def _write_missing(self, hole: DamagedRange, following: Message) -> None:
-        missing = self._missing(hole)
-        self.done.events_missing += missing
-        now = HostTime(following.publish_time, following.log_time - following.publish_time, 0)
-        data = encode(Skipped(now, missing, hole.size_bytes))
-        self._writer.add_message(self._channels[following.channel_id], now.utc_ns, data, now.monotonic_ns)
 
-    def _missing(self, hole: DamagedRange) -> int:
-        return sum(count for channel, count in hole.messages.items() if self._topics.get(channel) == TOPIC)
+def _crc_of(file: IO[bytes], index: FileIndex) -> int:
+    """Return the check sum of all records before the end of the data."""
+    left_bytes = (index.begin_bytes or 0) - _DATA_END_BYTES
+    file.seek(0)
+    crc = 0
+    while left_bytes > 0 and (block := file.read(min(left_bytes, 1 << 20))):
+        crc = zlib.crc32(block, crc)
+        left_bytes -= len(block)
+    return crc

@@ -4,11 +4,12 @@ import fcntl
 import json
 import operator
 import os
+from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from io import BufferedWriter
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self
+from typing import IO, Any, Final, NamedTuple, Self
 
 from mcap.writer import CompressionType, Writer
 
@@ -18,6 +19,8 @@ from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.recording.mcap_messages import CHUNK_BYTES
 from resonator_daemon.recording.reader import (
     BOARD,
+    CHANNEL,
+    DESCRIPTION_FILE,
     ENCODING,
     JSON_ENCODING,
     JSON_SCHEMA_ENCODING,
@@ -27,6 +30,7 @@ from resonator_daemon.recording.reader import (
     PROFILE,
     RECORDING,
     TOPIC,
+    WIRE_CHANNEL,
     Mark,
     Origin,
     encode_mark,
@@ -35,6 +39,8 @@ from resonator_daemon.session.frames import BoardOnline
 from resonator_daemon.session.link_events import Skipped, SnapshotTaken, WireEvent, encode
 
 _TOML: Final = "application/toml"
+_JSON: Final = "application/json"
+NUMBERS: Final = 1 << 32  # of messages, before they begin again
 
 
 class Published(NamedTuple):
@@ -59,6 +65,33 @@ class Contents(NamedTuple):
 
     def plus(self, other: Self) -> "Contents":
         return Contents(*map(operator.add, self, other))
+
+
+class McapFile(Writer):
+    """Beginning and messages of a recording's file; the messages of each channel are numbered from 1.
+
+    Parameters
+    ----------
+    stream
+        Of the file.
+    metadata
+        What is known when it is begun.
+    utc_ns
+        Now.
+    """
+
+    def __init__(self, stream: IO[bytes], metadata: dict[str, str], utc_ns: int = 0) -> None:
+        super().__init__(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4, enable_data_crcs=True)
+        self._numbers = Counter[int]()
+        self.start(PROFILE, f"resonatord {metadata['version']}")
+        self.add_metadata(RECORDING, metadata)
+        self.add_attachment(utc_ns, utc_ns, DESCRIPTION_FILE, _JSON, json.dumps(metadata).encode())
+        self.register_channel(TOPIC, ENCODING, schema_id=0)  # WIRE_CHANNEL
+
+    def add_message(self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0) -> None:
+        """Add a message, with the next number of its channel."""
+        self._numbers[channel_id] = sequence = (self._numbers[channel_id] + 1) % NUMBERS
+        super().add_message(channel_id, log_time, data, publish_time, sequence)
 
 
 class RecordingWriter:
@@ -104,7 +137,6 @@ class RecordingWriter:
         self._is_named = False  # on the medium
         self._channels: dict[str, int] = {}
         self._file = _made(path)
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
         try:
             self._begin(origin, utc_ns)
         except OSError as error:
@@ -130,7 +162,7 @@ class RecordingWriter:
             self.snapshot_due = False
         is_event = not isinstance(event, Skipped)
         contents = Contents(events=is_event, traffic=is_event and not isinstance(event, SnapshotTaken))
-        self._add(self._wire, now.utc_ns, encode(event), now.monotonic_ns, contents)
+        self._add(WIRE_CHANNEL, now.utc_ns, encode(event), now.monotonic_ns, contents)
 
     def mark(self, mark: Mark) -> None:
         channel = self._json_channel(MARKS, MARK_SCHEMA, MARK_SCHEMA_DATA)
@@ -143,7 +175,7 @@ class RecordingWriter:
 
     def name_board(self, board: BoardOnline) -> None:
         identity = board.identity
-        self._writer.add_metadata(
+        self._describe(
             BOARD,
             {
                 "product": identity.product,
@@ -152,8 +184,6 @@ class RecordingWriter:
                 "boot_id": f"{board.boot_id:08x}",
             },
         )
-        self._file.flush()
-        self.size_bytes = self._file.tell()
 
     def flush(self) -> None:
         """Hand what was written to the kernel."""
@@ -190,13 +220,15 @@ class RecordingWriter:
     def _begin(self, origin: Origin, utc_ns: int) -> None:
         with suppress(OSError):  # not every file system has locks
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        metadata = origin.metadata
-        self._writer.start(PROFILE, f"resonatord {metadata['version']}")
-        self._writer.add_metadata(RECORDING, metadata)
+        self._writer: Writer = McapFile(self._file, origin.metadata, utc_ns)
         for name, text in origin.attachments.items():  # outside of chunks, so that a file that was cut has them
             self._writer.add_attachment(utc_ns, utc_ns, name, _TOML, text.encode())
-        self._wire = self._writer.register_channel(TOPIC, ENCODING, schema_id=0)
-        self._writer.flush()
+        self._file.flush()
+        self.size_bytes = self._file.tell()
+
+    def _describe(self, name: str, metadata: dict[str, str]) -> None:
+        self._writer.add_metadata(name, metadata)
+        self._file.flush()
         self.size_bytes = self._file.tell()
 
     def _add(self, channel: int, log_ns: int, data: bytes, publish_ns: int, contents: Contents) -> None:
@@ -215,9 +247,16 @@ class RecordingWriter:
 
     def _json_channel(self, topic: str, name: str, schema: Mapping[str, Any]) -> int:
         if topic not in self._channels:
+            # Outside of chunks, which may be damaged.
+            self._describe(CHANNEL, channel_metadata(len(self._channels) + WIRE_CHANNEL + 1, topic))
             schema_id = self._writer.register_schema(name, JSON_SCHEMA_ENCODING, json.dumps(schema).encode())
             self._channels[topic] = self._writer.register_channel(topic, JSON_ENCODING, schema_id)
         return self._channels[topic]
+
+
+def channel_metadata(number: int, topic: str) -> dict[str, str]:
+    """Return the metadata of a channel of JSON, by which the messages of intact chunks are found without the others."""
+    return {"id": str(number), "topic": topic}
 
 
 def _made(path: Path) -> BufferedWriter:

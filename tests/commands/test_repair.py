@@ -2,13 +2,14 @@
 
 import fcntl
 import json
+import os
 import signal
+from collections import Counter
 from pathlib import Path
 from random import Random
 
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
 from recording_bench import ONE_BATCH
 
 from resonator_daemon.commands import main
@@ -18,11 +19,13 @@ from resonator_daemon.recording import recorder as recording
 from resonator_daemon.recording.reader import DAMAGE, Mark, Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder
 from resonator_daemon.recording.repair import RepairError, repair
-from resonator_daemon.recording.writer import Published
+from resonator_daemon.recording.writer import Published, RecordingWriter
 from resonator_daemon.session.host_time import HostTime
-from resonator_daemon.session.link_events import Closed, Received, Skipped, WireEvent, encode
+from resonator_daemon.session.link_events import Closed, Received, Skipped, WireEvent
 
 ORIGIN = Origin(load_plate("quartz16"), "tcp://board:1", name="left", plate_text="a = 1\n", settings_text="b = 2\n")
+SKIPPED = 10  # kind of an event
+DATA_END = b"\x0f\x04" + bytes(7)
 SCHEMA = {"title": "Count", "type": "object"}
 
 
@@ -58,6 +61,15 @@ def chunks(path: Path) -> list[tuple[int, int]]:
     return [(chunk.chunk_start_offset, chunk.chunk_length) for chunk in summary.chunk_indexes]
 
 
+def content(path: Path) -> list[tuple[str, int, int, bytes]]:
+    """Topic, times and data of all messages in the order of the file, as any reader of such files finds them."""
+    with path.open("rb") as file:
+        messages = make_reader(file, validate_crcs=True).iter_messages(log_time_order=False)
+        return [
+            (channel.topic, message.log_time, message.publish_time, message.data) for _, channel, message in messages
+        ]
+
+
 def test_wherever_a_file_is_cut_it_can_be_mended(made: tuple[Path, list[WireEvent]], tmp_path: Path) -> None:
     path, written = made
     whole = path.read_bytes()
@@ -73,7 +85,7 @@ def test_wherever_a_file_is_cut_it_can_be_mended(made: tuple[Path, list[WireEven
         done = repair(path, copy)
         assert read(copy) == (before, None)
         assert before == written[: done.events]
-        assert not done.ended
+        assert done.ended == done.index_damaged == (cut > whole.rindex(DATA_END))
         assert done.cut_bytes <= cut - first
         copy.unlink()
 
@@ -92,13 +104,65 @@ def test_a_damaged_chunk_is_left_out_and_told_in_its_place(
     done = repair(path, copy)
     events, damage = read(copy)
     assert damage is None
-    assert (done.holes, done.cut_bytes) == (1, 0)
+    assert (done.damaged_parts, done.cut_bytes) == (1, 0)
     assert done.events + done.events_missing == len(written)
     assert 4 <= done.events_missing <= 6
     (word,) = [event for event in events if isinstance(event, Skipped)]
     place = events.index(word)
     assert events[:place] + events[place + 1 :] == written[:place] + written[place + word.events :]
     assert (word.events, word.now) == (done.events_missing, events[place + 1].now)
+
+
+@pytest.mark.parametrize("has_index", [True, False])
+@pytest.mark.parametrize(
+    ("chunk_count", "size_bytes", "first", "step"),
+    [(3, 1, 0, 1), *(pytest.param(11, 2600, first, 10, marks=pytest.mark.soak) for first in range(10))],  # 4 kB, 64 kB
+)
+def test_a_flipped_bit_costs_its_chunk_at_most(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    chunk_count: int,
+    size_bytes: int,
+    first: int,
+    step: int,
+    *,
+    has_index: bool,
+) -> None:
+    monkeypatch.setattr("resonator_daemon.host.new_file.os.fsync", lambda _: None)
+    path, copy = tmp_path / "run.mcap", tmp_path / "copy.mcap"
+    random = Random(3)
+    writer = RecordingWriter(path, ORIGIN, 0)
+    for number in range(chunk_count):
+        for ms in range(20 * number, 20 * number + 2):
+            writer.write(Received(at(ms), random.randbytes(size_bytes)))
+        writer.mark(Mark(at(20 * number), f"mark {number}"))
+        writer.publish(Published("forces", number, b'{"count":1}', SCHEMA, retained=False))
+        writer.flush()
+    writer.finish()
+    writer.close()
+    header, written, parts = ORIGIN.metadata, content(path), chunks(path)
+    whole = path.read_bytes()
+    end = len(whole) if has_index else whole.rindex(DATA_END)
+    os.truncate(path, end)
+    for place in range(first, end, step):
+        with path.open("r+b") as file:
+            file.seek(place)
+            file.write(bytes([whole[place] ^ 1 << place % 8]))
+            file.seek(place)
+            file.flush()
+            done = repair(path, copy)
+            file.write(whole[place : place + 1])
+        with open_recording(str(copy)) as recording:
+            assert recording.header == header
+        recovered = [message for message in content(copy) if message[0] != "wire" or message[3][0] != SKIPPED]
+        hit = [number for number, (begin, length) in enumerate(parts) if begin <= place < begin + length]
+        expected = [message for number, message in enumerate(written) if number // 4 not in hit]
+        assert recovered in (expected, written), place
+        assert done.ended == has_index
+        counts = Counter(message[0] for message in recovered)
+        assert done.recovered == counts
+        assert counts + Counter(done.missing) == Counter(message[0] for message in written)
+        copy.unlink()
 
 
 def test_what_cannot_be_repaired_is_said(made: tuple[Path, list[WireEvent]], tmp_path: Path) -> None:
@@ -122,51 +186,13 @@ def test_what_cannot_be_repaired_is_said(made: tuple[Path, list[WireEvent]], tmp
     assert not (tmp_path / "copy.mcap").exists()
 
 
-def raw_recording(path: Path, messages: list[tuple[str, bytes]], **texts: bytes) -> None:
-    """A file as somebody else may have made it: messages by topic, attachments by the stems of their names."""
-    with path.open("wb") as file:
-        writer = Writer(file, compression=CompressionType.LZ4)
-        writer.start("resonatord", "")
-        writer.add_metadata("recording", ORIGIN.metadata)
-        for name, text in texts.items():
-            writer.add_attachment(0, 0, f"{name}.toml", "application/toml", text)
-        channels = {topic: writer.register_channel(topic, "", 0) for topic in ("wire", "marks")}
-        for number, (topic, data) in enumerate(messages):
-            writer.add_message(channels[topic], 2 * number, data, number)
-        writer.finish()
-
-
-CLOSED = encode(Closed(HostTime(0, 0, 0)))
-
-
-def test_what_a_replay_cannot_read_is_left_out_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, copy = tmp_path / "run.mcap", tmp_path / "copy.mcap"
-    messages = [("wire", CLOSED), ("wire", b"\xff" * 20), ("marks", b"null"), ("wire", CLOSED)]
-    raw_recording(path, messages, plate=b"a = 1", settings=b"\xff")
-    assert main(["repair", str(path), "--output", str(copy)]) == 0
-    events, damage = read(copy)
-    assert damage is None
-    assert [type(event) for event in events] == [Closed, Skipped, Closed]
-    assert events[1] == Skipped(events[2].now, 1, 24)
-    printed = capsys.readouterr().err
-    assert "run.mcap: 3 unreadable records are left out; 1 event is missing; " in printed
-    assert printed.endswith("; it does not carry its plate file and settings: replay it with --config FILE\n")
-    assert repair(copy, tmp_path / "again.mcap").was_whole
-
-
-def found_by_index(path: Path) -> int:
-    """Count the messages that a reader of such files finds by their index."""
-    with path.open("rb") as file:
-        return sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages())
-
-
 @pytest.mark.parametrize("part", ["place of a chunk", "begin of the index", "begin of its offsets", "end"])
 def test_a_damaged_index_is_made_anew(
     made: tuple[Path, list[WireEvent]], tmp_path: Path, capsys: pytest.CaptureFixture[str], part: str
 ) -> None:
     path, written = made
     begin, _ = chunks(path)[2]
-    whole = found_by_index(path)
+    whole = content(path)
     bent = bytearray(path.read_bytes())
     footer = len(bent) - 8 - 29 + 9  # behind its own opcode and length
     if part == "place of a chunk":
@@ -180,14 +206,14 @@ def test_a_damaged_index_is_made_anew(
     path.write_bytes(bent)
     if part != "begin of its offsets":  # which this reader does not look at
         with pytest.raises(DAMAGE):
-            found_by_index(path)
+            content(path)
     assert read(path) == (written, None)
     copy = tmp_path / "copy.mcap"
     assert main(["repair", str(path), "--output", str(copy), "--json"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["index_damaged"]
     assert err.startswith(f"{path}: its index is damaged; {copy} has {len(written)} events up to ")
-    assert found_by_index(copy) == whole
+    assert content(copy) == whole
     with open_recording(str(copy)) as it:
         assert (it.header["name"], it.plate_text, it.settings_text) == ("left", "a = 1\n", "b = 2\n")
     assert repair(copy, tmp_path / "again.mcap").was_whole
