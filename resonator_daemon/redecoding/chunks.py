@@ -74,8 +74,8 @@ class Chunk:
         Number of the chunk in the recording, from 0.
     starts
         Starts of all chunks of the recording.
-    size_bytes
-        Size of the recording.
+    size_bytes, changed_ns
+        Size of the recording, and UTC of its last change.
     channels
         Topics of the file by channel number.
     """
@@ -85,6 +85,7 @@ class Chunk:
     number: int
     starts: tuple[PartStart, ...]
     size_bytes: int
+    changed_ns: int
     channels: dict[int, str]
 
     @property
@@ -166,7 +167,7 @@ def chunks_of(path: Path, job: Job) -> list[Chunk]:
     outline = read_outline(path, job.chunk_s if comes_to_rest else float("inf"))
     starts = outline.starts[: None if comes_to_rest else 1]
     return [
-        Chunk(path, outline.identity, number, starts, outline.size_bytes, outline.channels)
+        Chunk(path, outline.identity, number, starts, outline.size_bytes, outline.changed_ns, outline.channels)
         for number in range(len(starts))
     ]
 

@@ -9,7 +9,7 @@ from resonator_daemon.config import Config
 from resonator_daemon.exporting.output import Recorded
 from resonator_daemon.exporting.run import table_metadata
 from resonator_daemon.publishing.topics import DECODED, FORCES
-from resonator_daemon.recording.reader import Recording, open_recording
+from resonator_daemon.recording.reader import STILL_WRITTEN, Recording, open_recording
 from resonator_daemon.redecoding.changes import STORED_TOPICS, Changes
 from resonator_daemon.redecoding.chunk_files import ChunkFiles, cannot_write, read_report
 from resonator_daemon.redecoding.chunks import Chunk, Job, Span, span_of
@@ -40,16 +40,20 @@ def decode_chunk(chunk: Chunk, job: Job) -> dict[str, Any]:
         try:
             files = ChunkFiles(job.output, chunk.key, job.topics, Recorded(config, metadata))
             try:
-                report = {
+                report: dict[str, Any] = {
                     "chunk": chunk.key,
                     "recording": str(chunk.path),
                     "boundaries_bytes": span.boundaries_bytes,
                     "plate": config.name or config.plate.name,
                 }
                 if span.is_empty:
-                    return files.close(report | _NO_FRAMES | {"damage": span.damage})
-                changes = Changes(span.begin and span.begin.utc_ns, span.end and span.end.utc_ns)
-                return files.close(report | _decode(chunk, recording, config, files, changes, span))
+                    report |= _NO_FRAMES | {"damage": span.damage}
+                else:
+                    changes = Changes(span.begin and span.begin.utc_ns, span.end and span.end.utc_ns)
+                    report |= _decode(chunk, recording, config, files, changes, span)
+                if report["damage"] is not None:
+                    report["changed_ns"] = chunk.changed_ns
+                return files.close(report)
             except BaseException:
                 files.discard()
                 raise
@@ -61,9 +65,13 @@ def decode_chunk(chunk: Chunk, job: Job) -> dict[str, Any]:
 
 
 def report_of(chunk: Chunk, job: Job) -> dict[str, Any] | None:
-    """Return the report of a chunk that is done; None if its recording was damaged, or has grown since."""
+    """Return the report of a chunk that is done; None if its recording has grown, or was damaged and changed since."""
     report = read_report(job.output, chunk.key)
-    is_done = report is not None and report["damage"] is None and chunk.is_described_by(report)
+    if report is None or not chunk.is_described_by(report):
+        return None
+    is_done = report["damage"] is None or (
+        report["damage"] != STILL_WRITTEN and report.get("changed_ns") == chunk.changed_ns
+    )
     return report if is_done else None
 
 

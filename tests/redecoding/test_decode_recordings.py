@@ -238,6 +238,12 @@ def test_force_plates_are_decoded_as_replayed_and_damage_is_reported(
     assert "the file is cut off" in printed["error"]["message"]
     assert (printed["recordings"], printed["changes"]) == (2, None)
     assert printed["rows"]["forces"] > forces
+    for done_before in (2, 1):  # a damaged recording is decoded again once its file has changed
+        assert decode(tmp_path / "runs" / "*.mcap", "--output", tmp_path / "out", "--json", "--chunk-seconds", 1) == 1
+        repeated = json.loads(capsys.readouterr().out)
+        assert (repeated["chunks"], repeated["chunks_done_before"]) == (2, done_before)
+        assert "the file is cut off" in repeated["error"]["message"]
+        (tmp_path / "runs" / f"{CASES[1].parent.name}.mcap").touch()
     assert decode(CASES[0], "--output", tmp_path / "maps", "--topics", "decoded") == 0
     assert "decoded: no rows; force plates have no maps" in capsys.readouterr().err
 
