@@ -315,7 +315,7 @@ class Recorder:
         with self._lock:
             failed, self.failure = self.failure, None
             self._logged_failure = False
-            self.path, self._file = file.path, file
+            self._path_before, self.path, self._file = self.path, file.path, file
             self._ended_bytes += self._counts.file_bytes
             self._ended_events, self._ended_messages = self._events, self._counts.messages
             self._counts = self._counts._replace(files=self._counts.files + 1, file_bytes=file.size_bytes)
@@ -395,18 +395,23 @@ class Recorder:
         if self._syncing is not None:
             wait([self._syncing])  # it uses the file
             self._syncing = None
+        text = f"{self.path}: {meaning_of(error) if isinstance(error, OSError) else repr(error)}"
+        kept = "what was written stays"
         if self._file is not None:
-            self._file.abandon()
+            stays = self._file.abandon()
             self._update_counts()
             lost, self._file = self._file.filling, None
             with self._lock:
                 self._count_missing(events=lost.traffic, messages=lost.messages)
-        reason = meaning_of(error) if isinstance(error, OSError) else repr(error)
-        self._fail(_code(error), f"{self.path}: {reason}")
+                if not stays:
+                    kept = "the file has no event and is removed"
+                    self.path = self._path_before
+                    self._counts = self._counts._replace(files=self._counts.files - 1)
+        self._fail(_code(error), text, kept)
 
-    def _fail(self, code: ReasonCode, text: str) -> None:
+    def _fail(self, code: ReasonCode, text: str, kept: str = "what was written stays") -> None:
         then = f"it is tried again every {self._times.retry_s:g} s" if self._resumes else "nothing more is recorded"
-        self._report_failure(code, f"{text}: {then}; what was written stays")
+        self._report_failure(code, f"{text}: {then}; {kept}")
 
     def _report_failure(self, code: ReasonCode, text: str) -> None:
         with self._lock:

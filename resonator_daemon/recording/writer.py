@@ -141,7 +141,6 @@ class RecordingWriter:
             self._begin(origin, utc_ns)
         except OSError as error:
             self.abandon()
-            path.unlink(missing_ok=True)  # nothing is in it
             raise UserError(f"{path} cannot be written: {meaning_of(error)}") from error
 
     @property
@@ -209,13 +208,22 @@ class RecordingWriter:
         """Close the file."""
         self._file.close()
 
-    def abandon(self) -> None:
-        """Close the file, with all that is whole: what is left of a chunk could not be read."""
+    def abandon(self) -> bool:
+        """Close the file with all that is whole, as the rest of a chunk cannot be read; return whether it stays.
+
+        Without an event, it is removed.
+        """
         raw = self._file.raw
+        stays = self.whole.events > 0
         with suppress(OSError):
-            raw.truncate(self.size_bytes)
+            if stays:
+                raw.truncate(self.size_bytes)
+            elif not self.is_gone:
+                self.size_bytes = 0
+                self.path.unlink()
         with suppress(OSError):
             raw.close()  # without the rest of the chunk, which closing the buffer would write once more
+        return stays
 
     def _begin(self, origin: Origin, utc_ns: int) -> None:
         with suppress(OSError):  # not every file system has locks

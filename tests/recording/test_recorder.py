@@ -116,7 +116,7 @@ def test_whatever_else_goes_wrong_ends_the_recording_and_is_said(
     monkeypatch.setattr(recording_writer, "encode", broken)
     path = tmp_path / "run.mcap"
     recorder = record(path, [Opened(at(0)), Sent(at(1), b"x")])
-    said = "RuntimeError('LZ4 has no memory'): nothing more is recorded; what was written stays"
+    said = "RuntimeError('LZ4 has no memory'): nothing more is recorded; the file has no event and is removed"
     assert recorder.failure == Reason(ReasonCode.WRITE_FAILED, f"{path}: {said}")
     assert (recorder.events, recorder.counts.events_missing) == (0, 2)  # the other waited for its chunk to be full
     recorder.put(Closed(at(2)))

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import resource
 import shutil
 import threading
 import time
@@ -162,6 +163,21 @@ def test_after_an_error_a_recording_goes_on_in_a_new_file(tmp_path: Path) -> Non
         recorder.put(snapshot(at(2)))
         wait_until(lambda: recorder.failure is None)
     assert contents(tmp_path) == [[snapshot(at(2))]]
+
+
+def test_an_attempt_without_an_event_leaves_no_file(tmp_path: Path) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))  # room for its beginning
+    try:
+        with Recorder(Series(tmp_path, "left", resumes=True), LEFT, times=NO_PAUSE) as recorder:
+            for ms in range(3):
+                recorder.put(snapshot(at(ms)))
+                recorder.put(Received(at(ms), Random(ms).randbytes(600_000)))
+                wait_until(lambda ms=ms: recorder.counts.events_missing == ms + 1)  # type: ignore[misc]
+                assert list(tmp_path.iterdir()) == []
+                assert (recorder.counts.files, recorder.all_bytes, recorder.path) == (0, 0, tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 @pytest.mark.parametrize("how", ["removed", "moved", "replaced"])
