@@ -30,6 +30,7 @@ from resonator_daemon.session.frames import (
     BoardOnline,
     BoardRefused,
     ChannelisedFrame,
+    Gap,
     LinkChange,
     ReaderFailed,
     SingleToneFrame,
@@ -134,6 +135,7 @@ class _LinkRecording:
         self._first_frame_s: float | None = None
         self._ended_s = 0.0
         self._stopped = False
+        self._frames_unmeasured = 0  # they gave way in the frame queue
 
     @contextmanager
     def open(self) -> Iterator[None]:
@@ -147,7 +149,7 @@ class _LinkRecording:
         finally:
             self._measure_the_rest()
             self._recorder.close()
-            is_kept = self._loop.reader.counters().frames > 0
+            is_kept = self._loop.reader.counters().frames > 0 and self._recorder.path.exists()
             if not is_kept:
                 self._recorder.path.unlink(missing_ok=True)  # it would only be in the way of the next attempt
             for number, handler in handlers.items():
@@ -202,6 +204,7 @@ class _LinkRecording:
             "events_missing": counts.events_missing,
             "messages": counts.messages,
             "messages_missing": counts.messages_missing,
+            "frames_unmeasured": self._frames_unmeasured,
         }
 
     def _stop(self, *_: object) -> None:
@@ -210,6 +213,8 @@ class _LinkRecording:
     def _handle(self, arrival: Arrival) -> None:
         if self._pipeline is not None:
             self._pipeline.handle(arrival)
+            if isinstance(arrival, Gap):
+                self._frames_unmeasured += arrival.loss.queue_overflow
         match arrival:
             case BoardOnline():
                 self._recorder.name_board(arrival)
@@ -254,4 +259,6 @@ def _progress(counters: LinkCounters, recorder: Recorder) -> str:
     line = f"{recorder.path}: {counters.frames} frames, {counters.lost.total} lost, {counts.file_bytes / 1e6:.1f} MB"
     if counts.files > 1:
         line += f", file {counts.files}"
-    return line + (f", {counts.events_missing} events too many for the disk" if counts.events_missing else "")
+    for what, missing in (("events", counts.events_missing), ("messages", counts.messages_missing)):
+        line += f", {missing} {what} too many for the disk" if missing else ""
+    return line

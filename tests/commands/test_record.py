@@ -108,6 +108,18 @@ def test_files_follow_each_other_and_have_what_was_measured(tmp_path: Path, monk
     assert report["messages_missing"] == 0
 
 
+def test_frames_that_are_not_measured_in_time_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(BoardReader.__init__.__kwdefaults__, "frame_queue_bytes", 10_000)  # less than between two looks
+    port, output = tmp_path / "board", tmp_path / "run.mcap"
+    path = config(tmp_path, f"serial:{port}?baud=4000000")
+    with emulated(EmulatorOptions("quartz16", pty=port)):
+        report = record(path, RecordOptions(output, 0.5, include_messages=True))
+    assert report["frames_unmeasured"] > 0
+    with open_recording(str(output)) as recording:
+        received = sum(len(event.data) for event in recording.events() if isinstance(event, Received))
+    assert received == report["bytes_received"]
+
+
 def test_a_board_that_sends_no_frame_is_not_waited_for_without_end(tmp_path: Path) -> None:
     port = tmp_path / "board"
     faults = parse_faults("silence_at_s=0,silence_for_s=60")
