@@ -6,7 +6,6 @@ seldom. Of a viewer that does not keep up, the oldest messages are dropped.
 
 import asyncio
 import json
-import signal
 import time
 from collections.abc import Callable
 from contextlib import aclosing, suppress
@@ -17,6 +16,7 @@ from resonator_daemon.errors import ListenError, MissingLibraryError
 from resonator_daemon.exporting.foxglove_messages import ChannelMessage, FoxgloveMessages
 from resonator_daemon.exporting.geometry import Geometry
 from resonator_daemon.host.printable import how_to_install
+from resonator_daemon.host.signals import on_signals
 from resonator_daemon.publishing.payloads import Condition, Info, Message, State
 from resonator_daemon.publishing.subscriber import EVERY_PLATE, subscribe
 from resonator_daemon.publishing.topics import INFO, TOPICS
@@ -57,9 +57,8 @@ async def serve(
         The address is in use, or not this computer's.
     """
     serving = asyncio.create_task(_serve(broker, listen, on_ready, plate, full_rate))
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        asyncio.get_running_loop().add_signal_handler(number, serving.cancel)
-    await asyncio.wait([serving])
+    with on_signals(serving.cancel):
+        await asyncio.wait([serving])
     if not serving.cancelled():
         serving.result()
 

@@ -8,7 +8,6 @@ marked as stale.
 import asyncio
 import dataclasses
 import logging
-import signal
 import time
 from collections.abc import Iterable
 from contextlib import aclosing, suppress
@@ -20,6 +19,7 @@ from resonator_daemon.exporting.geometry import Geometry
 from resonator_daemon.exporting.ros2_diagnostics import STALE, Diagnostics, diagnostics_of
 from resonator_daemon.exporting.ros2_messages import DIAGNOSTICS_TOPIC, Translation
 from resonator_daemon.exporting.ros2_types import DIAGNOSTICS, make_typestore
+from resonator_daemon.host.signals import on_signals
 from resonator_daemon.publishing.payloads import Condition, Health, Info, Message, State
 from resonator_daemon.publishing.subscriber import EVERY_PLATE, subscribe
 from resonator_daemon.publishing.topics import (
@@ -78,9 +78,7 @@ async def serve(
         The domain cannot be joined.
     """
     serving = asyncio.create_task(_serve(broker, plate, full_rate, Ros2Bridge(domain_id, namespace, humble=humble)))
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        asyncio.get_running_loop().add_signal_handler(number, serving.cancel)
-    with suppress(asyncio.CancelledError):
+    with on_signals(serving.cancel), suppress(asyncio.CancelledError):
         await serving
 
 

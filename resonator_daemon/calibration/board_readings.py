@@ -1,6 +1,5 @@
 """Tone readings of the board that is calibrated, straight from its link."""
 
-import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,19 +20,9 @@ OPEN_S: Final = 10.0  # in which a board must answer
 
 @contextmanager
 def board_readings(config: Config, timeout_s: float) -> Iterator[Iterator[BoardOnline | ToneReading]]:
-    """Yield an iterator over the board and then its readings; SIGTERM and SIGHUP end it like Ctrl-C."""
-    capture = ToneCapture(config.link, config.plate, replay=replay_of(config.link, config.plate))
-    handlers = {number: signal.signal(number, _interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
-    try:
-        with capture:
-            yield _readings(capture, timeout_s)
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-
-
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
+    """Yield an iterator over the board and then its readings."""
+    with ToneCapture(config.link, config.plate, replay=replay_of(config.link, config.plate)) as capture:
+        yield _readings(capture, timeout_s)
 
 
 def _readings(capture: ToneCapture, timeout_s: float) -> Iterator[BoardOnline | ToneReading]:

@@ -7,7 +7,9 @@ from typing import Any
 
 from resonator_daemon.calibration.outcome import Outcome
 from resonator_daemon.calibration.plate_file import Record
+from resonator_daemon.errors import InterruptedCommandError
 from resonator_daemon.host.printable import print_note
+from resonator_daemon.host.signals import interruptible
 
 
 class Console:
@@ -38,14 +40,15 @@ def confirmed(question: str) -> bool:
     """Return whether the person at the terminal confirms; an answer that is neither yes nor no is asked for again."""
     answer = ""
     try:
-        while answer not in ("y", "yes", "n", "no"):
-            sys.stderr.write(f"{question} " if not answer else f"answer y or n; {question} ")
-            sys.stderr.flush()
-            line = sys.stdin.readline()
-            if not line.strip():  # Enter, or the end of the input
-                return False
-            answer = line.strip().lower()
-    except KeyboardInterrupt:  # no answer is no consent, and no reason to lose what was captured
+        with interruptible(""):
+            while answer not in ("y", "yes", "n", "no"):
+                sys.stderr.write(f"{question} " if not answer else f"answer y or n; {question} ")
+                sys.stderr.flush()
+                line = sys.stdin.readline()
+                if not line.strip():  # Enter, or the end of the input
+                    return False
+                answer = line.strip().lower()
+    except InterruptedCommandError:  # no answer is no consent, and no reason to lose what was captured
         return False
     return answer.startswith("y")
 

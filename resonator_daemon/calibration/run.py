@@ -29,6 +29,7 @@ from resonator_daemon.calibration.steps import LoadRequest, Step, plan_steps
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError, UsageError
 from resonator_daemon.host.printable import print_note
+from resonator_daemon.host.signals import interruptible
 from resonator_daemon.plate_tables import FORCE_SIGNAL
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.session.frames import BoardOnline
@@ -111,7 +112,7 @@ class _Calibration:
 
     def run(self) -> ExitCode:
         try:
-            with self._session.recording():
+            with interruptible(_AS_BEFORE), self._session.recording():
                 begun = {"plate": str(self._file.source), "sha256": self._file.digest, "wanted": asdict(self._request)}
                 self._session.write("begun", begun)
                 print_note(f"{len(self._steps)} loads; baseline first: leave the plate untouched")
@@ -119,11 +120,10 @@ class _Calibration:
                 record = self._record(outcome)
                 staged = self._stage(record, outcome)
                 self._session.write("staged", staged)
-        except KeyboardInterrupt:
+        except BaseException as error:
             self._session.discard()
-            raise InterruptedCommandError(f"interrupted; {_AS_BEFORE}", so_far=aborted(None)) from None
-        except BaseException:
-            self._session.discard()
+            if isinstance(error, InterruptedCommandError):
+                error.so_far = aborted(None)
             raise
         for line in [*summary(record, outcome), *(f"note: {note}" for note in staged["notes"])]:
             print_note(line)

@@ -15,49 +15,43 @@ import sys
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # every import here is time in which Ctrl-C gives a traceback
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
 _UNTIL_STOPPED = ("bridge", "decode", "emulate", "run", "view", "watch")  # commands for which that is the regular end
 
 
 def main(words: "Sequence[str] | None" = None) -> int:
-    """Run one command; return its exit code."""
-    own_process, words = words is None, sys.argv[1:] if words is None else words
-    try:
-        loaded = _end_on_signals(words) if own_process else lambda: None
-        from resonator_daemon.commands._command_line import run_command
+    """Run one command; return its exit code.
 
-        return run_command(words, loaded)
-    except KeyboardInterrupt:  # before there is a handler
-        return _interrupted(words)
-
-
-def _end_on_signals(words: "Sequence[str]") -> "Callable[[], None]":
-    """Let SIGINT and SIGTERM end the process at once, until the function that is returned is called.
-
-    KeyboardInterrupt inside a library that is being loaded can get lost there, or become another error.
+    Without `words` the process ends with the command. SIGINT and SIGTERM end it at once, with the command's exit code,
+    until the command sets handlers of its own because it has to clean up. KeyboardInterrupt would be lost in some
+    modules that load.
     """
     import signal
 
-    numbers = [number for number in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(number) is not signal.SIG_IGN]
+    numbers = [signal.SIGINT, signal.SIGTERM] if words is None else []
+    words = sys.argv[1:] if words is None else words
+    numbers = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
     for number in numbers:
         signal.signal(number, lambda *_: os._exit(_interrupted(words)))
+    try:
+        from resonator_daemon.commands._command_line import run_command
 
-    def loaded() -> None:
-        for number in numbers:  # SIGTERM as Ctrl-C, until a command that runs for long has handlers of its own
-            signal.signal(number, signal.default_int_handler)
-
-    return loaded
+        return run_command(words)
+    finally:
+        for number in numbers:  # nothing is left to do, and the exit code is known
+            signal.signal(number, signal.SIG_IGN)
 
 
 def _interrupted(words: "Sequence[str]") -> int:
-    """Print that the command was interrupted while it was loaded; return the exit code."""
-    if words[:1] and words[0] in _UNTIL_STOPPED:
+    """Print that the command was interrupted; return the exit code."""
+    if (words[:1] and words[0] in _UNTIL_STOPPED) or (words[:1] == ["status"] and "--watch" in words):
         return 0
     error = '"error": {"code": "interrupted", "message": "interrupted", "hint": ""}'
     try:
         if "--json" in words:
-            os.write(1, f'{{"verb": "{words[0]}", {error}, "ok": false}}\n'.encode())
+            verb = " ".join(words[: 1 + os.path.isdir(os.path.join(__path__[0], words[0]))])
+            os.write(1, f'{{"verb": "{verb}", {error}, "ok": false}}\n'.encode())
         os.write(2, b"resonatord: interrupted\n")
     except OSError:  # a reader that has left
         pass

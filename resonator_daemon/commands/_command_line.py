@@ -5,7 +5,7 @@ import importlib
 import io
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import ModuleType
 from typing import Any, Final, NoReturn
@@ -28,14 +28,14 @@ from resonator_daemon.host.system_limits import check_open_files, reason_of
 _ONE_OF: Final = "one of the arguments "
 
 
-def run_command(words: Sequence[str], loaded: Callable[[], None]) -> int:
-    """Run one command; return its exit code. `loaded` is called when all that it needs is imported."""
+def run_command(words: Sequence[str]) -> int:
+    """Run one command; return its exit code."""
     arguments = argparse.Namespace(command="")
     try:
         with _user_errors():
             make_parser(words).parse_args(words, arguments)  # which may print help and exit
             _set_up_output()
-            return _run(arguments, loaded)
+            return _run(arguments)
     except UserError as error:
         _report(arguments.command, error, as_json=getattr(arguments, "json", False))
         print_error(*error.messages)
@@ -45,17 +45,12 @@ def run_command(words: Sequence[str], loaded: Callable[[], None]) -> int:
         return ExitCode.DONE
 
 
-def _run(arguments: argparse.Namespace, loaded: Callable[[], None]) -> int:
+def _run(arguments: argparse.Namespace) -> int:
     check_open_files()
-    for name in arguments.run.__code__.co_names:
-        if "." in name:  # a module that it imports
-            with suppress(ImportError):  # of an optional library: the command reports it
-                importlib.import_module(name)
-    loaded()
     try:
         code: int = arguments.run(arguments)
         sys.stdout.flush()
-    except KeyboardInterrupt:  # commands that run until stopped catch it themselves
+    except KeyboardInterrupt:  # at the end of what can be interrupted
         raise InterruptedCommandError("interrupted") from None
     return code
 

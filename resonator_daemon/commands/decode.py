@@ -4,7 +4,6 @@ Example: resonatord decode left-index.toml
 """
 
 import argparse
-from contextlib import suppress
 
 from resonator_daemon.commands._argument_types import add_config
 from resonator_daemon.errors import ExitCode
@@ -16,11 +15,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    with suppress(KeyboardInterrupt):
-        import asyncio
+    import asyncio
 
-        from resonator_daemon.config.decoder import load_decoder_config
-        from resonator_daemon.remote_decoding.service import serve
+    from resonator_daemon.config.decoder import load_decoder_config
+    from resonator_daemon.remote_decoding.service import serve
 
-        asyncio.run(serve(load_decoder_config(arguments.config)))
+    asyncio.run(serve(load_decoder_config(arguments.config)))
     return ExitCode.DONE

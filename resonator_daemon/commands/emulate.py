@@ -6,7 +6,6 @@ Example: resonatord emulate --plate quartz16 --pty /tmp/board
 import argparse
 import json
 import sys
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -60,13 +59,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     try:
-        with suppress(KeyboardInterrupt):
-            from simulators.emulator import EmulatorOptions
-            from simulators.emulator import run as emulate
-            from simulators.faults import parse_faults
+        from simulators.emulator import EmulatorOptions
+        from simulators.emulator import run as emulate
+        from simulators.faults import parse_faults
 
-            check_plate_name(arguments.plate)
-            emulate(options_of(EmulatorOptions, arguments, faults=parse_faults(arguments.faults)))
+        check_plate_name(arguments.plate)
+        emulate(options_of(EmulatorOptions, arguments, faults=parse_faults(arguments.faults)))
     except ValueError as error:
         raise UsageError(*str(error).split("\n")) from error  # a line for each mistake
     except BrokenPipeError:  # the reader of stdout has left

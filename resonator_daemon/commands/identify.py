@@ -71,11 +71,12 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
 
 def _probe(target: "LinkTarget", *, blink: bool) -> "ProbeResult":
+    from resonator_daemon.host.signals import interruptible
     from resonator_daemon.links.link import LinkUnavailableError
     from resonator_daemon.session.probe import NoBoardError, probe
 
     try:
-        with closing(target.open()) as link:
+        with interruptible("the board was not identified"), closing(target.open()) as link:
             return probe(link, blink=blink)
     except LinkUnavailableError as error:
         raise _no_answer(error.reason.code, str(error)) from error

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.host.new_file import interruptible
+    from resonator_daemon.host.signals import interruptible
     from resonator_daemon.recording.repair import repair
 
     path: Path = arguments.file

@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
 def _replay(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.config import load_config
-    from resonator_daemon.host.new_file import interruptible
+    from resonator_daemon.host.signals import interruptible
     from resonator_daemon.replay.case import save_case
     from resonator_daemon.replay.recorded_pipeline import what_is_wrong
     from resonator_daemon.replay.run import ReplayOptions, replay

@@ -6,7 +6,6 @@ Example: resonatord run left-index.toml
 """
 
 import argparse
-from contextlib import suppress
 
 from resonator_daemon.commands._argument_types import add_config
 from resonator_daemon.errors import ExitCode
@@ -17,12 +16,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    with suppress(KeyboardInterrupt):
-        import asyncio
+    import asyncio
 
-        from resonator_daemon.daemon.config_store import ConfigStore
-        from resonator_daemon.daemon.daemon import serve
-        from resonator_daemon.host.places import state_directory
+    from resonator_daemon.daemon.config_store import ConfigStore
+    from resonator_daemon.daemon.daemon import serve
+    from resonator_daemon.host.places import state_directory
 
-        asyncio.run(serve(ConfigStore(arguments.config, state_directory() / "last-good")))
+    asyncio.run(serve(ConfigStore(arguments.config, state_directory() / "last-good")))
     return ExitCode.DONE

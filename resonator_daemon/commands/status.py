@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
 from resonator_daemon.commands._output import print_failure, print_json
-from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError
 from resonator_daemon.host.printable import printable
 
 if TYPE_CHECKING:
@@ -48,7 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> ExitCode:
     """Print the status; NoDaemonError where no daemon runs, NoStatusError where one does not answer."""
     if arguments.watch:
-        with suppress(KeyboardInterrupt):
+        from resonator_daemon.host.signals import interruptible
+
+        with suppress(InterruptedCommandError), interruptible(""):
             _watch(arguments.name, as_json=arguments.json)
         return ExitCode.DONE
     from rich.console import Console

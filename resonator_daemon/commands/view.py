@@ -10,7 +10,6 @@ Example: resonatord view --url mqtt://127.0.0.1:1883
 import argparse
 import os
 import sys
-from contextlib import suppress
 from pathlib import Path
 
 from resonator_daemon.commands._argument_types import host_and_port
@@ -56,42 +55,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    with suppress(KeyboardInterrupt):
-        import asyncio
+    import asyncio
 
-        try:
-            from resonator_daemon.live_page.credentials import read_token, tls_of
-            from resonator_daemon.live_page.hub import Sources
-            from resonator_daemon.live_page.server import LivePageOptions, serve
-        except ModuleNotFoundError as error:
-            raise MissingLibraryError(f"the live page needs {error.name}: {how_to_install('aiohttp')}") from error
+    try:
+        from resonator_daemon.live_page.credentials import read_token, tls_of
+        from resonator_daemon.live_page.hub import Sources
+        from resonator_daemon.live_page.server import LivePageOptions, serve
+    except ModuleNotFoundError as error:
+        raise MissingLibraryError(f"the live page needs {error.name}: {how_to_install('aiohttp')}") from error
 
-        _check(arguments)
-        directory = next((path for path in arguments.recordings if path.is_dir()), None)
-        needs_broker = not arguments.recordings or arguments.url or arguments.config
-        host, port = arguments.listen
-        options = LivePageOptions(
-            Sources(
-                broker_of(arguments) if needs_broker else None,
-                [] if directory else arguments.recordings,
-                directory,
-                arguments.press,
-                arguments.allow_commands,
-            ),
-            host,
-            port,
-            None if arguments.token_file is None else read_token(arguments.token_file),
-            None if arguments.tls_key is None else tls_of(arguments.tls_certificate, arguments.tls_key),
-        )
+    _check(arguments)
+    directory = next((path for path in arguments.recordings if path.is_dir()), None)
+    needs_broker = not arguments.recordings or arguments.url or arguments.config
+    host, port = arguments.listen
+    options = LivePageOptions(
+        Sources(
+            broker_of(arguments) if needs_broker else None,
+            [] if directory else arguments.recordings,
+            directory,
+            arguments.press,
+            arguments.allow_commands,
+        ),
+        host,
+        port,
+        None if arguments.token_file is None else read_token(arguments.token_file),
+        None if arguments.tls_key is None else tls_of(arguments.tls_certificate, arguments.tls_key),
+    )
 
-        def print_address(url: str) -> None:
-            if arguments.json:
-                print_json({"url": url})
-            else:
-                sys.stdout.write(f"live page: {url}\nstop with Ctrl-C\n")
-            sys.stdout.flush()
+    def print_address(url: str) -> None:
+        if arguments.json:
+            print_json({"url": url})
+        else:
+            sys.stdout.write(f"live page: {url}\nstop with Ctrl-C\n")
+        sys.stdout.flush()
 
-        asyncio.run(serve(options, print_address))
+    asyncio.run(serve(options, print_address))
     return ExitCode.DONE
 
 

@@ -6,7 +6,6 @@ Example: resonatord watch --url mqtt://127.0.0.1:1883
 """
 
 import argparse
-from contextlib import suppress
 
 from resonator_daemon.commands._broker import add_broker, broker_of
 from resonator_daemon.errors import ExitCode
@@ -21,10 +20,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    with suppress(KeyboardInterrupt):
-        import asyncio
+    import asyncio
 
-        from resonator_daemon.view.watch import watch
+    from resonator_daemon.view.watch import watch
 
-        asyncio.run(watch(broker_of(arguments), as_json=arguments.json, full_rate=arguments.full_rate))
+    asyncio.run(watch(broker_of(arguments), as_json=arguments.json, full_rate=arguments.full_rate))
     return ExitCode.DONE

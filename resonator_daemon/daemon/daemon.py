@@ -24,6 +24,7 @@ from resonator_daemon.daemon.recording_commands import RecordingCommands, as_jso
 from resonator_daemon.errors import ConfigurationError, IncompatibleBoardError, UserError
 from resonator_daemon.host.journal import tag_log
 from resonator_daemon.host.places import runtime_directory
+from resonator_daemon.host.signals import on_signals
 from resonator_daemon.host.state_log import StateLog
 from resonator_daemon.host.systemd import ServiceManager
 from resonator_daemon.monitoring.ages import Ages
@@ -81,17 +82,11 @@ async def serve(store: ConfigStore) -> None:
     UserError
         No configuration can be used, or the first board on the link can never serve it.
     """
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # before and after it is handled: a reload never ends the process
     service = Service(store)
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, service.stop, f"ended by {number.name}")
-    loop.add_signal_handler(signal.SIGHUP, service.reload)
     sys.setswitchinterval(_SWITCH_S)
-    try:
+    with on_signals(service.on_signal):
         await service.run()
-    finally:  # a reload that is asked for now must not end in the signal's usual way
-        loop.remove_signal_handler(signal.SIGHUP)
-        signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
 
 def frames_waiting_bytes(plate: Plate) -> int:
@@ -187,6 +182,13 @@ class Service:
             await asyncio.to_thread(self._recording.stop)
         if self._fatal is not None:
             raise self._fatal
+
+    def on_signal(self, number: signal.Signals) -> None:
+        """Read the configuration again upon SIGHUP, and end upon others; from the event loop."""
+        if number is signal.SIGHUP:
+            self.reload()
+        else:
+            self.stop(f"ended by {number.name}")
 
     def stop(self, why: str = "ended") -> None:
         """End `run`; from the event loop."""

@@ -7,7 +7,7 @@ import socket
 import sys
 
 from resonator_daemon.host.journal import set_up_logging, tag_log
-from resonator_daemon.host.parent_death import signal_at_parent_death
+from resonator_daemon.host.signals import signal_at_parent_death
 
 _PR_SET_NAME = 15  # linux/prctl.h
 

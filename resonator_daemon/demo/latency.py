@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import gc
 import json
-import signal
 import sys
 import tempfile
 import time
@@ -23,6 +22,7 @@ from resonator_daemon.demo.local_broker import local_broker
 from resonator_daemon.demo.processes import Child, cpu_s, raise_if_ended, start_daemons, start_emulator
 from resonator_daemon.errors import ExitCode, InterruptedCommandError, LossError, UserError
 from resonator_daemon.host.printable import print_note
+from resonator_daemon.host.signals import on_signals
 from resonator_daemon.plate import load_plate
 from resonator_daemon.publishing.broker_connection import BrokerConnection
 from resonator_daemon.publishing.mqtt_messages import Incoming
@@ -123,10 +123,8 @@ class _Bench:
         self.cut_short = False
 
     async def run(self) -> LatencyReport:
-        loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, self._ended.set)
         async with AsyncExitStack() as stack:
+            stack.enter_context(on_signals(lambda _: self._ended.set()))
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="resonatord-bench-")))
             if self._options.broker is None:
                 local = await stack.enter_async_context(local_broker(folder))

@@ -4,7 +4,6 @@ import asyncio
 import gc
 import json
 import os
-import signal
 import sys
 import tempfile
 import time
@@ -38,6 +37,7 @@ from resonator_daemon.demo.subscription import Subscription
 from resonator_daemon.demo.truth import TruthTable, site_traction, surface_traction
 from resonator_daemon.errors import ExitCode, InterruptedCommandError, LossError, UserError
 from resonator_daemon.host.printable import print_note
+from resonator_daemon.host.signals import on_signals
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.publishing.receiver import Arrival
 from resonator_daemon.publishing.subscriber import read_message, topic_filters
@@ -107,11 +107,9 @@ class _Demo:
         self._page_url = ""
 
     async def run(self) -> ExitCode:
-        loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            loop.add_signal_handler(number, self._end)
         sys.setswitchinterval(_SWITCH_S)
         async with AsyncExitStack() as stack:
+            stack.enter_context(on_signals(lambda _: self._end()))
             self._setting_up = asyncio.create_task(self._set_up(stack))
             try:
                 await self._setting_up

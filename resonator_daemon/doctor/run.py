@@ -22,6 +22,7 @@ from resonator_daemon.doctor.report import Report
 from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of, usb_node
 from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError, UserError
 from resonator_daemon.host.places import state_directory
+from resonator_daemon.host.signals import interruptible
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.links.port_holders import Holders, port_holders
 from resonator_daemon.links.target import LinkTarget
@@ -79,8 +80,9 @@ def doctor(options: DoctorOptions) -> ExitCode:
         raise UnusableConfigError(*error.messages, *filter(None, [runs])) from error
     found: list[Finding] = []
     try:
-        found.extend(diagnosis.findings())
-    except KeyboardInterrupt:
+        with interruptible(""):
+            found.extend(diagnosis.findings())
+    except InterruptedCommandError:
         report = Report(found)
         if found and not options.json:
             report.write(sys.stdout, whole=False)

@@ -6,24 +6,16 @@ version of a file in the place of the old one.
 
 import io
 import os
-import signal
 import stat
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
-from types import FrameType
-from typing import IO, TYPE_CHECKING, Final
+from typing import IO, TYPE_CHECKING
 
-from resonator_daemon.errors import InterruptedCommandError, UserError
+from resonator_daemon.errors import UserError
 from resonator_daemon.host.system_limits import meaning_of
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
-
-_Handler = Callable[[int, FrameType | None], object] | int | None
-
-_ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class NoNewFileError(UserError):
@@ -135,44 +127,6 @@ def check_new(path: Path) -> None:
         raise NoNewFileError(f"{path} is a directory, name a file in it")
     if os.path.lexists(path) and not takes_a_stream(path):
         raise NoNewFileError(f"{path} exists already, and nothing is overwritten; choose another file")
-
-
-@contextmanager
-def interruptible(unfinished: str) -> Iterator[None]:
-    """Turn Ctrl-C, SIGTERM and SIGHUP into one exception, so that they clean up as after any error.
-
-    Each raises KeyboardInterrupt, the first of them only, so that cleaning up comes to its end. What the process
-    ignores, as SIGHUP under nohup, it goes on ignoring.
-
-    Parameters
-    ----------
-    unfinished
-        What becomes of what is not whole, as "nothing is written".
-
-    Raises
-    ------
-    InterruptedCommandError
-        One of them came.
-    """
-    before: dict[int, _Handler] = {}
-
-    def end(_number: int, _frame: FrameType | None) -> None:
-        for number in before:
-            signal.signal(number, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
-    try:
-        if threading.current_thread() is threading.main_thread():  # no other can have handlers
-            for number in _ENDING:
-                if (handler := signal.getsignal(number)) is not signal.SIG_IGN:
-                    before[number] = handler
-                    signal.signal(number, end)
-        yield
-    except KeyboardInterrupt as error:
-        raise InterruptedCommandError(f"interrupted: {unfinished}") from error
-    finally:
-        for caught, handler in before.items():
-            signal.signal(caught, handler)
 
 
 def fresh_name(path: Path) -> Path:

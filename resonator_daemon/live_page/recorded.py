@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final
 
-from resonator_daemon.host.parent_death import ended_with_parent
+from resonator_daemon.host.signals import ended_with_parent
 from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.live_page.recording_entries import DONE, ENTRY, FAILED, PATHS, SCANNED, TIME
 

@@ -2,7 +2,6 @@
 
 import asyncio
 import os
-import signal
 import socket
 import ssl
 from collections.abc import Callable
@@ -15,6 +14,7 @@ from aiohttp import web
 
 from resonator_daemon.config.mqtt import is_this_computer
 from resonator_daemon.errors import ListenError, UsageError
+from resonator_daemon.host.signals import on_signals
 from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.host.systemd import ServiceManager
 from resonator_daemon.live_page.access import Access
@@ -148,6 +148,5 @@ async def _keep_alive(manager: ServiceManager) -> None:
 async def serve(options: LivePageOptions, on_ready: Callable[[str], None]) -> None:
     """Serve the page until SIGINT, SIGTERM or SIGHUP."""
     page = LivePage(options)
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        asyncio.get_running_loop().add_signal_handler(number, page.stop)
-    await page.run(on_ready)
+    with on_signals(lambda _: page.stop()):
+        await page.run(on_ready)

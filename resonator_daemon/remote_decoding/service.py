@@ -6,7 +6,6 @@ import logging
 import os
 import re
 import secrets
-import signal
 import socket
 import sys
 import time
@@ -18,6 +17,7 @@ from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.places import state_directory
+from resonator_daemon.host.signals import on_signals
 from resonator_daemon.host.systemd import ServiceManager
 from resonator_daemon.monitoring.health import ProcessUsage
 from resonator_daemon.monitoring.liveness import LivenessMonitor
@@ -66,11 +66,9 @@ async def serve(config: DecoderConfig) -> None:
         The broker cannot share plates among decoders.
     """
     process = DecoderProcess(config)
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, process.stop)
     sys.setswitchinterval(_SWITCH_S)
-    await process.run()
+    with on_signals(lambda _: process.stop()):
+        await process.run()
 
 
 def own_id() -> str:

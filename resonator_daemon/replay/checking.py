@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 
 from resonator_daemon.errors import ConfigurationError, DifferenceError, ExitCode, InterruptedCommandError
 from resonator_daemon.host.printable import printable
+from resonator_daemon.host.signals import interruptible
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.publishing.topics import DECODED
 from resonator_daemon.replay.case import RECORDING_FILE, Expected, Outcome, read_expected, replay_whole
@@ -145,12 +146,13 @@ def check_cases(directories: Sequence[Path], *, as_json: bool) -> ExitCode:
     verdicts: list[Verdict] = []
     try:
         expected = {directory: read_expected(directory) for directory in directories}
-        for directory, case in expected.items():
-            verdict = check_case(directory, case)
-            verdicts.append(verdict)
-            if not as_json:
-                sys.stdout.write(_text(verdict))
-    except KeyboardInterrupt:
+        with interruptible(""):
+            for directory, case in expected.items():
+                verdict = check_case(directory, case)
+                verdicts.append(verdict)
+                if not as_json:
+                    sys.stdout.write(_text(verdict))
+    except InterruptedCommandError:
         words = f"{len(verdicts)} of {len(set(directories))} fixtures checked, {_bad(verdicts)} differ"
         so_far = {"cases": [verdict.as_json() for verdict in verdicts]}
         raise InterruptedCommandError(f"interrupted: {words}", so_far=so_far) from None

@@ -5,16 +5,15 @@ import math
 import sys
 import time
 from collections import Counter
-from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 from resonator_daemon.config import Config, Mqtt, plate_name
 from resonator_daemon.errors import ConfigurationError, InterruptedCommandError, UsageError
-from resonator_daemon.host.new_file import interruptible
 from resonator_daemon.host.printable import printable
+from resonator_daemon.host.signals import on_signals
 from resonator_daemon.publishing.payloads import Info
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.replay.broker import AtBroker
@@ -145,16 +144,9 @@ def replay(path: Path, options: ReplayOptions) -> tuple[dict[str, Any], list[str
         The file is no recording.
     """
     tally = Tally()
-    with interruptible("what was written stays") if options.output is not None else _interruptible_at_broker(tally):
-        return asyncio.run(_play_out(path, options, tally))
-
-
-@contextmanager
-def _interruptible_at_broker(tally: Tally) -> Iterator[None]:
-    """Report what was played until Ctrl-C. asyncio handles it, so that the end is published."""
     try:
-        yield
-    except KeyboardInterrupt:
+        return asyncio.run(_play_out(path, options, tally))
+    except asyncio.CancelledError:
         words = f"{tally.messages.total()} messages were played out, {tally.recorded_s:.1f} s of the recording"
         so_far = {"messages": dict(tally.messages), "seconds": round(tally.recorded_s, 3)}
         raise InterruptedCommandError(f"interrupted: {words}", so_far=so_far) from None
@@ -176,7 +168,9 @@ async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[d
         pacing = StepByStep(span.begun) if options.step else AtSpeed(speed)
         with Progress(path, shown=options.show_progress and not options.step) as progress:
             async with output:
-                await play(replaying, span, pacing, output, progress, tally)
+                playing = asyncio.create_task(play(replaying, span, pacing, output, progress, tally))
+                with on_signals(playing.cancel):  # after which the end is published
+                    await playing
         if isinstance(output, AtBroker):
             summary["dropped"] = output.dropped
         counters = replaying.counters

@@ -4,7 +4,6 @@ import asyncio
 import json
 import logging
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -18,6 +17,7 @@ from rich.text import Text
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.errors import UsageError
+from resonator_daemon.host.signals import on_signals
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.subscriber import subscribe
 from resonator_daemon.toml_files.reading import shown
@@ -42,10 +42,9 @@ async def watch(broker: Mqtt, *, as_json: bool, full_rate: bool = False) -> None
         showing = asyncio.create_task(_show_page(broker, full_rate, console))
     else:
         showing = asyncio.create_task(_redraw(broker, full_rate, _print_lines(broker), _LINES_S))
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        asyncio.get_running_loop().add_signal_handler(number, showing.cancel)
     try:
-        await asyncio.wait([showing])
+        with on_signals(showing.cancel):
+            await asyncio.wait([showing])
         if not showing.cancelled():
             showing.result()
     except BrokenPipeError:

@@ -1,17 +1,16 @@
 """Ctrl-C exits with 0 from commands that run until stopped alone; every other one prints that it was interrupted."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import Final
 
 import pytest
 from brokers import Mosquitto
-from observer import observe
-
-from resonator_daemon.commands import main
+from observer import observe, until
 
 CORPUS: Final = Path(__file__).parents[1] / "corpus"
 COMMAND: Final = (sys.executable, "-m", "resonator_daemon")
@@ -21,56 +20,6 @@ COMMAND: Final = (sys.executable, "-m", "resonator_daemon")
 def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What a command leaves, as `board`, is left in a directory of the test's own."""
     monkeypatch.chdir(tmp_path)
-
-
-def interrupt(*_: object, **__: object) -> NoReturn:
-    signal.raise_signal(signal.SIGINT)
-    raise AssertionError
-
-
-@pytest.mark.parametrize(
-    ("arguments", "where"),
-    [
-        (("ports",), "links.carriers.serial.serial_ports"),
-        (("schema",), "publishing.asyncapi.document"),
-        (("status",), "monitoring.status_client.ask_all"),
-        (("tare", "--config", "hand.toml"), "config.load_client"),
-        (("identify", "tcp://127.0.0.1:9"), "links.carriers.tcp.TcpTarget.open"),
-        (("calibrate", "skin", "--config", "hand.toml"), "calibration.skin.load_config"),
-        (("config", "explain"), "config.help.explained"),
-    ],
-)
-def test_a_verb_with_an_end_of_its_own_fails(
-    arguments: tuple[str, ...], where: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(f"resonator_daemon.{where}", interrupt)
-    assert main([*arguments, "--json"]) == 1
-    printed = capsys.readouterr()
-    assert printed.err == "resonatord: interrupted\n"
-    (line,) = printed.out.splitlines()
-    failed = json.loads(line)
-    assert f"{' '.join(arguments)} ".startswith(f"{failed.pop('verb')} ")
-    assert failed == {"ok": False, "error": {"code": "interrupted", "message": "interrupted", "hint": ""}}
-    assert main(arguments) == 1
-    assert capsys.readouterr().out == ""
-
-
-@pytest.mark.parametrize(
-    ("arguments", "where"),
-    [
-        (("watch",), "resonator_daemon.view.watch.broker_at"),
-        (("run", "--config", "hand.toml"), "resonator_daemon.daemon.config_store.ConfigStore.__init__"),
-        (("decode", "--config", "hand.toml"), "resonator_daemon.config.decoder.load_decoder_config"),
-        (("emulate", "--plate", "quartz16", "--pty", "board"), "simulators.emulator.run"),
-        (("status", "--watch", "--json"), "resonator_daemon.monitoring.status_client.ask_all"),
-    ],
-)
-def test_one_that_runs_until_it_is_stopped_ends_well(
-    arguments: tuple[str, ...], where: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(where, interrupt)
-    assert main(arguments) == 0
-    assert capsys.readouterr() == ("", "")
 
 
 async def test_a_replay_to_a_broker_states_what_it_published(mosquitto: Mosquitto) -> None:
@@ -91,18 +40,24 @@ async def test_a_replay_to_a_broker_states_what_it_published(mosquitto: Mosquitt
     assert stderr.startswith(f"resonatord: interrupted: {count} messages were played out, ")
 
 
-INTERRUPTED_IMPORT: Final = """
-import builtins, contextlib, signal, sys
+INTERRUPTED: Final = """
+import contextlib, os, signal, sys
 
-def interrupted(name, *rest):
-    if name == module:
-        with contextlib.suppress(KeyboardInterrupt):  # as inside some libraries
-            signal.raise_signal(int(number))
-    return import_module(name, *rest)
+class End:
+    def __del__(self, kill=os.kill, process=os.getpid(), number=int(sys.argv[2])):
+        kill(process, number)
+
+class Finder:
+    def find_spec(self, name, *_):
+        if name == module:
+            with contextlib.suppress(KeyboardInterrupt):  # as inside some libraries
+                signal.raise_signal(int(number))
 
 module, number = sys.argv[1:3]
 del sys.argv[1:3]
-import_module, builtins.__import__ = builtins.__import__, interrupted
+sys.meta_path.insert(0, Finder())
+if module == "end":
+    sys.end = End()  # deleted last
 from resonator_daemon.commands import main
 sys.exit(main())
 """
@@ -110,18 +65,54 @@ sys.exit(main())
 
 @pytest.mark.parametrize("stop", [signal.SIGTERM, signal.SIGINT])
 @pytest.mark.parametrize(
-    ("arguments", "module", "code"),
+    ("command", "module", "code"),
     [
-        (("run", "--config", "hand.toml"), "pydantic", 0),
-        (("schema",), "pydantic", 1),
-        (("schema", "--help"), "argparse", 1),
-        (("run", "--config", "hand.toml"), "argparse", 0),
-        (("emulate", "--plate", "quartz16", "--pty", "board"), "numpy", 0),
+        ("run --config hand.toml", "pydantic", 0),
+        ("run --config hand.toml", "argparse", 0),
+        ("emulate --plate quartz16 --pty board", "numpy", 0),
+        ("status --watch --json", "resonator_daemon.monitoring.status_client", 0),
+        ("schema --help", "argparse", 1),
+        ("config explain --json", "pydantic", 1),
+        ("identify tcp://127.0.0.1:9 --json", "resonator_daemon.session.probe", 1),
+        (f"replay {CORPUS}/touches/recording.mcap --to out.jsonl --json", "resonator_daemon.replay.run", 1),
+        ("config example", "end", 0),
     ],
 )
-def test_a_signal_while_modules_load_is_not_lost_in_them(
-    arguments: tuple[str, ...], module: str, code: int, stop: signal.Signals
-) -> None:
-    command = (sys.executable, "-c", INTERRUPTED_IMPORT, module, str(int(stop)), *arguments)
-    ended = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, timeout=60)
+def test_no_signal_is_lost(command: str, module: str, code: int, stop: signal.Signals) -> None:
+    python = (sys.executable, "-c", INTERRUPTED, module, str(int(stop)), *command.split())
+    ended = subprocess.run(python, capture_output=True, text=True, timeout=60)
     assert (ended.returncode, ended.stderr) == (code, "resonatord: interrupted\n" * code)
+    if code and "--json" in command:
+        (line,) = ended.stdout.splitlines()
+        failed = json.loads(line)
+        assert f"{command} ".startswith(f"{failed.pop('verb')} ")
+        assert failed == {"ok": False, "error": {"code": "interrupted", "message": "interrupted", "hint": ""}}
+
+
+@pytest.mark.parametrize(("stop", "library"), [(signal.SIGTERM, ""), (signal.SIGINT, "pydantic_core")])
+@pytest.mark.parametrize(
+    ("command", "code"),
+    [
+        ("run hand.toml", 0),
+        ("watch", 0),
+        ("emulate --plate quartz16 --pty board", 0),
+        ("check hand.toml", 1),
+        ("replay run.mcap --to out.jsonl", 1),
+        ("demo --headless", 1),
+    ],
+)
+async def test_a_process_ends_with_its_code_at_any_time(
+    command: str, code: int, stop: signal.Signals, library: str
+) -> None:
+    """At its first line, when it has a handler, and when it has loaded a library."""
+    with subprocess.Popen([*COMMAND, *command.split()], stderr=subprocess.PIPE, text=True) as process:
+        proc = Path(f"/proc/{process.pid}")
+        await until(lambda: handles(proc, signal.SIGTERM) and library in (proc / "maps").read_text())
+        process.send_signal(stop)
+        _, stderr = process.communicate(timeout=30)
+    assert (process.returncode, stderr) == (code, "resonatord: interrupted\n" * code)
+
+
+def handles(proc: Path, number: signal.Signals) -> bool:
+    (caught,) = re.findall(r"^SigCgt:\s+(\w+)$", (proc / "status").read_text(), re.MULTILINE)
+    return bool(int(caught, 16) >> (number - 1) & 1)

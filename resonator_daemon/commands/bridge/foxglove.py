@@ -11,7 +11,6 @@ Example: resonatord bridge foxglove --url mqtt://127.0.0.1:1883 --plate left-ind
 
 import argparse
 import sys
-from contextlib import suppress
 
 from resonator_daemon.commands._argument_types import host_and_port
 from resonator_daemon.commands._broker import add_broker, broker_of
@@ -36,31 +35,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    with suppress(KeyboardInterrupt):
-        import asyncio
+    import asyncio
 
-        from resonator_daemon.bridges.foxglove_server import serve
-        from resonator_daemon.config import Listen, plate_name
+    from resonator_daemon.bridges.foxglove_server import serve
+    from resonator_daemon.config import Listen, plate_name
 
-        if arguments.plate is not None:
-            try:
-                plate_name(arguments.plate)
-            except ValueError as error:
-                raise UsageError(f"--plate: got {arguments.plate!r}; {error}") from None
-        listen = Listen(*arguments.listen)
-        if not listen.loopback:
-            raise UsageError(
-                f"--listen {listen}: other computers can reach this address, and the server has no password; listen on "
-                f"127.0.0.1, and there use `ssh -L {listen.port}:127.0.0.1:{listen.port} HOST` or a reverse proxy"
-            )
+    if arguments.plate is not None:
+        try:
+            plate_name(arguments.plate)
+        except ValueError as error:
+            raise UsageError(f"--plate: got {arguments.plate!r}; {error}") from None
+    listen = Listen(*arguments.listen)
+    if not listen.loopback:
+        raise UsageError(
+            f"--listen {listen}: other computers can reach this address, and the server has no password; listen on "
+            f"127.0.0.1, and there use `ssh -L {listen.port}:127.0.0.1:{listen.port} HOST` or a reverse proxy"
+        )
 
-        def print_address(url: str) -> None:
-            if arguments.json:
-                print_json({"url": url})
-            else:
-                sys.stdout.write(f"Foxglove WebSocket: {url}\nstop with Ctrl-C\n")
-            sys.stdout.flush()
+    def print_address(url: str) -> None:
+        if arguments.json:
+            print_json({"url": url})
+        else:
+            sys.stdout.write(f"Foxglove WebSocket: {url}\nstop with Ctrl-C\n")
+        sys.stdout.flush()
 
-        full_rate = not arguments.decimated
-        asyncio.run(serve(broker_of(arguments), listen, print_address, plate=arguments.plate, full_rate=full_rate))
+    full_rate = not arguments.decimated
+    asyncio.run(serve(broker_of(arguments), listen, print_address, plate=arguments.plate, full_rate=full_rate))
     return ExitCode.DONE

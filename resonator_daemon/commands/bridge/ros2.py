@@ -11,7 +11,6 @@ Example: resonatord bridge ros2 --url mqtt://127.0.0.1:1883 --domain-id 7
 import argparse
 import os
 import re
-from contextlib import suppress
 
 from resonator_daemon.commands._argument_types import whole_number
 from resonator_daemon.commands._broker import add_broker, broker_of
@@ -39,21 +38,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    with suppress(KeyboardInterrupt):
-        import asyncio
+    import asyncio
 
-        from resonator_daemon.bridges.ros2_bridge import serve
+    from resonator_daemon.bridges.ros2_bridge import serve
 
-        asyncio.run(
-            serve(
-                broker_of(arguments),
-                _domain_from_environment() if arguments.domain_id is None else arguments.domain_id,
-                plate=arguments.plate,
-                namespace=arguments.namespace,
-                humble=arguments.humble,
-                full_rate=not arguments.decimated,
-            )
+    asyncio.run(
+        serve(
+            broker_of(arguments),
+            _domain_from_environment() if arguments.domain_id is None else arguments.domain_id,
+            plate=arguments.plate,
+            namespace=arguments.namespace,
+            humble=arguments.humble,
+            full_rate=not arguments.decimated,
         )
+    )
     return ExitCode.DONE
 
 

@@ -1,0 +1,109 @@
+"""Signals that end a process: of the user, of the service manager, and of the kernel when the parent has ended."""
+
+import asyncio
+import ctypes
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Final
+
+from resonator_daemon.errors import InterruptedCommandError
+
+_Handler = Callable[[int, FrameType | None], object] | int | None
+
+_ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_IMPORT: Final = "<frozen importlib._bootstrap>"  # file of the frames below a module that loads
+_AGAIN_S: Final = 0.02
+_LIBC = ctypes.CDLL(None)
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+@contextmanager
+def on_signals(call: Callable[[signal.Signals], object]) -> Iterator[None]:
+    """Have SIGINT, SIGTERM and SIGHUP call a function on the running event loop; then they do what they did before.
+
+    Handlers of the loop itself would leave the defaults behind, which end the process with a code of their own.
+    """
+    loop = asyncio.get_running_loop()
+    reading, writing = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+    loop.add_reader(reading, os.read, reading, 4096)
+    wakes = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)  # for a signal just before the loop waits
+    before = {
+        number: signal.signal(number, lambda it, _: loop.call_soon_threadsafe(call, signal.Signals(it)))
+        for number in _ENDING
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        signal.set_wakeup_fd(wakes)
+        loop.remove_reader(reading)
+        os.close(reading)
+        os.close(writing)
+
+
+@contextmanager
+def interruptible(unfinished: str) -> Iterator[None]:
+    """Turn Ctrl-C, SIGTERM and SIGHUP into one exception, so that they clean up as after any error.
+
+    Each raises KeyboardInterrupt, the first of them only, so that cleaning up comes to its end, and not in a module
+    that loads, where it can get lost. What the process ignores, as SIGHUP under nohup, it goes on ignoring.
+
+    Parameters
+    ----------
+    unfinished
+        What becomes of what is not whole, as "nothing is written".
+
+    Raises
+    ------
+    InterruptedCommandError
+        One of them came.
+    """
+    before: dict[int, _Handler] = {}
+
+    def end(number: int, frame: FrameType | None) -> None:
+        while frame is not None:
+            if frame.f_code.co_filename == _IMPORT:
+                threading.Timer(_AGAIN_S, os.kill, (os.getpid(), number)).start()
+                return
+            frame = frame.f_back
+        for caught in before:
+            signal.signal(caught, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    try:
+        if threading.current_thread() is threading.main_thread():  # no other can have handlers
+            for number in _ENDING:
+                if (handler := signal.getsignal(number)) is not signal.SIG_IGN:
+                    before[number] = handler
+                    signal.signal(number, end)
+        yield
+    except KeyboardInterrupt as error:
+        raise InterruptedCommandError(f"interrupted: {unfinished}") from error
+    finally:
+        for caught, handler in before.items():
+            signal.signal(caught, handler)
+
+
+def signal_at_parent_death(number: int) -> None:
+    """Let the kernel send this signal when the thread that started this process ends.
+
+    A program that changes its user, as a server that drops root, is no longer sent the signal.
+    """
+    _LIBC.prctl(_PR_SET_PDEATHSIG, number)
+
+
+def ended_with_parent(number: int) -> Callable[[], None]:
+    """Return a function for a child to call between fork and exec: it ends with this process, by the signal."""
+    parent = os.getpid()
+
+    def prepare() -> None:
+        signal_at_parent_death(number)
+        if os.getppid() != parent:  # it has ended already
+            os.kill(os.getpid(), number)
+
+    return prepare
