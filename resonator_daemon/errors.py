@@ -48,7 +48,7 @@ FAILURES: Final = {
     "not_offline": "the daemon of the plate to be removed is not offline",
     "no_plate": "nothing is published under this name",
     "name_taken": "another process publishes under this name",
-    "already_running": "another daemon runs with the same configuration file, and did not end within 10 s",
+    "already_running": "another daemon runs with the same configuration file",
     "cannot_share": "the broker does not share messages among several decoders",
     "not_calibrated": "the calibration ended without a result; the plate file is as before",
     "no_plan": "the codes cannot be planned as wanted; no plate file was written",

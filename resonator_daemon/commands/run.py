@@ -1,6 +1,6 @@
 """Measure one board and publish its forces and contacts over MQTT, until stopped.
 
-A second `run` of the same file waits up to 10 s for the end of the first one, then fails.
+A second `run` of the same file fails.
 
 Example: resonatord run left-index.toml
 """

@@ -7,7 +7,6 @@ import logging
 import os
 import socket
 import stat
-import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -25,7 +24,6 @@ _BACKLOG: Final = 128
 _TOGETHER: Final = 25  # connections, then a pause: 500 a second at most, about a tenth of a core
 _FRESH_S: Final = 0.1  # those who ask within it get the same answer
 _CONFIG_BYTES_MAX: Final = 4096  # PATH_MAX
-_CREDENTIALS: Final = struct.Struct("3i")  # pid, uid, gid of SO_PEERCRED
 
 log = logging.getLogger(__name__)
 
@@ -37,18 +35,13 @@ class StatusTimes(NamedTuple):
     check_s: float = 5.0  # for which a removed socket may go unnoticed
     send_s: float = 1.0  # an answer of usual size goes into the socket's buffer at once, read or not
     pause_s: float = 0.05
-    overlap_s: float = 10.0  # for which two daemons may have one configuration file, as while a service restarts
 
 
 class AlreadyRunningError(UserError):
-    """Another process runs with the same configuration file, and does not end."""
+    """Another process runs with the same configuration file."""
 
     exit_code = ExitCode.FAILED  # which a service manager starts again: the other one may end
     code = "already_running"
-
-
-class _ConfigInUseError(OSError):
-    """The lock is held by a daemon with the same configuration file."""
 
 
 class StatusServer:
@@ -86,26 +79,20 @@ class StatusServer:
         Raises
         ------
         AlreadyRunningError
-            Another daemon with the same configuration file did not end within `overlap_s` of the start.
+            Another daemon has the same configuration file at the start.
         """
-        loop, listened = asyncio.get_running_loop(), False
-        until_s = loop.time() + self._times.overlap_s
         while True:
             try:
                 with self._listening() as listening:
-                    listened = True
                     self.may_begin.set()
                     await self._serve(listening)
                 log.warning("%s or its lock was removed or replaced: made again", self._path)
-            except OSError as error:
-                if isinstance(error, _ConfigInUseError) and not listened:
-                    if loop.time() >= until_s:
-                        raise AlreadyRunningError(f"{error}; stop it, or use a configuration of its own") from None
-                    self._log_change(f"{error}; waiting up to {self._times.overlap_s:g} s for its end")
-                    await asyncio.sleep(min(self._times.retry_s, max(until_s - loop.time(), 0.0)))
-                    continue
+            except (OSError, AlreadyRunningError) as error:
+                if isinstance(error, AlreadyRunningError) and not self.may_begin.is_set():
+                    raise
                 self.may_begin.set()
-                self._log_change(f"`resonatord status` does not see this daemon: {reason_of(error)}")
+                reason = reason_of(error) if isinstance(error, OSError) else str(error)
+                self._log_change(f"`resonatord status` does not see this daemon: {reason}")
                 await asyncio.sleep(self._times.retry_s)
 
     async def _serve(self, listening: "_Listening") -> None:
@@ -203,7 +190,7 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 @contextlib.contextmanager
 def _alone(path: Path, config: bytes) -> Iterator[Path]:
-    """Hold the lock next to the socket and yield its path; OSError where another process does."""
+    """Hold the lock next to the socket and yield its path; raises where another process holds it."""
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
     lock = os.open(path.with_suffix(".lock"), flags, 0o600)
     try:
@@ -212,10 +199,11 @@ def _alone(path: Path, config: bytes) -> Iterator[Path]:
         except BlockingIOError:
             others = os.pread(lock, _CONFIG_BYTES_MAX, 0)
             if others == config:
-                raise _ConfigInUseError(f"{_listener(path)} runs with this configuration file already") from None
+                what = "runs with this configuration file already; stop it, or use a configuration of its own"
+                raise AlreadyRunningError(f"{_holder(lock)} {what}") from None
             named = f" ({os.fsdecode(others)})" if others else ""
             what = f"runs with a configuration file of the same name{named}; rename one of both files"
-            raise OSError(f"{_listener(path)}, which answers on {path}, {what}") from None
+            raise OSError(f"{_holder(lock)}, which answers on {path}, {what}") from None
         os.ftruncate(lock, 0)
         os.pwrite(lock, config, 0)
         yield path.with_suffix(".lock")
@@ -223,16 +211,15 @@ def _alone(path: Path, config: bytes) -> Iterator[Path]:
         os.close(lock)
 
 
-def _listener(path: Path) -> str:
-    """Return the name of the process that listens on a socket."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
-        asking.setblocking(False)
-        try:
-            asking.connect(os.fspath(path))
-        except OSError:
-            return "another process"
-        pid, _, _ = _CREDENTIALS.unpack(asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
-    return f"process {pid}"
+def _holder(lock: int) -> str:
+    """Return the name of the process that holds a lock; another container's is not known."""
+    end = f":{os.fstat(lock).st_ino}"
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/locks").read_text().splitlines():  # 1: FLOCK ADVISORY WRITE PID MAJOR:MINOR:INODE 0 EOF
+            fields = line.split()
+            if fields[1] == "FLOCK" and fields[5].endswith(end):
+                return f"process {fields[4]}"
+    return "another process"
 
 
 def _remove_socket(path: Path) -> None:
