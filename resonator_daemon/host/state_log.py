@@ -11,6 +11,7 @@ from resonator_daemon.reasons import Reason, ReasonCode
 
 SUM_S: Final = 20.0
 SINGLE_MAX: Final = 6  # changes within `SUM_S` that have a line each
+STEADY_S: Final = 4.0  # a state that lasts has a line; longer than `SUM_S / SINGLE_MAX`: sums add no more lines
 
 _NOTHING_WRONG: Final = (Condition.STARTING, Condition.ONLINE, Condition.OFFLINE)
 _DOUBTS: Final = (  # in spite of a good state
@@ -44,7 +45,8 @@ class StateLog:
     """Writes one line for each change of a state, with its reason code; of frequent changes it writes a sum.
 
     A change is another condition or another reason code. The first six within 20 s have a line each. From then on one
-    line has their number and the latest state, every 20 s. Lines are warnings where a person has to act.
+    line has their number and the latest state, every 20 s, and once a state has lasted for 4 s. Lines are warnings
+    where a person has to act.
 
     Parameters
     ----------
@@ -63,54 +65,45 @@ class StateLog:
         self._last: tuple[Condition, ReasonCode] | None = None
         self._reason = ""
         self._changed_s: deque[float] = deque(maxlen=SINGLE_MAX)
-        self._since_s: float | None = None
-        self._count = 0
+        self._since_s = 0.0  # of the first change without a line
+        self._count = 0  # of changes without a line
         self._warn = False
 
     @property
     def sums_up(self) -> bool:
         """Whether changes are being summed up at present."""
-        return self._since_s is not None
+        return self._count > 0
 
     def write(self, condition: Condition, reason: Reason) -> None:
         """Write a line, or count a change, if this is another state than before."""
         state = condition, reason.code
         if state == self._last:
             return
-        now_s = self._clock()
         self.flush()
+        now_s = self._clock()
+        frequent = len(self._changed_s) == SINGLE_MAX and now_s - self._changed_s[0] < SUM_S
         self._last, self._reason = state, reason.text
-        if self._since_s is None:
-            full = len(self._changed_s) == SINGLE_MAX
-            if not full or now_s - self._changed_s[0] >= SUM_S:
-                self._changed_s.append(now_s)
-                self._line("%s %s (%s): %s", self._subject, *state, reason.text, warn=needs_a_person(*state))
-                return
-            self._since_s, self._count, self._warn = now_s, 0, False
+        single = not self._count and not frequent
+        self._since_s = self._since_s if self._count else now_s
         self._count += 1
         self._changed_s.append(now_s)
         self._warn = self._warn or needs_a_person(*state)
+        if single:
+            self._write_line(now_s)
 
     def flush(self) -> None:
         """Write the sum if it is due; to be called now and then, since changes may end."""
-        if self._since_s is None or self._last is None:
-            return
-        elapsed_s = self._clock() - self._since_s
-        if elapsed_s < SUM_S:
-            return
-        self._since_s = None
-        self._line(
-            "%s: %d changes in %.0f s; now %s (%s): %s",
-            self._subject,
-            self._count,
-            elapsed_s,
-            *self._last,
-            self._reason,
-            warn=self._warn,
-        )
+        now_s = self._clock()
+        if self._count and (now_s - self._since_s >= SUM_S or now_s - self._changed_s[-1] >= STEADY_S):
+            self._write_line(now_s)
 
-    def _line(self, form: str, *values: object, warn: bool) -> None:
+    def _write_line(self, now_s: float) -> None:
         if self._last is not None:
-            condition, code = self._last
-            fields = {f"resonatord_{self._subject}_state": condition, "resonatord_reason_code": code}
-            self._log.log(logging.WARNING if warn else logging.INFO, form, *values, extra=fields)
+            head = self._subject
+            if self._count > 1:
+                head += f": {self._count} changes in {now_s - self._since_s:.0f} s; now"
+            level = logging.WARNING if self._warn else logging.INFO
+            names = f"resonatord_{self._subject}_state", "resonatord_reason_code"
+            fields = dict(zip(names, self._last, strict=True))
+            self._log.log(level, "%s %s (%s): %s", head, *self._last, self._reason, extra=fields)
+        self._count, self._warn = 0, False

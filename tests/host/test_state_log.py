@@ -5,7 +5,7 @@ import logging
 import pytest
 
 from resonator_daemon.conditions import Condition
-from resonator_daemon.host.state_log import SINGLE_MAX, SUM_S, StateLog
+from resonator_daemon.host.state_log import SINGLE_MAX, STEADY_S, SUM_S, StateLog
 from resonator_daemon.reasons import Reason, ReasonCode
 
 LOG = logging.getLogger(__name__)
@@ -38,7 +38,8 @@ def test_a_change_has_one_line_with_its_code(
     assert (vars(record)["resonatord_sensor_state"], vars(record)["resonatord_reason_code"]) == (condition, code)
 
 
-def test_frequent_changes_are_summed_up(caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize("pause_s", [STEADY_S, SUM_S])
+def test_frequent_changes_are_summed_up_until_a_state_lasts(pause_s: float, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     now_s = 0.0
     states = StateLog("sensor", LOG, clock=lambda: now_s)
@@ -46,7 +47,7 @@ def test_frequent_changes_are_summed_up(caplog: pytest.LogCaptureFixture) -> Non
         states.write(*(SILENT if number % 2 else WELL))
         now_s += 0.5
     assert len(caplog.records) == SINGLE_MAX
-    now_s += SUM_S
+    now_s += pause_s - 0.5  # since the last change
     states.flush()
     states.flush()
     (line,) = caplog.records[SINGLE_MAX:]
@@ -56,3 +57,13 @@ def test_frequent_changes_are_summed_up(caplog: pytest.LogCaptureFixture) -> Non
     now_s += SUM_S
     states.write(*WELL)
     assert caplog.records[-1].message == "sensor online (measuring): sites are read"
+
+
+def test_changes_that_go_on_have_a_line_every_20_s(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    now_s = 0.0
+    states = StateLog("sensor", LOG, clock=lambda: now_s)
+    for number in range(200):
+        states.write(*(SILENT if number % 2 else WELL))
+        now_s += 0.5
+    assert len(caplog.records) == SINGLE_MAX + 100 // SUM_S - 1
