@@ -122,6 +122,17 @@ def test_the_scenario_s_faults_hold_beside_those_of_the_command_line(tmp_path: P
     assert sequences(host)[:4] == [0, 0, 1, 1]
 
 
+def test_a_terminal_does_not_show_that_its_host_has_gone(tmp_path: Path) -> None:
+    path, truth = tmp_path / "board", tmp_path / "truth.jsonl"
+    with emulated(quartz(path, "", speed=20.0, truth=truth)) as emulator:
+        with opened(path) as host:
+            host.read_until(lambda: len(host.frames) >= 10)
+        wait_for(lambda: truth.read_bytes().count(b"\n") >= 3000)  # more than the queue holds
+    add_up(emulator)
+    dropped = emulator.report()["dropped_by_cause"]
+    assert (dropped["queue_full"] > 1000, dropped["discarded"]) == (True, 0)
+
+
 def test_a_new_tcp_host_gets_nothing_before_it_asks() -> None:
     with emulated(EmulatorOptions("quartz16", tcp=("127.0.0.1", 0), scenario="still")) as emulator:
         host, _, port = emulator.link.address.removeprefix("tcp://").partition(":")
