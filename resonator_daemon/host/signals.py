@@ -1,6 +1,5 @@
 """Signals that end a process: of the user, of the service manager, and of the kernel when the parent has ended."""
 
-import asyncio
 import ctypes
 import os
 import signal
@@ -27,7 +26,12 @@ def on_signals(call: Callable[[signal.Signals], object]) -> Iterator[None]:
 
     Handlers of the loop itself would leave the defaults behind, which end the process with a code of their own.
     """
-    loop = asyncio.get_running_loop()
+    from asyncio import get_running_loop  # slow to import, for a process of its own that needs another function
+
+    if not _may_have_handlers():
+        yield
+        return
+    loop = get_running_loop()
     reading, writing = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
     loop.add_reader(reading, os.read, reading, 4096)
     wakes = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)  # for a signal just before the loop waits
@@ -76,7 +80,7 @@ def interruptible(unfinished: str) -> Iterator[None]:
         raise KeyboardInterrupt
 
     try:
-        if threading.current_thread() is threading.main_thread():  # no other can have handlers
+        if _may_have_handlers():
             for number in _ENDING:
                 if (handler := signal.getsignal(number)) is not signal.SIG_IGN:
                     before[number] = handler
@@ -87,6 +91,10 @@ def interruptible(unfinished: str) -> Iterator[None]:
     finally:
         for caught, handler in before.items():
             signal.signal(caught, handler)
+
+
+def _may_have_handlers() -> bool:
+    return threading.current_thread() is threading.main_thread()
 
 
 def signal_at_parent_death(number: int) -> None:

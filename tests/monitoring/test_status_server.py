@@ -65,40 +65,30 @@ asyncio.run(StatusServer(path, config, lambda: status_samples.status(instance="o
 """
 
 
-@asynccontextmanager
-async def other_daemon(path: Path, config: str) -> AsyncIterator[subprocess.Popen[bytes]]:
-    tests = Path(__file__).parents[1] / "support"
-    with subprocess.Popen([sys.executable, "-c", OTHER_DAEMON, str(path), str(tests), config]) as other:
-        try:
-            await until(lambda: path.exists() and listens(path))
-            yield other
-        finally:
-            other.kill()
-
-
-async def test_a_second_daemon_of_a_configuration_is_refused_at_once(path: Path) -> None:
-    async with other_daemon(path, str(CONFIG)) as other:
-        path.unlink()  # as while the other one ends
-        second = StatusServer(path, CONFIG, status_samples.status)
-        with pytest.raises(AlreadyRunningError, match=f"^process {other.pid} runs with this configuration"):
-            second.run().send(None)  # before it waits for anything
-        assert not second.may_begin.is_set()
-
-
 async def test_a_living_daemons_socket_is_not_taken_and_becomes_free_when_it_ends(
     path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async with other_daemon(path, "other/hand.toml") as other, serving(path, retry_s=0.01):
-        await until(lambda: bool(caplog.records))
-        for _ in range(10):
-            await asyncio.sleep(0.01)  # tries again, and says nothing new
-        assert json.loads(await ask(path))["instance"] == "other"
-        assert len(caplog.records) == 1
-        assert f"process {other.pid}" in caplog.text
-        other.kill()
-        await until(lambda: other.poll() is not None)
-        await until(lambda: listens(path))
-        assert json.loads(await ask(path))["instance"] == "hand"
+    tests, config = Path(__file__).parents[1] / "support", Path("other/hand.toml")
+    with subprocess.Popen([sys.executable, "-c", OTHER_DAEMON, str(path), str(tests), str(config)]) as other:
+        try:
+            await until(lambda: path.exists() and listens(path))
+            second = StatusServer(path, config, status_samples.status)
+            with pytest.raises(AlreadyRunningError, match=f"^process {other.pid} runs with this configuration"):
+                second.run().send(None)  # before it waits for anything
+            assert not second.may_begin.is_set()
+            async with serving(path, retry_s=0.01):
+                await until(lambda: bool(caplog.records))
+                for _ in range(10):
+                    await asyncio.sleep(0.01)  # tries again, and says nothing new
+                assert json.loads(await ask(path))["instance"] == "other"
+                assert len(caplog.records) == 1
+                assert f"process {other.pid}" in caplog.text
+                other.kill()
+                await until(lambda: other.poll() is not None)
+                await until(lambda: listens(path))
+                assert json.loads(await ask(path))["instance"] == "hand"
+        finally:
+            other.kill()
 
 
 @pytest.mark.parametrize("beyond", [0, 1])
