@@ -6,12 +6,11 @@ Example: resonatord status left-index --watch
 import argparse
 import io
 import sys
-import time
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from typing import TYPE_CHECKING, Final
 
 from resonator_daemon.commands._output import print_failure, print_json
-from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError
+from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.printable import printable
 
 if TYPE_CHECKING:
@@ -47,17 +46,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     """Print the status; NoDaemonError where no daemon runs, NoStatusError where one does not answer."""
-    if arguments.watch:
-        from resonator_daemon.host.signals import interruptible
+    import asyncio
 
-        with suppress(InterruptedCommandError), interruptible(""):
-            _watch(arguments.name, as_json=arguments.json)
+    if arguments.watch:
+        asyncio.run(_watch(arguments.name, as_json=arguments.json))
         return ExitCode.DONE
     from rich.console import Console
 
     from resonator_daemon.view.status_block import status_page
 
-    answers = _ask(arguments.name)
+    answers = asyncio.run(_ask(arguments.name))
     if answers and not arguments.json:
         console = Console(highlight=False)
         columns = console.width if console.is_terminal else None  # else a line stays whole, as for grep
@@ -70,45 +68,49 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     return ExitCode.DONE
 
 
-def _watch(name: str | None, *, as_json: bool) -> None:
+async def _watch(name: str | None, *, as_json: bool) -> None:
+    import asyncio
+
     from rich.console import Console
     from rich.live import Live
     from rich.text import Text
 
+    from resonator_daemon.host.signals import on_signals
     from resonator_daemon.view.status_block import status_page
 
-    def page(columns: int | None) -> Text:
-        answers = _ask(name)
-        return status_page(answers, columns) if answers else Text(str(_nobody(name)))
-
     console = Console(highlight=False)
-    if as_json or not console.is_terminal or console.is_dumb_terminal:
-        while True:
-            if as_json:
-                answers = _ask(name)
-                failed = _failure(answers, name)
-                if failed is None:
-                    print_json({"verb": "status", "ok": True, **_as_json(answers)})
-                else:
-                    print_failure("status", failed)
-            else:
-                console.print(page(None), Text(), soft_wrap=True)
-            sys.stdout.flush()
-            time.sleep(_PERIOD_S)
-    with Live(console=console, screen=True, auto_refresh=False) as live:
-        while True:
-            live.update(page(console.width), refresh=True)
-            time.sleep(_PERIOD_S)
+    lines = as_json or not console.is_terminal or console.is_dumb_terminal
+
+    def show(answers: "list[Answer]", live: Live) -> None:
+        page = status_page(answers, None if lines else console.width) if answers else Text(str(_nobody(name)))
+        if not lines:
+            live.update(page, refresh=True)
+        elif not as_json:
+            console.print(page, Text(), soft_wrap=True)
+        elif failed := _failure(answers, name):
+            print_failure("status", failed)
+        else:
+            print_json({"verb": "status", "ok": True, **_as_json(answers)})
+        sys.stdout.flush()
+
+    async def keep_asking() -> None:
+        live = Live(console=console, screen=True, auto_refresh=False)
+        with nullcontext() if lines else live:
+            while True:
+                show(await _ask(name), live)
+                await asyncio.sleep(_PERIOD_S)
+
+    asking = asyncio.create_task(keep_asking())
+    with on_signals(asking.cancel), suppress(asyncio.CancelledError):
+        await asking
 
 
-def _ask(name: str | None) -> "list[Answer]":
-    import asyncio
-
+async def _ask(name: str | None) -> "list[Answer]":
     from resonator_daemon.monitoring.status_client import ask_all
 
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal that is not of UTF-8
-    return asyncio.run(ask_all(name))
+    return await ask_all(name)
 
 
 def _as_json(answers: "list[Answer]") -> dict[str, object]:
