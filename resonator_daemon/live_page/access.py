@@ -2,12 +2,13 @@
 
 import hmac
 import json
+import re
 import secrets
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable
-from ipaddress import ip_address
+from ipaddress import IPv6Address
 from typing import Final
-from urllib.parse import urlsplit
+from urllib.parse import parse_qs
 
 from aiohttp import hdrs, web
 
@@ -18,6 +19,10 @@ LOGIN: Final = "/login"
 TOKEN_CHARACTERS_MIN: Final = 16
 
 _SESSIONS_MAX: Final = 1000
+_HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([0-9a-z._-]+))(?::(\d{1,5}))?", re.ASCII | re.IGNORECASE)
+_PORT_MAX: Final = 65535
+_ONCE: Final = (hdrs.ORIGIN, hdrs.AUTHORIZATION)
+_LOGIN_TYPE: Final = "application/x-www-form-urlencoded"
 _HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
     "connect-src 'self'; worker-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'self'; "
@@ -62,7 +67,10 @@ class Access:
 
         @web.middleware
         async def check(request: web.Request, handler: Handler) -> web.StreamResponse:
-            return self._refusal(request) or await handler(request)
+            try:
+                return self._refusal(request) or await handler(request)
+            except _MalformedRequestError as error:
+                return _refused(400, "bad_request", str(error))
 
         async def add_headers(_request: web.Request, response: web.StreamResponse) -> None:
             response.headers.update(_HEADERS)
@@ -74,11 +82,18 @@ class Access:
 
     def _refusal(self, request: web.Request) -> web.Response | None:
         """Return the answer to a request that is not allowed, None if it is."""
-        if self._loopback and not _names_this_computer(request.host):
+        headers = request.headers
+        # Other programs of this computer set cookies, too; browsers send them with each request.
+        if not all(value.isascii() for name, value in headers.items() if name.lower() != "cookie"):
+            raise _MalformedRequestError("headers have ASCII characters only")
+        if any(len(headers.getall(name, ())) > 1 for name in _ONCE):
+            raise _MalformedRequestError(f"{' and '.join(_ONCE)} may be given once")
+        host = _read_host(request.host)
+        if self._loopback and not is_this_computer(host[0]):
             # A page of another site whose name leads here: DNS rebinding.
             return _refused(403, "wrong_host", "open this page by the address that `resonatord view` printed")
-        origin = request.headers.get(hdrs.ORIGIN)
-        if origin is not None and urlsplit(origin).netloc.lower() != request.host.lower():
+        scheme, _, origin = headers.get(hdrs.ORIGIN, f"http://{request.host}").partition("://")
+        if scheme not in ("http", "https") or _read_host(origin) != host:
             return _refused(403, "wrong_origin", "another site's page may not use this server")
         if self._token is None or request.path == LOGIN or self._is_authorized(request):
             return None
@@ -94,8 +109,10 @@ class Access:
         return self._token is not None and hmac.compare_digest(token.strip().encode(), self._token)
 
     async def _log_in(self, request: web.Request) -> web.StreamResponse:
-        token = (await request.post()).get("token")
-        if not isinstance(token, str) or not self._is_token(token):
+        if request.content_type != _LOGIN_TYPE:
+            raise _MalformedRequestError(f"the token is sent as {_LOGIN_TYPE}")
+        fields = parse_qs((await request.read()).decode("ascii", "replace"))
+        if not self._is_token(fields.get("token", [""])[0]):
             return _form(401, "This is not the token. Try again.")
         session = secrets.token_urlsafe(32)
         self._sessions[session] = None
@@ -106,16 +123,23 @@ class Access:
         return response
 
 
+class _MalformedRequestError(Exception):
+    """A request that no browser sends."""
+
+
 def _cookie(request: web.Request) -> str:
-    return COOKIE.format(request.url.port)
+    return COOKIE.format(_read_host(request.host)[1])
 
 
-def _names_this_computer(host: str) -> bool:
-    name = urlsplit(f"//{host}").hostname or ""
+def _read_host(text: str) -> tuple[str, str]:
+    """Return host and port of `HOST[:PORT]`, the port empty if there is none."""
+    parts = _HOST.fullmatch(text)
     try:
-        return ip_address(name).is_loopback
+        if parts is not None and (parts[3] is None or 0 < int(parts[3]) <= _PORT_MAX):
+            return str(IPv6Address(parts[1])) if parts[1] else parts[2].lower(), parts[3] or ""
     except ValueError:
-        return name == "localhost"
+        pass  # no address in brackets
+    raise _MalformedRequestError("Host and Origin name a host, and a port from 1 to 65535")
 
 
 def _refused(status: int, code: str, message: str) -> web.Response:

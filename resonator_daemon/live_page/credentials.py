@@ -27,10 +27,10 @@ def read_token(path: Path) -> str:
         token = read_password(BrokerFile(str(path), path), "token")
     except UnusableFileError as error:
         raise ConfigurationError(f"--token-file {error}") from None
-    if len(token) < TOKEN_CHARACTERS_MIN:
+    if len(token) < TOKEN_CHARACTERS_MIN or not token.isascii():
         raise ConfigurationError(
-            f"--token-file {path}: the token has {len(token)} characters; at least {TOKEN_CHARACTERS_MIN} are needed. "
-            f"Make one: openssl rand -hex 16 > {path}"
+            f"--token-file {path}: the token has {len(token)} characters; at least {TOKEN_CHARACTERS_MIN}, all ASCII, "
+            f"are needed. Make one: openssl rand -hex 16 > {path}"
         )
     return token
 

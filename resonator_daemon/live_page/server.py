@@ -1,6 +1,8 @@
 """Server of the live page: files, and a WebSocket for each browser; the implementation of `resonatord view`."""
 
 import asyncio
+import logging
+import mimetypes
 import os
 import socket
 import ssl
@@ -8,9 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
 
 from resonator_daemon.config.mqtt import is_this_computer
 from resonator_daemon.errors import ListenError, UsageError
@@ -23,6 +26,10 @@ from resonator_daemon.live_page.hub import Hub, Sources
 BROWSERS_MAX: Final = 32
 
 _ALIVE_S: Final = 1.0
+_OF_THE_CLIENT: Final = (HttpProcessingError, ConnectionError)
+
+log = logging.getLogger(__name__)
+log.addFilter(lambda record: record.exc_info is None or not isinstance(record.exc_info[1], _OF_THE_CLIENT))
 
 
 @dataclass(frozen=True)
@@ -75,7 +82,8 @@ class LivePage:
         ListenError
             The address is in use, or not this computer's.
         """
-        runner = web.AppRunner(self._make_app(), access_log=None, handle_signals=False, shutdown_timeout=1.0)
+        options: dict[str, Any] = {"access_log": None, "logger": log, "auto_decompress": False, "shutdown_timeout": 1.0}
+        runner = web.AppRunner(self._make_app(), handle_signals=False, **options)
         await runner.setup()
         host = "127.0.0.1" if self._options.host == "localhost" else self._options.host
         try:
@@ -121,15 +129,18 @@ class LivePage:
 
     def _make_app(self) -> web.Application:
         page = Path(str(resources.files("resonator_daemon") / "live_page" / "page"))
+        files = {path.relative_to(page).as_posix(): path.read_bytes() for path in page.rglob("*.*")}
         app = web.Application()
         Access(self._options.host, self._options.token, tls=self._options.tls is not None).protect(app)
 
-        async def index(_request: web.Request) -> web.StreamResponse:
-            return web.FileResponse(page / "index.html")
+        async def send_file(request: web.Request) -> web.StreamResponse:
+            name = request.match_info["name"] or "index.html"
+            if name not in files:
+                raise web.HTTPNotFound
+            return web.Response(body=files[name], content_type=mimetypes.guess_type(name)[0], charset="utf-8")
 
-        app.router.add_get("/", index)
         app.router.add_get("/ws", self._connect)
-        app.router.add_static("/", page)
+        app.router.add_get("/{name:.*}", send_file)
         return app
 
     async def _connect(self, request: web.Request) -> web.StreamResponse:

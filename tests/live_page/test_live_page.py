@@ -199,8 +199,8 @@ async def test_who_may_open_the_page(mosquitto: Mosquitto) -> None:
     ):
         port = url.rsplit(":", 1)[1].strip("/")
 
-        async def status(path: str = "", **headers: str) -> tuple[int, str | None]:
-            async with session.get(url + path, headers=headers) as response:
+        async def status(**headers: str) -> tuple[int, str | None]:
+            async with session.get(url, headers=headers) as response:
                 assert "default-src 'none'" in response.headers["Content-Security-Policy"]
                 # With no-referrer, browsers send `Origin: null` with the form of the token.
                 assert response.headers["Referrer-Policy"] == "same-origin"
@@ -208,14 +208,9 @@ async def test_who_may_open_the_page(mosquitto: Mosquitto) -> None:
                 return response.status, (await response.json())["error"]["code"] if is_json else None
 
         assert await status() == (401, "no_token")
-        assert await status("ws", Authorization="Bearer 0123456789abcdeg") == (401, "no_token")
-        assert await status(Authorization=f"Bearer {token}") == (200, None)
         assert await status(Host=f"evil.example:{port}") == (403, "wrong_host")
+        assert await status(Host=f"evil@127.0.0.1:{port}") == (400, "bad_request")
         assert await status(Origin="http://evil.example") == (403, "wrong_origin")
-        assert await status("..%2fserver.py", Authorization=f"Bearer {token}") == (404, None)
-        async with session.post(f"{url}login", data={"token": "wrong"}) as response:
-            assert response.status == 401
-        assert await status() == (401, "no_token")
         async with session.post(f"{url}login", data={"token": token}) as response:
             assert (response.status, response.url.path) == (200, "/")
         assert all(port in cookie.key for cookie in session.cookie_jar)  # the host's other ports have their own
