@@ -105,12 +105,14 @@ def _config(config: Mapping[str, Any]) -> Iterator[Finding]:
 def _losses(health: Mapping[str, Any], last_outage: Mapping[str, Any]) -> Iterator[Finding]:
     boots = health.get("boots") or ()
     if not boots:
-        yield from not_checked((link_checks.STEADY, link_checks.ERRORS), "the daemon has not reported its health yet")
+        checks = (link_checks.STEADY, link_checks.ERRORS, link_checks.OVERFLOW)
+        yield from not_checked(checks, "the daemon has not reported its health yet")
         return
     yield _steady(health, last_outage)
     present = boots[-1]
     lost, in_outages = _table(present, "lost"), _table(present, "lost_in_outages")
-    hit = sum(int(lost.get(cause, 0)) - int(in_outages.get(cause, 0)) for cause in _DAMAGE)
+    beside = {cause: int(count) - int(in_outages.get(cause, 0)) for cause, count in lost.items()}
+    hit = sum(beside.get(cause, 0) for cause in _DAMAGE)
     if not in_outages:  # of an earlier version of the daemon
         hit = max(hit - int(last_outage.get("frames_lost", 0)), 0)
     frames = int(present.get("frames", 0)) + hit
@@ -119,8 +121,11 @@ def _losses(health: Mapping[str, Any], last_outage: Mapping[str, Any]) -> Iterat
         f"(limit {ERRORS_FAULT:g})"
     )
     if frames < _FRAMES_MIN:
-        yield link_checks.ERRORS.not_checked(f"{frames} frames, at least {_FRAMES_MIN} are needed")
+        few = f"{frames} frames, at least {_FRAMES_MIN} are needed"
+        yield from not_checked((link_checks.ERRORS, link_checks.OVERFLOW), few)
         return
+    dropped = max(beside.get("board_overflow", 0), 0)
+    yield link_checks.overflow(dropped, frames + dropped)
     yield link_checks.ERRORS.judged(
         graded(hit / frames, 0.0, ERRORS_FAULT),
         evidence,

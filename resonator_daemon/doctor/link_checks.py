@@ -31,6 +31,7 @@ COUNTS: Final = Check("board.counts", Area.SENSOR, "board sends frames")
 STEADY: Final = Check("link.steady", Area.WIRING, "link stays")
 ERRORS: Final = Check("link.errors", Area.WIRING, "errors on the cable")
 OVERFLOW: Final = Check("link.overflow", Area.WIRING, "frames that the board dropped")
+_OVERFLOW_OF_THIS_COMPUTER: Final = Check("link.overflow", Area.SOFTWARE, "frames that the board dropped")
 OVERRUN: Final = Check("host.overrun", Area.SOFTWARE, "bytes that the driver lost")
 OF_A_PROBE: Final = (FITS, UNIT, REFERENCE, ROUND_TRIP, RESET)
 OF_A_CAPTURE: Final = (COUNTS, STEADY, ERRORS, OVERFLOW, OVERRUN)
@@ -68,7 +69,7 @@ def check_capture(capture: Capture) -> Iterator[Finding]:
     overruns = capture.after.host_overruns - capture.before.host_overruns
     yield excused(_errors(capture), "the driver lost bytes, which looks the same" if overruns else "")
     yield excused(_steady(capture), "" if capture.losses else capture.busy)
-    yield excused(_overflow(capture), capture.busy)
+    yield _overflow(capture)
     yield OVERRUN.judged(
         graded(overruns, 0.0, 0.0),
         f"{overruns} times, none is meant" if overruns else "none that it reports",
@@ -117,22 +118,24 @@ def _nothing_came(capture: Capture) -> Iterator[Finding]:
 
 def _overflow(capture: Capture) -> Finding:
     dropped = capture.after.lost.board_overflow - capture.before.lost.board_overflow
-    frames = _all_frames(capture)
-    remedy = (
-        "the link carries less than the board sends: raise the baud rate on both ends, use a quicker port, or lower "
-        "counter.frame_rate_hz of the plate"
+    rate_hz = _all_frames(capture) / capture.seconds
+    if dropped or rate_hz >= _RATE_LEAST * capture.frame_rate_hz or capture.stopped:
+        return overflow(dropped, _all_frames(capture), capture.busy)
+    pile = OVERFLOW.fault(
+        f"frames come at {rate_hz:.0f} a second, {capture.frame_rate_hz:g} are counted: the others pile up there",
+        _CAPACITY,
+        Amount(rate_hz, _RATE_LEAST * capture.frame_rate_hz, "Hz"),
     )
-    rate_hz = frames / capture.seconds
-    if rate_hz < _RATE_LEAST * capture.frame_rate_hz and not capture.stopped:
-        return OVERFLOW.fault(
-            f"frames come at {rate_hz:.0f} a second, {capture.frame_rate_hz:g} are counted: the others pile up there",
-            remedy,
-            Amount(rate_hz, _RATE_LEAST * capture.frame_rate_hz, "Hz"),
-        )
-    return OVERFLOW.judged(
+    return excused(pile, capture.busy)
+
+
+def overflow(dropped: int, frames: int, busy: str = "") -> Finding:
+    """Return the finding on frames that the board dropped, of all; `busy` names this computer as the cause."""
+    evidence = f"{dropped} of {frames} frames, none is meant"
+    return (_OVERFLOW_OF_THIS_COMPUTER if busy else OVERFLOW).judged(
         graded(dropped / frames, _ERRORS_WARNING, ERRORS_FAULT),
-        f"{dropped} of {frames}, none is meant",
-        remedy,
+        f"{evidence}; {busy}" if busy and dropped else evidence,
+        "relieve this computer, which reads the link too late, and repeat" if busy else _CAPACITY,
         Amount(float(dropped), 0.0, "frames"),
     )
 
@@ -153,6 +156,10 @@ def _errors(capture: Capture) -> Finding:
     return ERRORS.judged(graded(hit + discarded, 0.0, math.inf), evidence, CABLE, Amount(hit / frames, ERRORS_FAULT))
 
 
+_CAPACITY: Final = (
+    "the link carries less than the board sends: raise the baud rate on both ends, use a quicker port, or lower "
+    "counter.frame_rate_hz of the plate"
+)
 PLUG: Final = "check plug, cable, hub and the board's power: move the cable and watch"
 FIRMWARE: Final = "update the board's firmware: what it sends does not have the form that PROTOCOL.md gives"
 CABLE: Final = (

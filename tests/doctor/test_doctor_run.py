@@ -85,14 +85,20 @@ def test_a_board_on_a_link_alone_is_looked_at_with_the_plate_that_it_names(
     assert not any(name.startswith("broker.") for name in found)
 
 
-def test_a_dead_cable_leaves_the_sensor_unjudged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("faults", "cause"),
+    [("bit_error_rate=2e-5", "link.errors"), ("silence_at_s=0.4,silence_for_s=0.03", "link.overflow")],
+)
+def test_frames_that_the_link_loses_are_a_fault(
+    faults: str, cause: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     port = tmp_path / "board"
-    options = EmulatorOptions("quartz16", pty=port, scenario="still", faults=parse_faults("bit_error_rate=2e-5"))
-    with emulated(options):
+    with emulated(EmulatorOptions("quartz16", pty=port, scenario="still", faults=parse_faults(faults))):
         code, report = asked(capsys, f"serial:{port}?baud=4000000", "--seconds", 0.8)
-    found = outcomes(report)
-    assert (code, report["verdict"], report["cause"]) == (1, "wiring", "link.errors")
-    assert found["sensor.noise"] == found["sensor.channels"] == "not_checked"
+    assert (code, report["cause"]) == (1, cause)
+    if cause == "link.errors":
+        found = outcomes(report)
+        assert (report["verdict"], found["sensor.noise"], found["sensor.channels"]) == ("wiring", *["not_checked"] * 2)
 
 
 def test_a_wrong_plate_is_the_sensors_and_is_not_listened_to(

@@ -40,9 +40,9 @@ ONLINE_AGAIN = {
 }
 
 
-def unplugged(hit: int, in_outages: dict[str, int]) -> dict[str, Any]:
+def unplugged(hit: int, in_outages: dict[str, int], **more: int) -> dict[str, Any]:
     """Return the health after an outage of 3007 frames, with `hit` frames lost besides it."""
-    lost = {"link_gap": 3000 + hit, "damaged": 7}
+    lost = {"link_gap": 3000 + hit, "damaged": 7, **more}
     return {"boots": [{"frames": 12_002, "lost": lost, "lost_in_outages": in_outages}]}
 
 
@@ -235,6 +235,10 @@ def test_a_daemon_that_is_well_has_nothing_wrong() -> None:
         ({"health": unplugged(0, {}), "link": ONLINE_AGAIN}, "link.steady", Outcome.OK),
         ({"health": unplugged(0, {}) | {"connections": 5, "uptime_s": 3600.0}}, "link.steady", Outcome.WARNING),
         ({"health": {"boots": [{"frames": 9_980, "lost": {"board_overflow": 20}}]}}, "link.errors", Outcome.OK),
+        ({"health": {"boots": [{"frames": 9_980, "lost": {"board_overflow": 20}}]}}, "link.overflow", Outcome.FAULT),
+        ({"health": {"boots": [{"frames": 9_995, "lost": {"board_overflow": 5}}]}}, "link.overflow", Outcome.WARNING),
+        ({"health": unplugged(0, {"board_overflow": 9}, board_overflow=9)}, "link.overflow", Outcome.OK),
+        ({"health": None}, "link.overflow", Outcome.NOT_CHECKED),
     ],
 )
 def test_what_a_daemon_says_is_judged(change: dict[str, object], id: str, outcome: Outcome) -> None:

@@ -11,7 +11,7 @@ from emulation import emulated
 from firmware_protocol.host import PacketRefusal
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.doctor.capture import Capture, capture_board
-from resonator_daemon.doctor.finding import Finding, Outcome
+from resonator_daemon.doctor.finding import Area, Finding, Outcome
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.link_checks import check_capture
 from resonator_daemon.doctor.plate_readings import PlateReading
@@ -253,6 +253,16 @@ def test_bytes_that_the_driver_lost_are_not_the_cables_fault(calm: Capture) -> N
     )
     found = {finding.id: finding.outcome for finding in check_capture(dataclasses.replace(calm, after=account))}
     assert (found["host.overrun"], found["link.errors"]) == (Outcome.FAULT, Outcome.NOT_CHECKED)
+
+
+@pytest.mark.parametrize(("busy", "area"), [("", Area.WIRING), ("this computer is busy", Area.SOFTWARE)])
+def test_frames_that_the_board_dropped_are_a_finding_on_a_busy_computer_too(
+    calm: Capture, busy: str, area: Area
+) -> None:
+    lost = dataclasses.replace(calm.after.lost, board_overflow=calm.before.lost.board_overflow + 20)
+    capture = dataclasses.replace(calm, busy=busy, after=dataclasses.replace(calm.after, lost=lost))
+    found = {finding.id: finding for finding in check_capture(capture)}["link.overflow"]
+    assert (found.outcome, found.value, found.area) == (Outcome.FAULT, 20, area)
 
 
 @pytest.mark.parametrize(
