@@ -152,10 +152,10 @@ class Commands:
 
     def _parse(self, message: Incoming) -> _Command:
         word = message.topic.removeprefix(f"{self._base}/cmd/")
-        verb = word if word in self._handlers else UNKNOWN
+        verb = word if word in VERBS else UNKNOWN
         topic, correlation = message.response_topic, message.correlation
         refused = None
-        if verb == UNKNOWN:
+        if word not in self._handlers:
             allowed = nearest(word, permitted(self.allowed))
             refused = CommandRefusedError("unknown_verb", f"no command is called {_quoted(word)}", allowed)
         if correlation is not None and len(correlation) > CORRELATION_BYTES_MAX:

@@ -111,8 +111,7 @@ async def request(
     answer: asyncio.Future[dict[str, Any]] = loop.create_future()
     number = secrets.token_hex(8)
     command_topic = full_topic(broker.prefix, name, f"cmd/{verb}")
-    answered = verb if verb in VERBS else UNKNOWN
-    common_topic = full_topic(broker.prefix, name, f"rsp/{answered}")
+    common_topic = full_topic(broker.prefix, name, f"rsp/{verb if verb in VERBS else UNKNOWN}")
     own_topic = f"{common_topic}/{number}"
     payload = {"id": number, **payload}
 
@@ -121,7 +120,9 @@ async def request(
             content = json.loads(message.payload)
         except (ValueError, RecursionError):
             return
-        if not isinstance(content, dict) or content.get("verb") != answered or message.retained or answer.done():
+        if message.retained or answer.done() or not isinstance(content, dict):
+            return
+        if content.get("verb") not in (verb, UNKNOWN):
             return
         if content.get("id") == payload["id"] or message.topic == own_topic:  # a payload that cannot be read has no id
             answer.set_result(content)
