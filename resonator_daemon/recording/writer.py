@@ -4,7 +4,6 @@ import fcntl
 import json
 import operator
 import os
-from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from io import BufferedWriter
@@ -82,7 +81,7 @@ class McapFile(Writer):
 
     def __init__(self, stream: IO[bytes], metadata: dict[str, str], utc_ns: int = 0) -> None:
         super().__init__(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4, enable_data_crcs=True)
-        self._numbers = Counter[int]()
+        self._numbers: dict[int, int] = {}
         self.start(PROFILE, f"resonatord {metadata['version']}")
         self.add_metadata(RECORDING, metadata)
         self.add_attachment(utc_ns, utc_ns, DESCRIPTION_FILE, _JSON, json.dumps(metadata).encode())
@@ -90,7 +89,7 @@ class McapFile(Writer):
 
     def add_message(self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0) -> None:
         """Add a message, with the next number of its channel."""
-        self._numbers[channel_id] = sequence = (self._numbers[channel_id] + 1) % NUMBERS
+        self._numbers[channel_id] = sequence = (self._numbers.get(channel_id, 0) + 1) % NUMBERS
         super().add_message(channel_id, log_time, data, publish_time, sequence)
 
 
