@@ -13,6 +13,7 @@ from resonator_daemon.plate_tables import (
     FORCE_SIGNALS,
     SKIN_SIGNALS,
     TEMPERATURE_SIGNAL,
+    Counter,
     Grid,
     Outline,
     Point,
@@ -22,6 +23,7 @@ from resonator_daemon.toml_files.reading import Number, finding
 
 _MAX_TONES = 46_872  # 63 parts of 744 tones a channel: a frame has at most 255 parts
 _SPREAD_SITES = 4
+_GATE_TICKS_LIMIT = 1 << 32  # times within a record have 32 bits
 _MAX_SHIFT = 0.1  # |K F| above this is a wrong unit of K: no resonator shifts so far
 _Positive = Annotated[Number, Field(gt=0)]
 
@@ -49,6 +51,7 @@ def findings(raw: dict[str, Any]) -> Iterator[InitErrorDetails]:
     if signals & set(SKIN_SIGNALS) and "skin" not in raw:
         yield finding(("skin",), None, "a plate with skin signals needs a [skin]: its elastic constants and its depth")
     counter = raw.get("counter")
+    yield from _gate_findings(_sound(Counter, counter))
     kind = counter.get("kind") if isinstance(counter, dict) else None
     if kind == "single-tone" and signals - {FORCE_SIGNAL}:
         sentence = "one captured tone per corner carries forces alone; use 'channelised'"
@@ -119,6 +122,15 @@ def _grid_findings(grid: Grid, outline: tuple[Point, ...]) -> Iterator[InitError
     if outside:
         sentence = f"puts {len(outside)} sites outside outline_mm, the first at {outside[0]} mm"
         yield finding(("grid", "pitch_mm"), grid.pitch_mm, sentence)
+
+
+def _gate_findings(counter: Counter | None) -> Iterator[InitErrorDetails]:
+    if counter and not 1 <= counter.reference_hz / counter.frame_rate_hz < _GATE_TICKS_LIMIT:
+        low_hz, high_hz = counter.reference_hz / _GATE_TICKS_LIMIT, counter.reference_hz
+        sentence = (
+            f"must be above {low_hz:g} and at most {high_hz:g}: a frame lasts 1 to 2^32 - 1 ticks of reference_hz"
+        )
+        yield finding(("counter", "frame_rate_hz"), counter.frame_rate_hz, sentence)
 
 
 def _shift_findings(sites: dict[int, Site], force_max_newton: float) -> Iterator[InitErrorDetails]:

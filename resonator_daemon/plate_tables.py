@@ -58,7 +58,7 @@ def _rising(limits: tuple[float, ...]) -> tuple[float, ...]:
 Millimetres = Annotated[Number, Field(ge=-10_000, le=10_000)]
 Point = Annotated[tuple[Millimetres, Millimetres], of_length(2, "x and y")]
 Outline = Annotated[tuple[Point, ...], at_least(3, "corners, each [x, y]")]
-Hertz = Annotated[Number, Field(gt=0, le=1e12)]
+Hertz = Annotated[Number, Field(ge=1, le=1e12)]
 Sensitivity = Annotated[Number, Field(ge=-1e6, le=1e6), AfterValidator(_nonzero)]
 Day = Annotated[date, Strict()]
 Kelvin = Annotated[Number, Field(ge=100, le=600)]

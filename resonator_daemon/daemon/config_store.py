@@ -16,7 +16,7 @@ from resonator_daemon.config.text import load_plate_text, plate_text
 from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.host.new_file import replace_file
 from resonator_daemon.host.system_limits import meaning_of
-from resonator_daemon.sensors.code_check import findings
+from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.toml_files.reading import TomlFile, named, parse_toml, read_toml
 
 _MAX_COPY_BYTES: Final = 64 << 20  # of two files that were read, one as it was and one with all its defaults
@@ -150,7 +150,7 @@ class ConfigStore:
 
 
 def load_checked(path: Path) -> Config:
-    """Load a configuration, and check its plate's codes, which takes longer, too.
+    """Load a configuration, and check what its sensor needs, which takes longer.
 
     Raises
     ------
@@ -161,8 +161,8 @@ def load_checked(path: Path) -> Config:
 
 
 def _checked(config: Config, path: Path) -> Config:
-    if overlapping := findings(config.plate):
-        raise ConfigurationError(*(f"{named(path)}: plate: {sentence}" for sentence in overlapping))
+    if problems := sensor_of(config.plate, config.measurement, config.decoding).problems:
+        raise ConfigurationError(*(f"{named(path)}: plate: {sentence}" for sentence in problems))
     return config
 
 

@@ -8,6 +8,7 @@ from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 from resonator_daemon.arrays import Bools, Floats, Indices
 
 _TOLERANCE = 1e-6  # of the pitch or spacing
+_WIDEST = 200.0  # depths from one end of the sites to the other: beyond it tables take minutes
 _CELL_STEPS = 4  # of half a spacing: how finely cells are measured
 
 
@@ -49,11 +50,23 @@ def neighbours(positions_m: Floats, farthest_m: float) -> Indices:
 
 def refuse_duplicates(positions_m: Floats, depths_m: Floats) -> None:
     """ValueError for two sites at one place and depth."""
-    places = np.column_stack([positions_m, depths_m])
-    pairs = cKDTree(places).query_pairs(_TOLERANCE * float(depths_m.min()), output_type="ndarray")
+    places, limit_m = np.column_stack([positions_m, depths_m]), _TOLERANCE * float(depths_m.min())
+    pairs = cKDTree(places).query_pairs(limit_m, output_type="ndarray")
     if len(pairs):
         a, b = pairs[0]
-        raise ValueError(f"sites {a} and {b} are both at {positions_m[a]} m, must be at different places")
+        apart_m = np.linalg.norm(places[a] - places[b])
+        limit = f"must be more than {limit_m:.3g} m, a millionth of the depth"
+        raise ValueError(f"sites {a} and {b} are {apart_m:.3g} m apart, {limit}; correct pitch or positions")
+
+
+def diagonal_m(positions_m: Floats, depths_m: Floats) -> float:
+    """Return the extent of sites, at least four depths; ValueError for more than 200 of the least depth."""
+    extent_m = max(float(np.hypot(*np.ptp(positions_m, axis=0))), 4.0 * float(depths_m.max()))
+    shallow_m = float(depths_m.min())
+    if extent_m > _WIDEST * shallow_m:
+        span = f"{extent_m / shallow_m:.0f} depths, must be at most {_WIDEST:.0f}"
+        raise ValueError(f"sites span {span}; is a depth of {shallow_m:g} m meant?")
+    return extent_m
 
 
 def as_grid(positions_m: Floats) -> Grid | None:

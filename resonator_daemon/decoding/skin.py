@@ -1,11 +1,16 @@
 """Skin and options of its decoder."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
+
+import numpy as np
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.decoding.layout import as_grid, diagonal_m, refuse_duplicates
 from resonator_daemon.decoding.prior import DEFAULT_PRIOR, Prior
 from resonator_daemon.elastic import HalfSpace
+
+_SITES_MIN: Final = 3  # with three signals each, more than the six unknowns of a contact
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,3 +38,19 @@ class DecodingOptions:
     friction_coefficient: float | None = None  # None: not known
     displacement: bool = True  # of the surface, too
     background: bool = True  # contact physics prepares its matrices in another thread; False: while it decodes
+
+
+def refuse_undecodable(skin: Skin, options: DecodingOptions) -> None:
+    """ValueError for sites or a method of which `SkinDecoder` can make no decoder, before the time that takes."""
+    sites_m = skin.site_positions_m
+    depths_m = np.full(len(sites_m), skin.depth_m)
+    if len(sites_m) < _SITES_MIN:
+        raise ValueError(f"{len(sites_m)} sites under a skin, at least {_SITES_MIN} are needed to decode a contact")
+    refuse_duplicates(sites_m, depths_m)
+    diagonal_m(sites_m, depths_m)
+    grid = as_grid(sites_m)
+    if options.method == "fourier" and (grid is None or not np.isclose(grid.pitch_x_m, grid.pitch_y_m)):
+        raise ValueError(
+            f'method "fourier" needs a square grid of two rows and columns or more, {len(sites_m)} sites form none; '
+            'use "open-plane"'
+        )

@@ -13,7 +13,7 @@ from resonator_daemon.decoding.fourier.decoder import FourierDecoder
 from resonator_daemon.decoding.layout import as_grid, cell_areas_m2
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.patches import Patch, PatchFinder
-from resonator_daemon.decoding.skin import DecodingOptions, Skin
+from resonator_daemon.decoding.skin import DecodingOptions, Skin, refuse_undecodable
 from resonator_daemon.decoding.skin_contacts import SkinContact, SkinContacts, SkinEvent
 from resonator_daemon.reasons import Reason, ReasonCode
 
@@ -49,9 +49,7 @@ class MapEstimator:
         self.physics: ContactDecoder | None = None
         self._linear: OpenPlaneDecoder | FourierDecoder
         progress(f"{options.method} decoder of {len(sites_m)} sites")
-        if options.method == "fourier":
-            if grid is None or not np.isclose(grid.pitch_x_m, grid.pitch_y_m):
-                raise ValueError(f'method "fourier" needs a square grid, {len(sites_m)} sites form none')
+        if grid and options.method == "fourier":
             self._linear = FourierDecoder(
                 skin.half_space,
                 grid.shape,
@@ -207,6 +205,7 @@ class SkinDecoder:
     def __init__(
         self, skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
     ) -> None:
+        refuse_undecodable(skin, options)
         self._noise_std = noise_std
         self._estimator = surface_estimator(skin, options, noise_std, progress)
         progress("contact shapes")

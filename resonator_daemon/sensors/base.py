@@ -57,6 +57,11 @@ class Sensor(ABC, Generic[Reading]):
         self.decoding = decoding
 
     @property
+    def problems(self) -> tuple[str, ...]:
+        """Why nothing can be measured with this plate and these settings; known without a board."""
+        return ()
+
+    @property
     @abstractmethod
     def summary(self) -> str:
         """What an undisturbed sensor reads, and what it does not take out: the reason in its state."""

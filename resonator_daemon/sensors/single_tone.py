@@ -6,6 +6,7 @@ from typing import Any, Final
 from resonator_daemon.arrays import Floats
 from resonator_daemon.publishing.payloads import SiteCode
 from resonator_daemon.publishing.topics import TONES, Topic
+from resonator_daemon.sensors.code_check import findings
 from resonator_daemon.sensors.expected_tones import ExpectedTones, captured_tones
 from resonator_daemon.sensors.force_sensor import ForceSensor
 from resonator_daemon.sensors.plate_sites import force_sites
@@ -24,6 +25,10 @@ class SingleToneSensor(ForceSensor):
     @property
     def streams(self) -> tuple[Topic[Any], ...]:
         return *super().streams, TONES
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        return findings(self.plate)
 
     @property
     def site_codes(self) -> tuple[SiteCode, ...]:

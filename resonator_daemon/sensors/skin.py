@@ -5,7 +5,7 @@ from typing import Any, ClassVar, Final
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.prior import Prior
-from resonator_daemon.decoding.skin import DecodingOptions, Skin
+from resonator_daemon.decoding.skin import DecodingOptions, Skin, refuse_undecodable
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.forces.readings import SkinReading
 from resonator_daemon.publishing.codec import Encoded
@@ -75,7 +75,7 @@ class SkinSensor(Sensor[SkinReading]):
 
     def connect(self, output: MessageOutput, make_decoding: MakeSurfaceDecoding | None) -> None:
         self._output = output
-        plate, decoding, skin = self.plate, self.decoding, self.plate.required_skin
+        decoding = self.decoding
         if decoding.method == "off":
             output.state.explain(Reason(ReasonCode.DECODING_OFF, "decoding is off"))
             return
@@ -83,7 +83,27 @@ class SkinSensor(Sensor[SkinReading]):
             elsewhere = Reason(ReasonCode.DECODED_ELSEWHERE, "decoded by another process: resonatord decode")
             output.state.explain(elsewhere)
             return
-        settings = SurfaceSettings(
+        if (settings := self._settings()) is None:
+            return
+        if make_decoding is not None:
+            self.announce(Reason(ReasonCode.DECODER_STARTING, "decoder is being set up"))
+        self._decoding = (make_decoding or SequentialDecoding)(settings, self)
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        try:
+            if settings := self._settings():
+                refuse_undecodable(settings.skin, settings.options)
+        except ValueError as error:
+            return (str(error),)
+        return ()
+
+    def _settings(self) -> SurfaceSettings | None:
+        """Return the settings of the decoder; None if nothing is decoded here."""
+        plate, decoding, skin = self.plate, self.decoding, self.plate.required_skin
+        if decoding.method == "off" or decoding.external:
+            return None
+        return SurfaceSettings(
             Skin(
                 HalfSpace(skin.youngs_modulus_pascal, skin.poisson_ratio),
                 plate.site_positions_m,
@@ -98,9 +118,6 @@ class SkinSensor(Sensor[SkinReading]):
             plate.grid.pitch_m if plate.grid else None,
             uncertainty=decoding.uncertainty,
         )
-        if make_decoding is not None:
-            self.announce(Reason(ReasonCode.DECODER_STARTING, "decoder is being set up"))
-        self._decoding = (make_decoding or SequentialDecoding)(settings, self)
 
     @property
     def at_rest(self) -> bool:

@@ -84,7 +84,8 @@ def test_every_mistake_comes_at_once(tmp_path: Path) -> None:
     expected = [
         "1: name: got 'a b'",
         f"2: plate: got 'mine.toml'; {mine}:12: sites[0].id: got 0; must be greater than or equal to 1",
-        f"2: plate: got 'mine.toml'; {mine}:16: sites[0].tones[0].f0_hz[2]: got -9000000.0; must be greater than 0",
+        f"2: plate: got 'mine.toml'; {mine}:16: sites[0].tones[0].f0_hz[2]: got -9000000.0; must be greater than or "
+        "equal to 1",
         "3: link: got 'usb:1'; must be usb:VID:PID?serial=S",
         "5: measurement.window_mz: unknown key",
         "7: measurement.step_ms: got 4; must be at most window_ms = 3",

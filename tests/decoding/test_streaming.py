@@ -197,7 +197,7 @@ def test_a_rebuild_that_fails_is_logged_and_costs_nothing_else(
 def test_sites_that_cannot_be_decoded_are_refused_with_the_reason() -> None:
     twice = SKIN.site_positions_m.copy()
     twice[1] = twice[0]
-    with pytest.raises(UndecodableError, match="sites 0 and 1 are both at"):
+    with pytest.raises(UndecodableError, match="sites 0 and 1 are 0 m apart"):
         streaming(skin=Skin(SKIN.half_space, twice, DEPTH_M)).prepare(NOISE)
 
 

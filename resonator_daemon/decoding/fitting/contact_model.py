@@ -10,6 +10,7 @@ from scipy.special import j0, j1
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.slip_signals import SlipSignals
+from resonator_daemon.decoding.layout import diagonal_m
 from resonator_daemon.decoding.parameters import positions, positive
 from resonator_daemon.elastic import HalfSpace
 
@@ -19,7 +20,6 @@ _FADED = 40.0  # spatial frequency times depth at which signals have faded to ex
 _PANEL_NODES = 16
 _PANEL_PHASE = 20.0  # of the fastest oscillation, that one panel of Gauss-Legendre may span: error 1e-12
 _DISTANCE_STEP = 0.1  # depths; the table is good to about 1e-5 of the peak
-_WIDEST = 200.0  # depths from one end of the sites to the other: beyond it tables take minutes
 _BLOCK = 1_000_000  # entries of an array of quadrature nodes and distances
 _RADIUS_STEP = 0.2  # depths
 _BEYOND = 0.5  # of the array's diagonal, that a centre may lie outside of it
@@ -79,14 +79,11 @@ class DiscModel:
         self.sites_m = sites
         self.radius_max_m = radius_max_m
         self.lowest_m, self.highest_m = sites.min(axis=0), sites.max(axis=0)
-        diagonal_m = max(float(np.hypot(*(self.highest_m - self.lowest_m))), 4.0 * float(self.depth_m.max()))
         self.shallowest_m = shallow = float(self.depth_m.min())
-        if diagonal_m > _WIDEST * shallow:
-            span = f"{diagonal_m / shallow:.0f} depths, must be at most {_WIDEST:.0f}"
-            raise ValueError(f"sites span {span}; is a depth of {shallow:g} m meant?")
-        self.margin_m = _BEYOND * diagonal_m  # beyond the sites, where a centre may lie
+        extent_m = diagonal_m(sites, self.depth_m)
+        self.margin_m = _BEYOND * extent_m  # beyond the sites, where a centre may lie
         self._groups = [(float(z), np.flatnonzero(self.depth_m == z)) for z in np.unique(self.depth_m)]
-        self._table = _table(half_space, 2.0 * diagonal_m / shallow, radius_max_m / shallow, profile)
+        self._table = _table(half_space, 2.0 * extent_m / shallow, radius_max_m / shallow, profile)
 
     def signals(self, centre_m: Floats, radius_m: float) -> DiscSignals:
         """Return the signals of unit forces on a disc, and their derivatives.
