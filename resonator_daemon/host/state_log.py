@@ -17,6 +17,7 @@ _NOTHING_WRONG: Final = (Condition.STARTING, Condition.ONLINE, Condition.OFFLINE
 _DOUBTS: Final = (  # in spite of a good state
     ReasonCode.BAD_CONFIGURATION,
     ReasonCode.CHANNELS_SILENT,
+    ReasonCode.COMPUTER_BUSY,
     ReasonCode.DECODER_CRASHED,
     ReasonCode.DECODER_HUNG,
     ReasonCode.FRAME_KIND,

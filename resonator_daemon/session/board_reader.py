@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from resonator_daemon.conditions import Condition
+from resonator_daemon.host.load import HostLoad, LoadMeter
 from resonator_daemon.links.hot_plug import PortWatch
 from resonator_daemon.links.link import Link, LinkLostError, LinkUnavailableError
 from resonator_daemon.links.target import LinkTarget
@@ -195,6 +196,12 @@ class BoardReader:
         return self._machine.lost
 
     @property
+    def load(self) -> HostLoad:
+        """Load of the computer while a link is open."""
+        connection = self._machine.connection  # the reader's thread may close it meanwhile
+        return connection.load if connection else HostLoad()
+
+    @property
     def clock_rate_ppm(self) -> float:
         """How much slower than nominal the board's ticks run; NaN while no board is there."""
         connection = self._machine.connection
@@ -255,7 +262,7 @@ class BoardReader:
         machine = self._machine
         now = read_host_time()
         machine.apply(Opened(now))
-        connection = machine.opened
+        connection, meter = machine.opened, LoadMeter()
         overruns = 0
         self._link_open = self._serving = True
         try:
@@ -283,7 +290,7 @@ class BoardReader:
                 if pieces:
                     now = read_host_time()
                 if not pieces or now.monotonic_ns >= due_ns:
-                    machine.apply(TimersRun(now, idle=not pieces))
+                    machine.apply(TimersRun(now, not pieces, meter.sample()))
                 if pieces and len(pieces[-1].data) < _FEW_BYTES and connection.within_packet:
                     # A UART with a short queue hands on some bytes at a time, and each would cost a turn of all this.
                     time.sleep(_GATHER_S)

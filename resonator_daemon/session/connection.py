@@ -18,6 +18,7 @@ from firmware_protocol.messages import BoardLog, BoardStatus, Configuration, Ref
 from firmware_protocol.packets import Damage, ForeignVersion
 from firmware_protocol.states import HostState
 from resonator_daemon.conditions import Condition
+from resonator_daemon.host.load import NO_LOAD, HostLoad, LoadSample
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.plate import Plate
 from resonator_daemon.reasons import Reason, ReasonCode
@@ -51,7 +52,7 @@ _S = 1_000_000_000
 _ASK_AGAIN_NS = 300 * _MS
 _SILENCE_FRAMES, _SILENCE_NS = 3, 50 * _MS
 _GIVE_UP_NS = 3 * _S  # from when a board is first asked, or called silent, until the link is opened again
-_STUCK_NS = 500 * _MS  # of bytes without a frame among them
+_STUCK_NS = 500 * _MS  # of bytes without a frame among them, or of silence while the computer lacks processors
 _SLEPT_NS = 50 * _MS
 _UNANSWERED_NS = UNANSWERED_S * _S
 
@@ -70,6 +71,8 @@ class Connection:
     ----------
     pings
         Pings on their way.
+    load
+        Load of the host.
     """
 
     def __init__(
@@ -96,7 +99,9 @@ class Connection:
         self._blink = BlinkRequests(queue)
         self._log_lines = BoardLogFilter(queue, counters)
         self._silence_ns = _SILENCE_FRAMES * round(_S / plate.counter.frame_rate_hz) + _SILENCE_NS
+        self._silent_ns = 0  # since the last frame, without the time in which the computer lacked processors
         self._now = opened
+        self.load = HostLoad(opened.monotonic_ns)
         self._opened_ns = opened.monotonic_ns
         self._next_ask_ns = opened.monotonic_ns + _ASK_AGAIN_NS
         self._next_ping_ns = 0
@@ -159,6 +164,7 @@ class Connection:
             self._receiver.newest_ticks,
             clock,
             self.pings.snapshot(),
+            self.load,
         )
 
     def restore(self, snapshot: ConnectionSnapshot) -> None:
@@ -170,6 +176,7 @@ class Connection:
         self.clock.restore(snapshot.clock)
         self._receiver.newest_ticks = snapshot.newest_ticks
         self._answered_ns = snapshot.answered_ns
+        self.load = snapshot.load
         self._rate_doubt = snapshot.rate_doubt
         self._unanswered = self._now.monotonic_ns - self._answered_ns > _UNANSWERED_NS
         self._receiver.last_frame_ns = self._now.monotonic_ns
@@ -190,7 +197,7 @@ class Connection:
         self._counters.host_overruns += 1
         self._numbering.overrun()
 
-    def run_timers(self, now: HostTime, *, idle: bool) -> None:
+    def run_timers(self, now: HostTime, *, idle: bool, sample: LoadSample = NO_LOAD) -> None:
         """Do what is due: ask again, ping, notice silence; `idle`: nothing is left to read.
 
         Raises
@@ -200,6 +207,7 @@ class Connection:
         """
         self._now = now
         now_ns = now.monotonic_ns
+        load_changed = self._update_load(now_ns, sample)
         if now.boottime_less_monotonic_ns - self._asleep_ns > _SLEPT_NS:
             self._next_ping_ns = now_ns  # the host has slept: what it knew of the board's clock is void
         self._asleep_ns = now.boottime_less_monotonic_ns
@@ -213,11 +221,11 @@ class Connection:
         elif now_ns - self._opened_ns > _GIVE_UP_NS:
             self._announce(Condition.STALLED, self._silence())
             raise LinkLostError(ReasonCode.NO_BOARD_ANSWERS, "no board answers")
-        if self._refusals.update(now_ns):
+        if self._refusals.update(now_ns) or load_changed:
             if self._state.online:
                 self._announce_online()
             elif self._counting and self._state.state is Condition.STALLED:
-                self._announce(Condition.STALLED, link_reasons.no_frame(self._refusals.most_frequent))
+                self._announce(Condition.STALLED, self._no_frame())
         if not self._session.awaits_answer:
             self._next_ask_ns = now_ns + _ASK_AGAIN_NS
         elif now_ns >= self._next_ask_ns:
@@ -237,7 +245,11 @@ class Connection:
             dues.append(self._next_ping_ns)
         if self._counting:
             noticed_ns = self._receiver.last_frame_ns + self._silence_ns + 1
-            dues.append(noticed_ns + _GIVE_UP_NS if self._state.state is Condition.STALLED else noticed_ns)
+            if self._state.state is Condition.STALLED:
+                noticed_ns += _GIVE_UP_NS
+            elif self._receiver.last_frame_ns < self.load.monotonic_ns:
+                noticed_ns = self.load.monotonic_ns + max(self._silence_ns - self._silent_ns, _MS) + 1
+            dues.append(noticed_ns)
         return min(dues)
 
     def request_stop(self) -> None:
@@ -403,6 +415,7 @@ class Connection:
                 rate_doubt=self._rate_doubt,
                 is_unanswered=self._unanswered,
                 refused=self._refusals.most_frequent,
+                busy=self.load.busy,
             )
             self._announce(Condition.ONLINE, reason)
 
@@ -451,10 +464,24 @@ class Connection:
                 in_outages = boot.lost_in_outages + loss if in_outage else boot.lost_in_outages
                 boot.lost_in_outages = in_outages.within(boot.lost)
 
+    def _update_load(self, now_ns: int, sample: LoadSample) -> bool:
+        """Update the load of the host, and the silence; return whether the reason of a busy computer has changed."""
+        before, last_frame_ns = self.load, self._receiver.last_frame_ns
+        if last_frame_ns >= before.monotonic_ns:
+            self._silent_ns = 0
+        silent_ns = now_ns - max(last_frame_ns, before.monotonic_ns)
+        self._silent_ns += silent_ns * (100 - sample.pressure_percent) // 100
+        self.load = before.updated(now_ns, sample)
+        return before.busy != self.load.busy
+
+    def _no_frame(self) -> Reason:
+        return link_reasons.no_frame(self._refusals.most_frequent, self.load.busy)
+
     def _watch_silence(self, now_ns: int) -> None:
         silent_ns = now_ns - self._receiver.last_frame_ns
         if silent_ns > self._silence_ns + _GIVE_UP_NS:
             raise LinkLostError(ReasonCode.BOARD_SILENT, f"the board was silent for {silent_ns * 1e-9:.1f} s")
-        if silent_ns > self._silence_ns and self._state.state is not Condition.STALLED:
-            self._announce(Condition.STALLED, link_reasons.no_frame(self._refusals.most_frequent))
+        is_silent = self._silent_ns > self._silence_ns or silent_ns > self._silence_ns + _STUCK_NS
+        if is_silent and self._state.state is not Condition.STALLED:
+            self._announce(Condition.STALLED, self._no_frame())
             self._next_ping_ns = now_ns  # whether it is alive at all: if so it is asked to go on

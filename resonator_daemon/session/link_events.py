@@ -8,6 +8,7 @@ from typing import Annotated, Any, NamedTuple, get_args
 from pydantic import Field, Strict, TypeAdapter, ValidationError
 
 from resonator_daemon.conditions import Condition
+from resonator_daemon.host.load import NO_LOAD, LoadSample
 from resonator_daemon.reasons import Reason
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_snapshot import LinkSnapshot
@@ -42,6 +43,7 @@ class TimersRun(NamedTuple):
 
     now: HostTime
     idle: bool
+    load: LoadSample = NO_LOAD
 
 
 class Sent(NamedTuple):
@@ -151,7 +153,7 @@ def encode(event: WireEvent) -> bytes:
         case Received() | Sent():
             body = event.data
         case TimersRun():
-            body = bytes([event.idle])
+            body = bytes([event.idle, *event.load] if any(event.load) else [event.idle])
         case SnapshotTaken():
             body = _json_bytes(_SNAPSHOT.dump_python(event.snapshot, mode="json"))
         case _:
@@ -184,7 +186,7 @@ def decode(data: bytes, monotonic_ns: int, utc_ns: int) -> WireEvent:
     if kind is Sent:
         return Sent(now, body)
     if kind is TimersRun:
-        return new_tuple(TimersRun, (now, body == b"\1"))
+        return new_tuple(TimersRun, (now, body[:1] == b"\1", LoadSample(*body[1:3])))
     try:
         if kind is SnapshotTaken:
             return SnapshotTaken(now, _SNAPSHOT.validate_json(body))

@@ -41,6 +41,7 @@ def counting(
     rate_doubt: str | None,
     is_unanswered: bool,
     refused: PacketRefusal | None,
+    busy: Reason | None,
 ) -> Reason:
     """Return the reason of a link whose frames arrive; its code is that of the last doubt, if there is one."""
     code, sentences = ReasonCode.BOARD_COUNTS, [f"board {serial_number} sends {frame_rate_hz:g} frames/s"]
@@ -53,16 +54,17 @@ def counting(
     if refused:
         code, text = _packets_refused(refused)
         sentences.append(text)
+    if busy:
+        code = busy.code
+        sentences.append(busy.text)
     return Reason(code, "; ".join(sentences))
 
 
-def no_frame(refused: PacketRefusal | None) -> Reason:
-    """Return the reason of an open link without frames, with the refusal of packets, if there is one."""
+def no_frame(refused: PacketRefusal | None, busy: Reason | None) -> Reason:
+    """Return the reason of an open link without frames, with what may explain it."""
     text = "the port is open and no frame comes"
-    if refused is None:
-        return Reason(ReasonCode.NO_FRAMES, text)
-    cause = _packets_refused(refused)
-    return Reason(cause.code, f"{text}; {cause.text}")
+    cause = _packets_refused(refused) if refused is not None else busy
+    return Reason(cause.code, f"{text}; {cause.text}") if cause else Reason(ReasonCode.NO_FRAMES, text)
 
 
 def silence(bytes_received: int, refused: PacketRefusal | None, described: str | None) -> Reason:

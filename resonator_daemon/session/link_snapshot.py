@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from firmware_protocol.host import Described
 from firmware_protocol.messages import Configuration
+from resonator_daemon.host.load import HostLoad
 from resonator_daemon.session.clock import ClockSnapshot
 from resonator_daemon.session.frame_numbers import NumberingSnapshot
 from resonator_daemon.session.link_state import LinkStateSnapshot
@@ -35,6 +36,7 @@ class ConnectionSnapshot(NamedTuple):
     newest_ticks: int
     clock: ClockSnapshot
     pings: tuple[Ping, ...]
+    load: HostLoad = HostLoad()  # older recordings have none
 
 
 class LinkSnapshot(NamedTuple):

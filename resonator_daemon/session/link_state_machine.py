@@ -73,7 +73,7 @@ class LinkStateMachine:
                     self.opened.receive(event.data, event.now)
             case wire.TimersRun():
                 with self._lock:
-                    self.opened.run_timers(event.now, idle=event.idle)
+                    self.opened.run_timers(event.now, idle=event.idle, sample=event.load)
             case wire.StateAnnounced():
                 self._state.announce(event.state, event.reason, event.now.utc_ns)
                 self._record_snapshot(event.now)

@@ -8,6 +8,7 @@ from connection_bench import GATE_TICKS, IDENTITY, MS, Bench, SimulatedBoard, on
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.messages import BoardLog, ResetCause
 from firmware_protocol.packets import encode_packet
+from resonator_daemon.host.load import LoadSample
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.session.frames import BoardLogLine, BoardOnline, Outage
 
@@ -35,6 +36,56 @@ def test_silence_is_noticed_asked_about_and_then_the_end() -> None:
     bench.run(2990)  # as a board that erases flash
     with pytest.raises(LinkLostError, match=r"silent for 3\.1 s"):
         bench.run(20)
+
+
+BUSY = LoadSample(85, 100)
+
+
+def test_a_busy_computer_is_named_within_three_seconds_and_no_longer_two_seconds_after_it() -> None:
+    bench = online()
+    bench.load = LoadSample(40, 100)  # a computer that is used, and has time for the daemon
+    bench.run(5000)
+    bench.load = LoadSample(100, 100)
+    bench.run(600)  # a hiccup
+    bench.load = LoadSample(40, 40)
+    bench.run(5000)
+    assert bench.states[-1] == ("online", "board_counts")
+    bench.load = BUSY
+    bench.run(3000)
+    assert bench.states[-1] == ("online", "computer_busy")
+    assert "85 %" in bench.changes[-1].reason.text
+    assert (running := bench.connection.snapshot()) is not None
+    assert running.load.busy is not None  # a replay that begins here goes on so
+    bench.load = LoadSample(95, 100)
+    bench.run(20_000)
+    bench.load = LoadSample(40, 60)
+    bench.run(3000)
+    assert [code for _, code in bench.states[1:]] == ["board_counts", "computer_busy", "board_counts"]
+
+
+def test_a_board_that_is_late_together_with_the_computer_is_called_stalled_half_a_second_later() -> None:
+    bench = online()
+    bench.load = BUSY
+    bench.board.silent = True
+    bench.run(550)
+    assert bench.states[-1] == ("online", "board_counts")
+    bench.run(4)
+    assert bench.states[-1] == ("stalled", "no_frames")
+    bench.run(2000)
+    assert bench.states[-1] == ("stalled", "computer_busy")
+    bench.board.silent = False
+    bench.run(50)
+    assert bench.states[-1] == ("online", "computer_busy")
+
+
+def test_half_of_the_time_on_a_computer_whose_programs_wait_for_half_of_it_counts_as_silence() -> None:
+    bench = online()
+    bench.load = LoadSample(0, 50)
+    bench.board.silent = True
+    bench.run(103)
+    assert bench.states[-1][0] == "online"
+    bench.run(5)
+    assert bench.states[-1][0] == "stalled"
 
 
 def test_a_board_that_is_deaf_and_mute_for_two_and_a_half_seconds_goes_on_in_its_run() -> None:

@@ -166,7 +166,7 @@ def test_a_mistake_of_ours_does_not_end_the_reader_unheard() -> None:
     ("faults", "state", "code"),
     [
         ("freeze_at_s=0.3,freeze_for_s=2", "stalled", "no_frames"),
-        ("silence_at_s=0.3,silence_for_s=0.5", "stalled", "no_frames"),
+        ("silence_at_s=0.3,silence_for_s=1", "stalled", "no_frames"),
         ("unplug_at_s=0.3,unplug_for_s=0.2", "lost", "unplugged"),
         ("reboot_at_s=0.3", "lost", "board_restarted"),
         ("brown_out_at_s=0.3", "lost", "board_restarted"),

@@ -4,6 +4,7 @@ import struct
 import pytest
 
 from resonator_daemon.conditions import Condition
+from resonator_daemon.host.load import LoadSample
 from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import (
@@ -12,6 +13,7 @@ from resonator_daemon.session.link_events import (
     Refused,
     Skipped,
     StateAnnounced,
+    TimersRun,
     decode,
     encode,
 )
@@ -63,3 +65,10 @@ def test_a_reason_without_a_code_that_is_known_is_unspecified(reason: object) ->
     unspecified = Reason(ReasonCode.UNSPECIFIED, "gone")
     assert decode(raw(7, [reason]), 5, 12) == Lost(NOW, unspecified)
     assert decode(raw(8, [[reason], True]), 5, 12) == Refused(NOW, (unspecified,), other_protocol=True)
+
+
+@pytest.mark.parametrize(("load", "body"), [(LoadSample(85, 100), b"\1\x55\x64"), (LoadSample(), b"\1")])
+def test_the_load_of_the_host_is_recorded_where_there_was_one(load: LoadSample, body: bytes) -> None:
+    event = TimersRun(NOW, True, load)
+    assert encode(event) == raw(3, body)
+    assert decode(raw(3, body), 5, 12) == event

@@ -10,6 +10,7 @@ from firmware_protocol.device import DeviceSession
 from firmware_protocol.host import Described
 from firmware_protocol.messages import CounterKind, Description, Identity
 from firmware_protocol.states import BoardState
+from resonator_daemon.host.load import NO_LOAD
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.session.compatibility import gate_ticks
 from resonator_daemon.session.connection import Connection
@@ -101,6 +102,7 @@ class Bench:
         self.state = LinkState(self.queue.put)
         self.known: Described | None = None
         self.arrivals: list[Arrival] = []
+        self.load = NO_LOAD  # of the host
         self.connection: Connection
         self.open()
 
@@ -136,7 +138,7 @@ class Bench:
                 data += self._on_the_way.popleft()[1]
             if data:
                 self.connection.receive(data, self.host_time())
-            self.connection.run_timers(self.host_time(), idle=not data)
+            self.connection.run_timers(self.host_time(), idle=not data, sample=self.load)
         self.arrivals += self.queue.pop_all()
 
     @property

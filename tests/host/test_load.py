@@ -1,0 +1,42 @@
+"""The load of a computer, by what Linux would count."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from resonator_daemon.host import load
+from resonator_daemon.host.load import NO_LOAD, LoadMeter, LoadSample
+
+_COUNTED = "some avg10=1.50 avg60=0.00 avg300=0.00 total={}\nfull avg10=0.00 avg60=0.00 avg300=0.00 total=0\n"
+
+
+@pytest.mark.parametrize(
+    ("threads", "pressure", "expected"),
+    [(True, True, LoadSample(75, 90)), (True, False, LoadSample(75, 75)), (False, True, LoadSample(90, 90)),
+     (False, False, NO_LOAD)],
+)  # fmt: skip
+def test_the_load_is_measured_by_what_linux_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: bool, pressure: bool, expected: LoadSample
+) -> None:
+    now_ns = 10**12
+    monkeypatch.setattr(load, "time", SimpleNamespace(monotonic_ns=lambda: now_ns))
+
+    def count(used_ms: int, waited_ms: int, pressure_ms: int) -> None:
+        for thread in ("7", "8"):
+            if threads:
+                (tmp_path / "self/task" / thread).mkdir(parents=True, exist_ok=True)
+                (tmp_path / "self/task" / thread / "schedstat").write_text(f"{used_ms}000000 {waited_ms}000000 5\n")
+        if pressure:
+            (tmp_path / "pressure").mkdir(exist_ok=True)
+            (tmp_path / "pressure/cpu").write_text(_COUNTED.format(f"{pressure_ms}000"))
+
+    count(500, 400, 300)
+    meter = LoadMeter(tmp_path)
+    count(510, 430, 390)
+    assert meter.sample() == NO_LOAD
+    now_ns += 100_000_000
+    assert meter.sample() == expected
+    now_ns += 40_000_000
+    count(510, 430, 430)
+    assert meter.sample() == expected  # too soon for another one
