@@ -460,6 +460,7 @@ class Service:
             self.link_counters,
             self.message_account,
             self._reader.clock_rate_ppm,
+            self._reader.load,
             self._pipeline.sensor.records_unusable,
             latency=self._pipeline.output.latencies.info(),
             decoder=self._decoder.info() if self._decoder is not None else None,

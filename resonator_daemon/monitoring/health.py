@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 
 import psutil
 
+from resonator_daemon.host.load import HostLoad
 from resonator_daemon.publishing.payloads import (
     BootInfo,
     DecoderProcessInfo,
@@ -75,6 +76,7 @@ class HealthMonitor:
         link: LinkCounters,
         messages: MessageAccount,
         clock_drift_ppm: float,
+        load: HostLoad,
         records_unusable: dict[str, int],
         latency: dict[str, LatencyInfo],
         recording: RecordingInfo,
@@ -88,6 +90,7 @@ class HealthMonitor:
         held = self._process.held()
         return Health(
             **header,
+            reason_code=load.busy.code if load.busy else None,
             uptime_s=now - self._started,
             frames=link.frames,
             frame_rate_hz=rate_hz,
@@ -124,6 +127,7 @@ class HealthMonitor:
             clock_outliers=link.clock_outliers,
             clock_restarts=link.clock_restarts,
             cpu_percent=held.cpu_percent,
+            lacking_percent=load.lacking_percent,
             rss_mb=held.rss_mb,
             tasks=len(asyncio.all_tasks()),
             threads=held.threads,

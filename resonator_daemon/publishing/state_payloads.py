@@ -203,6 +203,9 @@ class RecordingInfo(Message):
 class Health(BoardHeader):
     """How the daemon itself fares."""
 
+    reason_code: ReasonCode | None = Field(
+        None, description="`computer_busy` while the computer is too busy for the daemon, else null"
+    )
     uptime_s: float = Field(description="since the daemon started")
     frames: int = Field(description="frames that arrived since then")
     frame_rate_hz: Float = Field(description="since the last `health`")
@@ -226,6 +229,10 @@ class Health(BoardHeader):
     clock_outliers: int = Field(description="pings whose answer contradicted the others")
     clock_restarts: int = Field(description="times that the board's clock had to be estimated again")
     cpu_percent: Float = Field(description=_CPU + "; without the decoder's")
+    lacking_percent: Float = Field(
+        0.0,
+        description="share of the time that the daemon could run, in which it waited for a processor; over about 2 s",
+    )
     rss_mb: Float = Field(description="memory of the daemon, without the decoder's")
     tasks: int = Field(description="of the daemon's event loop")
     threads: int = Field(description="of the daemon")

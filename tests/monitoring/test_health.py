@@ -8,9 +8,11 @@ import pytest
 import status_samples
 from example_messages import header
 
+from resonator_daemon.host.load import HostLoad
 from resonator_daemon.monitoring import health
 from resonator_daemon.monitoring.health import HealthMonitor
 from resonator_daemon.publishing.payloads import Health, LatencyInfo, Lost
+from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.session.counters import LinkCounters
 
 MESSAGES = status_samples.health().messages
@@ -45,9 +47,12 @@ class Machine:
 
     def __init__(self) -> None:
         self.now_s = 5000.0
+        self.load = HostLoad()
 
     def health(self, monitor: HealthMonitor, **link: int) -> Health:
-        return monitor.report(HEADER, LinkCounters(**link), MESSAGES, 1.5, {"edges": 3}, LATENCY, RECORDING, COMMANDS)  # type: ignore[arg-type]
+        return monitor.report(
+            HEADER, LinkCounters(**link), MESSAGES, 1.5, self.load, {"edges": 3}, LATENCY, RECORDING, COMMANDS
+        )  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -71,19 +76,20 @@ async def test_rates_are_those_since_the_last_call(machine: Machine) -> None:
     assert {each.tasks for each in made} == {len(asyncio.all_tasks())}
 
 
+async def test_a_busy_computer_has_its_code_and_the_share_of_time_that_was_lacking(machine: Machine) -> None:
+    monitor = HealthMonitor()
+    machine.load = HostLoad(0, 83.0, Reason(ReasonCode.COMPUTER_BUSY, "busy"))
+    made = machine.health(monitor)
+    assert (made.reason_code, made.lacking_percent) == ("computer_busy", 83.0)
+    machine.load = HostLoad(0, 41.0)
+    made = machine.health(monitor)
+    assert (made.reason_code, made.lacking_percent) == (None, 41.0)
+
+
 async def test_frames_before_the_decoder_is_ready_are_not_lost() -> None:
     info = status_samples.health().decoder
     assert info is not None
     info = info.model_copy(update={"skipped": {"not_ready": 178, "newer_frame": 4, "decoder_ended": 2}})
-    made = HealthMonitor().report(
-        HEADER,  # type: ignore[arg-type]
-        LinkCounters(),
-        MESSAGES,
-        1.5,
-        {},
-        LATENCY,
-        RECORDING,
-        COMMANDS,
-        decoder=info,
-    )
+    given = HEADER, LinkCounters(), MESSAGES, 1.5, HostLoad(), {}, LATENCY, RECORDING, COMMANDS, info
+    made = HealthMonitor().report(*given)  # type: ignore[arg-type]
     assert (made.frames_not_decoded, made.decoder) == (6, info)
