@@ -11,16 +11,18 @@ from typing import Any, Final
 
 from resonator_daemon.config import Mqtt, load_config
 from resonator_daemon.doctor import link_checks, sensor_checks
-from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, graded, not_checked
+from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, excused, graded, not_checked
 from resonator_daemon.doctor.link_checks import ERRORS_FAULT
 from resonator_daemon.errors import UserError
 from resonator_daemon.host.documentation import page
+from resonator_daemon.host.load import REMEDY
 from resonator_daemon.links.table import parse_link
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.monitoring.status_client import Answer, ask_all
 from resonator_daemon.publishing.payloads import Condition, Info
 from resonator_daemon.publishing.subscriber import subscribe
 from resonator_daemon.publishing.topics import TOPICS
+from resonator_daemon.reasons import ReasonCode
 
 RUNS: Final = Check("daemon.runs", Area.SOFTWARE, "running daemon")
 CONFIG: Final = Check("daemon.config", Area.SOFTWARE, "configuration in use")
@@ -62,12 +64,16 @@ def check_status(status: Mapping[str, Any], where: str) -> Iterator[Finding]:
     if config := _table(status, "config"):
         yield from _config(config)
     link = _table(status, "link")
+    busy = str(link.get("reason", "")) if link.get("reason_code") == ReasonCode.COMPUTER_BUSY else ""
+    if busy:
+        yield link_checks.COMPUTER_BUSY.fault(busy, REMEDY)
     if link.get("state") == Condition.ONLINE:
         yield LINK.ok(f"online {link.get('reason', '')}".strip())
         yield from _losses(_table(status, "health"), _table(link, "last_outage"))
     else:
-        yield LINK.fault(
-            f"{link.get('state')}: {link.get('reason')}", f"see the reason and {page('how-to/connect.md')}"
+        remedy = f"see the reason and {page('how-to/connect.md')}"
+        yield excused(
+            LINK.fault(f"{link.get('state')}: {link.get('reason')}", remedy), "the computer is busy" * bool(busy)
         )
     yield _sensor(_table(status, "sensor"), online=link.get("state") == Condition.ONLINE)
     broker = _table(status, "broker")

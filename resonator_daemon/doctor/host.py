@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
 
-_IDLE_LEAST: Final = 0.15  # of all processors' time: below that, programs wait for each other
-_IDLE_FIELDS: Final = (3, 4)  # of /proc/stat: idle, and idle while a disk is waited for
-_ALL_FIELDS: Final = 8  # those after count time of guests a second time
+from resonator_daemon.host.load import BUSY_PERCENT, LoadMeter, busy_reason
+
 _PULSE_S: Final = 0.005
 _HALT_S: Final = 0.03  # a program that runs at once is late by a few ms; boards count as silent after some 50 ms
 
@@ -43,15 +42,14 @@ class Host:
 
 
 class Load:
-    """What this computer has left for a program while the block runs: idle processors, and no halts.
+    """Whether this computer lets a program run while the block does: free processors, and no halts.
 
     A virtual machine that its host leaves waiting shows nothing of it in its processors' times. A thread that
     sleeps for a moment, over and over, and wakes late shows it, whatever the cause.
     """
 
     def __init__(self, host: Host) -> None:
-        self._host = host
-        self._idle_begun, self._all_begun = self._counts()
+        self._meter = LoadMeter(host.at("/proc"))
         self._halted_s = 0.0
         self._ended = threading.Event()
         self._pulse = threading.Thread(target=self._watch, name="pulse", daemon=True)
@@ -71,17 +69,8 @@ class Load:
                 f"this computer is busy: it let a program that was to run wait for {1e3 * self._halted_s:.0f} ms, at "
                 f"most {1e3 * _HALT_S:.0f} ms are good to judge by"
             )
-        idle, counted = self._counts()
-        elapsed = counted - self._all_begun
-        if elapsed <= 0:
-            return ""
-        share = (idle - self._idle_begun) / elapsed
-        if share >= _IDLE_LEAST:
-            return ""
-        return (
-            f"this computer is busy: its processors are idle {100 * max(share, 0.0):.0f} % of the time, at least "
-            f"{100 * _IDLE_LEAST:.0f} % are needed to judge by"
-        )
+        sample = self._meter.sample()
+        return busy_reason(sample).text if min(sample) >= BUSY_PERCENT else ""
 
     def _watch(self) -> None:
         ended = False
@@ -89,10 +78,3 @@ class Load:
             due_s = time.monotonic() + _PULSE_S
             ended = self._ended.wait(_PULSE_S)
             self._halted_s = max(self._halted_s, time.monotonic() - due_s)
-
-    def _counts(self) -> tuple[int, int]:
-        words = (self._host.text("/proc/stat") or "").partition("\n")[0].split()[1 : _ALL_FIELDS + 1]
-        if len(words) < _ALL_FIELDS or not all(word.isdecimal() for word in words):
-            return 0, 0
-        counts = [int(word) for word in words]
-        return sum(counts[field] for field in _IDLE_FIELDS), sum(counts)

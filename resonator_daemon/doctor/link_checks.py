@@ -6,8 +6,9 @@ from typing import Final
 
 from firmware_protocol.messages import ResetCause
 from resonator_daemon.doctor.capture import OPEN_S, Capture
-from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, excused, graded, not_checked
+from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, Outcome, excused, graded, not_checked
 from resonator_daemon.host.documentation import page
+from resonator_daemon.host.load import REMEDY
 from resonator_daemon.plate import Plate
 from resonator_daemon.reasons import ReasonCode
 from resonator_daemon.session.clock import TOLERANCE_PPM
@@ -32,6 +33,7 @@ STEADY: Final = Check("link.steady", Area.WIRING, "link stays")
 ERRORS: Final = Check("link.errors", Area.WIRING, "errors on the cable")
 OVERFLOW: Final = Check("link.overflow", Area.WIRING, "frames that the board dropped")
 _OVERFLOW_OF_THIS_COMPUTER: Final = Check("link.overflow", Area.SOFTWARE, "frames that the board dropped")
+COMPUTER_BUSY: Final = Check(ReasonCode.COMPUTER_BUSY, Area.SOFTWARE, "load of this computer")
 OVERRUN: Final = Check("host.overrun", Area.SOFTWARE, "bytes that the driver lost")
 OF_A_PROBE: Final = (FITS, UNIT, REFERENCE, ROUND_TRIP, RESET)
 OF_A_CAPTURE: Final = (COUNTS, STEADY, ERRORS, OVERFLOW, OVERRUN)
@@ -68,8 +70,12 @@ def check_capture(capture: Capture) -> Iterator[Finding]:
     yield COUNTS.ok(f"{capture.frames} frames in {capture.seconds:.1f} s")
     overruns = capture.after.host_overruns - capture.before.host_overruns
     yield excused(_errors(capture), "the driver lost bytes, which looks the same" if overruns else "")
-    yield excused(_steady(capture), "" if capture.losses else capture.busy)
-    yield _overflow(capture)
+    steady, dropped = _steady(capture), _overflow(capture)
+    late = (dropped,) if capture.losses else (steady, dropped)
+    if capture.busy and any(finding.outcome is Outcome.FAULT for finding in late):
+        yield COMPUTER_BUSY.fault(capture.busy, REMEDY)
+    yield excused(steady, "" if capture.losses else capture.busy)
+    yield dropped
     yield OVERRUN.judged(
         graded(overruns, 0.0, 0.0),
         f"{overruns} times, none is meant" if overruns else "none that it reports",

@@ -34,6 +34,7 @@ STATUS: dict[str, Any] = {
 }
 
 
+BUSY = {"reason_code": "computer_busy", "reason": "x"}
 ONLINE_AGAIN = {
     "state": "online",
     "last_outage": {"start_t_ns": str(10**18), "end_t_ns": str(10**18 + 3 * 10**9), "frames_lost": 3007},
@@ -221,6 +222,10 @@ def test_a_daemon_that_is_well_has_nothing_wrong() -> None:
         ({"config": {"in_use": "file", "problems": ["x"], "needs_restart": ["link"]}}, "daemon.config", Outcome.FAULT),
         ({"config": {"in_use": "file", "needs_restart": ["link"]}}, "daemon.config", Outcome.WARNING),
         ({"link": {"state": "lost", "reason": "x"}}, "daemon.link", Outcome.FAULT),
+        ({"link": BUSY | {"state": "stalled"}}, "daemon.link", Outcome.NOT_CHECKED),
+        ({"link": BUSY | {"state": "stalled"}}, "computer_busy", Outcome.FAULT),
+        ({"link": BUSY | {"state": "online"}}, "daemon.link", Outcome.OK),
+        ({"link": BUSY | {"state": "online"}}, "computer_busy", Outcome.FAULT),
         ({"link": {"state": "lost", "reason": "x"}, "sensor": {"state": "x"}}, "daemon.sensor", Outcome.NOT_CHECKED),
         ({"sensor": {"state": "pressed_at_start", "reason": "x"}}, "daemon.sensor", Outcome.FAULT),
         ({"sensor": {"state": "starting"}}, "daemon.sensor", Outcome.NOT_CHECKED),

@@ -15,6 +15,7 @@ from resonator_daemon.doctor.finding import Area, Finding, Outcome
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.link_checks import check_capture
 from resonator_daemon.doctor.plate_readings import PlateReading
+from resonator_daemon.doctor.report import Report
 from resonator_daemon.doctor.sensor_checks import check_calibration, check_plate
 from resonator_daemon.links.table import parse_link
 from resonator_daemon.plate import Plate, load_plate
@@ -29,12 +30,12 @@ def quartz16() -> Plate:
     return load_plate("quartz16")
 
 
-def listened(plate: str = "quartz16", scenario: str = "still") -> Capture:
+def listened(plate: str = "quartz16", scenario: str = "still", seconds: float = SECONDS) -> Capture:
     """Sit with an emulated board, anew where the computer halted meanwhile: what was seen then is no truth."""
     for _ in range(20):
         with emulated(EmulatorOptions(plate, tcp=("127.0.0.1", 0), scenario=scenario)) as emulator:
             link = parse_link(emulator.link.address)
-            capture = capture_board(link, load_plate(plate), SECONDS, lambda _text: None, HOST)
+            capture = capture_board(link, load_plate(plate), seconds, lambda _text: None, HOST)
         if not capture.busy:
             break
     return capture
@@ -234,14 +235,14 @@ def test_a_tone_out_of_its_band_is_named(comb: Capture, comb16: Plate) -> None:
     ("scenario", "id"),
     [
         ("[faults]\nbit_error_rate = 1e-5\n", "link.errors"),
-        ('[[faults.events]]\nwhat = "freeze"\nat_s = 0.3\nfor_s = 0.2\n', "link.steady"),
+        ('[[faults.events]]\nwhat = "freeze"\nat_s = 0.3\nfor_s = 0.7\n', "link.steady"),
         ("[plate]\ndrop_rate = 0.02\n", "link.overflow"),
         ('[[faults.events]]\nwhat = "unplug"\nat_s = 0.3\nfor_s = 0.1\n', "link.steady"),
     ],
 )
 def test_what_befalls_the_link_is_told_apart(tmp_path: Path, scenario: str, id: str) -> None:
     (tmp_path / "scenario.toml").write_text(scenario)
-    capture = listened(scenario=str(tmp_path / "scenario.toml"))
+    capture = listened(scenario=str(tmp_path / "scenario.toml"), seconds=1.2)
     found = {finding.id: finding for finding in check_capture(capture)}
     assert found[id].outcome is Outcome.FAULT
     assert next(finding.id for finding in found.values() if finding.outcome is Outcome.FAULT) == id
@@ -300,16 +301,18 @@ def test_a_board_that_does_not_count_is_the_sensors(calm: Capture) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "id", "outcome"),
+    ("change", "id", "outcome", "cause"),
     [
-        ({"interruptions": ["no frame comes"]}, "link.steady", Outcome.NOT_CHECKED),
-        ({"losses": ["unplugged"]}, "link.steady", Outcome.FAULT),
-        ({"frame_rate_hz": 1e5}, "link.overflow", Outcome.NOT_CHECKED),
-        ({}, "link.steady", Outcome.OK),
+        ({"interruptions": ["no frame comes"]}, "link.steady", Outcome.NOT_CHECKED, "computer_busy"),
+        ({"losses": ["unplugged"]}, "link.steady", Outcome.FAULT, "link.steady"),
+        ({"frame_rate_hz": 1e5}, "link.overflow", Outcome.NOT_CHECKED, "computer_busy"),
+        ({}, "link.steady", Outcome.OK, None),
     ],
 )
 def test_what_a_busy_computer_explains_is_not_the_links_fault(
-    calm: Capture, change: dict[str, object], id: str, outcome: Outcome
+    calm: Capture, change: dict[str, object], id: str, outcome: Outcome, cause: str | None
 ) -> None:
     busy = dataclasses.replace(calm, busy="this computer is busy", **change)
-    assert {finding.id: finding.outcome for finding in check_capture(busy)}[id] is outcome
+    report = Report(check_capture(busy))
+    assert {finding.id: finding.outcome for finding in report.findings}[id] is outcome
+    assert (report.cause.id if report.cause else None) == cause
