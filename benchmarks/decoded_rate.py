@@ -21,7 +21,7 @@ import psutil
 from paho.mqtt.enums import CallbackAPIVersion
 from system_parts import child, free_port, mosquitto_command, tree_s
 
-from resonator_daemon.demo.host_load import HostLoad
+from resonator_daemon.demo.processes import ProcessorTimes
 
 DECODED_MIN, CORES_MAX = 0.98, 0.8
 ROOT = Path(__file__).resolve().parents[1]
@@ -87,7 +87,7 @@ def main() -> int:
                 sys.exit(f"no frame was decoded within {START_S:g} s")
             time.sleep(0.1)
         time.sleep(SETTLE_S)
-        load = HostLoad()
+        load = ProcessorTimes()
         decoded, started_s = subscriber.decoded, time.monotonic()
         before_s = {name: tree_s(process.pid) for name, process in processes.items()}
         time.sleep(options.seconds)

@@ -4,8 +4,9 @@ import asyncio
 import json
 import signal
 import sys
+import time
 from asyncio.subprocess import DEVNULL, PIPE, Process
-from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Collection, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -95,7 +96,7 @@ def cpu_s(process: psutil.Process) -> float:
     """Return the processor seconds of a process and of its children that have ended; 0 if it has ended itself."""
     try:
         times = process.cpu_times()
-    except psutil.NoSuchProcess:
+    except psutil.Error:
         return 0.0
     return float(times.user + times.system + times.children_user + times.children_system)
 
@@ -187,3 +188,50 @@ async def start_child(part: str, folder: Path, command: Sequence[str], stdout: i
             preexec_fn=ended_with_parent(signal.SIGTERM),
         )
     return Child(part, process, log)
+
+
+class ProcessorTimes:
+    """Processor time from the construction to `stop`; processes that start or end in between are in the sum alone.
+
+    Attributes
+    ----------
+    used_s
+        Processor time of each process, in seconds; valid after `stop`.
+    """
+
+    def __init__(self) -> None:
+        self.used_s = {process: cpu_s(process) for process in psutil.process_iter()}
+        self._busy_s = _busy_s()
+        self._started_s = time.monotonic()
+        self._ended_s = self._started_s
+
+    def stop(self) -> None:
+        """End the measurement."""
+        self._ended_s = time.monotonic()
+        self._busy_s = _busy_s() - self._busy_s
+        self.used_s = {process: cpu_s(process) - before_s for process, before_s in self.used_s.items()}
+
+    def in_words(self, own_cpu_s: float, own_pids: Collection[int]) -> str:
+        """Return a sentence with the processes that kept the computer busy, given those of the run and their time."""
+        seconds = max(self._ended_s - self._started_s, 1e-9)
+        cores, own = psutil.cpu_count() or 1, own_cpu_s / seconds
+        others = max(self._busy_s / seconds - own, 0.0)
+        words = f"processor cores used: {own:.2f} of {cores} by these processes, {others:.2f} by other processes"
+        foreign = {process: used_s for process, used_s in self.used_s.items() if process.pid not in own_pids}
+        if foreign:
+            process = max(foreign, key=lambda process: foreign[process])
+            if (used := foreign[process] / seconds) >= others / 4 and used >= 0.05:
+                words += f", of which {used:.2f} by {_name(process)} (process {process.pid})"
+        return words
+
+
+def _busy_s() -> float:
+    times = psutil.cpu_times()
+    return float(sum(times) - times.idle - getattr(times, "iowait", 0.0) - getattr(times, "guest", 0.0))
+
+
+def _name(process: psutil.Process) -> str:
+    try:
+        return str(process.name())
+    except psutil.Error:
+        return "one that has ended"

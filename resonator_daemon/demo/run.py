@@ -20,11 +20,11 @@ from rich.console import Console, RenderableType
 from rich.live import Live
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.demo.host_load import HostLoad
 from resonator_daemon.demo.local_broker import BROKER_PART, local_broker
 from resonator_daemon.demo.processes import (
     Child,
     Emulator,
+    ProcessorTimes,
     cpu_s,
     raise_if_ended,
     start_daemons,
@@ -141,7 +141,7 @@ class _Demo:
             await self._open_live_page(url, folder, stack)
         await self._wait_for_frames()
         gc.freeze()  # modules stay in use: collections that visit them delay messages by tens of ms
-        self._load = HostLoad()
+        self._load = ProcessorTimes()
         await self._begin_scores()
         print_note(f"measuring for {self._options.seconds:g} s")
 
@@ -292,10 +292,13 @@ class _Demo:
         )
         for line in late:
             print_note(line)
-        own_s = sum(self._usage.values())
-        load = self._load.in_words(own_s, self._pids)
+        health = [message for station in self._stations.values() for message in station.score.health]
+        lacking_percent = max((message["lacking_percent"] for message in health), default=0.0)
+        load = self._load.in_words(sum(self._usage.values()), self._pids)
+        load += f"; a daemon waited for a processor up to {lacking_percent:.0f} % of the time"
         if failed:
-            raise LossError(*failed, *cause(load, overloaded=self._load.overloaded(own_s, self._pids)), so_far=result)
+            busy = any(message["reason_code"] for message in health)
+            raise LossError(*failed, *cause(load, overloaded=busy), so_far=result)
         if late:
             print_note(load)
         if self._options.json:
