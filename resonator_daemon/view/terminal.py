@@ -21,6 +21,7 @@ from resonator_daemon.publishing.topics import (
     STATE_LINK,
     STATE_SENSOR,
 )
+from resonator_daemon.reasons import ReasonCode
 from resonator_daemon.view.maps import side_by_side
 from resonator_daemon.view.plate_view import PlateView, Truth
 from resonator_daemon.view.surface import SurfacePanel
@@ -121,7 +122,7 @@ class _Plate:
             return text.append("unknown", "reverse")
         if outdated:
             return text.append("unknown", "reverse").append(f" (was {state.state})")
-        if state.state is Condition.ONLINE:
+        if state.state is Condition.ONLINE and state.reason_code != ReasonCode.COMPUTER_BUSY:
             return text.append("online", "bold")
         text.append(state.state, "reverse")
         if state.since_t_ns is not None:

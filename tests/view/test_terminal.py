@@ -147,6 +147,8 @@ def test_states_come_with_reason_and_duration_unless_online() -> None:
     assert "daemon online link lost for 1 min 12 s: [Errno 5] it was unplugged sensor waiting for 3.0 s ···" in text
     text = words(page(quartz16(("state/sensor", state("drifting", "0.3 ppm/s", since_s_ago=7200)))))
     assert "sensor drifting for 2 h 0 min: 0.3 ppm/s" in text
+    busy = state("online", "the computer is busy").model_copy(update={"reason_code": "computer_busy"})
+    assert "link online for 10.0 s: the computer is busy" in words(page(quartz16(("state/link", busy))))
 
 
 def beside_the_map(text: str, columns: int = 34) -> str:

@@ -1,4 +1,4 @@
-// What is the matter with a plate, from its retained states: eight situations, "well", and what is between.
+// What is the matter with a plate, from its retained states: nine situations, "well", and what is between.
 
 import { clockTime, words } from "./text.js";
 
@@ -10,6 +10,7 @@ const SITUATIONS = {
   crash: ["Daemon ended without notice", "crash", "bad"],
   broker_restarted: ["Working; connected to the broker again", "broker", "note"],
   cable_out: ["No connection to the board", "cable", "bad"],
+  computer_busy: ["The computer is busy", "hung", "warn"],
   board_hung: ["The board sends nothing", "hung", "bad"],
   board_rebooted: ["Working; the board restarted", "reboot", "note"],
   sensor_drifting: ["The sensor drifts", "drift", "warn"],
@@ -23,6 +24,7 @@ function code({ daemon, link, sensor }) {
   if (daemon.state === "offline") return { stopped: "clean_stop", recording_over: "recording_over" }[daemon.reasonCode] ?? "crash";
   if (daemon.state === "online") {
     if (link?.reasonCode === "recording_over") return "recording_over";
+    if (link?.reasonCode === "computer_busy") return "computer_busy";
     if (["lost", "waiting"].includes(link?.state)) return "cable_out";
     if (link?.state === "stalled") return "board_hung";
     if (link?.state === "online" && sensor?.state === "drifting") return "sensor_drifting";
@@ -52,6 +54,8 @@ function detail(found, { daemon, link, sensor }) {
     case "cable_out":
     case "board_hung":
       return link.reason;
+    case "computer_busy":
+      return `${link.reason}. Give the daemon precedence (CPUWeight, nice), decode elsewhere, or lower the frame rate.`;
     case "board_rebooted":
       return `${outage ? `Measures again since ${clockTime(outage.end)}. Before: ${outage.reason}. ` : ""}This is boot ${link.boots}.`;
     case "sensor_drifting":

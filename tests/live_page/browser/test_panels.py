@@ -166,6 +166,8 @@ OFFLINE = {"state": "offline", "reason_code": "stopped"}
         (ONLINE | {"daemon": {"state": "online", "connections": 2, "connected_t_ns": "1"}}, "broker_restarted"),
         (ONLINE | {"link": {"state": "waiting"}, "sensor": {"state": "waiting"}}, "cable_out"),
         (ONLINE | {"link": {"state": "stalled"}, "sensor": {"state": "waiting"}}, "board_hung"),
+        (ONLINE | {"link": {"state": "online", "reason_code": "computer_busy"}}, "computer_busy"),
+        (ONLINE | {"link": {"state": "stalled", "reason_code": "computer_busy"}}, "computer_busy"),
         (ONLINE | {"link": {"state": "online", "boot_count": 2}}, "board_rebooted"),
         (ONLINE | {"sensor": {"state": "drifting"}}, "sensor_drifting"),
     ],
