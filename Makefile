@@ -197,8 +197,7 @@ bench-details: .venv/peers-stamp  ## figures of other pages, an hour: demo, late
 	debian-packages $(BROKER) $(USB)
 	run() { printf '\n== %s\n' "$$1"; .venv/bin/python benchmarks/$$1.py; }
 	for benchmark in demo_cost wire_faults; do run $$benchmark; done
-	.venv/bin/resonatord bench latency --seconds 60
-	.venv/bin/resonatord bench latency --plate skin32 --external --seconds 60
+	.venv/bin/python benchmarks/latency.py
 	export OMP_NUM_THREADS=1  # threads that wait for each other would be timed
 	for benchmark in recording_cost replay_speed decoders wire_cost usb_throughput blocked_loop clock clock_live; do run $$benchmark; done
 	for benchmark in counting matching baseline calibration end_to_end emulator_noise emulator_speed; do run $$benchmark; done

@@ -6,7 +6,7 @@ import signal
 import sys
 import time
 from asyncio.subprocess import DEVNULL, PIPE, Process
-from collections.abc import AsyncIterator, Collection, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -146,15 +146,11 @@ async def _start_reporting(part: str, folder: Path, arguments: Sequence[str]) ->
     return child, report
 
 
-async def start_daemons(
-    verbs: Mapping[str, str], name: str, plate: str, link: str, broker_url: str, folder: Path
-) -> list[Child]:
-    """Start `run`, and perhaps `decode`, on that link, publishing below `resonator/<name>/`; `verbs` by part."""
-    config = folder / f"{name}.toml"
-    keys = f'name = "{name}"\nplate = "{plate}"\nlink = "{link}"\n[mqtt]\nurl = "{broker_url}"\n'
-    config.write_text(keys + ("[decoding]\nexternal = true\n" if "decode" in verbs.values() else ""))
-    commands = {part: (*_RESONATORD, verb, "--config", str(config)) for part, verb in verbs.items()}
-    return [await start_child(part, folder, command) for part, command in commands.items()]
+async def start_daemon(plate: str, link: str, broker_url: str, folder: Path) -> Child:
+    """Start `run` on that link, publishing below `resonator/<plate>/`."""
+    config = folder / f"{plate}.toml"
+    config.write_text(f'name = "{plate}"\nplate = "{plate}"\nlink = "{link}"\n[mqtt]\nurl = "{broker_url}"\n')
+    return await start_child(f"daemon {plate}", folder, (*_RESONATORD, "run", "--config", str(config)))
 
 
 @asynccontextmanager

@@ -27,7 +27,7 @@ from resonator_daemon.demo.processes import (
     ProcessorTimes,
     cpu_s,
     raise_if_ended,
-    start_daemons,
+    start_daemon,
     start_emulator,
     start_live_page,
 )
@@ -157,7 +157,7 @@ class _Demo:
         print_note(f"starting emulated board and daemon: {name}")
         emulator = await start_emulator(name, plate, folder, by_hand=not self._options.headless)
         stack.push_async_callback(emulator.child.stop)
-        (daemon,) = await start_daemons({f"daemon {name}": "run"}, name, name, emulator.link, broker_url, folder)
+        daemon = await start_daemon(name, emulator.link, broker_url, folder)
         stack.push_async_callback(daemon.stop)
         truth = TruthTable(emulator.truth)
         score = PlateScore(

@@ -107,7 +107,6 @@ def test_bash_completes_commands_options_and_files(tmp_path: Path, capsys: pytes
         ("rem", "remove"),
         ("plan ''", "codes sensors"),
         ("doctor --sec", "--seconds"),
-        ("bench latency --plate sk", "skin32"),
         ("emulate --plate qu", "quartz16"),
         ("run le", "left.toml"),
     ):

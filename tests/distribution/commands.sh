@@ -72,6 +72,5 @@ resonatord remove left-index --url "$url"
 
 sed -e 's#^plate = .*#plate = "skin32"#' -e 's#^\[decoding\]#&\nexternal = true#' left.toml >skin.toml
 timeout --preserve-status --signal=INT 4 resonatord decode skin.toml
-or_late resonatord bench latency --seconds 2 --json
 or_late resonatord demo --headless --seconds 5 --json >demo.json
 "$python" -c 'import json; assert all(plate["frames"] > 100 for plate in json.load(open("demo.json"))["plates"].values())'
