@@ -31,7 +31,7 @@ FAILURES: Final = {
     "no_column": "in Python: the table does not have this column",
     "no_mark": "the recording does not have this mark",
     "no_span": "the span ends before it begins",
-    "differs": "a recording is damaged, or its replay differs from what is recorded or expected",
+    "differs": "a recording is damaged, or its replay differs from what is recorded",
     "not_repaired": "nothing of the recording can be kept, or no copy can be made",
     "ended": "the recording ended early: its file cannot be written any more, or the reader failed",
     "no_board": "the link cannot be opened, no board answers, or none sends frames",
@@ -99,7 +99,7 @@ class SystemFailureError(UserError):
 
 
 class DifferenceError(UserError):
-    """Recording that is damaged, or whose replay differs from what is recorded or expected."""
+    """Recording that is damaged, or whose replay differs from what is recorded."""
 
     exit_code = ExitCode.FAILED
     code = "differs"

@@ -1,7 +1,7 @@
 """Compare two recordings: touches, forces, losses and timing.
 
 Each is replayed with the plate and settings that it carries. Touches correspond to each other by the order of their
-sites. `resonatord replay --check` compares message by message with what is expected.
+sites.
 
 Example: resonatord compare before.mcap after.mcap --picture difference.svg
 """

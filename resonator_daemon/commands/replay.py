@@ -1,4 +1,4 @@
-"""Replay a recording, from its bytes to messages, or check regression fixtures.
+"""Replay a recording, from its bytes to messages.
 
 Example: resonatord replay run.mcap --speed 4
 """
@@ -9,7 +9,7 @@ import math
 import sys
 import time
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from resonator_daemon.commands._argument_types import options_of
 from resonator_daemon.commands._output import print_json
@@ -20,21 +20,11 @@ _DEFAULT_URL: Final = "mqtt://127.0.0.1:1883"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", type=Path, nargs="?", metavar="FILE", help="a recording, as run.mcap")
+    parser.add_argument("file", type=Path, metavar="FILE", help="a recording, as run.mcap")
     parser.add_argument("--config", type=Path, metavar="FILE", help="instead of the plate and settings it carries")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--url", metavar="URL", help=f"the broker (default: that of --config, or {_DEFAULT_URL})")
     where.add_argument("--to", type=Path, metavar="FILE.jsonl", help="a line a message instead; - is stdout")
-    where.add_argument(
-        "--save-case", type=Path, metavar="DIR", help="save a regression fixture for --check in a new directory"
-    )
-    where.add_argument(
-        "--check",
-        type=Path,
-        nargs="+",
-        metavar="DIR",
-        help="replay regression fixtures and compare with their expected messages",
-    )
     parser.add_argument("--name", help="to publish under (default: the recorded one)")
     pace = parser.add_mutually_exclusive_group()
     pace.add_argument(
@@ -48,42 +38,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     _check(arguments)
-    from resonator_daemon.links.link import LinkUnavailableError
-    from resonator_daemon.replay.checking import check_cases
-
-    logging.getLogger().setLevel(logging.WARNING)  # connections are not logged here
-    try:
-        if arguments.check is not None:
-            return check_cases(arguments.check, as_json=arguments.json)
-        return _replay(arguments)
-    except LinkUnavailableError as error:
-        raise NoRecordingError(str(error)) from error
-
-
-def _replay(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.config import load_config
-    from resonator_daemon.host.signals import interruptible
-    from resonator_daemon.replay.case import save_case
-    from resonator_daemon.replay.recorded_pipeline import what_is_wrong
+    from resonator_daemon.links.link import LinkUnavailableError
     from resonator_daemon.replay.run import ReplayOptions, replay
 
+    logging.getLogger().setLevel(logging.WARNING)  # connections are not logged here
     path: Path = arguments.file
     config = load_config(arguments.config) if arguments.config is not None else None
+    url = arguments.url or (_DEFAULT_URL if config is None else None)
+    own = {"config": config, "output": arguments.to, "url": url, "show_progress": not arguments.json}
     begun_s = time.monotonic()
-    if arguments.save_case is not None:
-        with interruptible("no fixture is saved"):
-            case = save_case(path, arguments.save_case)
-        result: dict[str, Any] = {"case": str(arguments.save_case), **case.summary}
-        wrong = what_is_wrong(case.differences, case.damage)
-    else:
-        url = arguments.url or (_DEFAULT_URL if config is None else None)
-        own = {"config": config, "output": arguments.to, "url": url, "show_progress": not arguments.json}
-        options = options_of(ReplayOptions, arguments, **own)
-        result, wrong = replay(path, options)
+    try:
+        result, wrong = replay(path, options_of(ReplayOptions, arguments, **own))
+    except LinkUnavailableError as error:
+        raise NoRecordingError(str(error)) from error
     took_s = time.monotonic() - begun_s
-    if "seconds" in result:
-        result |= {"took_seconds": round(took_s, 3), "speed": round(result["seconds"] / took_s, 2)}
-    result = {"file": str(path), **result}
+    speed = round(result["seconds"] / took_s, 2)
+    result = {"file": str(path), **result, "took_seconds": round(took_s, 3), "speed": speed}
     if not arguments.json:
         messages = sum(result["messages"].values())
         print_note(f"{path}: {result['frames']} frames, {messages} messages in {took_s:.1f} s")
@@ -96,25 +67,13 @@ def _replay(arguments: argparse.Namespace) -> ExitCode:
 
 def _check(arguments: argparse.Namespace) -> None:
     """Raise UsageError where arguments contradict each other."""
-    if arguments.check is not None:
-        _refuse_beside(arguments, "--check", "file", "config", "name", "speed", "step", "start", "end")
-    elif arguments.file is None:
-        raise UsageError("name a recording to be replayed, as run.mcap")
-    if arguments.save_case is not None:
-        _refuse_beside(arguments, "--save-case", "config", "name", "speed", "step", "start", "end")
     if arguments.to is not None:
-        _refuse_beside(arguments, "--to", "name")
+        if arguments.name is not None:
+            raise UsageError("--name does not go with --to")
         if arguments.json and str(arguments.to) == "-":
             raise UsageError("--json and --to - both write to stdout; give one of them")
     if arguments.step and not sys.stdin.isatty():
         raise UsageError("--step waits for Enter, and there is no terminal to read it from; try --speed")
-
-
-def _refuse_beside(arguments: argparse.Namespace, option: str, *others: str) -> None:
-    names = {"file": "FILE", "start": "--from", "end": "--until"}
-    for other in others:
-        if getattr(arguments, other) not in (None, False):
-            raise UsageError(f"{names.get(other, f'--{other}')} does not go with {option}")
 
 
 def _speed(text: str) -> float:

@@ -41,11 +41,12 @@ class NewFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._flows = takes_a_stream(path)
-        self._part = path if self._flows else part_of(path)
+        self._part = path if self._flows else path.with_name(path.name + ".part")
         try:
             self.file: IO[bytes] = io.BufferedWriter(_Stream(path, "w")) if self._flows else self._part.open("xb")
         except FileExistsError as error:
-            raise part_is_there(self._part) from error
+            why = f"{self._part} exists: another process writes it, or was killed; remove it if it was killed"
+            raise NoNewFileError(why) from error
         except OSError as error:
             raise NoNewFileError(f"{path} cannot be written: {meaning_of(error)}") from error
 
@@ -103,16 +104,6 @@ def takes_a_stream(path: Path) -> bool:
     except OSError:
         return False
     return stat.S_ISCHR(mode) or stat.S_ISFIFO(mode)
-
-
-def part_of(path: Path) -> Path:
-    """Return the name of a file or directory that is not complete yet."""
-    return path.with_name(path.name + ".part")
-
-
-def part_is_there(part: Path) -> NoNewFileError:
-    """Return the error for an existing `.part` name."""
-    return NoNewFileError(f"{part} exists: another process writes it, or was killed; remove it if it was killed")
 
 
 def check_new(path: Path) -> None:

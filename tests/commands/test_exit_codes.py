@@ -4,7 +4,6 @@ import importlib
 import json
 import pkgutil
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
@@ -32,7 +31,6 @@ FAILING = """
 69 no_broker: command left ping --url mqtt://127.0.0.1:9 | remove left --url mqtt://127.0.0.1:9
 69 no_board: calibrate board.toml --masses-grams 100 --output new.toml | identify tcp://127.0.0.1:9
 1 differs: compare run.mcap cut.mcap | export cut.mcap --output out.npz | replay cut.mcap --to out.jsonl
-1 differs: replay --check case
 1 fault: doctor tcp://127.0.0.1:9 --seconds 1
 1 listen: emulate --plate quartz16 --tcp 192.0.2.1:7000
 1 install: install --prefix run.mcap
@@ -64,8 +62,6 @@ def test_every_failure_is_one_object_with_a_code(
     line: str, code: int, word: str, tmp_path: Path, recorded: bytes, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "run.txt").write_text("nope")
-    shutil.copytree(RECORDING.parent, tmp_path / "case")
-    (tmp_path / "case" / RECORDING.name).write_bytes(recorded[: len(recorded) // 2])
     broker = '[mqtt]\nurl = "mqtt://127.0.0.1:9"\n'
     (tmp_path / "client.toml").write_text(f'name = "left"\n{broker}')
     for name, plate in (("board", "quartz16"), ("skin", "skin32")):
@@ -111,7 +107,6 @@ def test_a_configuration_is_an_argument_or_an_option(
     [
         "record --config board.toml --output there --seconds 1",
         "replay run.mcap --to there",
-        "replay run.mcap --save-case there",
         "export run.mcap --output there --format mcap",
         "repair cut.mcap --output there",
         "plan codes --grid 4x4 --pitch-mm 5 --output there",

@@ -1,13 +1,13 @@
 """Makes the golden corpus: short recordings of emulated boards in every trouble, and what each of them is to become.
 
-    .venv/bin/python tests/corpus/make.py             # expectations again, of the recordings that are there
-    .venv/bin/python tests/corpus/make.py record      # all recordings again, too; `record NAME...`: those alone
+    .venv/bin/pytest tests/replay/test_corpus_cases.py   # replay all recordings and compare; `-k skin`: those alone
+    .venv/bin/python tests/corpus/make.py                # expectations again, of the recordings that are there
+    .venv/bin/python tests/corpus/make.py record         # all recordings again, too; `record NAME...`: those alone
 
 What is emulated follows from fixed seeds; when bytes arrive does not, so that each recording is another. Expectations
-are what the present version makes of a recording: look at what `replay --check` says before they are made again.
+are what the present version makes of a recording: look at the differences before they are made again.
 """
 
-import shutil
 import socket
 import sys
 import tempfile
@@ -26,14 +26,14 @@ from resonator_daemon.pipeline.control_requests import Control, SetWindow, Tare
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.recording.reader import Origin
 from resonator_daemon.recording.switch import RecordingSwitch
-from resonator_daemon.replay.case import EXPECTED_FILE, RECORDING_FILE, replay_whole, save_case, write_expected
-from resonator_daemon.replay.source import open_replay
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.frames import BoardOnline
 from simulators.emulator import Emulator, EmulatorOptions
 from simulators.faults import parse_faults
 
-CORPUS: Final = Path(__file__).parent
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
+from corpus_cases import CORPUS, EXPECTED_FILE, RECORDING_FILE, save_case, save_expected
+
 BOOT_ID: Final = "0123456789abcdef"
 SETTINGS: Final = "[measurement]\nwindow_ms = 20\nstep_ms = 20\n[decoding]\n"
 SMALL_SKIN: Final = """
@@ -199,7 +199,6 @@ def make(name: str) -> None:
     with tempfile.TemporaryDirectory() as temporary:
         recording = Path(temporary) / "run.mcap"
         record(CASES[name], recording, Path(temporary))
-        shutil.rmtree(CORPUS / name, ignore_errors=True)
         save_case(recording, CORPUS / name)
     sys.stdout.write(f"{name} recorded\n")
 
@@ -214,7 +213,6 @@ def damage(name: str) -> None:
     with tempfile.TemporaryDirectory() as temporary:
         recording = Path(temporary) / RECORDING_FILE
         recording.write_bytes(content)
-        shutil.rmtree(CORPUS / name, ignore_errors=True)
         save_case(recording, CORPUS / name)
 
 
@@ -227,8 +225,7 @@ def main(arguments: list[str]) -> None:
             damage(name)
         return
     for path in sorted(CORPUS.glob(f"*/{EXPECTED_FILE}")):
-        with open_replay(path.parent / RECORDING_FILE) as replaying:
-            write_expected(replay_whole(replaying), path.parent)
+        save_expected(path.parent)
 
 
 if __name__ == "__main__":

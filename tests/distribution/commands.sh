@@ -33,8 +33,6 @@ resonatord record left.toml --output run.mcap --seconds 2
 or_late resonatord doctor left.toml --seconds 2 --json
 
 resonatord replay run.mcap --to run.jsonl
-resonatord replay run.mcap --save-case case
-resonatord replay --check case
 resonatord export run.mcap --format csv --topics forces --output run.csv
 resonatord compare run.mcap run.mcap
 resonatord repair run.mcap

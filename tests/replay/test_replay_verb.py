@@ -13,13 +13,12 @@ import pytest
 from brokers import Amqtt, Mosquitto
 from command_line import exit_code
 from commanded import commanded, state
+from corpus_cases import CORPUS, read_expected
 from observer import Observer, observe
 
 from resonator_daemon.commands import main
 from resonator_daemon.publishing.topics import STATE_DAEMON
-from resonator_daemon.replay.case import read_expected
 
-CORPUS = Path(__file__).parents[1] / "corpus"
 TOUCHES = CORPUS / "touches" / "recording.mcap"
 COUNTS = read_expected(TOUCHES.parent).summary["messages"]
 
@@ -138,7 +137,6 @@ def test_a_damaged_file_is_played_up_to_there(case: str, capsys: pytest.CaptureF
     [
         (),
         ("one.mcap", "two.mcap"),
-        ("--check", "case", "--name", "left"),
         ("one.mcap", "--to", "-", "--json"),
         ("one.mcap", "--speed", "0"),
         ("one.mcap", "--speed", "2", "--step"),

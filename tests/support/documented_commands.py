@@ -43,7 +43,7 @@ class Shell:
         """Run one command and return its output; of one that goes on until it is stopped, wait until it is ready."""
         words = [word.replace("/tmp/board", f"{self._folder}/board") for word in self._expanded(words)]
         verb = words[0]
-        if verb == "replay" and {"--url", "--to", "--save-case", "--check"}.isdisjoint(words):
+        if verb == "replay" and {"--url", "--to"}.isdisjoint(words):
             words += ["--url", self._broker]
         if verb in ("emulate", "run", "watch"):
             url = ("--url", self._broker) if verb == "watch" else ()
