@@ -16,8 +16,7 @@ from typing import Any, Final
 from resonator_daemon.bridges.ros2_node import Ros2Node
 from resonator_daemon.config import Mqtt
 from resonator_daemon.exporting.geometry import Geometry
-from resonator_daemon.exporting.ros2_diagnostics import STALE, Diagnostics, diagnostics_of
-from resonator_daemon.exporting.ros2_messages import DIAGNOSTICS_TOPIC, Translation
+from resonator_daemon.exporting.ros2_messages import DIAGNOSTICS_TOPIC, STALE, Diagnostics, Translation, diagnostics_of
 from resonator_daemon.exporting.ros2_types import DIAGNOSTICS, make_typestore
 from resonator_daemon.host.signals import on_signals
 from resonator_daemon.publishing.payloads import Condition, Health, Info, Message, State

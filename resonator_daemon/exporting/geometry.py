@@ -1,4 +1,4 @@
-"""Shape of a plate as viewers draw it, from its file or from what it publishes."""
+"""Shape of a plate as viewers draw it, from its file or from what it publishes; moments about its origin."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -7,7 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.plate import Plate
-from resonator_daemon.publishing.payloads import Info
+from resonator_daemon.publishing.payloads import Contact, Info
+
+
+def about_origin(contact: Contact) -> NDArray[np.float64]:
+    """Return force and moment about the plate's origin, (2, 3); of a force site those of its normal force."""
+    if contact.moment_newton_m is not None:
+        return np.array([contact.force_newton, contact.moment_newton_m], float)
+    (x, y), normal_newton = contact.position_m, contact.force_newton[2]
+    return np.array([(0.0, 0.0, normal_newton), (y * normal_newton, -x * normal_newton, 0.0)])
+
 
 Places = NDArray[np.float64]
 """(n, 2): x and y in metres in the frame of the plate, whose z points into it."""

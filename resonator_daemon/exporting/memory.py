@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.exporting.column_arrays import ColumnEncoder
-from resonator_daemon.exporting.columns import Column, Value
+from resonator_daemon.exporting.columns import Column, ColumnEncoder, Value
 from resonator_daemon.exporting.output import Recorded
 from resonator_daemon.exporting.table_output import Batch, TableOutput
 from resonator_daemon.exporting.tables import WITH_ARRAYS, make_table

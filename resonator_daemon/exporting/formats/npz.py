@@ -9,8 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from resonator_daemon.exporting.column_arrays import ColumnEncoder
-from resonator_daemon.exporting.columns import Column, Value
+from resonator_daemon.exporting.columns import Column, ColumnEncoder, Value
 from resonator_daemon.exporting.table_output import Batch, TableOutput
 
 _PIECE_ROWS: Final = 1 << 10
