@@ -29,7 +29,7 @@ from threadpoolctl import threadpool_limits
 
 from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.decoding.streaming import set_up
-from resonator_daemon.demo.local_broker import local_broker
+from resonator_daemon.demo.processes import local_broker
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import CalibrationInfo, GridInfo, Info, Lost, Signals, SiteInfo, SkinInfo

@@ -22,8 +22,7 @@ import cbor2
 import numpy as np
 
 from resonator_daemon.config import Measurement
-from resonator_daemon.demo.local_broker import local_broker
-from resonator_daemon.demo.processes import raise_if_ended, start_daemon, start_emulator
+from resonator_daemon.demo.processes import local_broker, raise_if_ended, start_daemon, start_emulator
 from resonator_daemon.demo.subscription import Subscription
 from resonator_daemon.demo.truth import TruthTable
 from resonator_daemon.plate import load_plate

@@ -21,8 +21,7 @@ import psutil
 from aiohttp import ClientWebSocketResponse
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.demo.local_broker import local_broker
-from resonator_daemon.demo.processes import PYTHON
+from resonator_daemon.demo.processes import PYTHON, local_broker
 
 SIZES = {"decoded": 37_200, "decoded/summary": 283, "contacts": 211}  # bytes of skin32's messages with one contact
 SIGNALS_BYTES = 24_800

@@ -17,7 +17,7 @@ import store_writers
 from disk_crashes import ACKNOWLEDGED, Disk, changes, failures, traced
 from store_writers import NAMES, NEW_PLATE_TEXT, PLATE_TEXT, piece
 
-from resonator_daemon.calibration.session import Session
+from resonator_daemon.calibration.plate_file import Session
 from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.publishing.spool import Progress, Spool, SpoolError

@@ -12,9 +12,8 @@ from typing import Any, Final
 
 from disk_crashes import ACKNOWLEDGED, Disk, changes
 
-from resonator_daemon.calibration.plate_file import write_plate_file
+from resonator_daemon.calibration.plate_file import Session, write_plate_file
 from resonator_daemon.calibration.run import abort_staged, accept_staged
-from resonator_daemon.calibration.session import Session
 from resonator_daemon.conditions import Condition
 from resonator_daemon.config.text import plate_text
 from resonator_daemon.daemon.config_store import ConfigStore

@@ -6,8 +6,8 @@ import pytest
 from store_failures import READERS, fail_while_writing
 from store_writers import NEW_PLATE_TEXT, PLATE_TEXT, staged
 
+from resonator_daemon.calibration.plate_file import Session
 from resonator_daemon.calibration.run import accept_staged
-from resonator_daemon.calibration.session import Session
 
 
 @pytest.mark.parametrize("store", list(READERS))

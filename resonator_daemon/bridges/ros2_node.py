@@ -18,14 +18,60 @@ from resonator_daemon.host.printable import how_to_install
 try:
     from cyclonedds.core import DDSException
     from cyclonedds.domain import DomainParticipant
+    from cyclonedds.idl import IdlStruct, make_idl_struct, types
     from cyclonedds.pub import DataWriter
     from cyclonedds.qos import Policy, Qos
     from cyclonedds.topic import Topic
 except ImportError as error:
     raise MissingLibraryError(f"the bridge to ROS 2 needs cyclonedds: {how_to_install('cyclonedds')}") from error
 
-from resonator_daemon.bridges.dds_types import DdsTypes
-from resonator_daemon.exporting.ros2_types import Typestore
+from resonator_daemon.exporting.ros2_types import Nodetype, Typestore
+
+# As ROS has them in DDS: `byte` and `char` are octets.
+_BASES: Final[dict[str, Any]] = {
+    "bool": bool,
+    "byte": types.uint8,
+    "char": types.uint8,
+    **{name: getattr(types, name) for name in ("float32", "float64", "int8", "int16", "int32", "int64")},
+    **{name: getattr(types, name) for name in ("uint8", "uint16", "uint32", "uint64")},
+}
+
+
+class DdsTypes:
+    """DDS types of the types of ROS, with the names that ROS uses on the network.
+
+    Parameters
+    ----------
+    store
+        Has the definitions.
+    """
+
+    def __init__(self, store: Typestore) -> None:
+        self._store = store
+        self._made: dict[str, type[IdlStruct]] = {}
+
+    def __getitem__(self, kind: str) -> type[IdlStruct]:
+        """Return the type of a kind, as `geometry_msgs/msg/WrenchStamped`."""
+        if kind not in self._made:
+            package, _, name = kind.split("/")
+            fields = {field: self._of(what) for field, what in self._store.fielddefs[kind][1]}
+            self._made[kind] = make_idl_struct(name, f"{package}.msg.dds_.{name}_", fields)
+        return self._made[kind]
+
+    def _of(self, field: Any) -> Any:
+        node, what = field
+        if node is Nodetype.NAME:
+            return self[what]
+        if node is Nodetype.BASE:
+            name, bound = what
+            if name == "string":
+                return types.bounded_str[bound] if bound else str
+            return _BASES[name]
+        element, count = what
+        if node is Nodetype.ARRAY:
+            return types.array[self._of(element), count]
+        return types.sequence[self._of(element), count] if count else types.sequence[self._of(element)]
+
 
 NODE: Final = "resonatord"
 DEPTH: Final = 10  # messages that a slow reader finds; older ones are replaced

@@ -12,17 +12,12 @@ from resonator_daemon.host.printable import print_note
 from resonator_daemon.host.signals import interruptible
 
 
-class Console:
-    """Writer of text and, if wanted, of JSON objects."""
-
-    def __init__(self, as_json: bool) -> None:
-        self._as_json = as_json
-
-    def object(self, value: dict[str, Any], line: str) -> None:
-        print_note(line)
-        if self._as_json:
-            sys.stdout.write(json.dumps(value) + "\n")
-            sys.stdout.flush()
+def report(value: dict[str, Any], line: str, *, as_json: bool) -> None:
+    """Print a line for people and, if wanted, the object."""
+    print_note(line)
+    if as_json:
+        sys.stdout.write(json.dumps(value) + "\n")
+        sys.stdout.flush()
 
 
 def aborted(staged: dict[str, Any] | None) -> dict[str, Any]:

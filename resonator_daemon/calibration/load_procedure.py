@@ -10,10 +10,8 @@ from typing import Final, Literal
 import numpy as np
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.calibration.load_readings import NOTHING, PILOT, LoadReading
-from resonator_daemon.calibration.refusal import CalibrationRefusedError
-from resonator_daemon.calibration.site_codes import site_codes
-from resonator_daemon.calibration.steps import Step
+from resonator_daemon.calibration.load_readings import NOTHING, PILOT, LoadReading, site_codes
+from resonator_daemon.calibration.steps import CalibrationRefusedError, Step
 from resonator_daemon.plate import Plate
 from resonator_daemon.tones.tone_detector import READING_S
 

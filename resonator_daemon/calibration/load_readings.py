@@ -1,16 +1,46 @@
-"""Readings of a plate that is loaded site after site: on each corner the pilot, one site, or neither."""
+"""Readings of a board whose plate is loaded site after site: on each corner the pilot, one site, or neither."""
 
 import math
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.arrays import Floats
-from resonator_daemon.calibration.site_codes import site_codes
+from resonator_daemon.calibration.steps import CalibrationRefusedError, LinkBusyError
+from resonator_daemon.conditions import Condition
+from resonator_daemon.config import Config
+from resonator_daemon.errors import ConfigurationError, IncompatibleBoardError
+from resonator_daemon.pipeline.tone_capture import ToneCapture
 from resonator_daemon.plate import Plate
+from resonator_daemon.plate_tables import FORCE_SIGNAL
+from resonator_daemon.recording.event_replay import replay_of
+from resonator_daemon.session.frames import BoardOnline, BoardRefused, ChannelisedFrame, LinkChange, SingleToneFrame
+from resonator_daemon.session.link_reasons import OPENING
 from resonator_daemon.tones.tone_detector import PILOT_TOLERANCE, ToneReading
+
+
+class SiteCodes(NamedTuple):
+    """Codes of m force sites in the plate file, in the order of its site_ids."""
+
+    tone: NDArray[np.intp]  # (m,), its place among the plate's tones
+    f0_hz: Floats  # (m, 4)
+    sensitivity: Floats  # (m, 4), 1/N
+    temperature_coefficients: Floats  # (m, 3), NaN where the file does not give them
+
+
+def site_codes(plate: Plate) -> SiteCodes:
+    """Return the codes of a plate with force sites."""
+    tones = plate.tones
+    of_force = np.flatnonzero(tones.signal_index == plate.signals.index(FORCE_SIGNAL))
+    tone = of_force[np.argsort(tones.site_index[of_force])]
+    return SiteCodes(tone, tones.f0_hz[tone], tones.sensitivity[tone], tones.temperature_coefficients[tone])
+
 
 PILOT: Final = -1
 NOTHING: Final = -2  # no tone, or none for the whole reading
@@ -74,3 +104,42 @@ class CapturedLoads:
         sensitivity = self._sensitivity[:, channel]
         force = np.clip(shift / sensitivity, 0.0, self._force_max_newton)
         return int(np.abs(shift - sensitivity * force).argmin())
+
+
+OPEN_S: Final = 10.0  # in which a board must answer
+
+
+@contextmanager
+def board_readings(config: Config, timeout_s: float) -> Iterator[Iterator[BoardOnline | ToneReading]]:
+    """Yield an iterator over the board and then its readings."""
+    with ToneCapture(config.link, config.plate, replay=replay_of(config.link, config.plate)) as capture:
+        yield _readings(capture, timeout_s)
+
+
+def _readings(capture: ToneCapture, timeout_s: float) -> Iterator[BoardOnline | ToneReading]:
+    state = LinkChange(Condition.STARTING, OPENING, 0, 0)
+    online = False
+    last_s = time.monotonic()
+    for arrival, reading in capture.arrivals():
+        match arrival:
+            case SingleToneFrame() | ChannelisedFrame():
+                last_s = time.monotonic()
+                if reading is not None:
+                    yield reading
+            case BoardOnline():
+                online = True
+                yield arrival
+            case BoardRefused():
+                error = IncompatibleBoardError if arrival.other_protocol else ConfigurationError
+                raise error(*(problem.text for problem in arrival.problems))
+            case LinkChange():
+                state = arrival
+                if arrival.state is Condition.WAITING and not online:
+                    remedy = "a calibration needs the link for itself: stop the daemon that runs on it"
+                    raise LinkBusyError(
+                        f"link: {arrival.reason.text}; {remedy}", in_use=arrival.reason.code == "port_in_use"
+                    )
+            case None if time.monotonic() - last_s > (timeout_s if online else OPEN_S):
+                raise CalibrationRefusedError(
+                    f"link {state.state}: {state.reason.text}; no frame came; the plate file is as before"
+                )

@@ -7,9 +7,8 @@ import numpy as np
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.arrays import Floats
-from resonator_daemon.calibration.load_readings import NOTHING, PILOT, LoadReading
-from resonator_daemon.calibration.refusal import CalibrationRefusedError
-from resonator_daemon.calibration.site_codes import site_codes
+from resonator_daemon.calibration.load_readings import NOTHING, PILOT, LoadReading, site_codes
+from resonator_daemon.calibration.steps import CalibrationRefusedError
 from resonator_daemon.plate import Plate
 from resonator_daemon.tones.frequency_estimators import oscillator_std
 from resonator_daemon.tones.tone_detector import READING_S, ToneReading

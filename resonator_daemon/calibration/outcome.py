@@ -11,8 +11,8 @@ import numpy as np
 from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration.coupling import compare_with_width, find_coupling
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
+from resonator_daemon.calibration.load_readings import site_codes
 from resonator_daemon.calibration.plate_file import Record, ResponseRecord, SiteRecord
-from resonator_daemon.calibration.site_codes import site_codes
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY, LoadRequest, Step
 from resonator_daemon.forces.calibration_fit import CalibrationFit, fit_calibration
 from resonator_daemon.forces.loading_fit import RESPONSE_DEFAULT

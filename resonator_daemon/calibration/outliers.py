@@ -10,8 +10,7 @@ from scipy.special import chdtri
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.calibration.outcome import BAD_NEWTON, Outcome
-from resonator_daemon.calibration.refusal import CalibrationRefusedError
-from resonator_daemon.calibration.steps import SENSITIVITY_STD_MAX, Step
+from resonator_daemon.calibration.steps import SENSITIVITY_STD_MAX, CalibrationRefusedError, Step
 from resonator_daemon.plate import Plate
 
 SCATTERS: Final = 5.0  # that a site's residual may be: far beyond chance, even of three loads with one to spare

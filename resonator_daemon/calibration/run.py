@@ -7,25 +7,23 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from resonator_daemon.calibration.board_readings import board_readings
-from resonator_daemon.calibration.console import Console, aborted, confirmed, result, summary
+from resonator_daemon.calibration.console import aborted, confirmed, report, result, summary
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure, Prompt
-from resonator_daemon.calibration.load_readings import CapturedLoads
+from resonator_daemon.calibration.load_readings import CapturedLoads, board_readings
 from resonator_daemon.calibration.multitone_loads import MultitoneLoads
 from resonator_daemon.calibration.outcome import Outcome, fit_loadings, make_record, notes
 from resonator_daemon.calibration.outliers import OutlierSite, find_outliers, refuse_unknown_sensitivity
 from resonator_daemon.calibration.plate_file import (
     PlateFile,
     Record,
+    Session,
     as_json,
     name_plate,
     remove_remains,
     with_record,
     write_plate_file,
 )
-from resonator_daemon.calibration.refusal import CalibrationRefusedError
-from resonator_daemon.calibration.session import Session
-from resonator_daemon.calibration.steps import LoadRequest, Step, plan_steps
+from resonator_daemon.calibration.steps import CalibrationRefusedError, LoadRequest, Step, plan_steps
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError, UsageError
 from resonator_daemon.host.printable import print_note
@@ -72,7 +70,7 @@ def calibrate(config_path: Path, request: LoadRequest, ending: Ending) -> ExitCo
 def accept_staged(config_path: Path, *, as_json: bool, apply: bool = False) -> ExitCode:
     """Put a staged calibration into the plate file; with `apply`, have the configuration name that file."""
     session = Session(config_path)
-    _accept(session, session.staged_or_refuse(), Console(as_json), config_path if apply else None)
+    _accept(session, session.staged_or_refuse(), config_path if apply else None, as_json=as_json)
     return ExitCode.DONE
 
 
@@ -83,7 +81,7 @@ def abort_staged(config_path: Path, *, as_json: bool) -> ExitCode:
     if staged is not None:
         remove_remains(Path(staged["output"]))
     session.discard()
-    Console(as_json).object(aborted(staged), f"aborted; {_AS_BEFORE}")
+    report(aborted(staged), f"aborted; {_AS_BEFORE}", as_json=as_json)
     return ExitCode.DONE
 
 
@@ -106,7 +104,6 @@ class _Calibration:
         self._procedure = LoadProcedure(config.plate, steps, ending.timeout_s)
         every_tone = sensor_of(config.plate).expected_tones.pressed_hz is None
         self._loads = MultitoneLoads(config.plate) if every_tone else CapturedLoads(config.plate)
-        self._console = Console(ending.as_json)
         self._unit = ""
         self._repeated: set[int] = set()
 
@@ -169,7 +166,7 @@ class _Calibration:
             text += so_far
             self._session.write("loading", self._captured(step))
         place = f"[{step.number}/{len(self._steps)}] " if step else ""
-        self._console.object(value | {"text": prompt.text}, f"{place}{text}")
+        report(value | {"text": prompt.text}, f"{place}{text}", as_json=self._ending.as_json)
 
     def _captured(self, step: Step) -> dict[str, Any]:
         loading = self._procedure.loadings[step.number]
@@ -261,16 +258,15 @@ class _Calibration:
     def _finish(self, staged: dict[str, Any]) -> ExitCode:
         accept = self._ending.accept or self._ending.apply
         if accept or (sys.stdin.isatty() and confirmed("accept? [y/N]")):
-            _accept(self._session, staged, self._console, self._config_path if self._ending.apply else None)
+            target = self._config_path if self._ending.apply else None
+            _accept(self._session, staged, target, as_json=self._ending.as_json)
         else:
-            self._console.object(
-                result("staged", staged),
-                f"staged, not accepted ({self._session.path}): finish with --accept-staged or --abort",
-            )
+            line = f"staged, not accepted ({self._session.path}): finish with --accept-staged or --abort"
+            report(result("staged", staged), line, as_json=self._ending.as_json)
         return ExitCode.DONE
 
 
-def _accept(session: Session, staged: dict[str, Any], console: Console, config_path: Path | None) -> None:
+def _accept(session: Session, staged: dict[str, Any], config_path: Path | None, *, as_json: bool) -> None:
     """Write the plate file, and name it in the configuration of this path if one is given."""
     source, output = Path(staged["source"]), Path(staged["output"])
     in_place = output.exists() and output.read_bytes() == staged["plate_file"].encode()  # interrupted after that
@@ -284,4 +280,4 @@ def _accept(session: Session, staged: dict[str, Any], console: Console, config_p
         line += f", which {config_path} now refers to; a running daemon uses it after a restart"
     elif source != output:
         line += f'; set plate = "{output}" in the configuration'
-    console.object(result("accepted", staged), line)
+    report(result("accepted", staged), line, as_json=as_json)

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.calibration.refusal import CalibrationRefusedError
+from resonator_daemon.calibration.steps import CalibrationRefusedError
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.decoding.open_plane.prior_fit import PriorFit, fit_prior, has_load
 from resonator_daemon.decoding.prior import DEFAULT_PRIOR

@@ -1,4 +1,4 @@
-"""What a calibration asks for, step by step: which mass on which site, at which temperature, for how long."""
+"""What a calibration asks for, step by step: mass, site, temperature, duration; and the errors that end it."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -6,12 +6,29 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
-from resonator_daemon.errors import UsageError
+from resonator_daemon.errors import ExitCode, UsageError, UserError
 from resonator_daemon.plate import Plate
 
 STANDARD_GRAVITY: Final = 9.80665  # m/s^2, ISO 80000-3
 SENSITIVITY_STD_MAX: Final = 0.05  # relative, of each site's K: what is known worse is no calibration
 _KELVIN: Final = (100.0, 600.0)  # as in a plate file
+
+
+class CalibrationRefusedError(UserError):
+    """The plate, its surroundings or who loads it do not allow a calibration; nothing was changed."""
+
+    exit_code = ExitCode.FAILED
+    code = "not_calibrated"
+
+
+class LinkBusyError(UserError):
+    """The port cannot be opened now, as while the daemon runs on it."""
+
+    exit_code = ExitCode.UNAVAILABLE
+
+    def __init__(self, message: str, *, in_use: bool) -> None:
+        super().__init__(message)
+        self.code = "port_in_use" if in_use else "no_board"
 
 
 @dataclass(frozen=True)

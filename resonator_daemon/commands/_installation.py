@@ -1,12 +1,19 @@
-"""Files that `install` places and `uninstall` removes, and the output of both."""
+"""Files that `install` places and `uninstall` removes, completion and manual among them, and the output of both."""
 
+import argparse
+import re
 import sys
+from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
+from resonator_daemon.commands._command_line import make_parser, parsers
 from resonator_daemon.commands._output import print_json
 from resonator_daemon.errors import ExitCode
+from resonator_daemon.host.documentation import with_pages
 from resonator_daemon.host.printable import print_note
+from resonator_daemon.plate import shipped_plates
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -16,8 +23,7 @@ if TYPE_CHECKING:
 
 def made_files() -> dict[str, str]:
     """Return text by place of the files that the program makes itself: example, completion, manual."""
-    from resonator_daemon.commands._completion import completions
-    from resonator_daemon.commands._manual import manual
+    from resonator_daemon.commands._installation import completions, manual
     from resonator_daemon.config import example_config
     from resonator_daemon.host.documentation import with_pages
     from resonator_daemon.host.install import EXAMPLE
@@ -83,3 +89,96 @@ def _as_json(done: "Installation", *, dry_run: bool) -> dict[str, object]:
             for command, error in done.commands
         ],
     }
+
+
+SHARE = "/usr/local/share"
+PLACES = {
+    "bash": f"{SHARE}/bash-completion/completions/resonatord",
+    "zsh": f"{SHARE}/zsh/site-functions/_resonatord",
+    "fish": f"{SHARE}/fish/vendor_completions.d/resonatord.fish",
+}
+
+
+def completions() -> Iterator[tuple[str, str]]:
+    """Yield place and text of the completion script of each shell."""
+    import shtab
+
+    root = make_parser()
+    for _, parser in parsers(root):
+        parser.description = (parser.description or "").partition(". ")[0]  # next to each command in the shell
+        for action in parser._actions:  # noqa: SLF001 - argparse has no other way to list arguments
+            if "--plate" in action.option_strings and action.choices is None:
+                action.complete = _plates_and_files()  # type: ignore[attr-defined]
+            elif (kind := _kind(action)) is not None:
+                action.complete = getattr(shtab, kind)  # type: ignore[attr-defined]
+    for shell, place in PLACES.items():
+        yield place, shtab.complete(root, shell)
+
+
+def _plates_and_files() -> dict[str, object]:
+    """Return what completes the name of a shipped plate, or a file, for each shell."""
+    names, function = " ".join(shipped_plates()), "_resonatord_plate_files"  # bash quotes names of _file functions
+    return {
+        "bash": function,
+        "zsh": function,
+        "fish": f"{names} (__fish_complete_path (commandline -ct))",
+        "preamble": {
+            "bash": f'{function}() {{ compgen -W "{names}" -- "$1"; compgen -f -- "$1"; }}',
+            "zsh": f"{function}() {{ compadd {names}; _files; }}",
+        },
+    }
+
+
+def _kind(action: argparse.Action) -> str | None:
+    name = action.metavar if isinstance(action.metavar, str) else ""
+    if "DIR" in name:
+        return "DIRECTORY"
+    return "FILE" if "FILE" in name or name in ("OUT", "LINKPATH") else None
+
+
+PLACE: Final = "/usr/local/share/man/man1"
+
+
+def manual() -> Iterator[tuple[str, str]]:
+    """Yield place and text of a page for `resonatord`, for each command, and for each group of commands."""
+    release = version("resonatord")
+    for words, parser in parsers(make_parser()):
+        vars(parser)["color"] = False  # of Python 3.14, on a terminal
+        name = words.replace(" ", "-")
+        yield f"{PLACE}/{name}.1", "\n".join(_page(name, parser, release)) + "\n"
+
+
+def _page(name: str, parser: argparse.ArgumentParser, release: str) -> Iterator[str]:
+    description = parser.description or ""
+    usage = " ".join(parser.format_usage().removeprefix("usage: ").split())
+    yield f'.TH {_text(name.upper())} 1 "" "resonatord {release}" "resonatord"'
+    yield from (".SH NAME", f"{_text(name)} \\- {_text(re.split(r'[.:] ', description)[0].removesuffix('.'))}")
+    yield from (".SH SYNOPSIS", f".B {_text(usage)}")
+    yield from (".SH DESCRIPTION", _text(description))
+    for group in parser._action_groups:  # noqa: SLF001 - argparse has no other way to list arguments
+        actions = [action for action in group._group_actions if action.help is not argparse.SUPPRESS]  # noqa: SLF001
+        if actions:
+            yield f".SH {_text((group.title or 'arguments').upper())}"
+        for action in actions:
+            yield from _entries(parser, action)
+    if parser.epilog:
+        yield from (".SH NOTES", _text(parser.epilog))
+    if " " in parser.prog:
+        yield from (".SH SEE ALSO", r".BR resonatord (1)")
+
+
+def _entries(parser: argparse.ArgumentParser, action: argparse.Action) -> Iterator[str]:
+    if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001
+        for choice in action._choices_actions:  # noqa: SLF001 - the help of commands is nowhere else
+            page = f"{parser.prog} {choice.dest}".replace(" ", "-")
+            yield from (".TP", f".BR {_text(page)} (1)", _text(choice.help or ""))
+        return
+    formatter = parser._get_formatter()  # noqa: SLF001
+    yield from (".TP", f".B {_text(formatter._format_action_invocation(action))}")  # noqa: SLF001
+    yield _text(formatter._expand_help(action)) if action.help else ""  # noqa: SLF001 - with its defaults
+
+
+def _text(text: str) -> str:
+    """Return a line of text with the signs escaped that roff takes as commands."""
+    escaped = with_pages(text).replace("\\", "\\e").replace("-", "\\-").replace('"', "\\(dq").replace("`", "\\(ga")
+    return f"\\&{escaped}" if escaped.startswith((".", "'")) else escaped

@@ -1,4 +1,4 @@
-"""The result of a demo as a JSON object and as text, and the parts of it that make the run a failure."""
+"""The result of a demo as a JSON object and as text: what makes it a failure, and how busy the computer was."""
 
 from collections.abc import Mapping
 from typing import Any, Final

@@ -20,12 +20,13 @@ from rich.console import Console, RenderableType
 from rich.live import Live
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.demo.local_broker import BROKER_PART, local_broker
 from resonator_daemon.demo.processes import (
+    BROKER_PART,
     Child,
     Emulator,
     ProcessorTimes,
     cpu_s,
+    local_broker,
     raise_if_ended,
     start_daemon,
     start_emulator,

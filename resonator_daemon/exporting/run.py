@@ -16,10 +16,9 @@ from resonator_daemon.host.new_file import check_new, takes_a_stream
 from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.units import UNITS
-from resonator_daemon.replay.progress import Progress
 from resonator_daemon.replay.recorded_pipeline import Moment, RecordingReplay, what_is_wrong
 from resonator_daemon.replay.source import open_replay
-from resonator_daemon.replay.span import Span, find_span
+from resonator_daemon.replay.span import Progress, Span, find_span
 from resonator_daemon.toml_files.reading import nearest
 
 

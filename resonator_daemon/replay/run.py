@@ -16,12 +16,10 @@ from resonator_daemon.host.printable import printable
 from resonator_daemon.host.signals import on_signals
 from resonator_daemon.publishing.payloads import Info
 from resonator_daemon.publishing.topics import Topic
-from resonator_daemon.replay.broker import AtBroker
-from resonator_daemon.replay.outputs import Lines
-from resonator_daemon.replay.progress import Progress
+from resonator_daemon.replay.outputs import AtBroker, Lines
 from resonator_daemon.replay.recorded_pipeline import Moment, Published, RecordingReplay, what_is_wrong
 from resonator_daemon.replay.source import open_replay
-from resonator_daemon.replay.span import Span, find_span
+from resonator_daemon.replay.span import Progress, Span, find_span
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.view.watch import broker_at
 

@@ -1,7 +1,14 @@
-"""Which part of a recording is played out: from and to a time or a mark."""
+"""Which part of a recording is played out, from and to a time or a mark; and its progress, on stderr."""
 
+import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, DownloadColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
 
 from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.printable import printable
@@ -101,3 +108,40 @@ def _seconds(text: str) -> float | None:
     except ValueError:
         return None
     return seconds if abs(seconds) < 1e9 else None
+
+
+_EVERY_S: Final = 0.1
+
+
+class Progress:
+    """A bar by bytes of the file, where stderr is a terminal; what is printed comes out above it.
+
+    Parameters
+    ----------
+    path
+        The file.
+    shown
+        Whether a bar is wanted.
+    """
+
+    def __init__(self, path: Path, *, shown: bool) -> None:
+        console = Console(stderr=True, highlight=False, markup=False)
+        columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
+        self._bar = Bar(*columns, console=console, transient=True, disable=not (shown and sys.stderr.isatty()))
+        self._task = self._bar.add_task(path.name.replace("[", r"\["), total=path.stat().st_size)
+        self._due_s = 0.0
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def at(self, read_bytes: int) -> None:
+        if not self._bar.disable and time.monotonic() >= self._due_s:
+            self._due_s = time.monotonic() + _EVERY_S
+            self._bar.update(self._task, completed=read_bytes)
+
+    def print(self, text: str) -> None:
+        self._bar.console.print(text, soft_wrap=True)

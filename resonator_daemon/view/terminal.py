@@ -24,8 +24,7 @@ from resonator_daemon.publishing.topics import (
 from resonator_daemon.reasons import ReasonCode
 from resonator_daemon.view.maps import side_by_side
 from resonator_daemon.view.plate_view import PlateView, Truth
-from resonator_daemon.view.surface import SurfacePanel
-from resonator_daemon.view.touches import TouchesPanel
+from resonator_daemon.view.touches import SurfacePanel, TouchesPanel
 from resonator_daemon.view.words import duration, losses_in_words, quantity
 
 _GAP: Final = 2

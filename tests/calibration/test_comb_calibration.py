@@ -14,8 +14,7 @@ from emulated_loads import COMB_NOMINAL, COMB_TRUE, IDEAL, Loads, Touches, comb_
 from resonator_daemon.calibration.load_procedure import LoadProcedure, Prompt
 from resonator_daemon.calibration.outcome import make_record, notes
 from resonator_daemon.calibration.plate_file import Record, with_record
-from resonator_daemon.calibration.refusal import CalibrationRefusedError
-from resonator_daemon.calibration.steps import LoadRequest, plan_steps
+from resonator_daemon.calibration.steps import CalibrationRefusedError, LoadRequest, plan_steps
 from resonator_daemon.plate import Plate
 from resonator_daemon.plate_tables import Coupling
 

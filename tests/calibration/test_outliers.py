@@ -10,8 +10,7 @@ from emulated_loads import NOMINAL, fitted
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
 from resonator_daemon.calibration.outcome import Outcome
 from resonator_daemon.calibration.outliers import OutlierSite, find_outliers, refuse_unknown_sensitivity
-from resonator_daemon.calibration.refusal import CalibrationRefusedError
-from resonator_daemon.calibration.steps import STANDARD_GRAVITY, LoadRequest, plan_steps
+from resonator_daemon.calibration.steps import STANDARD_GRAVITY, CalibrationRefusedError, LoadRequest, plan_steps
 
 ONE = LoadRequest(sites=(1,))
 NOISE = 1e-9

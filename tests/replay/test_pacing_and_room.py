@@ -11,7 +11,7 @@ from resonator_daemon.plate import load_plate
 from resonator_daemon.publishing import outbox
 from resonator_daemon.recording.reader import Mark, Origin
 from resonator_daemon.recording.recorder import Recorder
-from resonator_daemon.replay.broker import AtBroker
+from resonator_daemon.replay.outputs import AtBroker
 from resonator_daemon.replay.recorded_pipeline import Moment
 from resonator_daemon.replay.run import AtSpeed
 from resonator_daemon.replay.source import open_replay
@@ -47,7 +47,7 @@ async def test_time_passes_as_many_times_as_fast_from_the_first_moment_on() -> N
 
 async def test_nothing_is_dropped_for_want_of_room(mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(outbox, "STREAMS_WAITING_MAX", 40)
-    monkeypatch.setattr("resonator_daemon.replay.broker.WAITING_MAX", 20)
+    monkeypatch.setattr("resonator_daemon.replay.outputs.WAITING_MAX", 20)
     async with observe(mosquitto.url) as heard:
         output = AtBroker(Mqtt(url=mosquitto.url), "hand", TOUCHES.name)
         count = 0
