@@ -100,9 +100,12 @@ def read_expected(case: Path) -> Outcome:
 def case_differences(expected: Outcome, got: Outcome) -> list[tuple[str, Difference]]:
     """Return each difference with the topic of its message, or `summary`."""
     decoded = DECODED.path in expected.summary["messages"]
-    scales = field_scales(expected.messages)
+    scales: dict[str, float] = {}  # the largest magnitude of each field; elements of a list are one field
+    for line in expected.messages:
+        for field, value in _floats(line["topic"], line["payload"]):
+            scales[field] = max(scales.get(field, 0.0), abs(value))
     tolerance = DECODED_TOLERANCE if decoded else TOLERANCE
-    found = [("summary", item) for item in differences("", "", expected.summary, got.summary, {}, 0.0)]
+    found = [("summary", item) for item in _differences("", "", expected.summary, got.summary, {}, 0.0)]
     theirs = {(line["topic"], line["number"]): line for line in got.messages}
     for line in expected.messages:
         topic = line["topic"]
@@ -114,22 +117,13 @@ def case_differences(expected: Outcome, got: Outcome) -> list[tuple[str, Differe
             {key: value for key, value in side["payload"].items() if key not in NOT_COMPARED.get(topic, ())}
             for side in (line, other)
         )
-        found += [(topic, item) for item in differences("", topic, one, another, scales, tolerance)]
+        found += [(topic, item) for item in _differences("", topic, one, another, scales, tolerance)]
         if line["now_ns"] != other["now_ns"]:
             found.append((topic, Difference("(made)", line["now_ns"], other["now_ns"])))
     return found + [(topic, Difference(f"message {number}", ABSENT, "one")) for topic, number in theirs]
 
 
-def field_scales(lines: list[dict[str, Any]]) -> dict[str, float]:
-    """Return the largest magnitude of each field of floats; elements of a list are one field."""
-    scales: dict[str, float] = {}
-    for line in lines:
-        for field, value in _floats(line["topic"], line["payload"]):
-            scales[field] = max(scales.get(field, 0.0), abs(value))
-    return scales
-
-
-def differences(
+def _differences(
     key: str, field: str, expected: Any, got: Any, scales: Mapping[str, float], tolerance: float
 ) -> Iterator[Difference]:
     """Give each key that differs; floats may differ by the tolerance, times the scale of their field."""
@@ -139,14 +133,14 @@ def differences(
         for name in dict.fromkeys((*expected, *got)):
             inner = f"{key}.{name}" if key else str(name)
             if name in got and name in expected:
-                yield from differences(inner, f"{field}.{name}", expected[name], got[name], scales, tolerance)
+                yield from _differences(inner, f"{field}.{name}", expected[name], got[name], scales, tolerance)
             else:
                 yield Difference(inner, expected.get(name, ABSENT), got.get(name, ABSENT))
     elif isinstance(expected, list):
         if len(expected) != len(got):
             yield Difference(f"{key}[]", f"{len(expected)} elements", f"{len(got)} elements")
         for number, (one, other) in enumerate(zip(expected, got, strict=False)):
-            yield from differences(f"{key}[{number}]", f"{field}[]", one, other, scales, tolerance)
+            yield from _differences(f"{key}[{number}]", f"{field}[]", one, other, scales, tolerance)
     elif isinstance(expected, float):
         if not math.isclose(expected, got, rel_tol=0.0, abs_tol=tolerance * scales.get(field, 0.0)):
             yield Difference(key, expected, got)
