@@ -1,4 +1,4 @@
-"""Counting against its bounds: the regression's variance, merged gates, the flag of beats, and thirty days of counts.
+"""Counting against its bounds: the regression's variance, merged gates, and the flag of beats.
 
 Run it with `python benchmarks/counting.py [SCALE]`; SCALE multiplies the numbers of windows and draws. Every stamp is
 written out and rounded down to its tick. Ratios are of the variance to the Cramer-Rao bound of white noise,
@@ -8,15 +8,12 @@ between stamps of a whole number of ticks and 0.66 turns over the window, the wo
 
 import sys
 from collections.abc import Iterator
-from fractions import Fraction
 
 import numpy as np
 
-from firmware_protocol.layouts import SingleToneRecord
 from resonator_daemon.arrays import Floats
 from resonator_daemon.tones.frequency_estimators import Sums
 from resonator_daemon.tones.quantisation import EXCESS_LIMIT, beats, quantisation_excess, stamp_jitter_ticks
-from resonator_daemon.tones.unwrapping import Unwrapper, frequency_between_hz
 
 REFERENCE_HZ = 1e9
 STAMP_S = 10e-6
@@ -154,48 +151,10 @@ def flag_table(scale: float) -> None:
     )
 
 
-def thirty_days() -> None:
-    """Frames of 1 s, frequency wandering within 80 ppm, one frame in 2000 followed by a gap of up to 20 min."""
-    unit, stride, stamps, seconds = 1 << 32, 50_000, 12, 30 * 86_400
-    rng = np.random.default_rng(5)
-    start = (1 << 63) - 15 * 86_400 * 10**9
-    unwrapper, frames, gaps, worst, shift = Unwrapper(), 0, 0, Fraction(0), 0.0
-    edge, time = (1 << 32) - 1, start * unit + 12_345
-    first, end = (edge, time), time + seconds * 10**9 * unit
-    steps, lost = rng.normal(0, 2e-6, seconds), rng.random((seconds, 2))
-    index = np.arange(stamps)
-    while time < end:
-        shift = min(max(shift + steps[frames], -80e-6), 80e-6)
-        period = round(unit * REFERENCE_HZ / (9.9876e6 * (1 + shift)))
-        times = [time + k * stride * period for k in range(stamps)]
-        offsets = np.array([t // unit - time // unit for t in times])
-        curvature = np.diff(offsets, 2)
-        totals = (int(part) for part in (offsets[-1], offsets.sum(), index @ offsets, curvature @ curvature))
-        record = SingleToneRecord(edge % (1 << 32), time // unit % (1 << 32), stamps, stride, *totals, 0, 0)
-        unwrapper.push(time // unit + 10**9, record)
-        last = (edge + (stamps - 1) * stride, times[-1])
-        if unwrapper.last is not None:
-            worst = max(worst, Fraction(last[1], unit) - unwrapper.last.ticks + abs(unwrapper.last.edge - last[0]))
-        gap_s = 1200 * lost[frames, 1] if lost[frames, 0] < 1 / 2000 else 0.0
-        gaps += gap_s > 0
-        frames += 1
-        edges = round((1 + gap_s) * REFERENCE_HZ) * unit // period
-        edge, time = edge + edges, time + edges * period
-    if unwrapper.first is None or unwrapper.last is None:
-        raise RuntimeError("no stamps")
-    exact_hz = Fraction((last[0] - first[0]) * 10**9 * unit, last[1] - first[1])
-    found_hz = Fraction(frequency_between_hz(unwrapper.first, unwrapper.last, REFERENCE_HZ))
-    resyncs = unwrapper.resyncs.total()
-    print(f"Thirty days across 2^63 ticks: {frames} frames, {gaps} gaps of up to 20 min, {resyncs} resyncs.")
-    print(f"A stamp is at most {float(worst):.6f} ticks before its exact time, every edge is right; frequency off by")
-    print(f"{float(abs(found_hz / exact_hz - 1)):.1e}, where a tick in thirty days is {1 / (seconds * 1e9):.1e}.")
-
-
 def main(scale: float) -> None:
     omega_table(scale)
     merge_table(scale)
     flag_table(scale)
-    thirty_days()
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ give it, to compare with. Means of frequencies are none of these: they throw awa
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import Final, NamedTuple, Self
 
@@ -27,9 +27,7 @@ WRAP_MASK: Final = 0xFFFFFFFF  # edge and tick counters are 32 bits wide on the 
 FREQUENCY_JUMP: Final = 20e-6  # between adjacent gates; a press of 3 N/ms at 6.3e-6 / N stays below it
 QUANTISATION_TICKS2: Final = 1 / 12  # variance of a stamp rounded to whole ticks
 OSCILLATOR_STD_1S: Final = 3e-10  # white frequency noise of a site: Allan deviation at 1 s, sqrt(h0 / 2)
-PI_WHITE_FM: Final = 1.0  # variance from white frequency noise over that of the end-point slope
-LAMBDA_WHITE_FM: Final = 4 / 3
-OMEGA_WHITE_FM: Final = 1.2
+OMEGA_WHITE_FM: Final = 1.2  # variance of a regression from white frequency noise over that of the end-point slope
 
 
 class Sums(NamedTuple):
@@ -103,28 +101,6 @@ def merge_adjacent(parts: Iterable[PlainSums]) -> Sums:
     return Sums(first_edge, first_ticks, stamps, stride_edges, span, s1, s2, q2, differences)
 
 
-def pi_frequency_hz(sums: Sums, reference_hz: float) -> float:
-    """Frequency of the edges by the first and the last stamp alone (Pi)."""
-    return reference_hz * ((sums.stamps - 1) * sums.stride_edges / sums.span_ticks)
-
-
-def lambda_frequency_hz(parts: Sequence[Sums], reference_hz: float) -> float:
-    """Frequency of the edges by the mean stamps of two halves (Lambda).
-
-    `parts` are adjacent, an even number of them. Their stamps need not be equally many; with equally many the variance
-    is 16 s^2 / (N T^2). Raises ValueError where they are odd or do not run on.
-    """
-    if not parts or len(parts) % 2:
-        raise ValueError(f"{len(parts)} parts, an even number needed")
-    whole, middle = merge(parts), len(parts) // 2
-    earlier, later = merge(parts[:middle]), merge(parts[middle:])
-    # Mean of a half: S1/n from its own first stamp. The later half's, from the whole's first, is the rest of the sum.
-    later_sum = whole.s1_ticks - earlier.s1_ticks
-    distance_edges = whole.stride_edges * whole.stamps * earlier.stamps * later.stamps
-    distance_ticks = 2 * (later_sum * earlier.stamps - earlier.s1_ticks * later.stamps)
-    return reference_hz * (distance_edges / distance_ticks)
-
-
 def frequency_hz(sums: Sums, reference_hz: float) -> float:
     """Frequency of the edges by regression of stamp time on edge number (Omega).
 
@@ -141,16 +117,6 @@ def stamp_std_ticks(sums: Sums) -> float:
     return math.sqrt(max(sums.q2_ticks2 / (6 * sums.second_differences), QUANTISATION_TICKS2))
 
 
-def pi_counter_std(sums: Sums) -> float:
-    """Relative standard deviation of `pi_frequency_hz` from white noise of the stamps: sqrt(2) s / T."""
-    return stamp_std_ticks(sums) / sums.span_ticks * math.sqrt(2.0)
-
-
-def lambda_counter_std(sums: Sums) -> float:
-    """Relative standard deviation of `lambda_frequency_hz` of equal halves: sqrt(16 s^2 / (N T^2))."""
-    return stamp_std_ticks(sums) / sums.span_ticks * (sums.stamps - 1) * math.sqrt(16.0 / sums.stamps**3)
-
-
 def counter_std(sums: Sums) -> float:
     """Relative standard deviation of `frequency_hz` from white noise of the stamps: sqrt(12 s^2 / (N T^2))."""
     return regression_std(stamp_std_ticks(sums), sums.stamps, sums.span_ticks)
@@ -161,9 +127,6 @@ def regression_std(stamp_ticks: float, stamps: int, span_ticks: int) -> float:
     return stamp_ticks * (stamps - 1) / span_ticks * math.sqrt(12 / (stamps * (stamps * stamps - 1)))
 
 
-def oscillator_std(window_s: float, white_fm: float = OMEGA_WHITE_FM) -> float:
-    """Relative standard deviation over `window_s` from white frequency noise, sqrt(c h0 / 2T).
-
-    `white_fm` is c of the estimator: PI_WHITE_FM, LAMBDA_WHITE_FM or OMEGA_WHITE_FM.
-    """
-    return OSCILLATOR_STD_1S * math.sqrt(white_fm / window_s)
+def oscillator_std(window_s: float) -> float:
+    """Relative standard deviation of `frequency_hz` over `window_s` from white frequency noise, sqrt(c h0 / 2T)."""
+    return OSCILLATOR_STD_1S * math.sqrt(OMEGA_WHITE_FM / window_s)
