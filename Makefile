@@ -182,27 +182,33 @@ coverage: .venv/test-stamp  ## all tests, more slowly, and the branches that the
 	export OMP_NUM_THREADS=1
 	.venv/bin/pytest --cov --numprocesses 2
 
-bench: .venv/peers-stamp  ## processor time of each stage, of a peer and of a limit, compared with a record, 6 minutes; RECORD=--record renews the record
+bench: .venv/run-stamp  ## processor time of each stage compared with a record, 6 minutes; RECORD=--record renews the record
 	$(debian-packages)
 	debian-packages $(BROKER) $(COUNTER)
 	OMP_NUM_THREADS=1 .venv/bin/python benchmarks/stages.py $(RECORD)
 
-bench-cost: .venv/peers-stamp  ## instructions of each stage, compared with its record, 3 minutes; fails if one exceeds it by more than 10 %
+bench-cost: .venv/run-stamp  ## instructions of each stage, compared with its record, 3 minutes; fails if one exceeds it by more than 10 %
 	$(debian-packages)
 	debian-packages $(BROKER) $(COUNTER)
 	.venv/bin/python benchmarks/stages.py --count
 
-bench-details: .venv/peers-stamp  ## figures of other pages, an hour: demo, latency, wire, clock, measurement, elastic fields, decoding
+BASELINE ?=
+
+bench-details: .venv/test-stamp  ## whole processes, latency, overload, decoders, page, fleet, half an hour; BASELINE=DIR measures another checkout in turns
 	$(debian-packages)
-	debian-packages $(BROKER) $(USB)
-	run() { printf '\n== %s\n' "$$1"; .venv/bin/python benchmarks/$$1.py; }
-	for benchmark in demo_cost wire_faults; do run $$benchmark; done
-	.venv/bin/python benchmarks/latency.py
+	debian-packages $(BROKER)
+	run() { printf '\n== %s\n' "$$*"; .venv/bin/python benchmarks/"$$@"; }
+	run system_cost.py demo
+	run system_cost.py daemon $(addprefix --baseline ,$(BASELINE))
+	run system_cost.py daemon --plate skin32 --rate 250 --seconds 60 --turns 1
+	run latency.py
+	run system_cost.py replay
+	run system_cost.py decode-recordings
+	for plate in quartz16 skin32; do run overload.py --plate $$plate || true; done
 	export OMP_NUM_THREADS=1  # threads that wait for each other would be timed
-	for benchmark in recording_cost replay_speed decoders wire_cost usb_throughput blocked_loop clock clock_live; do run $$benchmark; done
-	for benchmark in counting matching baseline calibration end_to_end emulator_noise emulator_speed; do run $$benchmark; done
-	for benchmark in elastic_fields elastic_contact elastic_friction elastic_convergence; do run $$benchmark; done
-	for benchmark in frame_cost decoding contact_decoding slip parametric_fit live_page; do run $$benchmark; done
+	for figure in errors frame set-up; do run decoding.py $$figure; done
+	run live_page.py relay
+	run fleet.py
 
 figures: .venv/figures-stamp  ## draw the pictures of README.md and docs/ again
 	@export OMP_NUM_THREADS=1
@@ -211,7 +217,6 @@ figures: .venv/figures-stamp  ## draw the pictures of README.md and docs/ again
 	.venv/bin/python docs/figures/live_view.py
 	.venv/bin/python docs/figures/diagrams.py
 	.venv/bin/python docs/figures/press.py
-	.venv/bin/python benchmarks/elastic_convergence.py --picture docs/figures/convergence.svg
 
 docs: .venv/docs-stamp  ## the documentation as a site with search, in build/site; each link is checked
 	@.venv/bin/python docs/site/stage.py build/site-source
@@ -275,20 +280,21 @@ fuzz: .venv/run-stamp  ## ten million inputs through each parser of the wire, in
 	gcc -std=c99 -O1 -g -fsanitize=address,undefined -fno-sanitize-recover=all -I firmware_protocol/c \
 	  firmware_protocol/c/fuzz/fuzz.c firmware_protocol/c/resonator_*.c -o build/fuzz
 	build/fuzz 10000000 1
-	.venv/bin/python benchmarks/fuzz.py
-	.venv/bin/python benchmarks/command_fuzz.py
+	.venv/bin/python benchmarks/fuzz.py wire
+	.venv/bin/python benchmarks/fuzz.py commands
 
 MINUTES ?= 60
 
 soak: .venv/test-stamp  ## MINUTES=60 of faults; a simulated year; brokers frozen, dead, slow; kills and restores; hang-ups; damaged frames; long tests
 	$(debian-packages)
 	debian-packages $(BROKER)
-	printf '\n== long_run\n'
-	.venv/bin/python benchmarks/long_run.py --minutes $(MINUTES)
-	for benchmark in year endurance event_delivery power_failure wire_accounts; do
-	  printf '\n== %s\n' "$$benchmark"
-	  .venv/bin/python benchmarks/$$benchmark.py
-	done
+	run() { printf '\n== %s\n' "$$*"; .venv/bin/python benchmarks/"$$@"; }
+	run long_run.py --minutes $(MINUTES)
+	run year.py
+	run outages.py
+	for part in orders recorders hang-ups; do run kills.py $$part; done
+	run power_failure.py
+	run wire_accounts.py
 	printf '\n== long tests\n'
 	OMP_NUM_THREADS=1 .venv/bin/pytest -m 'soak and not browser'
 	$(MAKE) build/browser .venv/browser-stamp

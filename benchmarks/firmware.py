@@ -1,4 +1,4 @@
-"""Runs the board program under QEMU, and the daemon's reader against it; says what arrived and what it cost.
+"""What arrives from the board program under QEMU at the daemon's reader, and what that costs.
 
 Run it with `make test-firmware`, or `python benchmarks/firmware.py [SECONDS]` for each kind of port. Exit code 1 when
 bytes or frames went wrong on the way; frames that the board gave up are those of a machine too slow for QEMU.
@@ -10,7 +10,8 @@ import threading
 import time
 from pathlib import Path
 
-from qemu_board import QemuBoard, build, free_port
+from parts import free_port
+from qemu_board import QemuBoard, build
 
 from resonator_daemon.links.carriers.serial import SerialTarget
 from resonator_daemon.links.carriers.tcp import TcpTarget

@@ -1,5 +1,6 @@
-"""What a long run asks of the daemon, as pure functions of what was seen."""
+"""What a long run asks of the daemon's memory, accounts and messages, for `long_run.py` and `year.py`."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
@@ -17,6 +18,14 @@ KEPT_MB: Final = 10.0  # of the process: the allocator keeps what the highest pe
 LOWEST_OF: Final = 4  # samples: what is on its way only adds to what stays
 END_FRAMES: Final = 350  # on their way when a board goes: a pseudo-terminal's buffer, as far as 64 kB
 HEALED_FRAMES: Final = 3  # per leg: two damaged frames may leave one whole
+HELD: Final = (  # name, key of a sample, largest rise
+    ("memory in use, MB", "malloc_mb", FLAT_MB),
+    ("Python's blocks in use, thousand", "blocks_thousand", FLAT_THOUSANDS),
+    ("memory of the process, MB", "rss_mb", KEPT_MB),
+    ("file descriptors", "file_descriptors", FLAT),
+    ("threads", "threads", FLAT),
+    ("tasks", "tasks", FLAT),
+)
 
 
 class Row(NamedTuple):
@@ -36,40 +45,13 @@ class Trend(NamedTuple):
     rise: float
 
 
-@dataclass
-class Sample:
-    """What the daemon held at one moment."""
-
-    at_s: float
-    rss_mb: float
-    malloc_mb: float  # in use
-    python_blocks: float  # in use; of memory that malloc does not see
-    file_descriptors: float
-    threads: float
-    tasks: float
-    recordings_mb: float
-
-
-@dataclass
-class Leg:
-    """One board from its start to its orderly end, planned or not, as it and the daemon count it."""
+class Leg(NamedTuple):
+    """One board from its start to its orderly end, as it and the daemon count it."""
 
     faults: str
     sent: int
-    hit: int
-    hang_ups: int  # whatever ends a connection
-    arrived: int
-    stale: int  # packets that the daemon passed over after a hang-up
-
-    @property
-    def missing(self) -> int:
-        """Frames that the board sent whole, and that did not arrive."""
-        return self.sent - self.hit - self.arrived
-
-    @property
-    def excused(self) -> int:
-        """How many may be: what was on its way when a connection ended."""
-        return END_FRAMES * (self.hang_ups + 1) + self.stale
+    missing: int  # of the frames that were sent whole
+    excused: int  # that may be: what was on its way when a connection ended
 
 
 @dataclass
@@ -79,40 +61,19 @@ class Seen:
     asked_s: float = 0.0
     ran_s: float = 0.0
     cut_short: bool = False
-    samples: list[Sample] = field(default_factory=list)
+    samples: list[dict[str, float]] = field(default_factory=list)
     legs: list[Leg] = field(default_factory=list)
     healths: int = 0
     accounts_off: list[str] = field(default_factory=list)  # the first of them
     messages: int = 0
     holes: int = 0  # messages that are missing and that nothing told of
-    holes_excused: int = 0
     out_of_order: int = 0
-    lines: int = 0
-    loaded_s: float = 0.0  # while other programs kept the cores busy, which explains some lines
-    unexplained: list[str] = field(default_factory=list)
-    events_missing: int = 0  # pieces of the link's traffic that are in no recording
-    files: int = 0
-    files_removed: int = 0
-    recordings_over_mb: float = 0.0  # the most above the budget
-    refused: list[str] = field(default_factory=list)  # what `status`, metrics or commands did not answer
+    tracebacks: list[str] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)  # what `status` did not answer
     asked: int = 0
+    recording: dict[str, Any] = field(default_factory=dict)  # of the last `health`
+    recordings_over_mb: float = 0.0  # the most above the budget
     exit_code: int | None = None
-    spooled_at_end: int = 0
-
-
-def warm(samples: Sequence[Sample]) -> list[Sample]:
-    """Return those after the warm-up: tables fill, an allocator finds its size."""
-    if not samples:
-        return []
-    begin_s = samples[0].at_s
-    warm_up_s = min(WARM_UP_MAX_S, WARM_UP_SHARE * (samples[-1].at_s - begin_s))
-    return [sample for sample in samples if sample.at_s - begin_s >= warm_up_s]
-
-
-def lowest(at_s: Sequence[float], values: Sequence[float]) -> tuple[list[float], list[float]]:
-    """Return the lowest of each few values, and the times of these few in the mean; those left over are left out."""
-    groups = [slice(n, n + LOWEST_OF) for n in range(0, len(values) - LOWEST_OF + 1, LOWEST_OF)]
-    return [sum(at_s[group]) / LOWEST_OF for group in groups], [min(values[group]) for group in groups]
 
 
 def trend(at_s: Sequence[float], values: Sequence[float]) -> Trend | None:
@@ -146,91 +107,80 @@ def account_off(health: Mapping[str, Any]) -> list[str]:
     if health["bytes_in"] != fates:
         off.append(f"bytes_in {health['bytes_in']}, their fates {fates}")
     messages = health["messages"]
-    came_to = (
-        messages["acknowledged"]
-        + messages["written"]
-        + sum(messages["dropped"].values())
-        + messages["unknown_at_disconnect"]
-        + messages["waiting"]
-    )
+    known = ("acknowledged", "written", "unknown_at_disconnect", "waiting")
+    came_to = sum(messages["dropped"].values()) + sum(messages[key] for key in known)
     if messages["enqueued"] != came_to:
         off.append(f"messages enqueued {messages['enqueued']}, accounted for {came_to}")
     return off
 
 
 def leg_of(faults: str, board: Mapping[str, Any], before: Mapping[str, Any], after: Mapping[str, Any]) -> Leg:
-    """Return what a board sent, and the difference of the daemon's `health` before and after."""
-    done = board["faults"]
+    """Compare what a board sent with the difference of the daemon's `health` before and after."""
     stale = after["packets_ignored"].get("stale", 0) - before["packets_ignored"].get("stale", 0)
-    return Leg(
-        faults,
-        board["frames_sent"],
-        done["frames_hit"],
-        after["connections"] - before["connections"],
-        after["frames"] - before["frames"],
-        stale,
-    )
+    hang_ups = after["connections"] - before["connections"]
+    missing = board["frames_sent"] - board["faults"]["frames_hit"] - (after["frames"] - before["frames"])
+    return Leg(faults, board["frames_sent"], missing, END_FRAMES * (hang_ups + 1) + stale)
 
 
 def judge(seen: Seen) -> list[Row]:
     """Return the table of what was asked and what was seen."""
-    later = warm(seen.samples)
-    at_s = [sample.at_s for sample in later]
     cut = ", then cut short: what follows is of that time" if seen.cut_short else ""
     rows = [Row("time", f"{seen.asked_s / 60:.1f} min", f"{seen.ran_s / 60:.1f} min{cut}", not seen.cut_short)]
-    used = (
-        ("memory in use", "MB", [sample.malloc_mb for sample in later], FLAT_MB),
-        ("Python's blocks in use", "thousand", [sample.python_blocks / 1e3 for sample in later], FLAT_THOUSANDS),
-    )
-    for what, unit, values, flat in used:
-        rows.append(_slope_row(what, unit, trend(*lowest(at_s, values)), flat))
-    held = (
-        ("memory of the process", "MB", [sample.rss_mb for sample in later], KEPT_MB),
-        ("file descriptors", "", [sample.file_descriptors for sample in later], FLAT),
-        ("threads", "", [sample.threads for sample in later], FLAT),
-        ("tasks", "", [sample.tasks for sample in later], FLAT),
-    )
-    for what, unit, values, flat in held:
-        rows.append(_slope_row(what, unit, trend(at_s, values), flat))
+    begin_s = seen.samples[0]["at_s"] if seen.samples else 0.0
+    warm_up_s = min(WARM_UP_MAX_S, WARM_UP_SHARE * (seen.samples[-1]["at_s"] - begin_s)) if seen.samples else 0.0
+    later = [sample for sample in seen.samples if sample["at_s"] - begin_s >= warm_up_s]  # an allocator finds its size
+    for what, key, flat in HELD:
+        values, at_s = [sample[key] for sample in later], [sample["at_s"] for sample in later]
+        if key in ("malloc_mb", "blocks_thousand"):  # the lowest of each few
+            groups = [slice(n, n + LOWEST_OF) for n in range(0, len(values) - LOWEST_OF + 1, LOWEST_OF)]
+            values, at_s = [min(values[each]) for each in groups], [float(np.mean(at_s[each])) for each in groups]
+        rows.append(_slope_row(what, trend(at_s, values), flat))
     strange = [leg for leg in seen.legs if not -HEALED_FRAMES <= leg.missing <= leg.excused]
-    missing = sum(leg.missing for leg in seen.legs)
-    excused = sum(leg.excused for leg in seen.legs)
-    sent = sum(leg.sent for leg in seen.legs)
-    legs = "; ".join(f"{leg.missing} missing of {leg.sent} ({leg.faults})" for leg in strange[:3])
-    lines = f"{seen.lines} lines; the cores were busy for {seen.loaded_s:.0f} s"
-    rows += [
+    sent, missing, excused = (sum(leg[n] for leg in seen.legs) for n in (1, 2, 3))
+    legs = f"{missing} of {sent} in {len(seen.legs)} legs, at most {excused}"
+    recording = seen.recording
+    return [
+        *rows,
         Row(
             "whole frames that did not arrive",
             "those on their way at hang-ups",
-            f"{missing} of {sent} in {len(seen.legs)} legs, at most {excused}" + (f": {legs}" if legs else ""),
+            f"{legs} {strange[:3]}",
             bool(seen.legs) and not strange,
         ),
         _list_row("accounts that do not balance", seen.accounts_off, f"{seen.healths} health messages", seen.healths),
         Row("messages missing without a word", "0", f"{seen.holes} of {seen.messages}", seen.holes == 0),
         Row("messages out of order", "0", str(seen.out_of_order), seen.out_of_order == 0),
-        _list_row("log lines that nothing explains", seen.unexplained, lines, seen.lines),
+        Row("tracebacks in the log", "0", f"{len(seen.tracebacks)} {seen.tracebacks[:1]}", not seen.tracebacks),
         _list_row("questions without an answer", seen.refused, f"{seen.asked} asked", seen.asked),
         Row("recordings above their budget", "0 MB", f"{seen.recordings_over_mb:.1f} MB", not seen.recordings_over_mb),
-        Row("old recordings removed", "some", f"{seen.files_removed} of {seen.files} files", seen.files_removed > 0),
-        Row("pieces in no recording", "0", str(seen.events_missing), seen.events_missing == 0),
+        Row(
+            "old recordings removed", "some", f"{recording.get('files_removed')}", bool(recording.get("files_removed"))
+        ),
+        Row("events in no recording", "0", f"{recording.get('events_missing')}", recording.get("events_missing") == 0),
         Row("exit code on SIGTERM", "0", str(seen.exit_code), seen.exit_code == 0),
     ]
-    return rows
 
 
-def _slope_row(what: str, unit: str, found: Trend | None, flat: float) -> Row:
-    asked = f"no rise beyond {CERTAIN:g} standard errors and {flat:g} {unit}".rstrip()
+def print_rows(rows: Sequence[Row], *, as_json: bool) -> int:
+    """Print the table, or one object; return the exit code."""
+    if as_json:
+        print(json.dumps({"rows": [row._asdict() for row in rows]}))
+    for row in () if as_json else rows:
+        print(f"{'ok  ' if row.good else 'MISS'} {row.what}: required {row.asked}; result {row.seen}")
+    return int(not all(row.good for row in rows))
+
+
+def _slope_row(what: str, found: Trend | None, flat: float) -> Row:
+    asked = f"no rise beyond {CERTAIN:g} standard errors and {flat:g}"
     if found is None:
         return Row(what, asked, "too few samples", good=False)
-    bound = found.per_hour + CERTAIN * found.std_per_hour
-    seen = (
-        f"{found.per_hour:+.2f} ± {found.std_per_hour:.2f} {unit}/h, {found.rise:+.2f} in all; "
-        f"a leak of {max(0.0, bound):.2f} {unit}/h would not be seen"
-    )
+    bound = max(0.0, found.per_hour + CERTAIN * found.std_per_hour)
+    seen = f"{found.per_hour:+.2f} ± {found.std_per_hour:.2f} /h, {found.rise:+.2f} in all, up to {bound:.2f} /h unseen"
     return Row(what, asked, seen, not rises(found, flat))
 
 
 def _list_row(what: str, wrong: Sequence[str], of: str, count: int) -> Row:
     """Nothing wrong is good only where there was something to look at."""
-    said = f"{len(wrong)} of {of}" + "".join(f"\n    {line}" for line in wrong[:20])
-    return Row(what, "0", said, count > 0 and not wrong)
+    return Row(
+        what, "0", f"{len(wrong)} of {of}" + "".join(f"\n    {line}" for line in wrong[:20]), count > 0 and not wrong
+    )

@@ -1,77 +1,195 @@
-"""Changes single operators, constants and returns of the product, and counts which changes the tests notice.
+"""Which changes of single operators, constants and returns of the product the tests do not notice.
 
-`python benchmarks/mutants.py [--package NAME] [--count N] [--seed N] [--above [FOLDER ...]] [--json FILE] ...`.
-
-Each mutant runs in a copy of the tree, until the first failure: first the tests in the folder of its package, then
-those of `--above`. It runs only the tests that run its line, those in the file of its name first. A mutant whose
-tests take several times as long as without it counts as killed. Mutants of types, messages and help are not sampled.
-
-The sample is named by the product's source, count and seed. A run that finds an earlier FILE of the same sample goes on
-with it. Survivors are printed as `file:line before -> after`; `--ids FILE` runs those again that a file lists, though
-lines were added above them. The lines that tests run are kept in build/mutants until the product or the tests change.
+Run it with `python benchmarks/mutants.py [--package NAME]... [--count N] [--seed N]`. Each mutant runs
+in a copy of the tree, until the first failure: the tests of its package that run its line, then those of whole paths
+through the product. A mutant whose tests take several times as long as without it counts as killed. Mutants of types,
+messages and help are not sampled. Survivors are printed as `file:line before -> after`. Lines that tests run are kept
+in build/mutants until the product or the tests change.
 """
 
 import argparse
+import ast
+import copy
 import hashlib
-import json
 import math
 import os
 import random
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter, defaultdict, deque
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
-
-from mutant_tests import LineMap, TestRun, import_libraries, map_lines, start_tests
-from mutations import PRODUCTS, Mutant, mutants_of, source_of
+from coverage import CoverageData
 
 ROOT: Final = Path(__file__).resolve().parents[1]
-MAPS: Final = ROOT / "build" / "mutants"  # the lines that tests run, until something changes
-# Whole paths through the product: what a package's own tests let pass is shown to these.
-ABOVE: Final = ("tests/replay", "tests/daemon", "tests/commands")
+MAPS: Final = ROOT / "build" / "mutants"
+ABOVE: Final = ("tests/replay", "tests/daemon", "tests/commands")  # whole paths through the product
 # The tests of a package, where they are not those in the folder of its name alone.
 FOLDERS: Final = {
     "resonator_daemon": ("tests/test_plate.py", "tests/config"),
     "simulators": ("tests/simulators", "tests/links"),
-    "host": ("tests/host", "tests/commands"),
-    "planning": ("tests/planning", "tests/commands"),
-    "toml_files": ("tests/toml_files", "tests/config"),
 }
-START_S: Final = 20.0  # a run's limit: this and so many times what its tests take by themselves
-TIMES: Final = 4.0
+START_S, TIMES, MAP_S = 30.0, 4.0, 1800.0  # a run's limit: so long, and so many times what its tests take
+PYTEST: Final = ("-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist")
+PRODUCTS: Final = ("resonator_daemon", "firmware_protocol", "simulators")
+PAIRS: Final = ((ast.Lt, ast.LtE), (ast.Gt, ast.GtE), (ast.Eq, ast.NotEq), (ast.Is, ast.IsNot), (ast.In, ast.NotIn))
+COMPARISONS: Final = {one: other for pair in PAIRS for one, other in (pair, pair[::-1])}
+ARITHMETIC: Final = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult}
+LARGE: Final = 100  # constants from here on are doubled: one more would be lost in rounding
+
+# What changes nothing that runs, or only the text of a message.
+TYPES: Final = ("annotation", "returns", "decorator_list", "bases", "type_params")
+TEXTS: Final = ("help", "description", "metavar", "title", "epilog", "examples")
+DATACLASS: Final = ("frozen", "slots", "kw_only")
+LOGGERS: Final = ("log", "logger", "logging", "warnings")
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=220, help="mutants, at least one of each package")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--package", action="append", metavar="NAME", help="all packages, unless given")
-    parser.add_argument("--workers", type=int, default=1, choices=(1, 2))
-    parser.add_argument("--above", nargs="*", default=ABOVE, metavar="FOLDER", help="more tests; none: faster")
-    parser.add_argument("--ids", type=Path, metavar="FILE", help="mutants to run in place of a sample")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write results here, go on with those it has")
-    parser.add_argument("--minutes", type=float, default=math.inf, help="start no mutant after this time")
-    options = parser.parse_args()
-    mutants = mutants_of(ROOT, options.package)
-    chosen = _named(options.ids, mutants) if options.ids else sample(mutants, options.count, options.seed)
-    product = _digest(path for product in PRODUCTS for path in _python_files(ROOT / product))
-    record = Record.at(options.json, {"product": product, "seed": options.seed, "count": options.count})
-    import_libraries()
-    with tempfile.TemporaryDirectory(prefix="mutants-") as place:
-        trees = [copy_of_root(Path(place) / str(number)) for number in range(options.workers)]
-        judge = Judge(trees, tuple(options.above), record, time.monotonic() + 60.0 * options.minutes)
-        judge.run([mutant for mutant in chosen if options.ids or mutant.id not in record.outcomes])
-    record.print_summary(chosen)
-    return 0
+@dataclass(frozen=True)
+class Mutant:
+    """One change: the node with this number in the walk over a file's tree."""
+
+    path: str  # below the root
+    line: int
+    last_line: int  # of the statement, or of the head of a compound statement
+    first_line: int
+    node: int
+    before: str
+    after: str
+
+    @property
+    def package(self) -> str:
+        return package_of(self.path)
+
+    @property
+    def id(self) -> str:
+        return f"{self.path}:{self.line} {self.before} -> {self.after}"
+
+
+def package_of(path: str) -> str:
+    """Return the package of a file, given below the root; of files next to the packages of the daemon, the daemon's."""
+    parts = Path(path).parts
+    return parts[1] if parts[0] == "resonator_daemon" and len(parts) > 2 else parts[0]
+
+
+def mutated(node: ast.AST) -> ast.AST | None:
+    """Return the node changed; None where nothing of it is changed."""
+    changed = copy.copy(node)
+    match changed:
+        case ast.Compare(ops=[operator]) if type(operator) in COMPARISONS:
+            changed.ops = [COMPARISONS[type(operator)]()]
+        case ast.BinOp(op=operator) if type(operator) in ARITHMETIC and not isinstance(changed.left, ast.Constant):
+            changed.op = ARITHMETIC[type(operator)]()
+        case ast.BoolOp():
+            changed.op = ast.Or() if isinstance(changed.op, ast.And) else ast.And()
+        case ast.Constant(value=bool() as value):
+            changed.value = not value
+        case ast.Constant(value=int() | float() as value):
+            changed.value = 2 * value if abs(value) >= LARGE else value + 1
+        case ast.Return(value=ast.Constant(value=None)):
+            return None
+        case ast.Return(value=ast.expr()):
+            changed.value = ast.Constant(None)
+        case _:
+            return None
+    return changed
+
+
+def runs(node: ast.AST) -> bool:
+    """Return whether a node is more than types, `__all__` and the text of messages."""
+    match node:
+        case ast.If(test=ast.Name(id="TYPE_CHECKING") | ast.Attribute(attr="TYPE_CHECKING")):
+            return False
+        case ast.Assign(targets=[ast.Name(id="__all__")]) | ast.AnnAssign(annotation=ast.Name(id="TypeAlias")):
+            return False
+        case ast.FunctionDef(name="__repr__") | ast.JoinedStr() | ast.Raise():
+            return False
+        case ast.Subscript(value=ast.Name(id="Literal")) | ast.Call(func=ast.Name(id="TypeVar")):
+            return False
+        case ast.Call(func=ast.Attribute(value=ast.Name(id=name))) if name.lower().strip("_") in LOGGERS:
+            return False
+        case ast.keyword(arg=name) if name in (*TEXTS, *DATACLASS, "strict"):
+            return False
+    return type(node).__name__ != "TypeAlias"
+
+
+def nodes(tree: ast.AST) -> Iterator[tuple[ast.AST, ast.AST]]:
+    """Walk over what runs: each node with the statement that it is part of."""
+    yield from _below(tree, tree)
+
+
+def _below(node: ast.AST, statement: ast.AST) -> Iterator[tuple[ast.AST, ast.AST]]:
+    for name, value in ast.iter_fields(node):
+        if name in TYPES:
+            continue
+        for child in value if isinstance(value, list) else [value]:
+            if isinstance(child, ast.AST) and runs(child):
+                inner = child if isinstance(child, ast.stmt) else statement
+                yield child, inner
+                yield from _below(child, inner)
+
+
+def mutants_of(root: Path, packages: Collection[str] | None = None) -> list[Mutant]:
+    """Return every mutant of packages below a root, except constants whose name nothing that runs refers to."""
+    trees = {
+        path: ast.parse(path.read_text()) for product in PRODUCTS for path in sorted((root / product).rglob("*.py"))
+    }
+    used: Counter[str] = Counter()
+    for tree in trees.values():
+        for node, _ in nodes(tree):
+            match node:
+                case ast.Name(id=name, ctx=ast.Load()) | ast.Attribute(attr=name):
+                    used[name] += 1
+    chosen = {str(path.relative_to(root)): tree for path, tree in trees.items()}
+    if packages:
+        chosen = {path: tree for path, tree in chosen.items() if package_of(path) in packages}
+    return [mutant for path, tree in chosen.items() for mutant in _of_file(path, tree, used)]
+
+
+def _of_file(path: str, tree: ast.Module, used: Counter[str]) -> Iterator[Mutant]:
+    unused = {id(statement) for statement in tree.body if _is_unused(statement, used)}
+    for number, (node, statement) in enumerate(nodes(tree)):
+        changed = mutated(node)
+        if changed is None or id(statement) in unused:
+            continue
+        line, before = getattr(node, "lineno", 0), ast.unparse(node)
+        first, last = _lines(statement)
+        yield Mutant(path, line, last, first, number, before, ast.unparse(changed))
+
+
+def _is_unused(statement: ast.stmt, used: Counter[str]) -> bool:
+    match statement:
+        case ast.AnnAssign(target=ast.Name(id=name)) | ast.Assign(targets=[ast.Name(id=name)]):
+            return used[name] == 0
+    return False
+
+
+def _lines(statement: ast.AST) -> tuple[int, int]:
+    """Return the first and last line of a statement, of a compound one without its body."""
+    first, last = getattr(statement, "lineno", 0), getattr(statement, "end_lineno", 0)
+    body = getattr(statement, "body", None)
+    return first, max(first, body[0].lineno - 1) if isinstance(body, list) and body else last
+
+
+def source_of(mutant: Mutant, text: str) -> str:
+    """Return a file's text with one change."""
+    tree = ast.parse(text)
+    wanted = next(node for number, (node, _) in enumerate(nodes(tree)) if number == mutant.node)
+    changed = mutated(wanted)
+
+    class Change(ast.NodeTransformer):
+        def visit(self, node: ast.AST) -> ast.AST | None:
+            return changed if node is wanted else self.generic_visit(node)
+
+    return ast.unparse(ast.fix_missing_locations(Change().visit(tree)))
 
 
 def sample(mutants: list[Mutant], count: int, seed: int) -> list[Mutant]:
@@ -84,207 +202,142 @@ def sample(mutants: list[Mutant], count: int, seed: int) -> list[Mutant]:
     return [mutant for name, found in packages.items() for mutant in drawn.sample(found, sizes[name])]
 
 
-def _named(file: Path, mutants: list[Mutant]) -> list[Mutant]:
-    """Return the mutants that a file names, each the one nearest to its line."""
-    chosen = []
-    for name in filter(None, map(str.strip, file.read_text().splitlines())):
-        place, _, change = name.partition(" ")
-        path, _, line = place.rpartition(":")
-        change = change.split(" (")[0] if change.endswith(")") and not _has_change(mutants, path, change) else change
-        same = [mutant for mutant in mutants if mutant.path == path and f"{mutant.before} -> {mutant.after}" == change]
-        if not same:
-            print(f"not there any more: {name}", file=sys.stderr)
-            continue
-        chosen.append(min(same, key=lambda mutant: (mutant.id != name, abs(mutant.line - int(line)))))
-    return chosen
+class Tests:
+    """Tests of some folders of a copy of the tree: the lines that each runs, and how long it takes."""
 
-
-def _has_change(mutants: list[Mutant], path: str, change: str) -> bool:
-    return any(mutant.path == path and f"{mutant.before} -> {mutant.after}" == change for mutant in mutants)
-
-
-def folders_of(package: str) -> tuple[str, ...]:
-    return FOLDERS.get(package, (f"tests/{package}",))
-
-
-def copy_of_root(tree: Path) -> Path:
-    ignored = shutil.ignore_patterns(".venv", ".git", ".*_cache", "__pycache__", "build", ".hypothesis")
-    return Path(shutil.copytree(ROOT, tree, ignore=ignored))
-
-
-@dataclass
-class Outcome:
-    """What became of a mutant."""
-
-    package: str
-    killed: bool
-    by: str  # the test that failed, "time", or "import"; of a survivor, the number of tests that ran its line
-
-
-class Record:
-    """Outcomes by identifier of the mutant, kept in a file that names the sample."""
-
-    def __init__(self, file: Path | None, named: dict[str, Any]) -> None:
-        self._file, self._named = file, named
-        self.product: str = named["product"]
-        self.outcomes: dict[str, Outcome] = {}
-
-    @classmethod
-    def at(cls, file: Path | None, named: dict[str, Any]) -> "Record":
-        """Return the record with what a file has of the same sample."""
-        record = cls(file, named)
-        if file is not None and file.exists():
-            earlier = json.loads(file.read_text())
-            if {key: earlier.get(key) for key in named} != named:
-                raise SystemExit(f"{file} has another sample; remove it or give another name")
-            record.outcomes = {name: Outcome(**outcome) for name, outcome in earlier["mutants"].items()}
-        return record
-
-    def add(self, mutant: Mutant, killed: bool, by: str) -> None:
-        self.outcomes[mutant.id] = Outcome(mutant.package, killed, by)
-        if self._file is not None:
-            written = (
-                {"commit": _commit()}
-                | self._named
-                | {"mutants": {name: asdict(outcome) for name, outcome in self.outcomes.items()}}
+    def __init__(self, tree: Path, stage: str, product: str) -> None:
+        places = list((tree / stage).rglob("*.py")) if (tree / stage).is_dir() else [tree / stage]
+        name = f"{stage.replace('/', '-')}-{product}-{digest([*places, *(tree / 'tests/support').rglob('*.py')])}"
+        self._lines, seconds = MAPS / f"{name}.coverage", MAPS / f"{name}.txt"
+        if not seconds.exists():
+            print(f"maps the lines that {stage} runs", file=sys.stderr, flush=True)
+            MAPS.mkdir(parents=True, exist_ok=True)
+            asked = ("--cov", "--cov-context=test", "--cov-report=", "--durations=0", "-vv", stage)
+            environment = os.environ | {"COVERAGE_FILE": str(self._lines), "PYTHONPATH": str(tree)}
+            run = subprocess.run(
+                [sys.executable, *PYTEST, *asked],
+                cwd=tree,
+                env=environment,
+                capture_output=True,
+                text=True,
+                timeout=MAP_S,
             )
-            self._file.write_text(json.dumps(written, indent=1))
+            if run.returncode not in (0, 1):
+                raise RuntimeError(f"tests of {stage}: {run.stdout[-1000:]}")
+            seconds.write_text(run.stdout)
+        report = seconds.read_text()
+        self.seconds: dict[str, float] = defaultdict(float)
+        for spent, test in re.findall(r"^([\d.]+)s \w+ +(\S.*)$", report, re.MULTILINE):
+            self.seconds[test] += float(spent)
+        self._failed = set(re.findall(r"^FAILED (.+?)(?: - .*)?$", report, re.MULTILINE))
 
-    def print_summary(self, chosen: list[Mutant]) -> None:
-        seen = {mutant: self.outcomes[mutant.id] for mutant in chosen if mutant.id in self.outcomes}
-        of = Counter(mutant.package for mutant in seen)
-        killed = Counter(mutant.package for mutant, outcome in seen.items() if outcome.killed)
-        for name in sorted(of):
-            print(f"{name:20} {killed[name]:4} of {of[name]:4} killed")
-        share = 100.0 * killed.total() / max(1, of.total())
-        print(f"{'all':20} {killed.total():4} of {of.total():4} killed, {share:.1f} %")
-        if len(seen) < len(chosen):
-            print(f"{len(chosen) - len(seen)} not run yet")
-        for mutant, outcome in seen.items():
-            if not outcome.killed:
-                print(mutant.id)
-
-
-@dataclass
-class _Trial:
-    mutant: Mutant
-    tree: Path
-    stages: deque[str]  # files and folders of tests that it has yet to pass
-    original: str
-    run: TestRun | None = None
-    tests: int = 0
+    def of(self, mutant: Mutant, tree: Path) -> set[str]:
+        """Return the tests that run one of the lines of a mutant; of lines of an import, those that name the file."""
+        data = CoverageData(str(self._lines))
+        data.read()
+        contexts = data.contexts_by_lineno(str(tree / mutant.path))
+        lines = range(mutant.first_line, mutant.last_line + 1)
+        tests = {context.partition("|")[0] for line in lines for context in contexts.get(line, ())}
+        if tests == {""}:
+            word = re.compile(rf"\b{Path(mutant.path).stem}\b")
+            naming = {
+                name
+                for name in {test.split("::")[0] for test in self.seconds}
+                if word.search((tree / name).read_text())
+            }
+            tests |= {test for test in self.seconds if test.split("::")[0] in naming}
+        return (tests & self.seconds.keys()) - self._failed
 
 
 class Judge:
-    """Runs mutants, one in each copy of the tree at a time."""
+    """Runs mutants in a copy of the tree, which stays at one place, so that maps of lines hold."""
 
-    def __init__(self, trees: list[Path], above: tuple[str, ...], record: Record, until: float) -> None:
-        self._free, self._above, self._record, self._until = list(trees), above, record, until
-        self._maps: dict[str, LineMap] = {}
-        self._writes = 0
-        self._product = record.product
+    def __init__(self, tree: Path, product: str) -> None:
+        self._tree, self._product = tree, product
+        self._stages: dict[str, Tests] = {}
 
-    def run(self, mutants: list[Mutant]) -> None:
-        waiting, trials = deque(mutants), list[_Trial]()
-        began, total = time.monotonic(), len(mutants)
-        while (waiting and time.monotonic() < self._until) or trials:
-            while waiting and self._free and time.monotonic() < self._until:
-                trials.append(self._begin(waiting.popleft()))
-            time.sleep(0.02)
-            for trial in [trial for trial in trials if self._has_ended(trial)]:
-                trials.remove(trial)
-                done = total - len(waiting) - len(trials)
-                left_s = (time.monotonic() - began) / done * (total - done)
-                outcome = self._record.outcomes[trial.mutant.id]
-                line = f"{done}/{total}, {left_s / 60.0:.1f} min left: {'killed' if outcome.killed else 'SURVIVED'}"
-                print(f"{line} {trial.mutant.id}", file=sys.stderr, flush=True)
-
-    def _begin(self, mutant: Mutant) -> _Trial:
-        folders = folders_of(mutant.package)
-        stages = [*folders, *(folder for folder in self._above if folder not in folders)]
-        tree = self._free.pop()
-        return _Trial(mutant, tree, deque(stages), (tree / mutant.path).read_text())
-
-    def _has_ended(self, trial: _Trial) -> bool:
-        """Start a trial's next run of tests, or return whether it has come to its end."""
-        if trial.run is not None:
-            if not trial.run.has_ended():
-                return False
-            self._write(trial, trial.original)
-            run, trial.run = trial.run, None
-            if run.exceeded or run.code not in {0, 5}:
-                return self._end(trial, True, "time" if run.exceeded else (run.failed() or ["import"])[0])
-        while trial.stages:
-            if self._started(trial, trial.stages.popleft()):
-                return False
-        return self._end(trial, False, f"{trial.tests} tests")
-
-    def _end(self, trial: _Trial, killed: bool, by: str) -> bool:
-        self._record.add(trial.mutant, killed, by)
-        self._free.append(trial.tree)
+    def survives(self, mutant: Mutant) -> bool:
+        place = self._tree / mutant.path
+        original = place.read_text()
+        folders = FOLDERS.get(mutant.package, (f"tests/{mutant.package}",))
+        for stage in dict.fromkeys((*folders, *ABOVE)):
+            if not (self._tree / stage).exists():
+                continue
+            if stage not in self._stages:
+                self._stages[stage] = Tests(self._tree, stage, self._product)
+            known = self._stages[stage]
+            tests = known.of(mutant, self._tree)
+            if not tests:
+                continue
+            place.write_text(source_of(mutant, original))
+            try:
+                limit_s = START_S + TIMES * sum(known.seconds[test] for test in tests)
+                if self._fails(sorted(tests, key=lambda test: known.seconds[test]), limit_s):
+                    return False
+            finally:
+                place.write_text(original)
         return True
 
-    def _started(self, trial: _Trial, stage: str) -> bool:
-        mutant, lines = trial.mutant, self._map(trial.tree, stage)
-        tests = lines.tests_of(mutant.path, mutant.first_line, mutant.last_line)
-        if mutant.path not in lines.lines and stage in folders_of(mutant.package):
-            tests = set(lines.seconds)  # it runs under another Python
-        elif lines.is_of_import(mutant.path, mutant.first_line, mutant.last_line):
-            word = re.compile(rf"\b{Path(mutant.path).stem}\b")
-            files = {name.split("::")[0] for name in lines.seconds}
-            naming = {name for name in files if word.search((trial.tree / name).read_text())}
-            tests |= {test for test in lines.seconds if test.split("::")[0] in naming} - set(lines.failed)
-        if not tests:
-            return False
-        seconds: dict[str, float] = defaultdict(float)
-        for test in tests:
-            seconds[test.split("::")[0]] += lines.seconds[test]
-        named = f"test_{Path(mutant.path).stem}"
-        files = sorted(seconds, key=lambda name: (not Path(name).name.startswith(named), seconds[name]))
-        self._write(trial, source_of(mutant, trial.original))
-        trial.tests += len(tests)
-        trial.run = start_tests(trial.tree, files, tests, START_S + TIMES * sum(seconds.values()))
-        return True
-
-    def _write(self, trial: _Trial, text: str) -> None:
-        """Write a file with a time of change of its own, so that Python compiles it anew."""
-        place = trial.tree / trial.mutant.path
-        place.write_text(text)
-        self._writes += 1
-        os.utime(place, (self._writes, self._writes))
-
-    def _map(self, tree: Path, stage: str) -> LineMap:
-        if stage not in self._maps:
-            tests = _python_files(tree / stage) if (tree / stage).is_dir() else [tree / stage]
-            digest = _digest([*tests, *_python_files(tree / "tests/support")])
-            kept = MAPS / f"{stage.replace('/', '-')}-{self._product}-{digest}.json"
-            if not kept.exists():
-                print(f"maps the lines that {stage} runs", file=sys.stderr, flush=True)
-                MAPS.mkdir(parents=True, exist_ok=True)
-                for old in MAPS.glob(f"{stage.replace('/', '-')}-*"):
-                    old.unlink()
-                found = map_lines(tree, stage)
-                kept.write_text(json.dumps(asdict(found)))
-                if found.failed:
-                    print(f"left out, since they fail without a mutant: {found.failed}", file=sys.stderr)
-            self._maps[stage] = LineMap(**json.loads(kept.read_text()))
-        return self._maps[stage]
+    def _fails(self, tests: list[str], limit_s: float) -> bool:
+        environment = os.environ | {"PYTHONPATH": str(self._tree), "PYTHONDONTWRITEBYTECODE": "1"}
+        command = [sys.executable, *PYTEST, "-x", *tests]
+        process = subprocess.Popen(
+            command,
+            cwd=self._tree,
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        try:
+            return process.wait(limit_s) not in (0, 5)
+        except subprocess.TimeoutExpired:
+            return True
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)  # what its tests have started, too
+            process.wait()
 
 
-def _python_files(folder: Path) -> list[Path]:
-    return sorted(folder.rglob("*.py"))
+def digest(paths: Collection[Path]) -> str:
+    found = hashlib.sha256()
+    for path in sorted(paths):
+        found.update(path.read_bytes())
+    return found.hexdigest()[:16]
 
 
-def _digest(paths: Iterable[Path]) -> str:
-    digest = hashlib.sha256()
-    for path in paths:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-def _commit() -> str:
-    command = ["git", "describe", "--always", "--abbrev=12", "--dirty", "--exclude", "*"]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=220, help="mutants, at least one of each package")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--package", action="append", metavar="NAME", help="all packages, unless given")
+    options = parser.parse_args()
+    os.environ["OMP_NUM_THREADS"] = "1"
+    chosen = sample(mutants_of(ROOT, options.package), options.count, options.seed)
+    product = digest([path for name in PRODUCTS for path in (ROOT / name).rglob("*.py")])
+    of, killed, survivors, began_s = Counter[str](), Counter[str](), list[str](), time.monotonic()
+    tree = Path(tempfile.gettempdir()) / f"mutants-{product}"
+    shutil.rmtree(tree, ignore_errors=True)
+    ignored = shutil.ignore_patterns(".venv", ".git", ".*_cache", "__pycache__", "build", ".hypothesis")
+    try:
+        judge = Judge(Path(shutil.copytree(ROOT, tree, ignore=ignored)), product)
+        for done, mutant in enumerate(chosen, 1):
+            survives = judge.survives(mutant)
+            of[mutant.package] += 1
+            killed[mutant.package] += not survives
+            survivors += [mutant.id] * survives
+            left_min = (time.monotonic() - began_s) / done * (len(chosen) - done) / 60.0
+            outcome = "SURVIVED" if survives else "killed"
+            print(f"{done}/{len(chosen)}, {left_min:.1f} min left: {outcome} {mutant.id}", file=sys.stderr, flush=True)
+    finally:
+        shutil.rmtree(tree)
+    for name in sorted(of):
+        print(f"{name:20} {killed[name]:4} of {of[name]:4} killed")
+    print(
+        f"{'all':20} {killed.total():4} of {of.total():4} killed, {100.0 * killed.total() / max(1, of.total()):.1f} %"
+    )
+    print("\n".join(survivors))
+    return 0
 
 
 if __name__ == "__main__":

@@ -13,9 +13,9 @@ import cbor2
 import numpy as np
 from brokers import Mosquitto
 from observer import Observer, observe
+from plates import SMALL_SKIN
 from scenarios import IDEAL, touch_text
 from service_bench import Bench
-from system_parts import SMALL_SKIN
 
 NY, NX, PITCH_M = 12, 16, 0.6e-3
 SKIN = SMALL_SKIN.replace("shape = [16, 16]", f"shape = [{NY}, {NX}]")

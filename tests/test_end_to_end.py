@@ -1,7 +1,6 @@
 """Forces, sites and uncertainties from end to end: emulated plates counted straight into the daemon's chain.
 
-The scenes are those of benchmarks/end_to_end.py, with fewer touches and shorter holds. Truth is the emulator's, which
-shares no formula with the chain.
+Truth is the emulator's, which shares no formula with the chain.
 """
 
 import pytest

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from brokers import Mosquitto
 from observer import Observer, observe
+from plates import SMALL_SKIN
 from published_schema import ALWAYS, check_all
 from scenarios import touch_text
 from service_bench import Bench, events
-from system_parts import SMALL_SKIN
 
 SHEAR = "{peak_ratio = 0.95, direction_deg = 30}"
 SHEARED = "period_s = 1.6\n" + touch_text(0.2, 0.8, 1.0, position_mm=[0.6, -0.3], shear=SHEAR)

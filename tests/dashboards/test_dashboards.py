@@ -15,8 +15,7 @@ from typing import Any
 
 import aiomqtt
 import pytest
-from brokers import Mosquitto
-from system_parts import free_port
+from brokers import Mosquitto, free_port
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.message_examples import EXAMPLES

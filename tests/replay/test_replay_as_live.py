@@ -6,9 +6,9 @@ from typing import Any
 
 from brokers import Mosquitto
 from observer import Observer, observe
+from plates import SMALL_SKIN
 from scenarios import IDEAL, touch_text
 from service_bench import Bench, events
-from system_parts import SMALL_SKIN
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.daemon.config_store import ConfigStore

@@ -3,14 +3,26 @@
 import os
 import shutil
 import signal
+import socket
 import subprocess
 from contextlib import AsyncExitStack
 from pathlib import Path
 
 import pytest
-from system_parts import free_port
 
 from resonator_daemon.publishing.embedded_broker import embedded_broker
+
+_given_ports: set[int] = set()
+
+
+def free_port() -> int:
+    """Return an unused TCP port that was not returned before, since its user may not listen yet."""
+    while True:
+        with socket.create_server(("127.0.0.1", 0)) as probe:
+            port: int = probe.getsockname()[1]
+        if port not in _given_ports:
+            _given_ports.add(port)
+            return port
 
 
 class Mosquitto:

@@ -5,6 +5,30 @@ from typing import Any
 
 from resonator_daemon.plate import Plate
 
+SMALL_SKIN = """
+format = 1
+name = "small-skin"
+outline_mm = [[-4.8, -4.8], [4.8, -4.8], [4.8, 4.8], [-4.8, 4.8]]
+transducers_mm = [[-4.8, -4.8], [4.8, -4.8], [4.8, 4.8], [-4.8, 4.8]]
+force_max_newton = 5
+[counter]
+kind = "channelised"
+reference_hz = 250e6
+frame_rate_hz = 50
+[skin]
+youngs_modulus_pascal = 2e5
+poisson_ratio = 0.5
+depth_mm = 1.0
+[grid]
+shape = [16, 16]
+pitch_mm = 0.6
+signals = ["p_n", "eps_xz", "eps_yz"]
+f0_hz = 100e6
+spacing_hz = 13000                           # of tones in the order of signal, x, y
+order = [3, 48, 1]
+sensitivity = [-2.0e-11, 2.7e-6, 2.7e-6]
+"""
+
 
 def with_counter(plate: Plate, **values: float) -> Plate:
     """Return the plate with other values of its counter."""

@@ -10,7 +10,7 @@ from typing import IO, Any, Self
 
 import psutil
 
-SOURCES = Path(__file__).parents[1] / "firmware_protocol" / "c" / "mps2_an385"
+SOURCES = Path(__file__).parents[2] / "firmware_protocol" / "c" / "mps2_an385"
 SERIAL_NUMBER = "FW-0001"
 
 _RANDOM_WORD = 0x2000FFFC  # where link.ld has the random number that hardware would draw

@@ -59,7 +59,7 @@ class PlateBench:
         self._counter = emulated(plate, scenario, seed)
         measurement = Measurement(window_ms=window_ms, step_ms=step_ms)
         sensor = sensor_of(plate, measurement)
-        assert isinstance(sensor, ForceSensor)  # noqa: S101 - force sites alone are played
+        assert isinstance(sensor, ForceSensor)
         self.processing: Any = sensor.make_processing(oscillator_hz(self._counter.description))
         self.site_ids: list[int] = plate.site_ids.tolist()
         self._gate_ticks = gate_ticks(plate)
@@ -138,7 +138,7 @@ def corner_levels_db(plate: Plate, seed: int) -> NDArray[np.float64]:
     order = {site: index for index, site in enumerate(bench.site_ids)}
     for frame in bench.count(LEVEL_TOUCH_S * len(touches)):
         for contact in frame.contacts:
-            assert contact.site is not None  # noqa: S101 - for the type checker
+            assert contact.site is not None
             records = [SingleToneRecord(*SINGLE_TONE_STRUCT.unpack(channel)) for channel in frame.channels]
             levels[order[contact.site]] = [record.attenuation_db256 / -256.0 for record in records]
     return levels

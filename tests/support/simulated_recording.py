@@ -1,10 +1,5 @@
-"""Recordings of emulated boards in simulated time, as fast as their frames are computed.
+"""Recordings of emulated boards in simulated time, as fast as their frames are computed."""
 
-Run as `python benchmarks/simulated_recording.py skin32 60 run.mcap` (plate, minutes, file).
-"""
-
-import sys
-import time
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -15,7 +10,7 @@ from resonator_daemon.config.text import config_of, plate_text, settings_text
 from resonator_daemon.daemon.recorded_messages import RecordedMessages
 from resonator_daemon.links.table import parse_link
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
-from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.plate import Plate
 from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.recording.reader import Origin
 from resonator_daemon.recording.writer import RecordingWriter
@@ -24,7 +19,7 @@ from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.frames import BoardOnline
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_state_machine import LinkStateMachine
-from simulators.emulator import SERIAL_NUMBER, _emulated_board
+from simulators.emulator import _emulated_board
 from simulators.faults.misbehaviour import Misbehaviour
 from simulators.scenario import load_scenario
 from simulators.scenario_file import default_scenario
@@ -116,10 +111,3 @@ class _WrittenEvents:
 
 def _is_of_closed_link(event: wire.WireEvent) -> bool:
     return isinstance(event, wire.SnapshotTaken) and event.snapshot.running is None
-
-
-if __name__ == "__main__":
-    begun_s = time.monotonic()
-    record(Path(sys.argv[3]), load_plate(sys.argv[1]), 60.0 * float(sys.argv[2]))
-    size_mb = Path(sys.argv[3]).stat().st_size / 1e6
-    print(f"{sys.argv[3]}: {size_mb:.0f} MB in {time.monotonic() - begun_s:.0f} s, board {SERIAL_NUMBER}")

@@ -1,0 +1,30 @@
+"""Faults of every part around the daemon, a few times: hundreds of times in `make soak` and `make fuzz`."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "kills.py hang-ups --count 2",
+        "kills.py orders --count 2",
+        "kills.py recorders --count 3",
+        "power_failure.py --seconds 0 --moments 10",
+        "year.py --days 2 --seed 3",
+        "wire_accounts.py 40000",
+        "fuzz.py wire --inputs 2000",
+        "fuzz.py commands --inputs 20000",
+    ],
+)
+def test_faults_cost_what_is_promised_and_nothing_else(command: str) -> None:
+    program, *arguments = command.split()
+    run = subprocess.run(
+        [sys.executable, BENCHMARKS / program, *arguments], capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
