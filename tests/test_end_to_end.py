@@ -45,7 +45,7 @@ def test_hysteresis_is_taken_out_where_the_plate_file_determines_it() -> None:
 
 
 def test_what_a_warm_finger_does_stays_within_what_is_stated_of_it() -> None:
-    played = warm_touches((0.5, 5.0, 20.0), measured=True, frame_rate_hz=50.0)
+    played = warm_touches((0.5, 5.0, 20.0), 50.0)
     assert (played.found, played.wrong) == (played.touches, 0)
     assert played.errors.worst_ratio <= 1.0
 

@@ -80,3 +80,8 @@ def test_top_level_holds_nothing_else() -> None:
     ignored = [*(ROOT / ".gitignore").read_text().replace("/\n", "\n").split(), ".*"]
     entries = {entry.name for entry in ROOT.iterdir()}
     assert {name for name in entries if not any(fnmatch(name, pattern) for pattern in ignored)} == TOP_LEVEL
+
+
+def test_each_benchmark_has_a_row_in_the_page() -> None:
+    page = (ROOT / "docs" / "explanation" / "performance.md").read_text()
+    assert [path.name for path in (ROOT / "benchmarks").glob("*.py") if f"`{path.name}" not in page] == []

@@ -1,6 +1,6 @@
 """Two touches at once on emulated plates: what the chain names, and when it says that there may be more."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from plate_bench import SETTLED_S, Moment, PlateBench, corner_levels_db
 
 from resonator_daemon.plate import Plate
-from simulators.physics import Physics
 from simulators.scenario_file import Touch
 
 FORCE_NEWTON = (0.2, 8.0)
@@ -19,7 +18,6 @@ ONSETS_APART_S = 0.1
 GAP_S = 0.05
 JOINT_NEWTON = 0.1  # of each touch, averaged over a window, before a reading may be expected to tell of both
 TAKEOVER_DB = 1.0  # by which a tone has to be stronger before a corner that counts another goes over to it
-PAIRS_AT_ONCE = 50  # that one bench plays: plates with other levels and noise follow
 
 
 class Pair(NamedTuple):
@@ -29,32 +27,23 @@ class Pair(NamedTuple):
     wrong: int  # readings, whenever, that named another site
     joint: int
     both: int  # of the joint ones, with both sites
-    stronger: int  # with the site that is the stronger one at most corners
     more: int  # with the word that there may be more
     apart_m: list[float]  # of each touch from the nearest contact, where both sites were named
 
 
-def play_pairs(plate: Plate, count: int, *, physics: Physics | None = None, seed: int = 1) -> list[Pair]:
+def play_pairs(plate: Plate, count: int) -> list[Pair]:
     """Play pairs of touches on sites 5 mm apart or more, which begin up to 0.1 s and end up to 0.2 s apart."""
-    pairs: list[Pair] = []
-    while len(pairs) < count:
-        random = np.random.default_rng([seed, len(pairs)])
-        pairs += _play(plate, min(PAIRS_AT_ONCE, count - len(pairs)), physics, random)
-    return pairs
-
-
-def _play(plate: Plate, count: int, physics: Physics | None, random: np.random.Generator) -> Iterator[Pair]:
+    random = np.random.default_rng([1, 0])
     seed = int(random.integers(2**31))
     every_s = ONSETS_APART_S + 2 * RAMP_S + HOLD_S[1] + GAP_S
     touches = [touch for index in range(count) for touch in _draw(plate, SETTLED_S + index * every_s, random)]
-    bench = PlateBench(plate, touches, physics=physics, seed=seed)
+    bench = PlateBench(plate, touches, seed=seed)
     moments: list[list[Moment]] = [[] for _ in range(count)]
     for moment in bench.play(SETTLED_S + count * every_s):
         if moment.true_newton:
             moments[(min(moment.true_newton) - 1) // 2].append(moment)
     corners = _corners(plate, seed)
-    for index, seen in enumerate(moments):
-        yield _outcome(bench, touches[2 * index : 2 * index + 2], seen, corners)
+    return [_outcome(bench, touches[2 * n : 2 * n + 2], seen, corners) for n, seen in enumerate(moments)]
 
 
 def _draw(plate: Plate, start_s: float, random: np.random.Generator) -> list[Touch]:
@@ -96,7 +85,6 @@ def _outcome(bench: PlateBench, touches: Sequence[Touch], seen: Sequence[Moment]
         sum(not here <= set(moment.true_site.values()) for moment, here in zip(seen, named, strict=True)),
         len(joint),
         sum(here >= set(sites) for _, here in joint),
-        sum(sites[strengths[1] > strengths[0]] in here for _, here in joint),
         sum(moment.reading.status == "possibly_more" for moment, _ in joint),
         [apart for moment, here in joint if here >= set(sites) for apart in _apart_m(moment)],
     )

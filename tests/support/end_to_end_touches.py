@@ -1,6 +1,5 @@
 """Single touches on an emulated quartz16: sites, force errors and what was stated of them."""
 
-from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -18,7 +17,6 @@ COUNTED_SHARE = 0.05  # of its peak, before a touch's force counts
 HYSTERESIS_FRACTION, CREEP_FRACTION, CREEP_TIME_S = 0.01, 0.005, 20.0
 CONTACT_STD_KELVIN = 3.0
 WARM_KELVIN = 305.0
-WARM_FRAME_RATE_HZ = 100.0
 WARMTH = Physics(
     ideal=True,
     temperature_coefficient=Physics().temperature_coefficient,
@@ -28,7 +26,6 @@ WARMTH = Physics(
     temperature_transient_s=Physics().temperature_transient_s,
 )
 AFTER_S = 0.05
-TOUCHES_AT_ONCE = 100  # that one bench plays: plates with other temperature coefficients, levels and noise follow
 
 
 class Errors(NamedTuple):
@@ -69,7 +66,6 @@ class Played(NamedTuple):
     found: int  # touches whose site was named
     wrong: int  # readings that named another one
     more: int  # touches of which was said, at any time, that they are possibly not alone
-    status: Counter[str]
     errors: Errors
 
 
@@ -110,11 +106,9 @@ def draw_touches(
 def play(bench: PlateBench, touches: Sequence[Touch]) -> Played:
     """Play touches of which no two overlap, to the end."""
     found, more, wrong = set[int](), set[int](), 0
-    status: Counter[str] = Counter()
     rows: list[tuple[float, ...]] = []
     for moment in bench.play(max(touch.start_s + touch.duration_s for touch in touches) + AFTER_S):
         reading = moment.reading
-        status[reading.status] += 1
         named = bench.named_sites(reading)
         wrong += not named <= set(moment.true_site.values())
         found |= {contact for contact, site in moment.true_site.items() if site in named}
@@ -127,16 +121,7 @@ def play(bench: PlateBench, touches: Sequence[Touch]) -> Played:
                     for force in reading.sites
                     if bench.site_ids[force.site] == touch.site and np.isfinite(force.force_newton)
                 ]
-    return Played(len(touches), len(found), wrong, len(more), status, Errors(np.array(rows).reshape(-1, 5)))
-
-
-def joined(plays: Sequence[Played]) -> Played:
-    """Add up plays of different touches."""
-    touches, found, wrong, more = (sum(column) for column in zip(*(played[:4] for played in plays), strict=True))
-    first = np.cumsum([0, *(played.touches for played in plays[:-1])])
-    rows = [played.errors.rows + np.array([start, 0, 0, 0, 0]) for played, start in zip(plays, first, strict=True)]
-    status = sum((played.status for played in plays), Counter[str]())
-    return Played(touches, found, wrong, more, status, Errors(np.vstack(rows)))
+    return Played(len(touches), len(found), wrong, len(more), Errors(np.array(rows).reshape(-1, 5)))
 
 
 def ideal_touches(count: int, seed: int = 1) -> Played:
@@ -158,23 +143,13 @@ def hysteretic_touches(count: int, *, told: bool, seed: int = 1) -> Played:
     return _touches(plate, Physics(ideal=True, hysteresis_fraction=HYSTERESIS_FRACTION), count, seed)
 
 
-def warm_touches(
-    holds_s: Sequence[float] = (1.0, 5.0, 20.0, 60.0),
-    *,
-    measured: bool,
-    frame_rate_hz: float = WARM_FRAME_RATE_HZ,
-    seed: int = 1,
-) -> Played:
-    """Warm fingers on all sites one after the other, 1 N and 4 N; only the temperature disturbs.
-
-    `measured`: the sites' temperature coefficients stand in the plate file, otherwise those of usual sites are taken.
-    """
+def warm_touches(holds_s: Sequence[float], frame_rate_hz: float, seed: int = 1) -> Played:
+    """Warm fingers on all sites one after the other, 1 N and 4 N; only the temperature disturbs."""
     plate = load_plate("quartz16")
     thermal = Thermal(contact_std_kelvin=WARM_KELVIN - ROOM_KELVIN)
     counter = plate.counter.model_copy(update={"frame_rate_hz": frame_rate_hz})
     plate = plate.model_copy(update={"thermal": thermal, "counter": counter})
-    if measured:
-        plate = _with_coefficients(plate, np.random.default_rng(seed))
+    plate = _with_coefficients(plate, np.random.default_rng(seed))
     touches, start_s = [], SETTLED_S + 1.0
     for order, site in enumerate(plate.site_ids.tolist()):
         newton, hold_s = (1.0, 4.0)[order % 2], holds_s[order // 2 % len(holds_s)]
@@ -197,20 +172,10 @@ def _with_coefficients(plate: Plate, random: np.random.Generator) -> Plate:
 def short_touches(count: int, seed: int = 1) -> Played:
     """Short touches on plates with every imperfection, some warm or cold; the plate file says what is known of them."""
     plate = told_plate("quartz16")
-    plays = []
-    for number, start in enumerate(range(0, count, TOUCHES_AT_ONCE)):
-        random = np.random.default_rng([seed, number])
-        touches = draw_touches(
-            plate,
-            random,
-            min(TOUCHES_AT_ONCE, count - start),
-            ramp_s=0.03,
-            hold_s=0.07,
-            gap_s=0.03,
-            kelvin_std=CONTACT_STD_KELVIN,
-        )
-        plays.append(play(PlateBench(plate, touches, seed=int(random.integers(2**31))), touches))
-    return joined(plays)
+    random = np.random.default_rng([seed, 0])
+    short = {"ramp_s": 0.03, "hold_s": 0.07, "gap_s": 0.03, "kelvin_std": CONTACT_STD_KELVIN}
+    touches = draw_touches(plate, random, count, **short)
+    return play(PlateBench(plate, touches, seed=int(random.integers(2**31))), touches)
 
 
 def told_plate(name: str) -> Plate:
