@@ -72,7 +72,7 @@ def check_capture(capture: Capture) -> Iterator[Finding]:
     yield excused(_errors(capture), "the driver lost bytes, which looks the same" if overruns else "")
     steady, dropped = _steady(capture), _overflow(capture)
     late = (dropped,) if capture.losses else (steady, dropped)
-    if capture.busy and any(finding.outcome is Outcome.FAULT for finding in late):
+    if capture.busy and any(finding.outcome in (Outcome.FAULT, Outcome.NOT_CHECKED) for finding in late):
         yield COMPUTER_BUSY.fault(capture.busy, REMEDY)
     yield excused(steady, "" if capture.losses else capture.busy)
     yield dropped
@@ -141,7 +141,7 @@ def overflow(dropped: int, frames: int, busy: str = "") -> Finding:
     return (_OVERFLOW_OF_THIS_COMPUTER if busy else OVERFLOW).judged(
         graded(dropped / frames, _ERRORS_WARNING, ERRORS_FAULT),
         f"{evidence}; {busy}" if busy and dropped else evidence,
-        "relieve this computer, which reads the link too late, and repeat" if busy else _CAPACITY,
+        REMEDY if busy else _CAPACITY,
         Amount(float(dropped), 0.0, "frames"),
     )
 

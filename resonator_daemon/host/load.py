@@ -1,6 +1,7 @@
 """Load of this computer: how long this process waits for a processor, and whether the computer is too busy for it."""
 
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -67,13 +68,12 @@ class LoadMeter:
 
     def _waited_and_used_ns(self) -> tuple[int, int]:
         waited_ns = used_ns = 0
-        for file in self._threads.glob("*/schedstat"):
-            try:
-                used, waited, _ = file.read_bytes().split()
-            except (OSError, ValueError):  # a thread that has ended, or no statistics
-                continue
-            waited_ns += int(waited)
-            used_ns += int(used)
+        with suppress(OSError):  # no free file descriptor
+            for file in self._threads.glob("*/schedstat"):
+                with suppress(OSError, ValueError):  # a thread that has ended, or no statistics
+                    used, waited, _ = file.read_bytes().split()
+                    waited_ns += int(waited)
+                    used_ns += int(used)
         return waited_ns, used_ns
 
 
