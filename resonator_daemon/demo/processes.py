@@ -98,11 +98,15 @@ class Child:
 
 def cpu_s(process: psutil.Process) -> float:
     """Return the processor seconds of a process and of its children that have ended; 0 if it has ended itself."""
+    return _seconds(process, ("user", "system", "children_user", "children_system"))
+
+
+def _seconds(process: psutil.Process, fields: Sequence[str]) -> float:
     try:
         times = process.cpu_times()
     except psutil.Error:
         return 0.0
-    return float(times.user + times.system + times.children_user + times.children_system)
+    return float(sum(getattr(times, field) for field in fields))
 
 
 def _rss_bytes(process: psutil.Process) -> int:
@@ -196,11 +200,13 @@ class ProcessorTimes:
     Attributes
     ----------
     used_s
-        Processor time of each process, in seconds; valid after `stop`.
+        Processor time of each process, in seconds, without that of its children; valid after `stop`.
     """
 
+    _OWN: Final = ("user", "system")
+
     def __init__(self) -> None:
-        self.used_s = {process: cpu_s(process) for process in psutil.process_iter()}
+        self.used_s = {process: _seconds(process, self._OWN) for process in psutil.process_iter()}
         self._busy_s = _busy_s()
         self._started_s = time.monotonic()
         self._ended_s = self._started_s
@@ -209,7 +215,7 @@ class ProcessorTimes:
         """End the measurement."""
         self._ended_s = time.monotonic()
         self._busy_s = _busy_s() - self._busy_s
-        self.used_s = {process: cpu_s(process) - before_s for process, before_s in self.used_s.items()}
+        self.used_s = {process: _seconds(process, self._OWN) - before_s for process, before_s in self.used_s.items()}
 
     def in_words(self, own_cpu_s: float, own_pids: Collection[int]) -> str:
         """Return a sentence with the processes that kept the computer busy, given those of the run and their time."""
