@@ -22,7 +22,7 @@ ROOT: Final = Path(__file__).resolve().parents[1]
 sys.path.append(str(ROOT / "tests" / "support"))  # what tests and benchmarks share
 
 NAME: Final = "hand"
-COMMAND: Final = (sys.executable, "-m", "resonator_daemon")
+COMMAND: Final = (sys.executable, "-m", "resonator_daemon.commands")
 START_S: Final = 90.0
 _END_S: Final = 10.0
 _given_ports: set[int] = set()

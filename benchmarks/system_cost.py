@@ -47,7 +47,7 @@ def at_rate(plate: str, rate_hz: float | None, folder: Path) -> str:
     """Return a shipped plate, with a rate as a file."""
     if rate_hz is None:
         return plate
-    text = (ROOT / "resonator_daemon" / "plates" / f"{plate}.toml").read_text()
+    text = (ROOT / "resonator_daemon/plates" / f"{plate}.toml").read_text()
     path = folder / f"{plate}.toml"
     path.write_text(re.sub("(?m)^frame_rate_hz = .*", f"frame_rate_hz = {rate_hz:g}", text))
     return str(path)
@@ -66,7 +66,7 @@ def waits(pid: int) -> dict[int, int]:
 
 def measure(checkout: Path, plate: str, result: str, scenario: tuple[str, ...], seconds: float) -> dict[str, float]:
     """Run a system of a checkout; return its figures."""
-    command = (str(checkout / ".venv" / "bin" / "python"), "-m", "resonator_daemon")
+    command = (str(checkout / ".venv" / "bin" / "python"), "-m", "resonator_daemon.commands")
     with running(plate, *scenario, command=command) as system:
         time.sleep(SETTLE_S)
         pids = {"daemon, %": system.daemon.pid, "emulator, %": system.board.pid, "broker, %": system.broker_pid}

@@ -79,7 +79,7 @@ async def test_clean_stop(bench: Bench, mosquitto: Mosquitto) -> None:
 
 async def test_crash(bench: Bench, mosquitto: Mosquitto) -> None:
     bench.service()  # which writes the configuration
-    command = (sys.executable, "-m", "resonator_daemon", "run", "--config", str(bench.folder / "board.toml"))
+    command = (sys.executable, "-m", "resonator_daemon.commands", "run", "--config", str(bench.folder / "board.toml"))
     async with bench.emulated(scenario=bench.scenario(IDEAL)), observe(mosquitto.url) as heard:
         daemon = await asyncio.create_subprocess_exec(*command, stderr=asyncio.subprocess.DEVNULL)
         await well(heard)

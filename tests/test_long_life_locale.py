@@ -17,7 +17,7 @@ CONFIG = '# Ω, µ and İstanbul\nname = "hand"\nplate = "{plate}"\nlink = "seri
 
 
 def run(*arguments: str, locale: str) -> "subprocess.CompletedProcess[bytes]":
-    command = [sys.executable, "-m", "resonator_daemon", *arguments]
+    command = [sys.executable, "-m", "resonator_daemon.commands", *arguments]
     return subprocess.run(command, capture_output=True, env=os.environ | LOCALES[locale], check=False, timeout=60)
 
 

@@ -23,7 +23,7 @@ from resonator_daemon.plate import Plate
 from simulators.scenario_file import default_scenario
 
 PYTHON = (sys.executable, "-m")
-_RESONATORD = (*PYTHON, "resonator_daemon")
+_RESONATORD = (*PYTHON, "resonator_daemon.commands")
 _STOP_S = 5.0
 
 

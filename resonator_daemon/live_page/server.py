@@ -128,7 +128,7 @@ class LivePage:
             task.result()
 
     def _make_app(self) -> web.Application:
-        page = Path(str(resources.files("resonator_daemon") / "live_page" / "page"))
+        page = Path(str(resources.files("resonator_daemon.live_page") / "page"))
         files = {path.relative_to(page).as_posix(): path.read_bytes() for path in page.rglob("*.*")}
         app = web.Application()
         Access(self._options.host, self._options.token, tls=self._options.tls is not None).protect(app)

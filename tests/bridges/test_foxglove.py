@@ -226,7 +226,7 @@ async def ending(process: asyncio.subprocess.Process) -> AsyncIterator[None]:
 
 async def test_the_command_survives_its_broker_and_ends_at_once(mosquitto: Any) -> None:
     options = ("--url", mosquitto.url, "--listen", "127.0.0.1:0", "--plate", "left", "--json")
-    command = (sys.executable, "-m", "resonator_daemon", "bridge", "foxglove", *options)
+    command = (sys.executable, "-m", "resonator_daemon.commands", "bridge", "foxglove", *options)
     process = await asyncio.create_subprocess_exec(*command, stdout=PIPE, stderr=PIPE)
     assert process.stderr is not None
     assert process.stdout is not None

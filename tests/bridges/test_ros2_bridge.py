@@ -78,7 +78,7 @@ async def bridged(
     monkeypatch.setenv("CYCLONEDDS_URI", f"<CycloneDDS><Domain>{LOOPBACK}</Domain></CycloneDDS>")
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
     domain = str(2 * random.randint(1, 49) + worker % 2)  # two workers never meet
-    command = ("-m", "resonator_daemon", "bridge", "ros2", "--url", mosquitto.url, "--domain-id", domain)
+    command = ("-m", "resonator_daemon.commands", "bridge", "ros2", "--url", mosquitto.url, "--domain-id", domain)
     humble = ("--humble",) if "24" in request.param else ()
     bridge = await asyncio.create_subprocess_exec(sys.executable, *command, *humble)
     reader = await asyncio.create_subprocess_exec(*request.param, domain, "left_index", stdout=PIPE, limit=2**24)

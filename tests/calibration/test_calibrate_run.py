@@ -60,7 +60,15 @@ class Desk:
             yield
 
     def start(self, *arguments: str, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
-        command = [sys.executable, "-m", "resonator_daemon", "calibrate", "--config", str(self.config), "--json"]
+        command = [
+            sys.executable,
+            "-m",
+            "resonator_daemon.commands",
+            "calibrate",
+            "--config",
+            str(self.config),
+            "--json",
+        ]
         return subprocess.Popen(
             [*command, *arguments],
             env=os.environ | {"XDG_STATE_HOME": str(self.state)},

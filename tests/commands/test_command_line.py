@@ -17,7 +17,7 @@ from resonator_daemon.config import load_config
 from resonator_daemon.demo.run import DemoOptions
 from resonator_daemon.publishing.asyncapi import document
 
-COMMAND = (sys.executable, "-m", "resonator_daemon")
+COMMAND = (sys.executable, "-m", "resonator_daemon.commands")
 ALL = tuple(command_names())
 
 

@@ -18,7 +18,7 @@ from resonator_daemon.commands._command_line import command_names
 from resonator_daemon.errors import FAILURES, MissingLibraryError, UserError
 
 RECORDING = Path(__file__).parents[1] / "corpus" / "touches" / "recording.mcap"
-PROGRAM = (sys.executable, "-m", "resonator_daemon")
+PROGRAM = (sys.executable, "-m", "resonator_daemon.commands")
 
 
 FAILING = """

@@ -12,7 +12,7 @@ from brokers import Mosquitto
 from observer import observe, until
 
 CORPUS: Final = Path(__file__).parents[1] / "corpus"
-COMMAND: Final = (sys.executable, "-m", "resonator_daemon")
+COMMAND: Final = (sys.executable, "-m", "resonator_daemon.commands")
 
 
 @pytest.fixture(autouse=True)

@@ -26,7 +26,7 @@ from resonator_daemon.session.link_events import Closed, Received, StateAnnounce
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
-COMMAND = (sys.executable, "-m", "resonator_daemon", "record")
+COMMAND = (sys.executable, "-m", "resonator_daemon.commands", "record")
 
 
 def config(tmp_path: Path, link: str, plate: str = "quartz16") -> Path:

@@ -161,7 +161,7 @@ async def test_what_is_not_well_is_in_the_block(capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize("form", [["--json"], []])
 async def test_watching_goes_on_when_the_daemon_goes_and_ends_well(form: list[str], home: Path) -> None:
     environment = os.environ | {"XDG_RUNTIME_DIR": str(home.parent), "PYTHONUNBUFFERED": "1"}
-    command = [sys.executable, "-m", "resonator_daemon", "status", "hand", "--watch", *form]
+    command = [sys.executable, "-m", "resonator_daemon.commands", "status", "hand", "--watch", *form]
     watch = await asyncio.create_subprocess_exec(*command, env=environment, stdout=subprocess.PIPE)
     assert watch.stdout is not None
     async with daemons(status_samples.status()):
@@ -178,7 +178,7 @@ async def test_watching_goes_on_when_the_daemon_goes_and_ends_well(form: list[st
 async def test_watching_in_a_terminal_shows_the_page(home: Path) -> None:
     terminal, slave = pty.openpty()
     environment = os.environ | {"XDG_RUNTIME_DIR": str(home.parent), "TERM": "xterm"}
-    command = [sys.executable, "-m", "resonator_daemon", "status", "hand", "--watch"]
+    command = [sys.executable, "-m", "resonator_daemon.commands", "status", "hand", "--watch"]
     try:
         async with daemons(status_samples.status()):
             watch = await asyncio.create_subprocess_exec(*command, env=environment, stdout=slave)

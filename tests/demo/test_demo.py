@@ -12,7 +12,7 @@ import sys
 import aiohttp
 import psutil
 
-COMMAND = (sys.executable, "-m", "resonator_daemon", "demo")
+COMMAND = (sys.executable, "-m", "resonator_daemon.commands", "demo")
 FRAME_LOSSES = {"link_gap", "damaged", "board_overflow", "host_overrun", "queue_overflow"}
 OVERRUNS = {"board_overflow", "host_overrun", "queue_overflow"}
 PLATE_KEYS = set(

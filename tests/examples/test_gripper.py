@@ -85,14 +85,14 @@ async def test_an_object_is_held_with_little_more_than_the_least_grip_also_when_
     async with (
         asyncio.timeout(120),
         observe(mosquitto.url) as heard,
-        started("-m", "resonator_daemon", *emulate, stdout=PIPE) as emulator,
+        started("-m", "resonator_daemon.commands", *emulate, stdout=PIPE) as emulator,
     ):
         assert emulator.stdout is not None
         link = json.loads(await emulator.stdout.readline())["link"]
         config.write_text(f'name = "finger"\nplate = "skin32"\nlink = "{link}"\n[mqtt]\nurl = "{mosquitto.url}"\n')
         address = mosquitto.url.removeprefix("mqtt://").split(":")
         async with (
-            started("-m", "resonator_daemon", "run", "--config", str(config)),
+            started("-m", "resonator_daemon.commands", "run", "--config", str(config)),
             started(str(EXAMPLES / "python" / "gripper.py"), *address, "finger", stdout=PIPE) as controller,
         ):
             await heard.until_last("resonator/finger/contacts", contacts=[])

@@ -93,7 +93,7 @@ def test_replays_are_equal_to_the_byte_in_every_process(tmp_path: Path) -> None:
     here, there = tmp_path / "here.jsonl", tmp_path / "there.jsonl"
     arguments = ["replay", str(CORPUS / "rebooted" / "recording.mcap"), "--to"]
     assert main([*arguments, str(here)]) == 0
-    command = [sys.executable, "-m", "resonator_daemon", *arguments, there]
+    command = [sys.executable, "-m", "resonator_daemon.commands", *arguments, there]
     environment = os.environ | {"PYTHONHASHSEED": "20261121"}
     subprocess.run(command, check=True, env=environment, capture_output=True, timeout=60)
     assert here.read_bytes() == there.read_bytes()

@@ -111,7 +111,7 @@ async def test_beside_a_live_daemon_a_replay_needs_another_name(
 def test_step_by_step_waits_for_enter(tmp_path: Path) -> None:
     output = tmp_path / "steps.jsonl"
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "resonator_daemon", "replay", TOUCHES, "--step", "--to", output]
+    command = [sys.executable, "-m", "resonator_daemon.commands", "replay", TOUCHES, "--step", "--to", output]
     with subprocess.Popen(map(str, command), stdin=theirs, stderr=subprocess.PIPE, text=True) as process:
         os.close(theirs)
         os.write(ours, b"\n\n")

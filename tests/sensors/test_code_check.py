@@ -29,7 +29,7 @@ def check(folder: Path, plate: str, *arguments: str, verb: str = "check") -> sub
     config = folder / "board.toml"
     config.write_text('name = "left"\nplate = "plate.toml"\nlink = "tcp://127.0.0.1:9"\n')
     files = ["--config", str(config)] if verb == "run" else [str(config)]
-    command = [sys.executable, "-m", "resonator_daemon", verb, *files, *arguments]
+    command = [sys.executable, "-m", "resonator_daemon.commands", verb, *files, *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 

@@ -25,7 +25,7 @@ from resonator_daemon.view.watch import json_line
 
 LEFT = "resonator/left"
 NOBODY = "mqtt://127.0.0.1:9"
-COMMAND = (sys.executable, "-m", "resonator_daemon", "watch")
+COMMAND = (sys.executable, "-m", "resonator_daemon.commands", "watch")
 TIMEOUT_S = 30
 
 

@@ -1,4 +1,4 @@
-"""`python -m resonator_daemon`: the command `resonatord`."""
+"""`python -m resonator_daemon.commands`: the command `resonatord`."""
 
 import sys
 
