@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from resonator_daemon.errors import ListenError
+from resonator_daemon.base.errors import ListenError
 
 _BAUD = 4_000_000
 _SPARE = 1.25  # of the bits of frames, for other messages

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from resonator_daemon.errors import UserError
+from resonator_daemon.base.errors import UserError
 
 SYSTEM_PYTHON = "/usr/bin/python3"
 _GADGET = Path(__file__).with_name("usb_gadget.py")

@@ -9,7 +9,7 @@ import pytest
 from plates import site
 from pydantic import ValidationError
 
-from resonator_daemon.errors import ConfigurationError
+from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.plate import Plate, load_plate
 
 FORCE_PLATE = """\

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pydantic.fields import FieldInfo
 
-from resonator_daemon.errors import FAILURES
+from resonator_daemon.base.errors import FAILURES
 from resonator_daemon.publishing import payloads
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.units import unit_of

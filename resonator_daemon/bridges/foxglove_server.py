@@ -11,8 +11,8 @@ from collections.abc import Callable
 from contextlib import aclosing, suppress
 from typing import Any, Final
 
+from resonator_daemon.base.errors import ListenError, MissingLibraryError
 from resonator_daemon.config import Listen, Mqtt
-from resonator_daemon.errors import ListenError, MissingLibraryError
 from resonator_daemon.exporting.foxglove_messages import ChannelMessage, FoxgloveMessages
 from resonator_daemon.exporting.geometry import Geometry
 from resonator_daemon.host.printable import how_to_install

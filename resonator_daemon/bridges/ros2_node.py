@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from resonator_daemon.errors import ExitCode, MissingLibraryError, UserError
+from resonator_daemon.base.errors import ExitCode, MissingLibraryError, UserError
 from resonator_daemon.host.printable import how_to_install
 
 try:

@@ -5,9 +5,9 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
+from resonator_daemon.base.errors import InterruptedCommandError
 from resonator_daemon.calibration.outcome import Outcome
 from resonator_daemon.calibration.plate_file import Record
-from resonator_daemon.errors import InterruptedCommandError
 from resonator_daemon.host.printable import print_note
 from resonator_daemon.host.signals import interruptible
 

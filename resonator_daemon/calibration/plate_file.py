@@ -16,8 +16,8 @@ from typing import Any
 import tomlkit
 from tomlkit.items import Table
 
+from resonator_daemon.base.errors import UsageError, UserError
 from resonator_daemon.calibration.steps import CalibrationRefusedError
-from resonator_daemon.errors import UsageError, UserError
 from resonator_daemon.host.new_file import (
     NoNewFileError,
     check_new,

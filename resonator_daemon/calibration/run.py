@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+from resonator_daemon.base.errors import ConfigurationError, ExitCode, InterruptedCommandError, UsageError
 from resonator_daemon.calibration.console import aborted, confirmed, report, result, summary
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure, Prompt
 from resonator_daemon.calibration.load_readings import CapturedLoads, board_readings
@@ -25,7 +26,6 @@ from resonator_daemon.calibration.plate_file import (
 )
 from resonator_daemon.calibration.steps import CalibrationRefusedError, LoadRequest, Step, plan_steps
 from resonator_daemon.config import Config, load_config
-from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError, UsageError
 from resonator_daemon.host.printable import print_note
 from resonator_daemon.host.signals import interruptible
 from resonator_daemon.plate_tables import FORCE_SIGNAL

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
-from resonator_daemon.errors import ExitCode, UsageError, UserError
+from resonator_daemon.base.errors import ExitCode, UsageError, UserError
 from resonator_daemon.plate import Plate
 
 STANDARD_GRAVITY: Final = 9.80665  # m/s^2, ISO 80000-3

@@ -5,8 +5,8 @@ import sys
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
+from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.errors import ExitCode
 from resonator_daemon.host.printable import printable
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from resonator_daemon.errors import ConfigurationError, UsageError
+from resonator_daemon.base.errors import ConfigurationError, UsageError
 
 T = TypeVar("T")
 

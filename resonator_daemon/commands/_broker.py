@@ -4,8 +4,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from resonator_daemon.base.errors import UsageError
 from resonator_daemon.commands._argument_types import add_config_argument
-from resonator_daemon.errors import UsageError
 
 if TYPE_CHECKING:
     from resonator_daemon.config import Client, Mqtt

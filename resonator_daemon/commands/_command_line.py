@@ -11,8 +11,7 @@ from types import ModuleType
 from typing import Any, Final, NoReturn
 
 from resonator_daemon import commands
-from resonator_daemon.commands._output import print_error, print_failure
-from resonator_daemon.errors import (
+from resonator_daemon.base.errors import (
     ConfigurationError,
     ExitCode,
     InterruptedCommandError,
@@ -20,6 +19,7 @@ from resonator_daemon.errors import (
     UsageError,
     UserError,
 )
+from resonator_daemon.commands._output import print_error, print_failure
 from resonator_daemon.host.documentation import with_pages
 from resonator_daemon.host.journal import set_up_logging
 from resonator_daemon.host.printable import coloured

@@ -8,9 +8,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.commands._command_line import make_parser, parsers
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.errors import ExitCode
 from resonator_daemon.host.documentation import with_pages
 from resonator_daemon.host.printable import print_note
 from resonator_daemon.plate import shipped_plates

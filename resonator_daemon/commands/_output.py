@@ -5,7 +5,7 @@ import json
 import sys
 from typing import Any
 
-from resonator_daemon.errors import UserError
+from resonator_daemon.base.errors import UserError
 from resonator_daemon.host.journal import error_prefix
 from resonator_daemon.host.printable import coloured, printable
 

@@ -8,8 +8,8 @@ import math
 from pathlib import Path
 from typing import Final
 
+from resonator_daemon.base.errors import ExitCode, UsageError
 from resonator_daemon.commands._argument_types import options_of, positive, whole_number
-from resonator_daemon.errors import ExitCode, UsageError
 
 _OF_BOTH: Final = {"words", "config", "json", "command", "run"}
 _OF_SKIN: Final = {"seconds"}

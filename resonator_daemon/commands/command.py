@@ -12,9 +12,9 @@ import logging
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from resonator_daemon.base.errors import ExitCode, UsageError
 from resonator_daemon.commands._answers import print_answer, send_command
 from resonator_daemon.commands._broker import add_broker, add_daemon, client_of
-from resonator_daemon.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from pydantic import BaseModel

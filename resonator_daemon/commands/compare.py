@@ -10,9 +10,9 @@ import argparse
 import logging
 from pathlib import Path
 
+from resonator_daemon.base.errors import DifferenceError, ExitCode, NoRecordingError
 from resonator_daemon.commands._argument_types import picture
 from resonator_daemon.commands._output import print_json, print_page
-from resonator_daemon.errors import DifferenceError, ExitCode, NoRecordingError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from resonator_daemon.base.errors import ConfigurationError, DifferenceError, ExitCode, UsageError
 from resonator_daemon.commands._argument_types import number, whole_number
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.errors import ConfigurationError, DifferenceError, ExitCode, UsageError
 from resonator_daemon.host.printable import print_note
 
 _NO_MAPS: Final = "; force plates have no maps: name forces or contacts"

@@ -11,8 +11,8 @@ import argparse
 import logging
 import sys
 
+from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.commands._argument_types import check_plate_name, positive
-from resonator_daemon.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

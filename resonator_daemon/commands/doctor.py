@@ -8,8 +8,8 @@ import logging
 from pathlib import Path
 from typing import Final
 
+from resonator_daemon.base.errors import ExitCode, UsageError, UserError
 from resonator_daemon.commands._argument_types import link_or_config, positive, separate_config
-from resonator_daemon.errors import ExitCode, UsageError, UserError
 
 _SECONDS: Final = 10.0
 

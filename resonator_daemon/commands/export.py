@@ -6,8 +6,8 @@ Example: resonatord export run.mcap --output run.parquet
 import argparse
 from pathlib import Path
 
+from resonator_daemon.base.errors import DifferenceError, ExitCode, NoRecordingError
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.errors import DifferenceError, ExitCode, NoRecordingError
 from resonator_daemon.exporting.formats import FORMATS, ROS2
 from resonator_daemon.host.printable import print_note
 

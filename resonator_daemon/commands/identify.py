@@ -9,9 +9,9 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from resonator_daemon.base.errors import ExitCode, IncompatibleBoardError, UsageError, UserError
 from resonator_daemon.commands._argument_types import link_or_config, separate_config
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.errors import ExitCode, IncompatibleBoardError, UsageError, UserError
 
 if TYPE_CHECKING:
     from resonator_daemon.links.target import LinkTarget

@@ -6,8 +6,8 @@ Example: sudo /opt/resonatord/bin/resonatord install
 import argparse
 from pathlib import Path
 
+from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.commands._installation import made_files, report
-from resonator_daemon.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

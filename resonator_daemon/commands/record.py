@@ -6,9 +6,9 @@ Example: resonatord record left-index.toml --output run.mcap --seconds 60
 import argparse
 from pathlib import Path
 
+from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.commands._argument_types import add_config, options_of, positive
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -12,8 +12,8 @@ import signal
 import sys
 from typing import TYPE_CHECKING, Any, Final
 
+from resonator_daemon.base.errors import ConfigurationError, ExitCode, UserError
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.errors import ConfigurationError, ExitCode, UserError
 from resonator_daemon.host.printable import printable
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ Example: resonatord remove left-index --url mqtt://127.0.0.1:1883
 import argparse
 import sys
 
+from resonator_daemon.base.errors import ExitCode, UsageError
 from resonator_daemon.commands._broker import add_broker, add_daemon, client_of
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.errors import ExitCode, UsageError
 from resonator_daemon.host.printable import printable
 
 

@@ -9,8 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.errors import ExitCode
 from resonator_daemon.host.printable import print_note
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import argparse
 import json
 import sys
 
-from resonator_daemon.errors import ExitCode
+from resonator_daemon.base.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -9,8 +9,8 @@ import sys
 from contextlib import nullcontext, suppress
 from typing import TYPE_CHECKING, Final
 
+from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.commands._output import print_failure, print_json
-from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.printable import printable
 
 if TYPE_CHECKING:

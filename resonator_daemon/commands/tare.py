@@ -11,10 +11,10 @@ import logging
 from collections.abc import Mapping
 from pathlib import Path
 
+from resonator_daemon.base.errors import ConfigurationError, ExitCode
 from resonator_daemon.commands._answers import print_answer, send_command
 from resonator_daemon.commands._argument_types import number
 from resonator_daemon.commands._broker import add_broker, add_daemon, client_of
-from resonator_daemon.errors import ConfigurationError, ExitCode
 from resonator_daemon.host.printable import print_note
 
 

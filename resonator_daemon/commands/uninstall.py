@@ -8,8 +8,8 @@ Example: resonatord uninstall --dry-run
 import argparse
 from pathlib import Path
 
+from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.commands._installation import made_files, report
-from resonator_daemon.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

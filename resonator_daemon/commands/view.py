@@ -12,10 +12,10 @@ import os
 import sys
 from pathlib import Path
 
+from resonator_daemon.base.errors import ExitCode, MissingLibraryError, NoRecordingError, UsageError
 from resonator_daemon.commands._argument_types import host_and_port
 from resonator_daemon.commands._broker import add_broker, broker_of
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.errors import ExitCode, MissingLibraryError, NoRecordingError, UsageError
 from resonator_daemon.host.printable import how_to_install
 
 

@@ -21,9 +21,9 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails
 
+from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.config.mqtt import Mqtt
 from resonator_daemon.config.tables import Commands, Decoding, Measurement, Metrics, Recording, plate_name
-from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.links.table import link_forms, parse_link
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate, load_plate

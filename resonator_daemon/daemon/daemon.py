@@ -13,6 +13,7 @@ from collections.abc import Collection, Coroutine, Mapping
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
+from resonator_daemon.base.errors import ConfigurationError, IncompatibleBoardError, UserError
 from resonator_daemon.config import Config, plate_name
 from resonator_daemon.daemon.arrival_loop import ArrivalLoop
 from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts
@@ -21,7 +22,6 @@ from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.daemon.plate_publisher import PlatePublisher
 from resonator_daemon.daemon.recorded_messages import RecordedMessages
 from resonator_daemon.daemon.recording_commands import RecordingCommands, as_json_text, recording_info
-from resonator_daemon.errors import ConfigurationError, IncompatibleBoardError, UserError
 from resonator_daemon.host.journal import tag_log
 from resonator_daemon.host.places import runtime_directory
 from resonator_daemon.host.signals import on_signals

@@ -11,15 +11,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from resonator_daemon.config import Config, load_config
-from resonator_daemon.daemon.recording_commands import origin
-from resonator_daemon.errors import (
+from resonator_daemon.base.errors import (
     ConfigurationError,
     ExitCode,
     IncompatibleBoardError,
     InterruptedCommandError,
     UserError,
 )
+from resonator_daemon.config import Config, load_config
+from resonator_daemon.daemon.recording_commands import origin
 from resonator_daemon.reasons import ReasonCode
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.recorder import Recorder

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any, Final, TextIO
 
+from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.doctor.finding import FINE, Area, Finding, Outcome, Stage
-from resonator_daemon.errors import ExitCode
 from resonator_daemon.host.printable import Colour, coloured, printable
 
 WIDTH: Final = 80

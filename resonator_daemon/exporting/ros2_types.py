@@ -3,7 +3,7 @@
 import re
 from typing import Any, Final
 
-from resonator_daemon.errors import MissingLibraryError
+from resonator_daemon.base.errors import MissingLibraryError
 from resonator_daemon.host.printable import how_to_install
 
 try:

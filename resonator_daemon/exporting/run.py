@@ -8,8 +8,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from resonator_daemon.base.errors import ExitCode, UsageError, UserError
 from resonator_daemon.config import Config
-from resonator_daemon.errors import ExitCode, UsageError, UserError
 from resonator_daemon.exporting.formats import FORMATS, ROS2, format_class
 from resonator_daemon.exporting.output import Output, Recorded
 from resonator_daemon.host.new_file import check_new, takes_a_stream

@@ -14,7 +14,7 @@ from enum import StrEnum
 from importlib import resources
 from pathlib import Path, PurePosixPath
 
-from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.host.documentation import page, with_pages
 from resonator_daemon.host.new_file import replace_file
 from resonator_daemon.host.system_limits import meaning_of, reason_of

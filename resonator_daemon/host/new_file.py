@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
-from resonator_daemon.errors import UserError
+from resonator_daemon.base.errors import UserError
 from resonator_daemon.host.system_limits import meaning_of
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Final
 
-from resonator_daemon.errors import InterruptedCommandError
+from resonator_daemon.base.errors import InterruptedCommandError
 
 _Handler = Callable[[int, FrameType | None], object] | int | None
 

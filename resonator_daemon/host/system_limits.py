@@ -6,7 +6,7 @@ import re
 import resource
 from typing import Final
 
-from resonator_daemon.errors import UserError
+from resonator_daemon.base.errors import UserError
 
 OPEN_FILES_MIN: Final = 64
 _TOO_MANY: Final = (errno.EMFILE, errno.ENFILE)

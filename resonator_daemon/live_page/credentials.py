@@ -3,6 +3,7 @@
 import ssl
 from pathlib import Path
 
+from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.config.broker_files import (
     BrokerFile,
     UnusableFileError,
@@ -10,7 +11,6 @@ from resonator_daemon.config.broker_files import (
     read_key,
     read_password,
 )
-from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.live_page.access import TOKEN_CHARACTERS_MIN
 from resonator_daemon.publishing.tls import LEAST_VERSION
 

@@ -15,8 +15,8 @@ from typing import Any, Final
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
+from resonator_daemon.base.errors import ListenError, UsageError
 from resonator_daemon.config.mqtt import is_this_computer
-from resonator_daemon.errors import ListenError, UsageError
 from resonator_daemon.host.signals import on_signals
 from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.host.systemd import ServiceManager

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.host.places import make_private
 from resonator_daemon.host.system_limits import reason_of
 from resonator_daemon.monitoring.status import Status

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.errors import ConfigurationError, UsageError
+from resonator_daemon.base.errors import ConfigurationError, UsageError
 from resonator_daemon.forces.force_sites import DEFAULT_COEFFICIENT_STD
 from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.plate import Plate

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.errors import ConfigurationError, UsageError
+from resonator_daemon.base.errors import ConfigurationError, UsageError
 from resonator_daemon.forces.code_plan import Limits, stamp_noise
 from resonator_daemon.forces.force_sites import DEFAULT_COEFFICIENT_STD
 from resonator_daemon.forces.site_identification import MODEL_ERROR

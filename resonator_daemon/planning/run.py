@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.errors import ExitCode, UsageError, UserError
+from resonator_daemon.base.errors import ExitCode, UsageError, UserError
 from resonator_daemon.forces import code_placement, code_trials
 from resonator_daemon.forces.code_plan import GuardBand, force_noise, guard_band, ladder_hz, stamp_noise
 from resonator_daemon.forces.code_trials import Codes, Outcomes, Scatter

@@ -4,8 +4,8 @@ import asyncio
 from contextlib import aclosing
 from typing import Final
 
+from resonator_daemon.base.errors import ConfigurationError, ExitCode, UserError
 from resonator_daemon.config import Client, Mqtt
-from resonator_daemon.errors import ConfigurationError, ExitCode, UserError
 from resonator_daemon.links.table import parse_link
 from resonator_daemon.publishing.payloads import Condition, Info, State
 from resonator_daemon.publishing.subscriber import subscribe

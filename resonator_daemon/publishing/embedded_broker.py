@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Final
 
-from resonator_daemon.errors import MissingLibraryError
+from resonator_daemon.base.errors import MissingLibraryError
 from resonator_daemon.host.printable import how_to_install
 from resonator_daemon.publishing.embedded_delivery import Connection, StreamDelivery
 

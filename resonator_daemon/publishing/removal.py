@@ -7,9 +7,9 @@ from typing import Final
 from paho.mqtt.client import topic_matches_sub
 from paho.mqtt.enums import MQTTProtocolVersion
 
+from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.conditions import Condition
 from resonator_daemon.config import Mqtt
-from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.publishing.broker_connection import BrokerConnection
 from resonator_daemon.publishing.home_assistant import discovery_topic
 from resonator_daemon.publishing.mqtt_messages import Incoming

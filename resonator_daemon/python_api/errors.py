@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.links.link import LinkUnavailableError
 
 # Options of the command line that messages name, as arguments of the package's functions.

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from resonator_daemon.base.errors import UsageError
 from resonator_daemon.config import Config, load_config
-from resonator_daemon.errors import UsageError
 from resonator_daemon.exporting.memory import MemoryOutput
 from resonator_daemon.exporting.output import Recorded
 from resonator_daemon.exporting.run import differences_in_words, file_metadata

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.errors import ExitCode, MissingLibraryError, UserError
+from resonator_daemon.base.errors import ExitCode, MissingLibraryError, UserError
 from resonator_daemon.exporting.columns import Column
 from resonator_daemon.host.printable import how_to_install
 from resonator_daemon.plate import Plate

@@ -12,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.errors import UserError
+from resonator_daemon.base.errors import UserError
 from resonator_daemon.host.new_file import make_directory
 from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.link import LinkUnavailableError

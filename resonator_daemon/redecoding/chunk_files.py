@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.exporting.formats import parquet
 from resonator_daemon.exporting.output import Recorded
 from resonator_daemon.host.new_file import replace_file

@@ -12,7 +12,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
 
-from resonator_daemon.errors import NoRecordingError, UsageError
+from resonator_daemon.base.errors import NoRecordingError, UsageError
 from resonator_daemon.exporting.tables import WITH_TABLE
 from resonator_daemon.host.new_file import replace_file
 from resonator_daemon.publishing.topics import SIGNALS, STATE_LINK, STATE_SENSOR

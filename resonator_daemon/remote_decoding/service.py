@@ -12,10 +12,10 @@ import time
 from pathlib import Path
 from urllib.parse import quote
 
+from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.config import DECODER
 from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.decoding.skin import DecodingOptions
-from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.places import state_directory
 from resonator_daemon.host.signals import on_signals
 from resonator_daemon.host.systemd import ServiceManager

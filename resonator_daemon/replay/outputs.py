@@ -11,8 +11,8 @@ from typing import Any, Final, Literal, Self, TextIO
 
 import numpy as np
 
+from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.config import Mqtt
-from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.new_file import NoNewFileError, check_new, takes_a_stream
 from resonator_daemon.host.printable import printable
 from resonator_daemon.host.system_limits import meaning_of

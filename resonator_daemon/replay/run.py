@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from resonator_daemon.base.errors import ConfigurationError, InterruptedCommandError, UsageError
 from resonator_daemon.config import Config, Mqtt, plate_name
-from resonator_daemon.errors import ConfigurationError, InterruptedCommandError, UsageError
 from resonator_daemon.host.printable import printable
 from resonator_daemon.host.signals import on_signals
 from resonator_daemon.publishing.payloads import Info

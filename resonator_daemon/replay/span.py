@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
-from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.host.printable import printable
 from resonator_daemon.recording.reader import Mark, open_recording
 from resonator_daemon.session.host_time import HostTime

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
-from resonator_daemon.errors import MissingLibraryError
+from resonator_daemon.base.errors import MissingLibraryError
 from resonator_daemon.host.printable import how_to_install
 from resonator_daemon.plate import Plate
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 from emulated_loads import NOMINAL
 
+from resonator_daemon.base.errors import UsageError
 from resonator_daemon.calibration.steps import LoadRequest, plan_steps
-from resonator_daemon.errors import UsageError
 
 USUAL = LoadRequest(sites=(7, 1))
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from emulated_loads import SHIPPED
 
+from resonator_daemon.base.errors import ConfigurationError, UsageError
 from resonator_daemon.calibration.plate_file import (
     PlateFile,
     Record,
@@ -16,7 +17,6 @@ from resonator_daemon.calibration.plate_file import (
     with_record,
     write_plate_file,
 )
-from resonator_daemon.errors import ConfigurationError, UsageError
 from resonator_daemon.host.new_file import NoNewFileError
 from resonator_daemon.plate import load_plate
 

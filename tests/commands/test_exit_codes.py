@@ -14,8 +14,8 @@ import pytest
 from command_line import exit_code
 
 import resonator_daemon
+from resonator_daemon.base.errors import FAILURES, MissingLibraryError, UserError
 from resonator_daemon.commands._command_line import command_names
-from resonator_daemon.errors import FAILURES, MissingLibraryError, UserError
 
 RECORDING = Path(__file__).parents[1] / "corpus" / "touches" / "recording.mcap"
 PROGRAM = (sys.executable, "-m", "resonator_daemon.commands")

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plates import plate_head, site
 
+from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.config import example_config, load_config
-from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.links.carriers.recording import RecordingTarget
 from resonator_daemon.links.carriers.serial import SerialTarget
 from resonator_daemon.links.carriers.tcp import TcpTarget

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.config import example_config
 from resonator_daemon.config.decoder import DecoderConfig, load_decoder_config
-from resonator_daemon.errors import ConfigurationError
 
 
 def loaded(tmp_path: Path, text: str) -> DecoderConfig:

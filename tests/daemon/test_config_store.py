@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.config.text import plate_text
 from resonator_daemon.daemon.config_store import ConfigStore
-from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.plate import load_plate
 
 GOOD = (

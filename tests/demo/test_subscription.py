@@ -6,9 +6,9 @@ from queue import Queue
 import aiomqtt
 import pytest
 
+from resonator_daemon.base.errors import UserError
 from resonator_daemon.config import Mqtt
 from resonator_daemon.demo.subscription import Subscription
-from resonator_daemon.errors import UserError
 from resonator_daemon.publishing.receiver import Arrival
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon.errors import UserError
+from resonator_daemon.base.errors import UserError
 from resonator_daemon.host.new_file import NewFile
 
 

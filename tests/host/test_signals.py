@@ -8,7 +8,7 @@ from threading import Event
 import pytest
 from observer import until
 
-from resonator_daemon.errors import InterruptedCommandError
+from resonator_daemon.base.errors import InterruptedCommandError
 from resonator_daemon.host.new_file import NewFile
 from resonator_daemon.host.signals import interruptible, on_signals
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from resonator_daemon.errors import ConfigurationError
+from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.planning.plate_file import grid_layout, read_layout
 
 

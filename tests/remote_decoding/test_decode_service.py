@@ -18,7 +18,7 @@ from brokers import Amqtt, Mosquitto
 from decoder_bench import Daemon, assert_exact, config_file, daemon, info, process, running, signals, until
 from observer import Observer, observe
 
-from resonator_daemon.errors import ExitCode
+from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.publishing.topics import DECODER_STATE
 from resonator_daemon.remote_decoding import followed_plate, shared_plates
 from resonator_daemon.remote_decoding import service as decode_service

@@ -7,10 +7,10 @@ from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+from resonator_daemon.base.errors import UserError
 from resonator_daemon.config import Config, Measurement
 from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts
 from resonator_daemon.daemon.recording_commands import RecordingCommands
-from resonator_daemon.errors import UserError
 from resonator_daemon.pipeline.control_requests import Control, Tare
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.event_history import HistoryPage, UnknownRunError

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.config import Config, load_config
-from resonator_daemon.errors import ConfigurationError
 
 
 def loaded(folder: Path, text: str) -> Config:

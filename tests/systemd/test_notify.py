@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from emulation import emulated
 
-from resonator_daemon.errors import ExitCode
+from resonator_daemon.base.errors import ExitCode
 from simulators.emulator import EmulatorOptions
 
 START = "import sys; from resonator_daemon.commands import main; sys.exit(main())"

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.decoding.setup_cache import cached
-from resonator_daemon.errors import ExitCode
 
 DIRECTORY = Path(__file__).parents[2] / "systemd"
 UNITS = {path.name: path.read_text() for path in DIRECTORY.glob("*.service")}

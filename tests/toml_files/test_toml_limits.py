@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon.errors import ConfigurationError
+from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.toml_files import limits as toml_limits
 from resonator_daemon.toml_files.limits import (
     LONGEST_WORD,

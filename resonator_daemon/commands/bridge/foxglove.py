@@ -12,10 +12,10 @@ Example: resonatord bridge foxglove --url mqtt://127.0.0.1:1883 --plate left-ind
 import argparse
 import sys
 
+from resonator_daemon.base.errors import ExitCode, UsageError
 from resonator_daemon.commands._argument_types import host_and_port
 from resonator_daemon.commands._broker import add_broker, broker_of
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.errors import ExitCode, UsageError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

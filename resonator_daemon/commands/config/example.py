@@ -6,8 +6,8 @@ Example: resonatord config example > left-index.toml
 import argparse
 import sys
 
+from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -7,8 +7,8 @@ import argparse
 import shutil
 import sys
 
+from resonator_daemon.base.errors import ExitCode, UsageError
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.errors import ExitCode, UsageError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

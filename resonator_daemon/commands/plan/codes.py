@@ -14,9 +14,9 @@ import math
 from pathlib import Path
 from typing import Any
 
+from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.commands._argument_types import number, picture, whole_number
 from resonator_daemon.commands._output import print_json, print_page
-from resonator_daemon.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -12,9 +12,9 @@ Example: resonatord plan sensors --set p_n,xz,yz --depth-mm 1 --pitch-mm 0.4 --s
 import argparse
 import logging
 
+from resonator_daemon.base.errors import ExitCode, UsageError
 from resonator_daemon.commands._argument_types import picture
 from resonator_daemon.commands._output import print_json, print_page
-from resonator_daemon.errors import ExitCode, UsageError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -13,8 +13,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from resonator_daemon.base.errors import UserError
     from resonator_daemon.config import Mqtt
-    from resonator_daemon.errors import UserError
     from resonator_daemon.publishing.daemon_search import NoDaemonError
     from resonator_daemon.publishing.payloads import (
         ContactEvent,
@@ -66,7 +66,7 @@ __all__ = [
 
 _MODULES: Final = {
     "resonator_daemon.config": ("Mqtt",),
-    "resonator_daemon.errors": ("UserError",),
+    "resonator_daemon.base.errors": ("UserError",),
     "resonator_daemon.publishing.daemon_search": ("NoDaemonError",),
     "resonator_daemon.publishing.payloads": (
         *("ContactEvent", "Contacts", "Decoded", "DecodedSummary", "Forces", "Health", "Info", "Signals", "State"),
