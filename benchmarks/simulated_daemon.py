@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from resonator_daemon.conditions import Condition
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.config import Config
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from resonator_daemon.conditions import Word
+from resonator_daemon.base.conditions import Word
 
 
 class ReasonCode(Word):

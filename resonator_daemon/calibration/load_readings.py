@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.arrays import Floats
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.errors import ConfigurationError, IncompatibleBoardError
 from resonator_daemon.calibration.steps import CalibrationRefusedError, LinkBusyError
-from resonator_daemon.conditions import Condition
 from resonator_daemon.config import Config
 from resonator_daemon.pipeline.tone_capture import ToneCapture
 from resonator_daemon.plate import Plate

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from resonator_daemon.conditions import Condition
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.reasons import Reason, ReasonCode
 
 SUM_S: Final = 20.0

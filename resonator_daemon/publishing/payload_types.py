@@ -20,7 +20,7 @@ from pydantic import (
 )
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.conditions import Word
+from resonator_daemon.base.conditions import Word
 
 _DECIMAL: Final = {"type": "string", "pattern": "^[0-9]{1,20}$"}
 _UNKNOWN_IS_NULL: Final = {"type": ["number", "null"]}

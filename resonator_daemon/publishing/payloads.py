@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from resonator_daemon.conditions import Condition
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.publishing.measured_payloads import (
     Compensation,
     Contact,

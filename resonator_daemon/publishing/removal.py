@@ -7,8 +7,8 @@ from typing import Final
 from paho.mqtt.client import topic_matches_sub
 from paho.mqtt.enums import MQTTProtocolVersion
 
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.errors import ExitCode, UserError
-from resonator_daemon.conditions import Condition
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.broker_connection import BrokerConnection
 from resonator_daemon.publishing.home_assistant import discovery_topic

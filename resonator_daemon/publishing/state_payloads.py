@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from resonator_daemon.conditions import Condition
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.publishing.measured_payloads import Compensation, Grid
 from resonator_daemon.publishing.payload_types import BoardHeader, Float, Int64, Message, PerChannel, optional
 from resonator_daemon.publishing.words import CounterType, ResponseCompensation

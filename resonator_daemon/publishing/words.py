@@ -1,6 +1,6 @@
 """Closed sets of words in the payloads of measurements, apart from states and statuses."""
 
-from resonator_daemon.conditions import Word
+from resonator_daemon.base.conditions import Word
 
 
 class Baseline(Word):

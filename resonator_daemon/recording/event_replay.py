@@ -5,7 +5,7 @@ import os
 import time
 from collections.abc import Callable
 
-from resonator_daemon.conditions import Condition
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
-from resonator_daemon.conditions import Condition
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.host.load import HostLoad, LoadMeter
 from resonator_daemon.links.hot_plug import PortWatch
 from resonator_daemon.links.link import Link, LinkLostError, LinkUnavailableError

@@ -17,7 +17,7 @@ from firmware_protocol.layouts import PROTOCOL_MAJOR
 from firmware_protocol.messages import BoardLog, BoardStatus, Configuration, Refusal, RefusalCode
 from firmware_protocol.packets import Damage, ForeignVersion
 from firmware_protocol.states import HostState
-from resonator_daemon.conditions import Condition
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.host.load import NO_LOAD, HostLoad, LoadSample
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.plate import Plate

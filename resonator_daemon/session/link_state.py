@@ -4,7 +4,7 @@ import logging
 from collections.abc import Callable
 from typing import NamedTuple
 
-from resonator_daemon.conditions import Condition
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.host.state_log import StateLog
 from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.session.clock import Instant

@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable
 
 from firmware_protocol.host import Described
-from resonator_daemon.conditions import Condition
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.plate import Plate
 from resonator_daemon.session import link_events as wire
 from resonator_daemon.session.compatibility import gate_ticks

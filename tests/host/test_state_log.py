@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from resonator_daemon.conditions import Condition
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.host.state_log import SINGLE_MAX, STEADY_S, SUM_S, StateLog
 from resonator_daemon.reasons import Reason, ReasonCode
 

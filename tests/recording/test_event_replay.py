@@ -9,7 +9,7 @@ from listener import Listener, frames
 from recording_bench import PLATE, at, record, replayed, same
 
 from firmware_protocol.host import HostSession
-from resonator_daemon.conditions import Condition
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.links.carriers.recording import RecordingTarget
 from resonator_daemon.links.carriers.serial import SerialTarget
 from resonator_daemon.reasons import Reason, ReasonCode

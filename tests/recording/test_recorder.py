@@ -13,7 +13,7 @@ from mcap.writer import Writer
 from plates import with_counter
 from recording_bench import ONE_BATCH, PLATE, at, read, record
 
-from resonator_daemon.conditions import Condition
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.plate import load_plate
 from resonator_daemon.reasons import Reason, ReasonCode

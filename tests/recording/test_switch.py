@@ -15,8 +15,8 @@ from mcap.reader import make_reader
 from recording_bench import PLATE, at, marks, read, replayed, same, snapshot
 
 from firmware_protocol.messages import Configuration
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.errors import UserError
-from resonator_daemon.conditions import Condition
 from resonator_daemon.links.carriers.serial import SerialTarget
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate

@@ -3,7 +3,7 @@ import struct
 
 import pytest
 
-from resonator_daemon.conditions import Condition
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.host.load import LoadSample
 from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.session.host_time import HostTime

@@ -2,7 +2,7 @@
 
 import pytest
 
-from resonator_daemon.conditions import Condition
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.frames import Arrival, Outage

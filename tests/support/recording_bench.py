@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from mcap.reader import make_reader
 
-from resonator_daemon.conditions import Condition
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.recording.event_replay import replay

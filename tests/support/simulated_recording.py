@@ -4,7 +4,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from resonator_daemon.conditions import Condition
+from resonator_daemon.base.conditions import Condition
 from resonator_daemon.config import Decoding, Measurement
 from resonator_daemon.config.text import config_of, plate_text, settings_text
 from resonator_daemon.daemon.recorded_messages import RecordedMessages
