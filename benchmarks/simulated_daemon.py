@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from resonator_daemon.base.conditions import Condition
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.config import Config
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
@@ -22,7 +23,6 @@ from resonator_daemon.publishing.outbox import Outbox, Packet
 from resonator_daemon.publishing.packed_properties import properties_of
 from resonator_daemon.publishing.payloads import ContactEvent, Message
 from resonator_daemon.publishing.topics import CONTACT_EVENT, STATE_LINK, STATE_SENSOR, Topic
-from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.session import link_events as wire
 from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.frames import in_blocks

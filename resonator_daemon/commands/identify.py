@@ -14,8 +14,8 @@ from resonator_daemon.commands._argument_types import link_or_config, separate_c
 from resonator_daemon.commands._output import print_json
 
 if TYPE_CHECKING:
+    from resonator_daemon.base.reasons import ReasonCode
     from resonator_daemon.links.target import LinkTarget
-    from resonator_daemon.reasons import ReasonCode
     from resonator_daemon.session.probe import ProbeResult
 
 

@@ -14,6 +14,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from resonator_daemon.base.errors import ConfigurationError, IncompatibleBoardError, UserError
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.config import Config, plate_name
 from resonator_daemon.daemon.arrival_loop import ArrivalLoop
 from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts
@@ -40,7 +41,6 @@ from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import Condition, Health, Message, MessageAccount, State
 from resonator_daemon.publishing.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
-from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.recording.event_replay import replay_of
 from resonator_daemon.recording.switch import RecordingSwitch
 from resonator_daemon.sensors.base import Sensor

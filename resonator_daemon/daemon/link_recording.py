@@ -18,9 +18,9 @@ from resonator_daemon.base.errors import (
     InterruptedCommandError,
     UserError,
 )
+from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.daemon.recording_commands import origin
-from resonator_daemon.reasons import ReasonCode
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.recorder import Recorder
 from resonator_daemon.session.blocking_reader import BlockingReader

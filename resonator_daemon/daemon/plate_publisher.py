@@ -5,6 +5,7 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 from urllib.parse import quote
 
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.config import Config
 from resonator_daemon.host.places import state_directory
 from resonator_daemon.monitoring.daemon_state import DaemonState
@@ -26,7 +27,6 @@ from resonator_daemon.publishing.topics import (
     Topic,
     full_topic,
 )
-from resonator_daemon.reasons import Reason, ReasonCode
 
 MakeOffline = Callable[[Reason], State]
 

@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 from typing import Final
 
+from resonator_daemon.base.reasons import Reason
 from resonator_daemon.publishing.codec import decode
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import ContactEvent, Contacts, EventContact, Status
-from resonator_daemon.reasons import Reason
 
 _NS: Final = 1_000_000_000
 

@@ -15,6 +15,7 @@ from typing import Final, Generic, Literal, TypeVar
 
 import psutil
 
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoder_process.connection import WorkerConnection
 from resonator_daemon.decoder_process.followed_contacts import FollowedContacts, no_contacts
 from resonator_daemon.decoder_process.messages import EndContacts, Reply, Results, SetUpStep, Undecodable, Work
@@ -24,7 +25,6 @@ from resonator_daemon.publishing.backoff import Backoff
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import ContactEvent, DecoderProcessInfo
 from resonator_daemon.publishing.topics import CONTACTS, DECODED, TOPICS
-from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.sensors.surface_decoding import SurfaceClient
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from resonator_daemon.arrays import Bools, Floats
-from resonator_daemon.reasons import Reason
+from resonator_daemon.base.reasons import Reason
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
 from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
@@ -15,7 +16,6 @@ from resonator_daemon.decoding.parameters import SIGNAL_LIMIT
 from resonator_daemon.decoding.patch_tracks import PatchTracker
 from resonator_daemon.decoding.patches import Patch
 from resonator_daemon.decoding.skin import Skin
-from resonator_daemon.reasons import Reason, ReasonCode
 
 _ONSET_FRAMES = 2  # in a row: a patch of one frame may be noise
 _SIGNIFICANCE = 6.0  # standard deviations of the normal force at onset

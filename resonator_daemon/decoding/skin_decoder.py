@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from resonator_daemon.arrays import Bools, Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder, shows_load
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.fitting.parametric_decoder import ParametricDecoder, sparse_reason
@@ -15,7 +16,6 @@ from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.patches import Patch, PatchFinder
 from resonator_daemon.decoding.skin import DecodingOptions, Skin, refuse_undecodable
 from resonator_daemon.decoding.skin_contacts import SkinContact, SkinContacts, SkinEvent
-from resonator_daemon.reasons import Reason, ReasonCode
 
 _NOISE_CHANGE = 1.5  # of a channel: a smaller one hardly changes what is decoded
 _NOISY = 3.0  # times a signal's usual noise: it counts as lost

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.setup_cache import cached
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_contacts import SkinEvent
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
-from resonator_daemon.reasons import Reason, ReasonCode
 
 log = logging.getLogger(__name__)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from resonator_daemon.base.errors import UserError
+from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.config import Mqtt, load_config
 from resonator_daemon.doctor import link_checks, sensor_checks
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, excused, graded, not_checked
@@ -22,7 +23,6 @@ from resonator_daemon.monitoring.status_client import Answer, ask_all
 from resonator_daemon.publishing.payloads import Condition, Info
 from resonator_daemon.publishing.subscriber import subscribe
 from resonator_daemon.publishing.topics import TOPICS
-from resonator_daemon.reasons import ReasonCode
 
 RUNS: Final = Check("daemon.runs", Area.SOFTWARE, "running daemon")
 CONFIG: Final = Check("daemon.config", Area.SOFTWARE, "configuration in use")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from resonator_daemon.base.errors import ConfigurationError, ExitCode, InterruptedCommandError, UserError
+from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.config import Config, Mqtt, load_config
 from resonator_daemon.doctor import link_checks, sensor_checks
 from resonator_daemon.doctor.broker_checks import check_broker
@@ -27,7 +28,6 @@ from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.links.port_holders import Holders, port_holders
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate, load_plate, shipped_plates
-from resonator_daemon.reasons import ReasonCode
 from resonator_daemon.session.probe import NoBoardError, ProbeResult, probe
 
 _BITS_PER_BYTE: Final = 8

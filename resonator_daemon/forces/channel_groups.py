@@ -6,8 +6,8 @@ from functools import cache
 from itertools import chain, combinations
 from typing import Final, Literal, NamedTuple
 
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.forces.code_fit import RUNNER_UP_GAP, CodeFit, Codes, Reading, fit_code, gates
-from resonator_daemon.reasons import Reason, ReasonCode
 
 LEAVE_ONE_OUT_CHANNELS: Final = 4  # with fewer, what is left is too little to convict a channel
 SITES_ALIKE: Final = Reason(ReasonCode.SITES_ALIKE, "two sites explain the channels alike")

@@ -7,8 +7,8 @@ from operator import itemgetter
 from typing import Final, Literal
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.forces.site_identification import SiteForce
-from resonator_daemon.reasons import Reason, ReasonCode
 
 ONSET_NEWTON: Final = 0.020
 RELEASE_NEWTON: Final = 0.010

@@ -5,8 +5,8 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.forces.baseline import COMMON_MODE_WALK
-from resonator_daemon.reasons import Reason, ReasonCode
 
 SPAN_S: Final = 10.0
 WALKS: Final = 5.0  # standard deviations of the random walk over the span: never in months of a quiet room

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.forces.contacts import Contact, ContactEvent
 from resonator_daemon.forces.site_identification import SiteForce
-from resonator_daemon.reasons import Reason, ReasonCode
 
 SensorStatus = Literal[
     "ok",

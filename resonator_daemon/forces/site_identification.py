@@ -9,6 +9,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode, joined
 from resonator_daemon.forces.channel_groups import (
     SITES_ALIKE,
     Explanation,
@@ -27,7 +28,6 @@ from resonator_daemon.forces.code_fit import (
     gates,
     uncertainty_newton,
 )
-from resonator_daemon.reasons import Reason, ReasonCode, joined
 
 MODEL_ERROR: Final = 0.015  # relative error of K, independent from channel to channel
 FORCE_MIN_FRACTION: Final = -0.02  # of the largest force: room for noise and for a held common mode

@@ -13,7 +13,7 @@ from scipy.spatial import Delaunay, QhullError
 from scipy.special import chdtri
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Reason, ReasonCode
 
 TOUCHES_MAX: Final = 4
 EXCEEDED_BY_CHANCE: Final = 1e-3

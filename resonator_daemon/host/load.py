@@ -5,7 +5,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from resonator_daemon.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Reason, ReasonCode
 
 BUSY_PERCENT: Final = 65.0  # eight busy programs on two processors: 70 to 95; `resonatord demo` alone on two: 41
 _AT_EASE_PERCENT: Final = 57.0

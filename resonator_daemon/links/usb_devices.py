@@ -11,10 +11,10 @@ from typing import Any
 import usb.backend.libusb1
 import usb.core
 
+from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.carriers.usb import UsbTarget
 from resonator_daemon.links.link import LinkUnavailableError
-from resonator_daemon.reasons import ReasonCode
 
 INTERFACE = (0xFF, 0x52, 0x01)  # class, subclass, protocol; PROTOCOL.md, section USB
 

@@ -12,6 +12,7 @@ from typing import Any, Final
 from aiohttp import WSCloseCode, web
 
 from resonator_daemon.base.errors import UserError
+from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.config import Mqtt
 from resonator_daemon.live_page.broker_relay import CONNECTING, BrokerRelay
 from resonator_daemon.live_page.client import Client
@@ -35,7 +36,6 @@ from resonator_daemon.live_page.requests import (
 from resonator_daemon.publishing.payloads import Condition
 from resonator_daemon.publishing.requests import request as send_command
 from resonator_daemon.publishing.topics import INFO, STATE_DAEMON, TOPICS
-from resonator_daemon.reasons import ReasonCode
 
 COMMANDS: Final = ("tare", "mark", "start_recording", "stop_recording")
 

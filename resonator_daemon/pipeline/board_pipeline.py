@@ -4,6 +4,7 @@ import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.config import Config
 from resonator_daemon.forces.readings import Compensation, ForceReading, SkinReading
 from resonator_daemon.pipeline.control_requests import SetWindow, Tare, parse_request
@@ -12,7 +13,6 @@ from resonator_daemon.pipeline.state_messages import StateMessages
 from resonator_daemon.publishing.headers import Headers
 from resonator_daemon.publishing.payloads import Condition, Lost
 from resonator_daemon.publishing.topics import INFO, STATE_LINK, STATE_SENSOR
-from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.sensors.calendar import DAY_NS, utc_day
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.sensors.output import MessageOutput, Publish

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from resonator_daemon.base.reasons import Reason
 from resonator_daemon.config import Config
 from resonator_daemon.forces.readings import Compensation as AppliedCompensation
 from resonator_daemon.monitoring.daemon_state import DaemonSnapshot
@@ -33,7 +34,6 @@ from resonator_daemon.publishing.topics import (
 )
 from resonator_daemon.publishing.units import UNITS
 from resonator_daemon.publishing.verbs import permitted
-from resonator_daemon.reasons import Reason
 from resonator_daemon.sensors.base import Sensor
 from resonator_daemon.session.frames import BoardOnline, LinkChange, Outage
 

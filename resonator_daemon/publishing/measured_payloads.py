@@ -5,6 +5,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from firmware_protocol.layouts import CHANNEL_COUNT
+from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.publishing.payload_types import (
     Float,
     Float32Array,
@@ -21,7 +22,6 @@ from resonator_daemon.publishing.payload_types import (
     optional_number,
 )
 from resonator_daemon.publishing.words import Baseline, CapturedTone, ContactChange, ResponseCompensation
-from resonator_daemon.reasons import ReasonCode
 
 _SLIP_UNKNOWN = "null with a code in `slip_reason_code`"
 _DECODER_ID = "the process that decoded; left out by the daemon itself"

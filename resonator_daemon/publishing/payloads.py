@@ -3,6 +3,7 @@
 from typing import Final
 
 from resonator_daemon.base.conditions import Condition
+from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.publishing.measured_payloads import (
     Compensation,
     Contact,
@@ -54,7 +55,6 @@ from resonator_daemon.publishing.state_payloads import (
     State,
 )
 from resonator_daemon.publishing.words import Baseline, CapturedTone, ContactChange, CounterType, ResponseCompensation
-from resonator_daemon.reasons import ReasonCode
 
 WITH_ARRAYS: Final = (Signals, Decoded)  # these are CBOR, all others JSON
 

@@ -3,10 +3,10 @@
 from pydantic import Field
 
 from resonator_daemon.base.conditions import Condition
+from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.publishing.measured_payloads import Compensation, Grid
 from resonator_daemon.publishing.payload_types import BoardHeader, Float, Int64, Message, PerChannel, optional
 from resonator_daemon.publishing.words import CounterType, ResponseCompensation
-from resonator_daemon.reasons import ReasonCode
 
 _CPU = "of one core, since the last message"
 _MESSAGES = "where each message went"

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, SerializeAsAny
 from pydantic.fields import FieldInfo
 
+from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.config.tables import ChangingVerb
 from resonator_daemon.publishing.payload_types import optional
 from resonator_daemon.publishing.payloads import ContactEvent, Health, Int64, Message, PerChannel
 from resonator_daemon.publishing.topics import JSON, TOPICS
-from resonator_daemon.reasons import ReasonCode
 
 LABEL_PATTERN: Final = "^[A-Za-z0-9_-]{1,64}$"
 ID_LENGTH_MAX: Final = 64

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from resonator_daemon.base.errors import UserError
-from resonator_daemon.reasons import Reason
+from resonator_daemon.base.reasons import Reason
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.reader import Mark, Origin
 from resonator_daemon.recording.recorder import Recorder, RecordingCounts, size_bytes

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.decoding.skin import DecodingOptions
@@ -26,7 +27,6 @@ from resonator_daemon.publishing.payloads import (
 )
 from resonator_daemon.publishing.publisher import Subscription
 from resonator_daemon.publishing.topics import CONTACT_EVENT, DECODED, INFO, SIGNALS, Topic, full_topic
-from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.remote_decoding.plate import NO_SIGNALS, WAITS_AFTER_S, Publish, RemotePlate, SkinPlate, header_of
 from resonator_daemon.remote_decoding.thread_decoding import ThreadDecoding
 from resonator_daemon.sensors.surface_decoding import SurfaceClient

@@ -10,6 +10,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.decoding.skin import Skin
 from resonator_daemon.elastic import HalfSpace
@@ -17,7 +18,6 @@ from resonator_daemon.publishing.codec import Encoded, decode
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import DecoderPlateHealth, GridInfo, Info, Signals, Status
 from resonator_daemon.publishing.topics import DECODED, SCHEMA_VERSION, MessageT, Topic
-from resonator_daemon.reasons import Reason, ReasonCode
 
 NO_INFO = Reason(ReasonCode.NO_INFO, "no info yet: no daemon has published under this name")
 DECODED_BY_DAEMON = Reason(

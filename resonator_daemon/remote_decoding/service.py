@@ -13,6 +13,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from resonator_daemon.base.errors import ExitCode, UserError
+from resonator_daemon.base.reasons import Reason, ReasonCode, joined
 from resonator_daemon.config import DECODER
 from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.decoding.skin import DecodingOptions
@@ -34,7 +35,6 @@ from resonator_daemon.publishing.topics import (
     Topic,
     full_topic,
 )
-from resonator_daemon.reasons import Reason, ReasonCode, joined
 from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
 from resonator_daemon.remote_decoding.followed_plates import FollowedPlates
 from resonator_daemon.remote_decoding.rival_decoders import RivalDecoders

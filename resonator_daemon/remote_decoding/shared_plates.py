@@ -14,6 +14,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.config import plate_name
 from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.decoding.skin import DecodingOptions
@@ -32,7 +33,6 @@ from resonator_daemon.publishing.topics import (
     full_topic,
     split_topic,
 )
-from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.remote_decoding.plate import (
     NO_SIGNALS,
     WAITS_AFTER_S,

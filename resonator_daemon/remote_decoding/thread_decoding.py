@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, Generic, Literal, TypeVar
 
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoder_process.supervisor import WAIT_MAX_NS
 from resonator_daemon.decoder_process.worker import AGE_MAX_NS
 from resonator_daemon.decoding.equal_skins import EqualSkins
@@ -16,7 +17,6 @@ from resonator_daemon.decoding.streaming import UndecodableError
 from resonator_daemon.publishing.codec import Encoded, encode
 from resonator_daemon.publishing.payloads import ContactEvent, DecoderProcessInfo, Header, Message
 from resonator_daemon.publishing.topics import DECODED, Topic
-from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.sensors.surface_decoding import SurfaceClient
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
 

@@ -12,6 +12,7 @@ from typing import Any, Final, Literal, Self, TextIO
 import numpy as np
 
 from resonator_daemon.base.errors import ExitCode, UserError
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.config import Mqtt
 from resonator_daemon.host.new_file import NoNewFileError, check_new, takes_a_stream
 from resonator_daemon.host.printable import printable
@@ -26,7 +27,6 @@ from resonator_daemon.publishing.publisher import Publisher, Subscription
 from resonator_daemon.publishing.requests import BrokerUnreachableError, reach
 from resonator_daemon.publishing.subscriber import subscribe
 from resonator_daemon.publishing.topics import STATE_DAEMON, TOPICS, full_topic
-from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.replay.recorded_pipeline import Published
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import pdist, squareform
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.forces.contacts import ONSET_NEWTON, ContactEvent, ContactTracker, Touch, touch_of
 from resonator_daemon.forces.force import cell_std_m
 from resonator_daemon.forces.force_sites import ForceSites
@@ -19,7 +20,6 @@ from resonator_daemon.forces.readings import Compensation, ForceReading, SensorS
 from resonator_daemon.forces.site_errors import PressedSites, SiteErrors
 from resonator_daemon.forces.site_identification import SiteForce, overload_reason
 from resonator_daemon.forces.spread import TOUCHES_MAX, SpreadFit, Touches
-from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED, NO_TONE
 from resonator_daemon.session.frames import ChannelisedFrame, Frame
 from resonator_daemon.tones.frequency_estimators import oscillator_std

@@ -7,6 +7,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.forces.baseline import CommonMode
 from resonator_daemon.forces.contacts import ContactEvent, ContactTracker, Touch, touch_of
 from resonator_daemon.forces.force import cell_std_m, hidden_fraction
@@ -15,7 +16,6 @@ from resonator_daemon.forces.overload_latch import OverloadLatch
 from resonator_daemon.forces.readings import Compensation, CornerTone, ForceReading, SensorStatus
 from resonator_daemon.forces.site_errors import SiteErrors
 from resonator_daemon.forces.site_identification import Match, Matcher, SiteForce
-from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.sensors.corner_tones import CornerTones
 from resonator_daemon.sensors.counted_window import CountedWindow
 from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED, COMMON_MODE_PENDING

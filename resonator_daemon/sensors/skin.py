@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar, Final
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.decoding.skin import DecodingOptions, Skin, refuse_undecodable
 from resonator_daemon.elastic import HalfSpace
@@ -12,7 +13,6 @@ from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import Condition, ContactEvent, Lost, Message, Signals, Status
 from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, SIGNALS, Topic
-from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.sensors.base import Sensor
 from resonator_daemon.sensors.expected_tones import ExpectedTones, all_tones
 from resonator_daemon.sensors.output import MessageOutput

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import (
     Contact,
@@ -20,7 +21,6 @@ from resonator_daemon.publishing.payloads import (
     Status,
 )
 from resonator_daemon.publishing.rounding import rounded, rounded_std
-from resonator_daemon.reasons import ReasonCode
 from resonator_daemon.sensors.usual_reasons import reason_fields
 
 if TYPE_CHECKING:

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.base.reasons import Reason
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.streaming import SetUp, StreamingDecoder
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, Topic
-from resonator_daemon.reasons import Reason
 from resonator_daemon.sensors.surface_messages import SurfaceMessages
 
 Publish = Callable[[Topic[Any], Message], None]

@@ -2,7 +2,7 @@
 
 from typing import Final, TypedDict
 
-from resonator_daemon.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Reason, ReasonCode
 
 BOARD_RESTARTED: Final = Reason(ReasonCode.BOARD_RESTARTED, "the board restarted")
 COMMON_MODE_PENDING: Final = Reason(ReasonCode.COMMON_MODE_PENDING, "the common mode is being estimated")

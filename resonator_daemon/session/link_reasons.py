@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from firmware_protocol.host import PacketRefusal
-from resonator_daemon.reasons import Reason, ReasonCode, joined
+from resonator_daemon.base.reasons import Reason, ReasonCode, joined
 
 UNANSWERED_S: Final = 10  # without an answer, though frames come
 

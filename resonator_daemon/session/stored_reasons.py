@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from resonator_daemon.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Reason, ReasonCode
 
 
 def _complete(stored: Any) -> Reason:

@@ -10,6 +10,7 @@ from rich.rule import Rule
 from rich.segment import Segment
 from rich.text import Text
 
+from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.publishing.payloads import Condition, State
 from resonator_daemon.publishing.topics import (
     DECODED,
@@ -21,7 +22,6 @@ from resonator_daemon.publishing.topics import (
     STATE_LINK,
     STATE_SENSOR,
 )
-from resonator_daemon.reasons import ReasonCode
 from resonator_daemon.view.maps import side_by_side
 from resonator_daemon.view.plate_view import PlateView, Truth
 from resonator_daemon.view.touches import SurfacePanel, TouchesPanel

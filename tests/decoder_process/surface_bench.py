@@ -9,6 +9,7 @@ import numpy as np
 from decoder_bench import BOOT, NOISE, NU, PITCH_M, SITES, SITES_M, T_NS, E, Floats, pressed, until
 from observer import running_task
 
+from resonator_daemon.base.reasons import Reason
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.elastic import HalfSpace
@@ -16,7 +17,6 @@ from resonator_daemon.publishing.codec import decode, encode
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import ContactEvent, Lost, Message
 from resonator_daemon.publishing.topics import Topic
-from resonator_daemon.reasons import Reason
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 
 NOTHING = np.zeros((3, SITES))

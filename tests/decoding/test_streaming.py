@@ -11,6 +11,7 @@ from contact_scenes import DEPTH_M, NU, E, grid_positions
 from skin_scenes import noisy, press
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding import Decoded
 from resonator_daemon.decoding import streaming as streaming_module
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
@@ -18,7 +19,6 @@ from resonator_daemon.decoding.skin_contacts import SkinEvent
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
 from resonator_daemon.decoding.streaming import StreamingDecoder, UndecodableError
 from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.reasons import Reason, ReasonCode
 
 SHAPE, SITES = (12, 12), 144
 SKIN = Skin(HalfSpace(E, NU), grid_positions(SHAPE), DEPTH_M)

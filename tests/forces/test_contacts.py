@@ -2,8 +2,8 @@ import math
 
 import numpy as np
 
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.forces.contacts import ContactTracker, Touch
-from resonator_daemon.reasons import Reason, ReasonCode
 
 POSITIONS_M = ((0.001, 0.002), (-0.003, 0.004))
 COVARIANCE_M2 = np.diag([1e-6, 4e-6])

@@ -19,11 +19,11 @@ from typing import Any
 import pytest
 import serial
 
+from resonator_daemon.base.reasons import Reason
 from resonator_daemon.host.documentation import page
 from resonator_daemon.links.carriers import serial as serial_link
 from resonator_daemon.links.carriers.serial import SerialTarget, open_serial
 from resonator_daemon.links.link import LinkUnavailableError
-from resonator_daemon.reasons import Reason
 
 DENIED = "permission_denied"
 BAUD = 4_000_000

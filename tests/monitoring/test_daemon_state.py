@@ -5,10 +5,10 @@ import json
 import pytest
 from observer import skipping
 
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.monitoring.daemon_state import SILENT_S, DaemonSnapshot, DaemonState
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition
-from resonator_daemon.reasons import Reason, ReasonCode
 
 MEASURING = Reason(ReasonCode.MEASURING, "measuring")
 

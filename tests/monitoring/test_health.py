@@ -8,11 +8,11 @@ import pytest
 import status_samples
 from example_messages import header
 
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.host.load import HostLoad
 from resonator_daemon.monitoring import health
 from resonator_daemon.monitoring.health import HealthMonitor
 from resonator_daemon.publishing.payloads import Health, LatencyInfo, Lost
-from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.session.counters import LinkCounters
 
 MESSAGES = status_samples.health().messages

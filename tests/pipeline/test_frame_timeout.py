@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.pipeline.frame_timeout import CONTACTS_END_S, FrameTimeout
-from resonator_daemon.reasons import Reason, ReasonCode
 
 NO_FRAMES = Reason(ReasonCode.NO_FRAMES, "no frames for 0.5 s")
 

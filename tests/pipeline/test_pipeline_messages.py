@@ -9,11 +9,11 @@ from plates import plate_head, site
 from report_makers import LOST, NAN, Losses, Messages, configured, gate_middle, literal
 
 from firmware_protocol.messages import Configuration, Description, Identity
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.forces.contacts import Contact, ContactEvent, Touch
 from resonator_daemon.forces.readings import Compensation, ForceReading, SensorStatus
 from resonator_daemon.forces.site_identification import SiteForce
 from resonator_daemon.publishing.payloads import Condition, Lost
-from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.session.frames import BoardOnline, LinkChange
 
 # Ids that are no indices, and ticks that are no nanoseconds.

@@ -9,11 +9,11 @@ import pytest
 from pydantic import create_model
 
 import resonator_daemon
+from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.publishing import asyncapi
 from resonator_daemon.publishing.json_schemas import schemas_of_requests
 from resonator_daemon.publishing.payloads import Header, Lost, Status
 from resonator_daemon.publishing.topics import CBOR, DECODER_HEALTH, DECODER_STATE, TOPICS
-from resonator_daemon.reasons import ReasonCode
 
 DOCUMENT = json.loads(asyncapi.encoded())
 SCHEMAS = DOCUMENT["components"]["schemas"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from small_comb import GATE_S, GATE_TICKS, POSITION_M, SITES, SmallComb, spread
 
-from resonator_daemon.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Reason, ReasonCode
 
 PLACE_M = (1.2e-3, -0.9e-3)  # between sites
 FAR_M = (-6.5e-3, 5.8e-3)

@@ -9,7 +9,7 @@ from brute_force_board import GATE_TICKS, Ladder, payload_of
 from single_tone_bench import CLOCK_ERROR, NO_SIGNAL, PLATE, UNTOUCHED, Bench, events
 
 from firmware_protocol.layouts import SingleToneRecord
-from resonator_daemon.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.session.clock import Line, TickScale
 from resonator_daemon.session.frames import SingleToneFrame
 

@@ -9,7 +9,7 @@ from single_tone_bench import CLOCK_ERROR, NO_SIGNAL, PLATE, UNTOUCHED, Bench
 from two_tone_board import PILOT_DB, TONE_DB, TwoToneBoard
 
 from firmware_protocol.layouts import RecordFlag
-from resonator_daemon.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Reason, ReasonCode
 
 
 def heard(*, level_db=TONE_DB, **state):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from report_makers import LOST, NAN, Messages, configured, gate_middle, literal
 
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.config import Config
 from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
 from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
@@ -19,7 +20,6 @@ from resonator_daemon.publishing import payloads
 from resonator_daemon.publishing.codec import decode, encode
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.topics import DECODED
-from resonator_daemon.reasons import Reason, ReasonCode
 from resonator_daemon.sensors.surface_messages import SurfaceMessages
 from resonator_daemon.sensors.surface_stream import SurfaceFrame
 from resonator_daemon.session.clock import Instant

@@ -3,7 +3,7 @@
 import pytest
 
 from resonator_daemon.base.conditions import Condition
-from resonator_daemon.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.frames import Arrival, Outage
 from resonator_daemon.session.link_state import LinkState

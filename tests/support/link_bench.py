@@ -13,9 +13,9 @@ from usb_bench import HostError, UsbHost
 
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.messages import CounterKind, Description, Identity
+from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.links.link import Link, LinkLostError, LinkUnavailableError
 from resonator_daemon.links.table import parse_link
-from resonator_daemon.reasons import ReasonCode
 from simulators import links as device_links
 from simulators.usb_link import UsbLink
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from resonator_daemon.arrays import Floats, Indices
+from resonator_daemon.base.reasons import Reason, ReasonCode, joined
 from resonator_daemon.decoding.contact_physics.friction_cone import project_on_cone
 from resonator_daemon.decoding.contact_physics.hypothesis import (
     UNKNOWN_FRICTION,
@@ -27,7 +28,6 @@ from resonator_daemon.decoding.decoded import Decoded, stated
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.open_plane.linear_map import Estimate
 from resonator_daemon.decoding.patches import NetLoad
-from resonator_daemon.reasons import Reason, ReasonCode, joined
 
 _ESTIMATE_MARGIN = 1.4  # too small a coefficient does far more harm than too large a one
 _SIGNIFICANT = 5.0  # standard deviations of the peak of pressure

@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 
 from resonator_daemon.arrays import Bools, Singles
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.contact_physics.friction_cone import project_on_cone
 from resonator_daemon.decoding.contact_physics.support_search import Frame, Located, SupportSearch
-from resonator_daemon.reasons import Reason, ReasonCode
 
 Bounds = Literal["all", "cone", "none"]  # kept: all; a cone of unknown friction; none
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from resonator_daemon.arrays import Bools, Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.decoded import Decoded, stated
 from resonator_daemon.decoding.fitting.centre_search import CentreSearch
 from resonator_daemon.decoding.fitting.contact_fit import Fit, fit
@@ -22,7 +23,6 @@ from resonator_daemon.decoding.parameters import (
 )
 from resonator_daemon.decoding.patches import Patch
 from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.reasons import Reason, ReasonCode
 
 FEWEST_SITES = 40  # with fewer, a linear map peaks at the nearest site
 WIDEST_SPACING_DEPTHS = 3.0  # beyond it a contact between sites is felt by the nearest alone

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.fitting.contact_fit import Fit
 from resonator_daemon.decoding.fitting.slip_signals import FORCE_X, FORCE_Z, MARGIN, RADIUS
-from resonator_daemon.reasons import Reason, ReasonCode
 
 MARGIN_STD_LIMIT = 0.2  # a margin of a larger one is reported as unknown
 _FORCE_SIGNIFICANCE = 5.0  # standard deviations of a normal force

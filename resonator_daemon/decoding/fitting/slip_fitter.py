@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.fitting.contact_fit import Fit
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart
@@ -20,7 +21,6 @@ from resonator_daemon.decoding.fitting.slip_problem import (
 )
 from resonator_daemon.decoding.fitting.slip_signals import MARGIN, PARAMETERS
 from resonator_daemon.decoding.parameters import KNOWN_LIMIT, SIGNAL_LIMIT
-from resonator_daemon.reasons import Reason, ReasonCode
 
 _ANY_MARGIN_PRECISION = 12.0  # of one that may be anything between 0 and 1
 _RELEASE_STD = 0.15  # of a margin that was held because it left no trace: from then on it is fitted

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from resonator_daemon.arrays import Bools, Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.decoded import Decoded, stated
 from resonator_daemon.decoding.fourier.extension import ExtendedTransform, ExtensionName
 from resonator_daemon.decoding.fourier.spectra import Spectra, prior_root, sliding, spectra_of, white
@@ -33,7 +34,6 @@ from resonator_daemon.decoding.parameters import (
 )
 from resonator_daemon.decoding.prior import DEFAULT_PRIOR, Prior
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
-from resonator_daemon.reasons import Reason, ReasonCode
 
 _SCALES = np.logspace(
     -1.0, 5.0, 30

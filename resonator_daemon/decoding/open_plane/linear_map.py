@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from resonator_daemon.arrays import Bools, Floats, Indices, Singles
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.decoded import Decoded, stated
 from resonator_daemon.decoding.open_plane.modes import Modes
 from resonator_daemon.decoding.open_plane.scale_grid import Choice, Choices, ScaleGrid, row_energies
@@ -21,7 +22,6 @@ from resonator_daemon.decoding.parameters import (
     SIGNAL_LIMIT,
     UNEXPLAINED_LIMIT,
 )
-from resonator_daemon.reasons import Reason, ReasonCode
 
 _SIGNIFICANT = 3.0  # standard deviations
 _LOST_SETS = 8  # sets of lost signals of which the solution is kept

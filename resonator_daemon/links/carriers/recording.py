@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Self
 
+from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.links.link import Link, LinkUnavailableError
 from resonator_daemon.links.target import LinkTarget
-from resonator_daemon.reasons import ReasonCode
 
 
 @dataclass(frozen=True)
