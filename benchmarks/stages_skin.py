@@ -10,7 +10,7 @@ from scipy import fft
 from scipy.linalg import cho_factor
 from stages import Stage, Work
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding import OpenPlaneDecoder
 from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
 from resonator_daemon.decoding.fitting.contact_model import DiscModel

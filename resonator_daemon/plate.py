@@ -15,7 +15,7 @@ from pydantic import Field, ModelWrapValidatorHandler, model_validator
 
 from firmware_protocol.layouts import BLOCK_STRUCT, CHANNEL_COUNT, SINGLE_TONE_STRUCT, TONE_STRUCT
 from firmware_protocol.packets import MAX_PAYLOAD_BYTES, PACKET_OVERHEAD_BYTES
-from resonator_daemon.arrays import Floats, Integers
+from resonator_daemon.base.arrays import Floats, Integers
 from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.plate_checks import findings
 from resonator_daemon.plate_tables import (

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, Strict, StrictBool, ValidationInfo, field_validator
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.arrays import Floats, Integers
+from resonator_daemon.base.arrays import Floats, Integers
 from resonator_daemon.toml_files.reading import Count, Number, Table
 
 FORCE_SIGNAL: Final = "force"

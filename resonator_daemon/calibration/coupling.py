@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
 from resonator_daemon.plate import Plate
 from resonator_daemon.plate_tables import Coupling

@@ -9,7 +9,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.calibration.load_readings import NOTHING, PILOT, LoadReading, site_codes
 from resonator_daemon.calibration.steps import CalibrationRefusedError, Step
 from resonator_daemon.plate import Plate

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.errors import ConfigurationError, IncompatibleBoardError
 from resonator_daemon.calibration.steps import CalibrationRefusedError, LinkBusyError

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.calibration.load_readings import NOTHING, PILOT, LoadReading, site_codes
 from resonator_daemon.calibration.steps import CalibrationRefusedError
 from resonator_daemon.plate import Plate

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.errors import ConfigurationError, ExitCode
 from resonator_daemon.calibration.steps import CalibrationRefusedError
 from resonator_daemon.config import Config, load_config

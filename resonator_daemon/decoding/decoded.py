@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from resonator_daemon.arrays import Bools, Floats
+from resonator_daemon.base.arrays import Bools, Floats
 from resonator_daemon.base.reasons import Reason
 
 

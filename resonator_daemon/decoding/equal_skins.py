@@ -4,7 +4,7 @@ import pickle
 from collections.abc import Callable
 from weakref import WeakKeyDictionary
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_decoder import SkinDecoder
 from resonator_daemon.decoding.streaming import set_up

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 
-from resonator_daemon.arrays import Bools, Floats, Indices
+from resonator_daemon.base.arrays import Bools, Floats, Indices
 
 _TOLERANCE = 1e-6  # of the pitch or spacing
 _WIDEST = 200.0  # depths from one end of the sites to the other: beyond it tables take minutes

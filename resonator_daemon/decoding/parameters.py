@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 
 SIGNAL_LIMIT = 10.0  # a strain of ten: far beyond linear elasticity, only damage produces it
 KNOWN_LIMIT = 0.5  # smallest share of known signals

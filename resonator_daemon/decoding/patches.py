@@ -11,7 +11,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from resonator_daemon.arrays import Bools, Floats, Indices, Labels
+from resonator_daemon.base.arrays import Bools, Floats, Indices, Labels
 from resonator_daemon.decoding.layout import as_grid, at_border, neighbours, spacing_m
 from resonator_daemon.decoding.parameters import positions, positive
 

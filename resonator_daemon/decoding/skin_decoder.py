@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from resonator_daemon.arrays import Bools, Floats
+from resonator_daemon.base.arrays import Bools, Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder, shows_load
 from resonator_daemon.decoding.decoded import Decoded

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.setup_cache import cached

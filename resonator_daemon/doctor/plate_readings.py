@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.sensors.expected_tones import ExpectedTones
 from resonator_daemon.tones.tone_detector import ToneReading
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.doctor.capture import Capture
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, Outcome, graded, not_checked
 from resonator_daemon.doctor.plate_readings import PAIRS, known_mean

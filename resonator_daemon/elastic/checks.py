@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 
 
 def real_array(name: str, values: ArrayLike) -> Floats:

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from resonator_daemon.arrays import Bools, Floats
+from resonator_daemon.base.arrays import Bools, Floats
 from resonator_daemon.elastic.checks import check_tolerance
 
 LinearMap = Callable[[Floats], Floats]

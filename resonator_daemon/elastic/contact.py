@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from resonator_daemon.arrays import Bools, Floats
+from resonator_daemon.base.arrays import Bools, Floats
 from resonator_daemon.elastic.checks import check_tolerance, real_array
 from resonator_daemon.elastic.constrained import NotConvergedError, Pushing, minimise
 from resonator_daemon.elastic.grid import window_around

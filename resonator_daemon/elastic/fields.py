@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy import fft
 from scipy.special import roots_legendre
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.elastic.checks import finite_array
 from resonator_daemon.elastic.grid import SpectralGrid
 from resonator_daemon.elastic.half_space import HalfSpace, Input, Output, ZeroRule

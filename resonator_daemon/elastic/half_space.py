@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from resonator_daemon.arrays import Complexes, Floats
+from resonator_daemon.base.arrays import Complexes, Floats
 from resonator_daemon.elastic import transfer_matrices
 from resonator_daemon.elastic.checks import finite_array
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import fft
 
-from resonator_daemon.arrays import Bools, Complexes, Floats
+from resonator_daemon.base.arrays import Bools, Complexes, Floats
 from resonator_daemon.elastic.checks import finite_array
 from resonator_daemon.elastic.grid import SpectralGrid
 from resonator_daemon.elastic.half_space import HalfSpace, Output, ZeroRule

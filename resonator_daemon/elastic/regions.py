@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.elastic.checks import real_array
 from resonator_daemon.elastic.constrained import Prescribed, minimise
 from resonator_daemon.elastic.grid import window_around

@@ -17,7 +17,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from resonator_daemon.arrays import Complexes, Floats, Integers
+from resonator_daemon.base.arrays import Complexes, Floats, Integers
 from resonator_daemon.elastic.checks import finite_array
 from resonator_daemon.elastic.sensor_sets import SensorSet
 

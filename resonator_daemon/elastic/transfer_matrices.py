@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Complexes, Floats
+from resonator_daemon.base.arrays import Complexes, Floats
 
 Entry = NDArray[np.inexact[Any]] | complex
 

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.special import fdtri
 
-from resonator_daemon.arrays import Floats, Indices
+from resonator_daemon.base.arrays import Floats, Indices
 from resonator_daemon.forces.loading_fit import LoadingFit, LoadingProblem
 from resonator_daemon.forces.loadings import Readings, Steps
 from resonator_daemon.forces.site_response import SiteResponse

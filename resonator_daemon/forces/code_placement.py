@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats, Integers
+from resonator_daemon.base.arrays import Floats, Integers
 
 NEIGHBOUR_FACTOR: Final = 1.5  # times the usual distance to the nearest site: on a square grid, diagonals too
 DECAY_FACTOR: Final = 0.25  # of that distance: in it the coupling of two trapped modes falls by e, about

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.forces.code_fit import RUNNER_UP_GAP
 from resonator_daemon.tones.frequency_estimators import oscillator_std
 

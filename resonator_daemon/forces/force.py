@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 
 GRID_STEPS = 128  # positions across the longer side of an outline
 LEVEL_MARGIN = 0.5  # a site with half the largest share can still be the one that a corner captures

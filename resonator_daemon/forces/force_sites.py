@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.forces.site_response import SiteResponse
 
 # Of an AT cut near its zero slope at 25 C, where the plate file does not give them: 1/K, 1/K^2, 1/K^3.

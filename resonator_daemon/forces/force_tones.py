@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 
 APART_SIGMAS: Final = 8.0
 CORNER_ERROR: Final = 2e-7  # relative, by which f0 of a corner may be off

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
 
-from resonator_daemon.arrays import Floats, Indices
+from resonator_daemon.base.arrays import Floats, Indices
 from resonator_daemon.forces.loading_solution import LoadingSolution, StepMeans
 from resonator_daemon.forces.loadings import Readings, Steps, felt_newton
 

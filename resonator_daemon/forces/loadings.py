@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats, Indices
+from resonator_daemon.base.arrays import Floats, Indices
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from resonator_daemon.arrays import Bools, Floats
+from resonator_daemon.base.arrays import Bools, Floats
 from resonator_daemon.forces.random_walk import RandomWalks
 
 THETA_START_KELVIN: Final = 20.0  # a plate at any temperature of a room, or on a warm robot

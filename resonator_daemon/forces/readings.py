@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.forces.contacts import Contact, ContactEvent
 from resonator_daemon.forces.site_identification import SiteForce

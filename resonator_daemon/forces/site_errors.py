@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats, Indices
+from resonator_daemon.base.arrays import Floats, Indices
 from resonator_daemon.forces.contact_thermal import warmed_shift, warming_std
 from resonator_daemon.forces.force_sites import ForceSites
 from resonator_daemon.forces.site_response import ResponseInverse

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from resonator_daemon.arrays import Floats, Indices
+from resonator_daemon.base.arrays import Floats, Indices
 
 GAP_S: Final = 0.02  # a force is known between readings that are no further apart
 DEAD_BAND: Final = 4.0  # of the noise: its largest excursion in some ten thousand readings

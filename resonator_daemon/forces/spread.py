@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import Delaunay, QhullError
 from scipy.special import chdtri
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 
 TOUCHES_MAX: Final = 4

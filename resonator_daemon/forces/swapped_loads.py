@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.special import chdtri
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.forces.loading_solution import StepMeans
 
 LOAD_STD: Final = (0.03, 0.01)  # relative to the load, to the largest load: scatter and hysteresis need no exchange

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.errors import ConfigurationError, UsageError
 from resonator_daemon.forces.force_sites import DEFAULT_COEFFICIENT_STD
 from resonator_daemon.host.system_limits import meaning_of

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.publishing.payloads import ContactEvent, Contacts, Message
 from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS
 

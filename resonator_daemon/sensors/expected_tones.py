@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.plate import Plate
 from resonator_daemon.plate_tables import FORCE_SIGNAL
 from resonator_daemon.tones.tone_detector import PILOT_TOLERANCE

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.forces.force_tones import ForceTones
 from resonator_daemon.sensors.expected_tones import ExpectedTones, force_tones
 from resonator_daemon.sensors.force_sensor import ForceSensor

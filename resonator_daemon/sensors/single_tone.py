@@ -3,7 +3,7 @@
 import math
 from typing import Any, Final
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.publishing.payloads import SiteCode
 from resonator_daemon.publishing.topics import TONES, Topic
 from resonator_daemon.sensors.code_check import findings

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.forces.baseline import CommonMode
 from resonator_daemon.forces.readings import SensorStatus, SkinReading

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 
 SIGNALS: Final = 3  # p_n, eps_xz, eps_yz
 TONES_MIN: Final = 16  # fewer do not distinguish a common mode from a touch

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.streaming import SetUp, StreamingDecoder

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats, Integers
+from resonator_daemon.base.arrays import Floats, Integers
 from resonator_daemon.tones.frequency_estimators import FREQUENCY_JUMP, WRAP_MASK, Sums
 from resonator_daemon.tones.gate_block import GateBlock
 from resonator_daemon.tones.record_checks import Gate

@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from typing import Final, TypeVar
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 
 RESIDUAL_LIMIT: Final = 8.0  # times what noise and pilot explain: beyond all of 22 000 windows of single touches
 GATES_MIN: Final = 4  # for a third difference

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.layouts import SINGLE_TONE_FIELDS, RecordFlag
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.tones.frequency_estimators import FREQUENCY_JUMP, QUANTISATION_TICKS2, PlainSums
 from resonator_daemon.tones.other_tones import end_residual_ticks2
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT, SingleToneRecord
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.tones.frequency_estimators import Sums, counter_std, frequency_hz, oscillator_std, stamp_std_ticks
 from resonator_daemon.tones.tone_merging import SIGMA_HZ, merge_tones
 from resonator_daemon.tones.tone_windows import ToneWindows

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 
 SIGMA_HZ: Final[Floats] = np.exp2((np.arange(256) - 128) / 8)  # by sigma_code
 TURN32: Final = 2.0**32  # units of phase in a turn

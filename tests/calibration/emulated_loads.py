@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol.layouts import CHANNEL_COUNT, TONE_FIELDS, single_tone_records
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.calibration.load_procedure import LoadProcedure, Prompt
 from resonator_daemon.calibration.load_readings import CapturedLoads, LoadReading
 from resonator_daemon.calibration.multitone_loads import MultitoneLoads

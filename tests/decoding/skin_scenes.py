@@ -3,7 +3,7 @@
 import numpy as np
 from contact_scenes import DEPTH_M, NU, E, contact_signals, grid_positions
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.skin import Skin
 from resonator_daemon.elastic import HalfSpace
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from contact_scenes import DEPTH_M, NU, SITES_M, E, disc_model, hertz
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.elastic import HalfSpace
 

@@ -9,7 +9,7 @@ from scipy import fft
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from resonator_daemon.arrays import Complexes, Floats
+from resonator_daemon.base.arrays import Complexes, Floats
 from resonator_daemon.decoding import FourierDecoder
 from resonator_daemon.decoding.fourier.spectra import prior_root, weighted_norm
 from resonator_daemon.decoding.prior import Prior

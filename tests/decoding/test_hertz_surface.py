@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.fitting.parametric_decoder import hertz_displacement, hertz_traction
 from resonator_daemon.elastic import HalfSpace
 

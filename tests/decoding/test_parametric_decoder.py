@@ -7,7 +7,7 @@ import pytest
 from contact_scenes import NU, E, contact_signals
 from scipy.stats import norm
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.fitting.parametric_decoder import ParametricDecoder, sparse_reason
 from resonator_daemon.decoding.patches import Patch
 from resonator_daemon.elastic import HalfSpace

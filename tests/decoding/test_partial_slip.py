@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from contact_scenes import DEPTH_M, NU, SITES_M, Contact, E, disc_model, noise_std, noisy
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
 from resonator_daemon.decoding.fitting.partial_slip import PartialSlip, stick_ratio

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from contact_scenes import PITCH_M, SITES_M
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.patches import Patch, PatchFinder
 from simulators.contact import pixel_tractions
 

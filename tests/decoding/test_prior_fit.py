@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from contact_scenes import DEPTH_M, E, grid_positions
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.open_plane.prior_fit import fit_prior, has_load
 from resonator_daemon.decoding.prior import Prior

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from contact_scenes import DEPTH_M, NU, SITES_M, Contact, E, disc_model, hertz, noise_std, noisy
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_start import ContactStart
 from resonator_daemon.decoding.fitting.shape import ShapeFitter
 from resonator_daemon.decoding.fitting.slip_fitter import fit_partial_slip

@@ -8,7 +8,7 @@ import pytest
 from contact_scenes import DEPTH_M, FRICTION, NU, E
 from skin_scenes import NOISE, RADIUS_M, SITES, SITES_M, SKIN, noisy, press
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding import ContactDecoder, OpenPlaneDecoder
 from resonator_daemon.decoding.layout import cell_areas_m2
 from resonator_daemon.decoding.patches import PatchFinder

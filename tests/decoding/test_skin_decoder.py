@@ -10,7 +10,7 @@ from contact_scenes import grid_positions as grid
 from skin_scenes import SITES_M, noisy, press
 from skin_scenes import SKIN as SKIN_LONG
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding import FourierDecoder, OpenPlaneDecoder
 from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.decoding.skin import DecodingOptions, Skin

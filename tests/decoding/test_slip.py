@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from contact_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, E, disc_model, noise_std
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
 from resonator_daemon.decoding.fitting.slip import SlipEvent, SlipWatch

@@ -10,7 +10,7 @@ import pytest
 from contact_scenes import DEPTH_M, NU, E, grid_positions
 from skin_scenes import noisy, press
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding import Decoded
 from resonator_daemon.decoding import streaming as streaming_module

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 
 
 def dense_compliance(shape: tuple[int, int], nu: float, mu: float, pitch_m: float, *, periodic: bool) -> Floats:

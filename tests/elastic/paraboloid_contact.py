@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.friction import FrictionalContact
 from resonator_daemon.elastic.influence import SurfaceCompliance

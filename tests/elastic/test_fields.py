@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.fields import Method, SurfaceFields
 from resonator_daemon.elastic.half_space import Input, Output

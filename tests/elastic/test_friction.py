@@ -9,7 +9,7 @@ from paraboloid_contact import A_M, G_PASCAL, R_M, SIDE_M, body, hertz_load, par
 from scipy.optimize import brentq
 from scipy.special import ellipk
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.elastic.contact import press
 from resonator_daemon.elastic.friction import FrictionalContact, FrictionState
 from resonator_daemon.elastic.influence import SurfaceCompliance

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from boundary_value_problem import BoundaryValueProblem, mp
 
-from resonator_daemon.arrays import Complexes, Floats
+from resonator_daemon.base.arrays import Complexes, Floats
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
 from resonator_daemon.elastic.mixed import MixedBoundary, Quantity
 

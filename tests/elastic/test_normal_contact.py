@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.contact import NormalContact, press
 from resonator_daemon.elastic.influence import SurfaceCompliance

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from dense_surface import dense_compliance
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.influence import SurfaceCompliance
 from resonator_daemon.elastic.regions import RegionSolution, solve_regions

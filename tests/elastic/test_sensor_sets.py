@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.sensor_sets import CANDIDATES, COMPONENTS, SensorSet
 

@@ -5,7 +5,7 @@ import pytest
 from scenarios import steady
 from tone_fields import counted_fields
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.plate import Plate, load_plate
 from simulators.comb_plate import CombPlate
 from simulators.physics import Physics

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from simulators.contact import hertz_parts, pixel_tractions
 
 RADIUS, FRICTION, CENTRE = 2.5e-3, 0.5, (0.3e-3, -0.7e-3)

@@ -4,7 +4,7 @@ import allantools
 import numpy as np
 import pytest
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from simulators.oscillator_noise import OscillatorNoise
 
 S = 1.0  # Allan deviation at 1 s of whatever is on; all is linear in it

@@ -5,7 +5,7 @@ import numpy.typing as npt
 import pytest
 from scipy.integrate import solve_ivp
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from simulators.press_response import PressResponse
 
 

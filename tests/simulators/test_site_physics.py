@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 from plates import with_tables
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.plate import Plate, load_plate
 from simulators.physics import Physics
 from simulators.site_physics import SiteFrames, SitePhysics

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from simulators.site_temperature import SiteTemperature
 
 REFERENCE_KELVIN = 298.15

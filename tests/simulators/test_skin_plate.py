@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tone_fields import counted_fields
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.plate import load_plate
 from simulators.contact import pressed_signals
 from simulators.scenario import Scenario

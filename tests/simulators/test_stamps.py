@@ -5,7 +5,7 @@ import numpy.typing as npt
 import pytest
 from scipy.optimize import brentq
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from simulators.beats import Beats, beat_sums, displaced_ticks
 from simulators.stamp_sums import closed_form_sums
 from simulators.stamps import stamped_sums

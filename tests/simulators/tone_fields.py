@@ -3,7 +3,7 @@
 import numpy as np
 
 from firmware_protocol.layouts import TONE_FIELDS
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from simulators.plate import EmulatedPlate, record_type
 
 RECORD = record_type(TONE_FIELDS)

@@ -12,7 +12,7 @@ import example_messages
 import numpy as np
 from observer import until as until
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.config.decoder import load_decoder_config
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.mqtt_messages import Incoming

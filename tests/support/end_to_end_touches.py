@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from plate_bench import ROOM_KELVIN, SETTLED_S, PlateBench
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.plate_tables import Response, Thermal
 from simulators.physics import Physics

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from resonator_daemon.arrays import Singles
+from resonator_daemon.base.arrays import Singles
 
 _TINY = np.float32(1e-30)
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from resonator_daemon.arrays import Bools, Singles
+from resonator_daemon.base.arrays import Bools, Singles
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.contact_physics.friction_cone import project_on_cone
 from resonator_daemon.decoding.contact_physics.support_search import Frame, Located, SupportSearch

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from resonator_daemon.arrays import Floats, Indices, Labels, Singles
+from resonator_daemon.base.arrays import Floats, Indices, Labels, Singles
 from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
 from resonator_daemon.decoding.patches import NetLoad
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import fft
 from scipy.spatial import Delaunay, QhullError
 
-from resonator_daemon.arrays import Bools, Floats, Indices, Singles
+from resonator_daemon.base.arrays import Bools, Floats, Indices, Singles
 from resonator_daemon.decoding.layout import as_grid
 
 _PITCH_DEPTHS = 0.4  # finer pixels than this cannot be distinguished at depth

@@ -7,7 +7,7 @@ the rows are the signals. Where signals are lost the noise of the basis' rows is
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from resonator_daemon.arrays import Bools, Floats, Singles
+from resonator_daemon.base.arrays import Bools, Floats, Singles
 
 _LEFT_OUT = 8e-4  # share of the power of all pixels' signals
 _SAMPLES = 24  # pixels along each axis that are enough to choose the basis

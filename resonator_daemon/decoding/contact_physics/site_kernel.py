@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
-from resonator_daemon.arrays import Floats, Singles
+from resonator_daemon.base.arrays import Floats, Singles
 from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
 from resonator_daemon.decoding.layout import as_grid
 from resonator_daemon.decoding.open_plane.prior_tables import Kernel, StationaryPrior

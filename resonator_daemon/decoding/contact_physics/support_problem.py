@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import blas, lapack
 
-from resonator_daemon.arrays import Bools, Floats, Indices, Singles
+from resonator_daemon.base.arrays import Bools, Floats, Indices, Singles
 from resonator_daemon.decoding.contact_physics.friction_cone import project_on_cone
 from resonator_daemon.decoding.contact_physics.support_rows import (
     CHANGED,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from resonator_daemon.arrays import Bools, Indices, Singles
+from resonator_daemon.base.arrays import Bools, Indices, Singles
 from resonator_daemon.decoding.contact_physics.pixels import PixelPrior
 from resonator_daemon.decoding.contact_physics.signal_rows import LostRows
 

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy import ndimage
 
-from resonator_daemon.arrays import Bools, Floats, Labels, Singles
+from resonator_daemon.base.arrays import Bools, Floats, Labels, Singles
 from resonator_daemon.decoding.contact_physics.net_load import LoadSums
 from resonator_daemon.decoding.contact_physics.pixels import Interpolation, PixelLattice, PixelPrior
 from resonator_daemon.decoding.contact_physics.signal_rows import LostRows, SignalRows

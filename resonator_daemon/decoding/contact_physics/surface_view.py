@@ -7,7 +7,7 @@ the places, by small matrices; spectra are kept for each box.
 import numpy as np
 from scipy import fft
 
-from resonator_daemon.arrays import ComplexSingles, Floats, Indices, Singles
+from resonator_daemon.base.arrays import ComplexSingles, Floats, Indices, Singles
 from resonator_daemon.decoding.contact_physics.pixels import Interpolation, PixelLattice
 from resonator_daemon.elastic import HalfSpace, SurfaceCompliance
 

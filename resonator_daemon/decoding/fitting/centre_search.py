@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from resonator_daemon.arrays import Bools, Floats
+from resonator_daemon.base.arrays import Bools, Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 
 _STEP_DEPTHS = 0.5  # a fit finds the centre from there

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 
 # Parameters (p,) to signals (k,) and their derivatives (p, k).
 Model = Callable[[Floats], tuple[Floats, Floats]]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import j0, j1
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.fitting.slip_signals import SlipSignals
 from resonator_daemon.decoding.layout import diagonal_m
 from resonator_daemon.decoding.parameters import positions, positive

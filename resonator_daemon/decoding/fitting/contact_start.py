@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 
 _SMALLEST_RADIUS = 0.05  # depths, which signals hardly distinguish from none

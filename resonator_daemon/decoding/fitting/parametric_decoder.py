@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from resonator_daemon.arrays import Bools, Floats
+from resonator_daemon.base.arrays import Bools, Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.decoded import Decoded, stated
 from resonator_daemon.decoding.fitting.centre_search import CentreSearch

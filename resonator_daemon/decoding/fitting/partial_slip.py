@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.fitting.contact_fit import Fit
 from resonator_daemon.decoding.fitting.slip_signals import FORCE_X, FORCE_Z, MARGIN, RADIUS

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
-from resonator_daemon.arrays import Bools, Floats, Singles
+from resonator_daemon.base.arrays import Bools, Floats, Singles
 from resonator_daemon.decoding.fitting.contact_fit import Expansion, minimise
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction, bounds, clipped

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from resonator_daemon.arrays import Floats, Indices, Singles
+from resonator_daemon.base.arrays import Floats, Indices, Singles
 
 PARAMETERS = 7  # of a contact
 X, Y, RADIUS, FORCE_X, FORCE_Y, FORCE_Z, MARGIN = range(PARAMETERS)

@@ -5,7 +5,7 @@ from typing import Literal
 import numpy as np
 from scipy import fft
 
-from resonator_daemon.arrays import Complexes, Floats
+from resonator_daemon.base.arrays import Complexes, Floats
 
 ExtensionName = Literal["taper", "periodic"]
 

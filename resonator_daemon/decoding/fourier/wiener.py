@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from resonator_daemon.arrays import Complexes, Floats, Indices
+from resonator_daemon.base.arrays import Complexes, Floats, Indices
 
 _NEGLIGIBLE = 1e-4  # weight of an inverse that is left out of an average
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import BarycentricInterpolator
 from scipy.spatial.distance import cdist
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.layout import as_grid, at_border, refuse_duplicates
 from resonator_daemon.decoding.open_plane.grid_modes import LEVELS, GridCovariance, GridModes

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from resonator_daemon.arrays import Complexes, Floats
+from resonator_daemon.base.arrays import Complexes, Floats
 from resonator_daemon.decoding.layout import Grid
 from resonator_daemon.decoding.open_plane.parity import fold, half, parities
 from resonator_daemon.decoding.open_plane.prior_tables import Field, StationaryPrior

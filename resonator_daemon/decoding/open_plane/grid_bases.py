@@ -7,7 +7,7 @@ the products of both axes' vectors those stay that carry the estimate.
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from resonator_daemon.arrays import Floats, Indices
+from resonator_daemon.base.arrays import Floats, Indices
 from resonator_daemon.decoding.layout import Grid
 from resonator_daemon.decoding.open_plane.estimate_power import AxisPower, frequencies
 from resonator_daemon.decoding.open_plane.parity import CLASSES, parities, unfold

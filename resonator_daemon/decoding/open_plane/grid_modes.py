@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from resonator_daemon.arrays import Floats, Indices, Singles
+from resonator_daemon.base.arrays import Floats, Indices, Singles
 from resonator_daemon.decoding.layout import Grid
 from resonator_daemon.decoding.open_plane.estimate_power import EstimatePower
 from resonator_daemon.decoding.open_plane.grid_bases import Bases, Reduction

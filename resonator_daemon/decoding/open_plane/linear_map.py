@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from resonator_daemon.arrays import Bools, Floats, Indices, Singles
+from resonator_daemon.base.arrays import Bools, Floats, Indices, Singles
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.decoded import Decoded, stated
 from resonator_daemon.decoding.open_plane.modes import Modes

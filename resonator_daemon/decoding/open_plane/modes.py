@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from resonator_daemon.arrays import Floats, Indices, Singles
+from resonator_daemon.base.arrays import Floats, Indices, Singles
 
 Transform = Callable[[Singles], Singles]
 

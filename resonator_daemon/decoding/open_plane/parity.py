@@ -7,7 +7,7 @@ but for a site on the mirror itself, so that they stay orthonormal.
 
 import numpy as np
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.layout import Grid
 from resonator_daemon.decoding.open_plane.prior_tables import Field, StationaryPrior
 

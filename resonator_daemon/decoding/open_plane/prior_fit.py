@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from resonator_daemon.arrays import Bools, Floats, Indices
+from resonator_daemon.base.arrays import Bools, Floats, Indices
 from resonator_daemon.decoding.layout import as_grid
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.parameters import SIGNAL_LIMIT, noise_of_signals

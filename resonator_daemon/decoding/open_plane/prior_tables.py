@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.special import j0, j1
 
-from resonator_daemon.arrays import Complexes, Floats, Indices
+from resonator_daemon.base.arrays import Complexes, Floats, Indices
 from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.elastic import HalfSpace
 

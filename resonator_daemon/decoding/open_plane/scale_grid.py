@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from resonator_daemon.arrays import Floats, Indices, Singles
+from resonator_daemon.base.arrays import Floats, Indices, Singles
 
 _STRIDE = 5  # the likelihood of every fifth scale is computed; a parabola finds the best one between them
 

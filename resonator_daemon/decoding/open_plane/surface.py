@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from resonator_daemon.arrays import Bools, Floats, Indices, Singles
+from resonator_daemon.base.arrays import Bools, Floats, Indices, Singles
 from resonator_daemon.decoding.open_plane.modes import Modes
 
 _SUPPORT_SHARE = 0.1  # of the peak of f_z: under a contact, or next to it
