@@ -12,11 +12,11 @@ from contextlib import aclosing, suppress
 from typing import Any, Final
 
 from resonator_daemon.base.errors import ListenError, MissingLibraryError
+from resonator_daemon.base.host.printable import how_to_install
+from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.config import Listen, Mqtt
 from resonator_daemon.exporting.foxglove_messages import ChannelMessage, FoxgloveMessages
 from resonator_daemon.exporting.geometry import Geometry
-from resonator_daemon.host.printable import how_to_install
-from resonator_daemon.host.signals import on_signals
 from resonator_daemon.publishing.payloads import Condition, Info, Message, State
 from resonator_daemon.publishing.subscriber import EVERY_PLATE, subscribe
 from resonator_daemon.publishing.topics import INFO, TOPICS

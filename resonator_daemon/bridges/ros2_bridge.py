@@ -13,12 +13,12 @@ from collections.abc import Iterable
 from contextlib import aclosing, suppress
 from typing import Any, Final
 
+from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.bridges.ros2_node import Ros2Node
 from resonator_daemon.config import Mqtt
 from resonator_daemon.exporting.geometry import Geometry
 from resonator_daemon.exporting.ros2_messages import DIAGNOSTICS_TOPIC, STALE, Diagnostics, Translation, diagnostics_of
 from resonator_daemon.exporting.ros2_types import DIAGNOSTICS, make_typestore
-from resonator_daemon.host.signals import on_signals
 from resonator_daemon.publishing.payloads import Condition, Health, Info, Message, State
 from resonator_daemon.publishing.subscriber import EVERY_PLATE, subscribe
 from resonator_daemon.publishing.topics import (

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from resonator_daemon.base.errors import InterruptedCommandError
+from resonator_daemon.base.host.printable import print_note
+from resonator_daemon.base.host.signals import interruptible
 from resonator_daemon.calibration.outcome import Outcome
 from resonator_daemon.calibration.plate_file import Record
-from resonator_daemon.host.printable import print_note
-from resonator_daemon.host.signals import interruptible
 
 
 def report(value: dict[str, Any], line: str, *, as_json: bool) -> None:

@@ -17,8 +17,7 @@ import tomlkit
 from tomlkit.items import Table
 
 from resonator_daemon.base.errors import UsageError, UserError
-from resonator_daemon.calibration.steps import CalibrationRefusedError
-from resonator_daemon.host.new_file import (
+from resonator_daemon.base.host.new_file import (
     NoNewFileError,
     check_new,
     fresh_name,
@@ -26,8 +25,9 @@ from resonator_daemon.host.new_file import (
     replace_file,
     sync_directory,
 )
-from resonator_daemon.host.places import state_directory
-from resonator_daemon.host.system_limits import meaning_of
+from resonator_daemon.base.host.places import state_directory
+from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.calibration.steps import CalibrationRefusedError
 from resonator_daemon.plate import load_plate, shipped_plates
 from resonator_daemon.plate_tables import FORCE_SIGNAL, Coupling
 from resonator_daemon.toml_files.reading import read_toml

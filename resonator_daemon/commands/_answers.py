@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from resonator_daemon.base.errors import ExitCode
+from resonator_daemon.base.host.printable import printable
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.host.printable import printable
 
 if TYPE_CHECKING:
     from resonator_daemon.config import Client

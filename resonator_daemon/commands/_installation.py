@@ -9,31 +9,31 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from resonator_daemon.base.errors import ExitCode
+from resonator_daemon.base.host.documentation import with_pages
+from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.commands._command_line import make_parser, parsers
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.host.documentation import with_pages
-from resonator_daemon.host.printable import print_note
 from resonator_daemon.plate import shipped_plates
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from resonator_daemon.host.install import Action, Installation
+    from resonator_daemon.base.host.install import Action, Installation
 
 
 def made_files() -> dict[str, str]:
     """Return text by place of the files that the program makes itself: example, completion, manual."""
+    from resonator_daemon.base.host.documentation import with_pages
+    from resonator_daemon.base.host.install import EXAMPLE
     from resonator_daemon.commands._installation import completions, manual
     from resonator_daemon.config import example_config
-    from resonator_daemon.host.documentation import with_pages
-    from resonator_daemon.host.install import EXAMPLE
 
     return {EXAMPLE: with_pages(example_config()), **dict(completions()), **dict(manual())}
 
 
 def report(verb: str, done: "Installation", prefix: Path | None, *, dry_run: bool, as_json: bool) -> ExitCode:
     """Print what was done; InstallError where a step failed."""
-    from resonator_daemon.host.install import InstallError
+    from resonator_daemon.base.host.install import InstallError
 
     failed = [f"{' '.join(command)}: {error}" for command, error in done.commands if error]
     if not as_json:
@@ -46,7 +46,7 @@ def report(verb: str, done: "Installation", prefix: Path | None, *, dry_run: boo
 
 
 def _print(verb: str, done: "Installation", prefix: Path | None) -> None:
-    from resonator_daemon.host.install import EXAMPLE, Action
+    from resonator_daemon.base.host.install import EXAMPLE, Action
 
     words = {
         Action.WOULD_WRITE: "would be written",

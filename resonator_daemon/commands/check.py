@@ -6,9 +6,9 @@ Example: resonatord check left-index.toml
 import argparse
 
 from resonator_daemon.base.errors import ExitCode, UserError
+from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.commands._argument_types import add_config
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.host.printable import print_note
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

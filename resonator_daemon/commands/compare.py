@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     """Print the comparison; DifferenceError where a recording is damaged or replays otherwise than recorded."""
-    from resonator_daemon.host.signals import interruptible
+    from resonator_daemon.base.host.signals import interruptible
     from resonator_daemon.links.link import LinkUnavailableError
     from resonator_daemon.replay.comparison import Comparison, play, problems
 

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from resonator_daemon.base.errors import ConfigurationError, DifferenceError, ExitCode, UsageError
+from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.commands._argument_types import number, whole_number
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.host.printable import print_note
 
 _NO_MAPS: Final = "; force plates have no maps: name forces or contacts"
 _NO_ROWS: Final = {
@@ -58,8 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.base.host.signals import interruptible
     from resonator_daemon.config.text import load_settings_text, plate_text
-    from resonator_daemon.host.signals import interruptible
     from resonator_daemon.plate import load_plate
     from resonator_daemon.redecoding.chunks import Job, recordings_of
     from resonator_daemon.redecoding.run import chosen_topics, decode_all

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from resonator_daemon.base.errors import ExitCode, UsageError, UserError
+from resonator_daemon.base.host.system_limits import reason_of
 from resonator_daemon.commands._argument_types import check_plate_name, host_and_port, options_of, positive
-from resonator_daemon.host.system_limits import reason_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -7,9 +7,9 @@ import argparse
 from pathlib import Path
 
 from resonator_daemon.base.errors import DifferenceError, ExitCode, NoRecordingError
+from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.commands._output import print_json
 from resonator_daemon.exporting.formats import FORMATS, ROS2
-from resonator_daemon.host.printable import print_note
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,10 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.base.host.new_file import takes_a_stream
+    from resonator_daemon.base.host.signals import interruptible
     from resonator_daemon.config import load_config
     from resonator_daemon.exporting.run import export, make_target, recordings_in
-    from resonator_daemon.host.new_file import takes_a_stream
-    from resonator_daemon.host.signals import interruptible
     from resonator_daemon.links.link import LinkUnavailableError
 
     target = make_target(arguments.output, arguments.format, arguments.topics)

@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
 
 def _probe(target: "LinkTarget", *, blink: bool) -> "ProbeResult":
-    from resonator_daemon.host.signals import interruptible
+    from resonator_daemon.base.host.signals import interruptible
     from resonator_daemon.links.link import LinkUnavailableError
     from resonator_daemon.session.probe import NoBoardError, probe
 

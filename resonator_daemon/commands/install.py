@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.host.install import install
+    from resonator_daemon.base.host.install import install
 
     done = install(arguments.prefix, made_files(), dry_run=arguments.dry_run)
     return report("install", done, arguments.prefix, dry_run=arguments.dry_run, as_json=arguments.json)

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from resonator_daemon.base.errors import ExitCode
+from resonator_daemon.base.host.documentation import page
+from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.commands._output import print_error, print_json
-from resonator_daemon.host.documentation import page
-from resonator_daemon.host.printable import print_note
 
 if TYPE_CHECKING:
     from resonator_daemon.links.target import FoundPort

@@ -13,8 +13,8 @@ import sys
 from typing import TYPE_CHECKING, Any, Final
 
 from resonator_daemon.base.errors import ConfigurationError, ExitCode, UserError
+from resonator_daemon.base.host.printable import printable
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.host.printable import printable
 
 if TYPE_CHECKING:
     from resonator_daemon.monitoring.status_client import Answer

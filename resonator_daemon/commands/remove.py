@@ -9,9 +9,9 @@ import argparse
 import sys
 
 from resonator_daemon.base.errors import ExitCode, UsageError
+from resonator_daemon.base.host.printable import printable
 from resonator_daemon.commands._broker import add_broker, add_daemon, client_of
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.host.printable import printable
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

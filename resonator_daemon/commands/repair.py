@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from resonator_daemon.base.errors import ExitCode
+from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.host.printable import print_note
 
 if TYPE_CHECKING:
     from resonator_daemon.recording.repair import Repaired
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.host.signals import interruptible
+    from resonator_daemon.base.host.signals import interruptible
     from resonator_daemon.recording.repair import repair
 
     path: Path = arguments.file

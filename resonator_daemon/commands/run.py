@@ -18,9 +18,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> ExitCode:
     import asyncio
 
+    from resonator_daemon.base.host.places import state_directory
     from resonator_daemon.daemon.config_store import ConfigStore
     from resonator_daemon.daemon.daemon import serve
-    from resonator_daemon.host.places import state_directory
 
     asyncio.run(serve(ConfigStore(arguments.config, state_directory() / "last-good")))
     return ExitCode.DONE

@@ -10,8 +10,8 @@ from contextlib import nullcontext, suppress
 from typing import TYPE_CHECKING, Final
 
 from resonator_daemon.base.errors import ExitCode, UserError
+from resonator_daemon.base.host.printable import printable
 from resonator_daemon.commands._output import print_failure, print_json
-from resonator_daemon.host.printable import printable
 
 if TYPE_CHECKING:
     from resonator_daemon.monitoring.status_client import Answer
@@ -75,7 +75,7 @@ async def _watch(name: str | None, *, as_json: bool) -> None:
     from rich.live import Live
     from rich.text import Text
 
-    from resonator_daemon.host.signals import on_signals
+    from resonator_daemon.base.host.signals import on_signals
     from resonator_daemon.view.status_block import status_page
 
     console = Console(highlight=False)
@@ -136,7 +136,7 @@ def _failure(answers: "list[Answer]", name: str | None) -> UserError | None:
 
 
 def _nobody(name: str | None) -> NoDaemonError:
-    from resonator_daemon.host.places import runtime_directories
+    from resonator_daemon.base.host.places import runtime_directories
 
     places = ", ".join(str(place) for place in runtime_directories())
     who = "no daemon" if name is None else f"no daemon called {printable(name)}"

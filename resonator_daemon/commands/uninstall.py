@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.host.install import uninstall
+    from resonator_daemon.base.host.install import uninstall
 
     done = uninstall(arguments.prefix, made_files(), dry_run=arguments.dry_run)
     return report("uninstall", done, arguments.prefix, dry_run=arguments.dry_run, as_json=arguments.json)

@@ -13,10 +13,10 @@ import sys
 from pathlib import Path
 
 from resonator_daemon.base.errors import ExitCode, MissingLibraryError, NoRecordingError, UsageError
+from resonator_daemon.base.host.printable import how_to_install
 from resonator_daemon.commands._argument_types import host_and_port
 from resonator_daemon.commands._broker import add_broker, broker_of
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.host.printable import how_to_install
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -108,7 +108,7 @@ def _check(arguments: argparse.Namespace) -> None:
     for option in ("prefix", "press", "allow_commands"):
         if getattr(arguments, option) and not (arguments.url or arguments.config):
             raise UsageError(f"--{option.replace('_', '-')} is for plates of a broker; add --url or --config")
-    from resonator_daemon.host.system_limits import meaning_of
+    from resonator_daemon.base.host.system_limits import meaning_of
     from resonator_daemon.links.link import LinkUnavailableError
     from resonator_daemon.replay.source import open_replay
 

@@ -15,8 +15,8 @@ from pydantic import (
     field_validator,
 )
 
+from resonator_daemon.base.host.places import state_directory
 from resonator_daemon.config.mqtt import is_this_computer, topic_level
-from resonator_daemon.host.places import state_directory
 from resonator_daemon.toml_files.reading import Number, Table
 from resonator_daemon.toml_files.urls import split_url
 

@@ -12,10 +12,10 @@ from typing import Annotated, Final, Literal, NamedTuple
 from pydantic import BaseModel, Field, ValidationError
 
 from resonator_daemon.base.errors import ConfigurationError
+from resonator_daemon.base.host.new_file import replace_file
+from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.config import Config, config_from, load_config
 from resonator_daemon.config.text import load_plate_text, plate_text
-from resonator_daemon.host.new_file import replace_file
-from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.toml_files.reading import TomlFile, named, parse_toml, read_toml
 

@@ -14,6 +14,11 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from resonator_daemon.base.errors import ConfigurationError, IncompatibleBoardError, UserError
+from resonator_daemon.base.host.journal import tag_log
+from resonator_daemon.base.host.places import runtime_directory
+from resonator_daemon.base.host.signals import on_signals
+from resonator_daemon.base.host.state_log import StateLog
+from resonator_daemon.base.host.systemd import ServiceManager
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.config import Config, plate_name
 from resonator_daemon.daemon.arrival_loop import ArrivalLoop
@@ -23,11 +28,6 @@ from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.daemon.plate_publisher import PlatePublisher
 from resonator_daemon.daemon.recorded_messages import RecordedMessages
 from resonator_daemon.daemon.recording_commands import RecordingCommands, as_json_text, recording_info
-from resonator_daemon.host.journal import tag_log
-from resonator_daemon.host.places import runtime_directory
-from resonator_daemon.host.signals import on_signals
-from resonator_daemon.host.state_log import StateLog
-from resonator_daemon.host.systemd import ServiceManager
 from resonator_daemon.monitoring.ages import Ages
 from resonator_daemon.monitoring.daemon_state import DaemonSnapshot, DaemonState
 from resonator_daemon.monitoring.health import HealthMonitor

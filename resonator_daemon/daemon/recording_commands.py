@@ -5,9 +5,9 @@ import logging
 from typing import Final
 
 from resonator_daemon.base.errors import UserError
+from resonator_daemon.base.host.system_limits import reason_of
 from resonator_daemon.config import Config
 from resonator_daemon.config.text import plate_text, settings_text
-from resonator_daemon.host.system_limits import reason_of
 from resonator_daemon.publishing.commands import CommandRefusedError
 from resonator_daemon.publishing.payloads import RecordingInfo
 from resonator_daemon.publishing.verbs import (

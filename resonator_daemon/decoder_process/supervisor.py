@@ -15,11 +15,11 @@ from typing import Final, Generic, Literal, TypeVar
 
 import psutil
 
+from resonator_daemon.base.host.system_limits import reason_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoder_process.connection import WorkerConnection
 from resonator_daemon.decoder_process.followed_contacts import FollowedContacts, no_contacts
 from resonator_daemon.decoder_process.messages import EndContacts, Reply, Results, SetUpStep, Undecodable, Work
-from resonator_daemon.host.system_limits import reason_of
 from resonator_daemon.monitoring.health import ProcessUsage
 from resonator_daemon.publishing.backoff import Backoff
 from resonator_daemon.publishing.codec import Encoded

@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 import psutil
 
 from resonator_daemon.base.errors import UserError
-from resonator_daemon.host.signals import ended_with_parent
+from resonator_daemon.base.host.signals import ended_with_parent
 from resonator_daemon.plate import Plate
 from simulators.scenario_file import default_scenario
 

@@ -13,7 +13,7 @@ from typing import Final
 from urllib.parse import urlsplit
 
 from resonator_daemon.base.errors import UserError
-from resonator_daemon.host.system_limits import reason_of
+from resonator_daemon.base.host.system_limits import reason_of
 from resonator_daemon.publishing.embedded_delivery import packet_ends
 from resonator_daemon.publishing.receiver import Arrival
 

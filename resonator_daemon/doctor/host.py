@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
 
-from resonator_daemon.host.load import BUSY_PERCENT, LoadMeter, busy_reason
+from resonator_daemon.base.host.load import BUSY_PERCENT, LoadMeter, busy_reason
 
 _PULSE_S: Final = 0.005
 _HALT_S: Final = 0.03  # a program that runs at once is late by a few ms; boards count as silent after some 50 ms

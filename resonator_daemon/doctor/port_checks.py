@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+from resonator_daemon.base.host.documentation import page
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, not_checked
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.usb_checks import usb_device_of
-from resonator_daemon.host.documentation import page
 from resonator_daemon.links.port_holders import Holder, Holders, is_pseudo_terminal
 
 EXISTS: Final = Check("port.exists", Area.WIRING, "port")

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Final
 
 from resonator_daemon.base.errors import ConfigurationError, ExitCode, InterruptedCommandError, UserError
+from resonator_daemon.base.host.places import state_directory
+from resonator_daemon.base.host.signals import interruptible
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.config import Config, Mqtt, load_config
 from resonator_daemon.doctor import link_checks, sensor_checks
@@ -22,8 +24,6 @@ from resonator_daemon.doctor.host_checks import check_clock, check_disk, check_s
 from resonator_daemon.doctor.port_checks import HOLDER, check_holder, check_port
 from resonator_daemon.doctor.report import Report
 from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of, usb_node
-from resonator_daemon.host.places import state_directory
-from resonator_daemon.host.signals import interruptible
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.links.port_holders import Holders, port_holders
 from resonator_daemon.links.target import LinkTarget

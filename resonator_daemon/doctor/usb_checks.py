@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+from resonator_daemon.base.host.documentation import page
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, not_checked
 from resonator_daemon.doctor.host import Host
-from resonator_daemon.host.documentation import page
 from resonator_daemon.links.target import UsbId
 
 DEVICE: Final = Check("usb.device", Area.WIRING, "USB device")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Self
 from urllib.parse import parse_qsl
 
-from resonator_daemon.host.documentation import page
+from resonator_daemon.base.host.documentation import page
 from resonator_daemon.links.link import Link
 from resonator_daemon.links.port_holders import Holder
 from resonator_daemon.toml_files.reading import nearest

@@ -10,8 +10,8 @@ from typing import Any
 from usb.core import USBError, USBTimeoutError
 
 from firmware_protocol.layouts import PROTOCOL_MAJOR
+from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.carriers.usb import UsbTarget
 from resonator_daemon.links.link import (
     CLOSED_HERE,

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 import psutil
 
-from resonator_daemon.host.load import HostLoad
+from resonator_daemon.base.host.load import HostLoad
 from resonator_daemon.publishing.payloads import (
     BootInfo,
     DecoderProcessInfo,

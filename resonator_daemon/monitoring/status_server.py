@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from resonator_daemon.base.errors import ExitCode, UserError
-from resonator_daemon.host.places import make_private
-from resonator_daemon.host.system_limits import reason_of
+from resonator_daemon.base.host.places import make_private
+from resonator_daemon.base.host.system_limits import reason_of
 from resonator_daemon.monitoring.status import Status
 from resonator_daemon.publishing.codec import encode
 

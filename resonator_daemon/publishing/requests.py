@@ -9,8 +9,8 @@ from typing import Any, Final
 from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.base.errors import ExitCode, UserError
+from resonator_daemon.base.host.system_limits import reason_of
 from resonator_daemon.config import Mqtt
-from resonator_daemon.host.system_limits import reason_of
 from resonator_daemon.publishing.broker_connection import FAILURE, MQTT_5, BrokerConnection
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.reconnection import connection_session, keep_connected

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Final, NamedTuple, Self
 
 from resonator_daemon.base.errors import UserError
+from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.recording.file_series import DiskSpace, LogLine, NoRoomError, Series, discard_line
 from resonator_daemon.recording.reader import Mark, Origin
 from resonator_daemon.recording.writer import Contents, Published, RecordingWriter

@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
 
 from resonator_daemon.base.errors import NoRecordingError, UsageError
+from resonator_daemon.base.host.new_file import replace_file
 from resonator_daemon.exporting.tables import WITH_TABLE
-from resonator_daemon.host.new_file import replace_file
 from resonator_daemon.publishing.topics import SIGNALS, STATE_LINK, STATE_SENSOR
 from resonator_daemon.recording.reader import damage_in_words
 from resonator_daemon.redecoding import changes

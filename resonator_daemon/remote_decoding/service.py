@@ -13,13 +13,13 @@ from pathlib import Path
 from urllib.parse import quote
 
 from resonator_daemon.base.errors import ExitCode, UserError
+from resonator_daemon.base.host.places import state_directory
+from resonator_daemon.base.host.signals import on_signals
+from resonator_daemon.base.host.systemd import ServiceManager
 from resonator_daemon.base.reasons import Reason, ReasonCode, joined
 from resonator_daemon.config import DECODER
 from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.decoding.skin import DecodingOptions
-from resonator_daemon.host.places import state_directory
-from resonator_daemon.host.signals import on_signals
-from resonator_daemon.host.systemd import ServiceManager
 from resonator_daemon.monitoring.health import ProcessUsage
 from resonator_daemon.monitoring.liveness import LivenessMonitor
 from resonator_daemon.publishing.codec import Encoded, encode

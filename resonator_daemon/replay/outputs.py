@@ -12,11 +12,11 @@ from typing import Any, Final, Literal, Self, TextIO
 import numpy as np
 
 from resonator_daemon.base.errors import ExitCode, UserError
+from resonator_daemon.base.host.new_file import NoNewFileError, check_new, takes_a_stream
+from resonator_daemon.base.host.printable import printable
+from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.config import Mqtt
-from resonator_daemon.host.new_file import NoNewFileError, check_new, takes_a_stream
-from resonator_daemon.host.printable import printable
-from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.monitoring.daemon_state import DaemonSnapshot, DaemonState
 from resonator_daemon.publishing.codec import Encoded, encode
 from resonator_daemon.publishing.headers import Headers

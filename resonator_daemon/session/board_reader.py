@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from resonator_daemon.base.conditions import Condition
-from resonator_daemon.host.load import HostLoad, LoadMeter
+from resonator_daemon.base.host.load import HostLoad, LoadMeter
 from resonator_daemon.links.hot_plug import PortWatch
 from resonator_daemon.links.link import Link, LinkLostError, LinkUnavailableError
 from resonator_daemon.links.target import LinkTarget

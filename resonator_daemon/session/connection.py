@@ -18,8 +18,8 @@ from firmware_protocol.messages import BoardLog, BoardStatus, Configuration, Ref
 from firmware_protocol.packets import Damage, ForeignVersion
 from firmware_protocol.states import HostState
 from resonator_daemon.base.conditions import Condition
+from resonator_daemon.base.host.load import NO_LOAD, HostLoad, LoadSample
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.host.load import NO_LOAD, HostLoad, LoadSample
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.plate import Plate
 from resonator_daemon.session import link_reasons

@@ -8,8 +8,8 @@ from typing import Annotated, Any, NamedTuple, get_args
 from pydantic import Field, Strict, TypeAdapter, ValidationError
 
 from resonator_daemon.base.conditions import Condition
+from resonator_daemon.base.host.load import NO_LOAD, LoadSample
 from resonator_daemon.base.reasons import Reason
-from resonator_daemon.host.load import NO_LOAD, LoadSample
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_snapshot import LinkSnapshot
 from resonator_daemon.session.stored_reasons import StoredReason

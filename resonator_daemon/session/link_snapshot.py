@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from firmware_protocol.host import Described
 from firmware_protocol.messages import Configuration
-from resonator_daemon.host.load import HostLoad
+from resonator_daemon.base.host.load import HostLoad
 from resonator_daemon.session.clock import ClockSnapshot
 from resonator_daemon.session.frame_numbers import NumberingSnapshot
 from resonator_daemon.session.link_state import LinkStateSnapshot

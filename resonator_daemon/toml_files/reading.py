@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, InitErrorDetails
 
 from resonator_daemon.base.errors import ConfigurationError
-from resonator_daemon.host.system_limits import meaning_of
+from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.toml_files.advice import advice
 from resonator_daemon.toml_files.limits import excess
 

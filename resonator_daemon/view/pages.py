@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from resonator_daemon.base.errors import MissingLibraryError
-from resonator_daemon.host.printable import how_to_install
+from resonator_daemon.base.host.printable import how_to_install
 from resonator_daemon.plate import Plate
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ import pytest
 from emulated_loads import SHIPPED
 
 from resonator_daemon.base.errors import ConfigurationError, UsageError
+from resonator_daemon.base.host.new_file import NoNewFileError
 from resonator_daemon.calibration.plate_file import (
     PlateFile,
     Record,
@@ -17,7 +18,6 @@ from resonator_daemon.calibration.plate_file import (
     with_record,
     write_plate_file,
 )
-from resonator_daemon.host.new_file import NoNewFileError
 from resonator_daemon.plate import load_plate
 
 RECORD = Record(

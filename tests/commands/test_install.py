@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.base.errors import ExitCode
+from resonator_daemon.base.host import install as module
 from resonator_daemon.commands import main
 from resonator_daemon.commands._command_line import command_names
-from resonator_daemon.host import install as module
 
 ROOT = Path(__file__).parents[2]
 PROGRAM = Path(sys.executable).with_name("resonatord")

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 import pytest
 
+from resonator_daemon.base.host.new_file import takes_a_stream
 from resonator_daemon.commands import main
-from resonator_daemon.host.new_file import takes_a_stream
 
 CORPUS: Final = Path(__file__).parents[1] / "corpus"
 

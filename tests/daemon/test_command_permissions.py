@@ -11,8 +11,8 @@ from observer import observe
 from published_schema import ALWAYS, check_all
 from service_bench import Bench
 
+from resonator_daemon.base.host.places import state_directory
 from resonator_daemon.config import Mqtt
-from resonator_daemon.host.places import state_directory
 from resonator_daemon.publishing.requests import request
 from resonator_daemon.publishing.verbs import VERBS
 

@@ -12,9 +12,9 @@ from brokers import Mosquitto, free_port
 from prometheus_client.parser import text_string_to_metric_families
 from service_bench import Bench
 
+from resonator_daemon.base.host.places import runtime_directory
 from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.daemon.daemon import Service
-from resonator_daemon.host.places import runtime_directory
 from resonator_daemon.monitoring.status import Status
 from resonator_daemon.publishing.payloads import Condition
 from simulators.faults import parse_faults

@@ -19,8 +19,8 @@ from typing import Any
 import pytest
 import serial
 
+from resonator_daemon.base.host.documentation import page
 from resonator_daemon.base.reasons import Reason
-from resonator_daemon.host.documentation import page
 from resonator_daemon.links.carriers import serial as serial_link
 from resonator_daemon.links.carriers.serial import SerialTarget, open_serial
 from resonator_daemon.links.link import LinkUnavailableError

@@ -8,8 +8,8 @@ import pytest
 import status_samples
 from example_messages import header
 
+from resonator_daemon.base.host.load import HostLoad
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.host.load import HostLoad
 from resonator_daemon.monitoring import health
 from resonator_daemon.monitoring.health import HealthMonitor
 from resonator_daemon.publishing.payloads import Health, LatencyInfo, Lost

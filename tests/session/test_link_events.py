@@ -4,8 +4,8 @@ import struct
 import pytest
 
 from resonator_daemon.base.conditions import Condition
+from resonator_daemon.base.host.load import LoadSample
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.host.load import LoadSample
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import (
     ControlRequested,

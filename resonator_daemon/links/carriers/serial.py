@@ -16,9 +16,9 @@ import serial
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
+from resonator_daemon.base.host.documentation import page
+from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.host.documentation import page
-from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.link import FileDescriptorLink, LinkUnavailableError
 from resonator_daemon.links.port_holders import is_pseudo_terminal, port_holders
 from resonator_daemon.links.port_identity import PortIdentity, find_port, port_identity, serial_ports

@@ -9,9 +9,9 @@ import time
 from dataclasses import dataclass
 from typing import Final, Self
 
+from resonator_daemon.base.host.documentation import page
+from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.host.documentation import page
-from resonator_daemon.host.system_limits import meaning_of
 from resonator_daemon.links.host_lookup import resolve_host
 from resonator_daemon.links.link import FileDescriptorLink, LinkUnavailableError
 from resonator_daemon.links.target import LinkTarget

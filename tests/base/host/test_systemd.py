@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon.host.systemd import ServiceManager
+from resonator_daemon.base.host.systemd import ServiceManager
 
 
 @pytest.fixture

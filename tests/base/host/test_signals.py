@@ -9,8 +9,8 @@ import pytest
 from observer import until
 
 from resonator_daemon.base.errors import InterruptedCommandError
-from resonator_daemon.host.new_file import NewFile
-from resonator_daemon.host.signals import interruptible, on_signals
+from resonator_daemon.base.host.new_file import NewFile
+from resonator_daemon.base.host.signals import interruptible, on_signals
 
 
 def handlers() -> list[object]:

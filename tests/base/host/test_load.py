@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from resonator_daemon.host import load
-from resonator_daemon.host.load import NO_LOAD, LoadMeter, LoadSample
+from resonator_daemon.base.host import load
+from resonator_daemon.base.host.load import NO_LOAD, LoadMeter, LoadSample
 
 _COUNTED = "some avg10=1.50 avg60=0.00 avg300=0.00 total={}\nfull avg10=0.00 avg60=0.00 avg300=0.00 total=0\n"
 

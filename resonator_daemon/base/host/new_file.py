@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 from resonator_daemon.base.errors import UserError
-from resonator_daemon.host.system_limits import meaning_of
+from resonator_daemon.base.host.system_limits import meaning_of
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
