@@ -177,7 +177,7 @@ class _Parser(argparse.ArgumentParser):
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
-            from resonator_daemon.toml_files.reading import nearest  # slow to import
+            from resonator_daemon.base.toml.reading import nearest  # slow to import
 
             raise argparse.ArgumentError(action, f"got {value!r}; {nearest(str(value), list(action.choices))}")
 

@@ -32,8 +32,8 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     """Print the answer; FAILED where the command was refused."""
     import asyncio
 
+    from resonator_daemon.base.toml.reading import nearest
     from resonator_daemon.publishing.verbs import VERBS
-    from resonator_daemon.toml_files.reading import nearest
 
     logging.getLogger().setLevel(logging.WARNING)  # connections are not logged here
     verb = VERBS.get(arguments.verb)

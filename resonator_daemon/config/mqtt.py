@@ -20,6 +20,8 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails
 
+from resonator_daemon.base.toml.reading import Table, check_with, finding
+from resonator_daemon.base.toml.urls import split_url
 from resonator_daemon.config.broker_files import (
     BrokerFile,
     UnusableFileError,
@@ -30,8 +32,6 @@ from resonator_daemon.config.broker_files import (
     read_key,
     read_password,
 )
-from resonator_daemon.toml_files.reading import Table, check_with, finding
-from resonator_daemon.toml_files.urls import split_url
 
 _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 _ADDRESS: Final = "must be mqtt://host:port, or mqtts://host:port for TLS"

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Final
 
+from resonator_daemon.base.toml.reading import nearest
 from resonator_daemon.links import carriers
 from resonator_daemon.links.target import LinkTarget
-from resonator_daemon.toml_files.reading import nearest
 
 
 def _targets() -> list[type[LinkTarget]]:

@@ -7,9 +7,9 @@ from typing import ClassVar, NamedTuple, Self
 from urllib.parse import parse_qsl
 
 from resonator_daemon.base.host.documentation import page
+from resonator_daemon.base.toml.reading import nearest
 from resonator_daemon.links.link import Link
 from resonator_daemon.links.port_holders import Holder
-from resonator_daemon.toml_files.reading import nearest
 
 
 class UsbId(NamedTuple):

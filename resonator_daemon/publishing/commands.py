@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from resonator_daemon.base.toml.reading import nearest
 from resonator_daemon.publishing.mqtt_messages import Incoming, Outgoing
 from resonator_daemon.publishing.strict_json import read_object
 from resonator_daemon.publishing.token_bucket import TokenBucket
@@ -26,7 +27,6 @@ from resonator_daemon.publishing.verbs import (
     Verb,
     permitted,
 )
-from resonator_daemon.toml_files.reading import nearest
 
 WAITING_MAX: Final = 32
 AT_ONCE: Final = 20

@@ -7,6 +7,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from resonator_daemon.base.errors import UsageError
+from resonator_daemon.base.toml.reading import nearest, shown
 from resonator_daemon.config import Mqtt, plate_name
 from resonator_daemon.publishing.daemon_search import find_online, find_plate
 from resonator_daemon.publishing.requests import ANSWER_S, execute, reach
@@ -15,7 +16,6 @@ from resonator_daemon.publishing.subscriber import subscribe as subscribe_at
 from resonator_daemon.publishing.topics import TOPICS
 from resonator_daemon.publishing.verbs import Answer
 from resonator_daemon.python_api.errors import readable_errors
-from resonator_daemon.toml_files.reading import nearest, shown
 
 
 async def subscribe(

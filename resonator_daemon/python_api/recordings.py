@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from resonator_daemon.base.errors import UsageError
+from resonator_daemon.base.toml.reading import nearest
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.exporting.memory import MemoryOutput
 from resonator_daemon.exporting.output import Recorded
@@ -18,7 +19,6 @@ from resonator_daemon.python_api.errors import RecordingError, RecordingWarning,
 from resonator_daemon.python_api.tables import Table
 from resonator_daemon.replay.source import open_replay
 from resonator_daemon.replay.span import find_span
-from resonator_daemon.toml_files.reading import nearest
 
 DEFAULT_TOPICS: Final = tuple(topic for topic in WITH_TABLE if topic not in WITH_ARRAYS)
 

@@ -16,8 +16,8 @@ from pydantic_core import ErrorDetails, InitErrorDetails
 
 from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.base.host.system_limits import meaning_of
-from resonator_daemon.toml_files.advice import advice
-from resonator_daemon.toml_files.limits import excess
+from resonator_daemon.base.toml.advice import advice
+from resonator_daemon.base.toml.limits import excess
 
 KeyPath = tuple[int | str, ...]
 Model = TypeVar("Model", bound="Table")

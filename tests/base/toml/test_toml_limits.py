@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.base.errors import ConfigurationError
-from resonator_daemon.toml_files import limits as toml_limits
-from resonator_daemon.toml_files.limits import (
+from resonator_daemon.base.toml import limits as toml_limits
+from resonator_daemon.base.toml.limits import (
     LONGEST_WORD,
     MAX_DEPTH,
     MAX_KEYS,
@@ -15,7 +15,7 @@ from resonator_daemon.toml_files.limits import (
     MAX_VALUES,
     excess,
 )
-from resonator_daemon.toml_files.reading import parse_toml
+from resonator_daemon.base.toml.reading import parse_toml
 
 PATH = Path("x.toml")
 
