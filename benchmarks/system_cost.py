@@ -47,7 +47,7 @@ def at_rate(plate: str, rate_hz: float | None, folder: Path) -> str:
     """Return a shipped plate, with a rate as a file."""
     if rate_hz is None:
         return plate
-    text = (ROOT / "resonator_daemon/plates" / f"{plate}.toml").read_text()
+    text = (ROOT / "resonator_daemon/base/plates" / f"{plate}.toml").read_text()
     path = folder / f"{plate}.toml"
     path.write_text(re.sub("(?m)^frame_rate_hz = .*", f"frame_rate_hz = {rate_hz:g}", text))
     return str(path)

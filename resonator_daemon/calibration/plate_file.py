@@ -93,7 +93,7 @@ class PlateFile:
         """
         name = read_toml(config_path).content["plate"]
         if name in shipped_plates():
-            source = Path(str(files("resonator_daemon.plates") / f"{name}.toml"))
+            source = Path(str(files("resonator_daemon.base.plates") / f"{name}.toml"))
             if output is None:
                 sentence = f"plate {name!r} came with the daemon and is not overwritten; name a new plate file"
                 raise UsageError(f"--output: {sentence}, as --output {name}-calibrated.toml")

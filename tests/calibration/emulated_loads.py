@@ -26,7 +26,7 @@ from simulators.quartz_plate import QuartzPlate
 from simulators.scenario import load_scenario
 from simulators.tone_records import even_oscillators
 
-PLATES = Path(__file__).parents[2] / "resonator_daemon/plates"
+PLATES = Path(__file__).parents[2] / "resonator_daemon/base/plates"
 SHIPPED, COMB = PLATES / "quartz16.toml", PLATES / "comb16.toml"
 TONE = record_type(TONE_FIELDS)
 BASELINE_S = 3.0

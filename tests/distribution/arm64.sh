@@ -52,8 +52,8 @@ inside 'uname -m
 
 # 1000 frames/s, as of the plate, are too many for an emulated processor: the demo has 200, and no skin.
 demo=passed
-inside 'plate=resonator_daemon/plates/quartz16-slow.toml
-  sed -e "s/^frame_rate_hz = 1000/frame_rate_hz = 200/" -e "s/^name = .*/name = \"quartz16-slow\"/" resonator_daemon/plates/quartz16.toml >$plate
+inside 'plate=resonator_daemon/base/plates/quartz16-slow.toml
+  sed -e "s/^frame_rate_hz = 1000/frame_rate_hz = 200/" -e "s/^name = .*/name = \"quartz16-slow\"/" resonator_daemon/base/plates/quartz16.toml >$plate
   trap "rm $plate" EXIT
   .venv/bin/resonatord demo --headless --plate quartz16-slow --seconds 10 --json' || demo="failed, exit code $?"
 

@@ -38,7 +38,7 @@ systemd-run -q --unit=broker mosquitto
 systemd-run -q --unit=emulator resonatord emulate --plate quartz16 --pty /run/board
 wait_for '[ -e /run/board ]'
 chgrp dialout /run/board && chmod 0660 /run/board
-sed -e 's/^K = .*/&/' /usr/lib/resonatord/lib/python3.11/site-packages/resonator_daemon/plates/quartz16.toml >/etc/resonatord/left-plate.toml
+sed -e 's/^K = .*/&/' /usr/lib/resonatord/lib/python3.11/site-packages/resonator_daemon/base/plates/quartz16.toml >/etc/resonatord/left-plate.toml
 printf '# a calibration of this plate\n' >>/etc/resonatord/left-plate.toml
 printf '%s\n' 'name = "left"' 'plate = "left-plate.toml"' 'link = "serial:/run/board?baud=4000000"' \
   '[mqtt]' 'url = "mqtt://127.0.0.1:1883"' '[commands]' 'allow = ["start_recording", "stop_recording"]' \

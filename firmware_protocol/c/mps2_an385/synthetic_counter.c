@@ -12,7 +12,7 @@
 
 enum { STRIDE_EDGES = 100 };
 
-/* Out of resonator_daemon/plates/quartz16.toml: the pilot, and site 13 with its sensitivity of -5.17e-6 per newton. */
+/* Out of resonator_daemon/base/plates/quartz16.toml: the pilot, and site 13 with its sensitivity of -5.17e-6 per newton. */
 static const uint64_t reference_millihertz = 1000000000000u;
 static const uint64_t pilot_millihertz = 10010000000u;
 static const uint64_t site_millihertz[RESONATOR_CHANNELS] = {9971966800u, 9971963200u, 9971935100u, 9972199700u};
