@@ -17,8 +17,8 @@ from firmware_protocol.layouts import BLOCK_STRUCT, CHANNEL_COUNT, SINGLE_TONE_S
 from firmware_protocol.packets import MAX_PAYLOAD_BYTES, PACKET_OVERHEAD_BYTES
 from resonator_daemon.base.arrays import Floats, Integers
 from resonator_daemon.base.errors import ConfigurationError
+from resonator_daemon.base.plate_checks import findings
 from resonator_daemon.base.toml.reading import Number, Table, check_with, load_model, nearest, read_toml
-from resonator_daemon.plate_checks import findings
 from resonator_daemon.plate_tables import (
     FORCE_SIGNALS,
     SKIN_SIGNALS,
