@@ -18,8 +18,7 @@ from firmware_protocol.packets import MAX_PAYLOAD_BYTES, PACKET_OVERHEAD_BYTES
 from resonator_daemon.base.arrays import Floats, Integers
 from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.base.plate_checks import findings
-from resonator_daemon.base.toml.reading import Number, Table, check_with, load_model, nearest, read_toml
-from resonator_daemon.plate_tables import (
+from resonator_daemon.base.plate_tables import (
     FORCE_SIGNALS,
     SKIN_SIGNALS,
     Calibration,
@@ -34,6 +33,7 @@ from resonator_daemon.plate_tables import (
     Thermal,
     at_least,
 )
+from resonator_daemon.base.toml.reading import Number, Table, check_with, load_model, nearest, read_toml
 
 Item = TypeVar("Item", bound=np.generic)
 

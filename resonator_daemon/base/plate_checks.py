@@ -8,8 +8,7 @@ import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic_core import InitErrorDetails
 
-from resonator_daemon.base.toml.reading import Number, finding
-from resonator_daemon.plate_tables import (
+from resonator_daemon.base.plate_tables import (
     FORCE_SIGNAL,
     FORCE_SIGNALS,
     SKIN_SIGNALS,
@@ -20,6 +19,7 @@ from resonator_daemon.plate_tables import (
     Point,
     Site,
 )
+from resonator_daemon.base.toml.reading import Number, finding
 
 _MAX_TONES = 46_872  # 63 parts of 744 tones a channel: a frame has at most 255 parts
 _SPREAD_SITES = 4
