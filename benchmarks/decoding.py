@@ -20,6 +20,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from resonator_daemon.base.arrays import Floats
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.decoding import FourierDecoder, OpenPlaneDecoder
 from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
 from resonator_daemon.decoding.prior import Prior
@@ -27,7 +28,6 @@ from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_decoder import SkinDecoder
 from resonator_daemon.decoding.streaming import set_up
 from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.plate import load_plate
 from simulators.contact import hertz_parts, pixel_tractions
 from simulators.half_space_fields import hertz_fields
 

@@ -26,9 +26,9 @@ from firmware_protocol.device import DeviceSession
 from firmware_protocol.layouts import CHANNEL_COUNT, SINGLE_TONE_STRUCT
 from firmware_protocol.messages import CounterKind, Description, Identity
 from firmware_protocol.packets import PacketDecoder
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.config import Mqtt
 from resonator_daemon.forces.site_identification import Matcher
-from resonator_daemon.plate import load_plate
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.mqtt_messages import Outgoing

@@ -22,7 +22,7 @@ import psutil
 from parts import COMMAND, ROOT, child, emulated_board, processor_s, running
 from simulated_recording import record
 
-from resonator_daemon.plate import load_plate
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.replay.source import open_replay
 
 SETTLE_S = 3.0

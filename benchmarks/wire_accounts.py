@@ -16,7 +16,7 @@ from firmware_protocol.messages import BoardStatus, CounterKind, Description, Id
 from firmware_protocol.output_queue import Outgoing
 from firmware_protocol.packets import PACKET_OVERHEAD_BYTES, SYNC
 from firmware_protocol.states import BoardState
-from resonator_daemon.plate import load_plate
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.session.compatibility import gate_ticks
 from resonator_daemon.session.connection import Connection
 from resonator_daemon.session.counters import LinkCounters

@@ -23,10 +23,10 @@ import psutil
 from long_run_judge import FLAT, FLAT_THOUSANDS, KEPT_MB, Row, print_rows, rises, trend
 from simulated_daemon import STEP_NS, S, Seen, SimulatedBoard, SimulatedDaemon, SimulatedHost, World
 
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.config import Decoding, Measurement
 from resonator_daemon.config.text import config_of
 from resonator_daemon.links.table import parse_link
-from resonator_daemon.plate import load_plate
 
 _KEPT_THOUSANDS = 0.03  # a day: the samples and events of this benchmark
 _SLOPES = (("rss_mb", "MB", KEPT_MB), ("blocks_thousand", "thousand blocks", FLAT_THOUSANDS), ("descriptors", "", FLAT))

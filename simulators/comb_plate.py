@@ -6,8 +6,8 @@ import numpy as np
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from firmware_protocol.messages import CounterKind, Description
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL, TEMPERATURE_SIGNAL
-from resonator_daemon.plate import Plate
 from simulators.arrays import Floats
 from simulators.plate import CountedFrame, attenuation_db256, corner_levels_db
 from simulators.pressed_sites import PressedGates, PressedSites

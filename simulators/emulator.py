@@ -17,8 +17,8 @@ from threadpoolctl import threadpool_limits
 
 from firmware_protocol.layouts import PROTOCOL_MINOR
 from firmware_protocol.messages import Identity, ResetCause
+from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
-from resonator_daemon.plate import Plate, load_plate
 from simulators.board import Board, MadeFrame
 from simulators.comb_plate import CombPlate
 from simulators.control import ControlSocket

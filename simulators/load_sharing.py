@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from resonator_daemon.plate import Plate
+from resonator_daemon.base.plate import Plate
 from simulators.arrays import Floats, Integers
 from simulators.pressing import Pressing
 

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
-from resonator_daemon.plate import Plate
 from simulators.arrays import Floats
 from simulators.load_sharing import site_loads
 from simulators.plate import Contact, gate_middles_s

@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
-from resonator_daemon.plate import Plate
 from simulators.arrays import Floats
 from simulators.findings import message_of
 from simulators.pressing import FRICTION_COEFFICIENT, RADIUS_M_AT_1_NEWTON, Pressing

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from firmware_protocol.layouts import CHANNEL_COUNT, SINGLE_TONE_FIELDS, RecordFlag
 from firmware_protocol.messages import CounterKind, Description
-from resonator_daemon.plate import Plate
+from resonator_daemon.base.plate import Plate
 from simulators.arrays import Floats, Indices
 from simulators.beats import INTERFERERS, Beats
 from simulators.plate import CountedFrame, attenuation_db256, corner_levels_db, record_type

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from resonator_daemon.plate import Plate
+from resonator_daemon.base.plate import Plate
 from simulators.arrays import Floats
 from simulators.faults import FaultPlan
 from simulators.physics import Physics

@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
-from resonator_daemon.plate import Plate
 from simulators.arrays import Floats
 from simulators.faults import FaultEvent, FaultPlan
 from simulators.findings import message_of, nearest

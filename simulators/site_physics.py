@@ -5,8 +5,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from firmware_protocol.layouts import CHANNEL_COUNT
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
-from resonator_daemon.plate import Plate
 from simulators.arrays import Floats, Integers
 from simulators.oscillator_noise import OscillatorNoise
 from simulators.physics import Physics

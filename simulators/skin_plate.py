@@ -6,8 +6,8 @@ import numpy as np
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from firmware_protocol.messages import CounterKind, Description
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import Skin
-from resonator_daemon.plate import Plate
 from simulators.arrays import Floats, Singles
 from simulators.contact import contact_radius_m, hertz_parts, pressed_signals
 from simulators.normal_noise import normal_noise

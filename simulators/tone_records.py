@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.layouts import TONE_FIELDS, ToneFlag
-from resonator_daemon.plate import Plate
+from resonator_daemon.base.plate import Plate
 from simulators.arrays import Floats
 from simulators.plate import record_type
 

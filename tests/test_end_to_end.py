@@ -16,7 +16,7 @@ from end_to_end_touches import (
 )
 from plates import with_counter
 
-from resonator_daemon.plate import load_plate
+from resonator_daemon.base.plate import load_plate
 from simulators.physics import Physics
 
 TOUCHES = 5

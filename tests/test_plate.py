@@ -10,7 +10,7 @@ from plates import site
 from pydantic import ValidationError
 
 from resonator_daemon.base.errors import ConfigurationError
-from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.base.plate import Plate, load_plate
 
 FORCE_PLATE = """\
 format = 1

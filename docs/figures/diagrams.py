@@ -7,7 +7,7 @@ from pathlib import Path
 
 from svg import Drawing
 
-from resonator_daemon.plate import load_plate
+from resonator_daemon.base.plate import load_plate
 
 FOLDER = Path(__file__).parent
 PIXELS_PER_MM = 22.0

@@ -10,9 +10,9 @@ from typing import Final, Literal
 import numpy as np
 
 from resonator_daemon.base.arrays import Floats
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.calibration.load_readings import NOTHING, PILOT, LoadReading, site_codes
 from resonator_daemon.calibration.steps import CalibrationRefusedError, Step
-from resonator_daemon.plate import Plate
 from resonator_daemon.tones.tone_detector import READING_S
 
 BASELINE_S: Final = 2.0

@@ -14,11 +14,11 @@ from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.errors import ConfigurationError, IncompatibleBoardError
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
 from resonator_daemon.calibration.steps import CalibrationRefusedError, LinkBusyError
 from resonator_daemon.config import Config
 from resonator_daemon.pipeline.tone_capture import ToneCapture
-from resonator_daemon.plate import Plate
 from resonator_daemon.recording.event_replay import replay_of
 from resonator_daemon.session.frames import BoardOnline, BoardRefused, ChannelisedFrame, LinkChange, SingleToneFrame
 from resonator_daemon.session.link_reasons import OPENING

@@ -7,9 +7,9 @@ import numpy as np
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.arrays import Floats
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.calibration.load_readings import NOTHING, PILOT, LoadReading, site_codes
 from resonator_daemon.calibration.steps import CalibrationRefusedError
-from resonator_daemon.plate import Plate
 from resonator_daemon.tones.frequency_estimators import oscillator_std
 from resonator_daemon.tones.tone_detector import READING_S, ToneReading
 

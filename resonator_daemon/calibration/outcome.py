@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from resonator_daemon.base.arrays import Floats
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.calibration.coupling import compare_with_width, find_coupling
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
 from resonator_daemon.calibration.load_readings import site_codes
@@ -19,7 +20,6 @@ from resonator_daemon.forces.loading_fit import RESPONSE_DEFAULT
 from resonator_daemon.forces.loadings import Readings, Steps
 from resonator_daemon.forces.site_response import SiteResponse
 from resonator_daemon.forces.temperature_fit import fit_temperature
-from resonator_daemon.plate import Plate
 
 KELVIN_MARGIN: Final = 5.0  # on either side of the temperatures of a calibration
 MODEL_ERROR_MIN: Final = 1e-3  # fewer loads than thousands cannot vouch for less

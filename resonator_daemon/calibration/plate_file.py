@@ -27,10 +27,10 @@ from resonator_daemon.base.host.new_file import (
 )
 from resonator_daemon.base.host.places import state_directory
 from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.plate import load_plate, shipped_plates
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL, Coupling
 from resonator_daemon.base.toml.reading import read_toml
 from resonator_daemon.calibration.steps import CalibrationRefusedError
-from resonator_daemon.plate import load_plate, shipped_plates
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,13 @@ import numpy as np
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.errors import ConfigurationError, ExitCode
 from resonator_daemon.base.host.printable import print_note
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import Skin
 from resonator_daemon.calibration.steps import CalibrationRefusedError
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.decoding.open_plane.prior_fit import PriorFit, fit_prior, has_load
 from resonator_daemon.decoding.prior import DEFAULT_PRIOR
 from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.payloads import Signals
 from resonator_daemon.publishing.requests import reach
 from resonator_daemon.publishing.subscriber import subscribe

@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import Final
 
 from resonator_daemon.base.errors import ExitCode, UsageError, UserError
-from resonator_daemon.plate import Plate
+from resonator_daemon.base.plate import Plate
 
 STANDARD_GRAVITY: Final = 9.80665  # m/s^2, ISO 80000-3
 SENSITIVITY_STD_MAX: Final = 0.05  # relative, of each site's K: what is known worse is no calibration

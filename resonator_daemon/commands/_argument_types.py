@@ -91,7 +91,7 @@ def separate_config(arguments: argparse.Namespace) -> None:
 
 def check_plate_name(name: str) -> None:
     """Raise UsageError where `--plate` names neither a shipped plate nor a file."""
-    from resonator_daemon.plate import load_plate, shipped_plates
+    from resonator_daemon.base.plate import load_plate, shipped_plates
 
     try:
         if name not in shipped_plates() and not os.path.exists(name):

@@ -22,12 +22,12 @@ from pydantic import (
 from pydantic_core import InitErrorDetails
 
 from resonator_daemon.base.errors import ConfigurationError
+from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.base.toml.reading import Table, TomlFile, check_with, finding, load_model, read_toml
 from resonator_daemon.config.mqtt import Mqtt
 from resonator_daemon.config.tables import Commands, Decoding, Measurement, Metrics, Recording, plate_name
 from resonator_daemon.links.table import link_forms, parse_link
 from resonator_daemon.links.target import LinkTarget
-from resonator_daemon.plate import Plate, load_plate
 
 _EXAMPLE = """\
 name = "left-index"                      # topics: resonator/left-index/...; default: the board's serial number

@@ -19,6 +19,7 @@ from resonator_daemon.base.host.places import runtime_directory
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.state_log import StateLog
 from resonator_daemon.base.host.systemd import ServiceManager
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.config import Config, plate_name
 from resonator_daemon.daemon.arrival_loop import ArrivalLoop
@@ -37,7 +38,6 @@ from resonator_daemon.monitoring.status import BrokerStatus, Status
 from resonator_daemon.monitoring.status_server import SOCKET_NAME, AlreadyRunningError, StatusServer
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.pipeline.control_requests import ControlRequests, SetWindow
-from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import Condition, Health, Message, MessageAccount, State
 from resonator_daemon.publishing.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic

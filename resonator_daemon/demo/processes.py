@@ -19,7 +19,7 @@ import psutil
 
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.host.signals import ended_with_parent
-from resonator_daemon.plate import Plate
+from resonator_daemon.base.plate import Plate
 from simulators.scenario_file import default_scenario
 
 PYTHON = (sys.executable, "-m")

@@ -22,6 +22,7 @@ from rich.live import Live
 from resonator_daemon.base.errors import ExitCode, InterruptedCommandError, LossError, UserError
 from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.base.host.signals import on_signals
+from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.config import Mqtt
 from resonator_daemon.demo.processes import (
     BROKER_PART,
@@ -39,7 +40,6 @@ from resonator_daemon.demo.results import cause, delays, failures, in_words, per
 from resonator_daemon.demo.score import SCORED, PlateScore
 from resonator_daemon.demo.subscription import Subscription
 from resonator_daemon.demo.truth import TruthTable, site_traction, surface_traction
-from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.publishing.receiver import Arrival
 from resonator_daemon.publishing.subscriber import read_message, topic_filters
 from resonator_daemon.publishing.topics import SIGNALS, TOPICS, full_topic, split_topic

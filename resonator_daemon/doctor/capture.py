@@ -8,12 +8,12 @@ from typing import Final
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.messages import BoardStatus, MalformedMessageError, decode_message
 from firmware_protocol.packets import Packet, PacketDecoder
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason
 from resonator_daemon.doctor.host import Host, Load
 from resonator_daemon.doctor.plate_readings import FEWEST_FRAMES, PlateReading, plate_reading
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.pipeline.tone_capture import ToneCapture
-from resonator_daemon.plate import Plate
 from resonator_daemon.sensors.expected_tones import ExpectedTones
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.session.counters import LinkCounters

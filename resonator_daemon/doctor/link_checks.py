@@ -7,10 +7,10 @@ from typing import Final
 from firmware_protocol.messages import ResetCause
 from resonator_daemon.base.host.documentation import page
 from resonator_daemon.base.host.load import REMEDY
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.doctor.capture import OPEN_S, Capture
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, Outcome, excused, graded, not_checked
-from resonator_daemon.plate import Plate
 from resonator_daemon.session.clock import TOLERANCE_PPM
 from resonator_daemon.session.compatibility import first_of, incompatibilities
 from resonator_daemon.session.link_reasons import all_of

@@ -12,6 +12,7 @@ from typing import Final
 from resonator_daemon.base.errors import ConfigurationError, ExitCode, InterruptedCommandError, UserError
 from resonator_daemon.base.host.places import state_directory
 from resonator_daemon.base.host.signals import interruptible
+from resonator_daemon.base.plate import Plate, load_plate, shipped_plates
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.config import Config, Mqtt, load_config
 from resonator_daemon.doctor import link_checks, sensor_checks
@@ -27,7 +28,6 @@ from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link,
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.links.port_holders import Holders, port_holders
 from resonator_daemon.links.target import LinkTarget
-from resonator_daemon.plate import Plate, load_plate, shipped_plates
 from resonator_daemon.session.probe import NoBoardError, ProbeResult, probe
 
 _BITS_PER_BYTE: Final = 8

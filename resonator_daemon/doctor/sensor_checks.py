@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.arrays import Floats
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import SKIN_SIGNALS
 from resonator_daemon.doctor.capture import Capture
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, Outcome, graded, not_checked
 from resonator_daemon.doctor.plate_readings import PAIRS, known_mean
-from resonator_daemon.plate import Plate
 from resonator_daemon.sensors.expected_tones import ExpectedTones
 
 CHANNELS: Final = Check("sensor.channels", Area.SENSOR, "channels")

@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.plate import Plate
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.publishing.payloads import Contact, Info
 
 

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 from resonator_daemon.base.errors import ExitCode, UsageError, UserError
 from resonator_daemon.base.host.new_file import check_new, takes_a_stream
 from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml.reading import nearest
 from resonator_daemon.config import Config
 from resonator_daemon.exporting.formats import FORMATS, ROS2, format_class
 from resonator_daemon.exporting.output import Output, Recorded
-from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.units import UNITS
 from resonator_daemon.replay.recorded_pipeline import Moment, RecordingReplay, what_is_wrong
 from resonator_daemon.replay.source import open_replay

@@ -5,8 +5,8 @@ from dataclasses import replace
 from operator import attrgetter
 from typing import Any, Final
 
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.exporting.columns import Column, Source, Value, array_sources, sources
-from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.payloads import (
     Compensation,
     Contact,

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from typing import Any
 
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.links.target import LinkTarget
-from resonator_daemon.plate import Plate
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.session.blocking_reader import BlockingReader
 from resonator_daemon.session.compatibility import oscillator_hz

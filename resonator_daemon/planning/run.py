@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.errors import ExitCode, UsageError, UserError
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.forces import code_placement, code_trials
 from resonator_daemon.forces.code_plan import GuardBand, force_noise, guard_band, ladder_hz, stamp_noise
 from resonator_daemon.forces.code_trials import Codes, Outcomes, Scatter
@@ -22,7 +23,6 @@ from resonator_daemon.planning.plate_file import (
     plate_layout,
 )
 from resonator_daemon.planning.request import JITTER_S, Request, make_request
-from resonator_daemon.plate import Plate
 from resonator_daemon.sensors import code_check
 from resonator_daemon.sensors.plate_sites import force_sites
 from resonator_daemon.tones.frequency_estimators import oscillator_std

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from resonator_daemon.base.errors import UsageError
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml.reading import nearest
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.exporting.memory import MemoryOutput
 from resonator_daemon.exporting.output import Recorded
 from resonator_daemon.exporting.run import differences_in_words, file_metadata
 from resonator_daemon.exporting.tables import WITH_ARRAYS, WITH_TABLE
-from resonator_daemon.plate import Plate
 from resonator_daemon.python_api.errors import RecordingError, RecordingWarning, readable_errors
 from resonator_daemon.python_api.tables import Table
 from resonator_daemon.replay.source import open_replay

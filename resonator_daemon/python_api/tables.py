@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from resonator_daemon.base.errors import ExitCode, MissingLibraryError, UserError
 from resonator_daemon.base.host.printable import how_to_install
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.exporting.columns import Column
-from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.topics import CONTACTS, DECODED_SUMMARY
 from resonator_daemon.publishing.units import AXES
 

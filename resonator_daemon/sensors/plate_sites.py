@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL, TEMPERATURE_SIGNAL, Response
 from resonator_daemon.forces.force_sites import DEFAULT_COEFFICIENT_STD, ForceSites, Warmth, known_coefficients
 from resonator_daemon.forces.site_response import SiteResponse
-from resonator_daemon.plate import Plate
 
 
 def force_sites(plate: Plate) -> ForceSites:

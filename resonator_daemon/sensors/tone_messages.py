@@ -5,9 +5,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.forces.readings import CornerTone as MeasuredTone
 from resonator_daemon.forces.readings import ForceReading
-from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.codec import Encoded, encode_fields
 from resonator_daemon.publishing.payloads import CapturedTone, SiteCode, Tones
 from resonator_daemon.publishing.rounding import rounded, rounded_std

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from firmware_protocol.host import Described
 from firmware_protocol.layouts import CHANNEL_COUNT
 from firmware_protocol.messages import CounterKind, Description
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.plate import Plate
 from resonator_daemon.session.frames import BoardRefused
 
 _REFERENCE_TOLERANCE = 1e-6  # nominal against nominal: both are written down, not measured

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from firmware_protocol.host import Described
 from resonator_daemon.base.conditions import Condition
-from resonator_daemon.plate import Plate
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.session import link_events as wire
 from resonator_daemon.session.compatibility import gate_ticks
 from resonator_daemon.session.connection import Connection

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import Counter
 from resonator_daemon.forces.code_plan import ForceNoise, GuardBand
 from resonator_daemon.forces.code_trials import Outcomes
 from resonator_daemon.forces.codes import CodeOverlap
-from resonator_daemon.plate import Plate
 from resonator_daemon.view.pages import number_table, write_code_figure
 from resonator_daemon.view.words import quantity
 

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from resonator_daemon.base.errors import MissingLibraryError
 from resonator_daemon.base.host.printable import how_to_install
-from resonator_daemon.plate import Plate
+from resonator_daemon.base.plate import Plate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

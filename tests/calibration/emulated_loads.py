@@ -12,12 +12,12 @@ import numpy as np
 
 from firmware_protocol.layouts import CHANNEL_COUNT, TONE_FIELDS, single_tone_records
 from resonator_daemon.base.arrays import Floats
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.calibration.load_procedure import LoadProcedure, Prompt
 from resonator_daemon.calibration.load_readings import CapturedLoads, LoadReading
 from resonator_daemon.calibration.multitone_loads import MultitoneLoads
 from resonator_daemon.calibration.outcome import Outcome, fit_loadings
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY, LoadRequest, Step
-from resonator_daemon.plate import Plate
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.tones.tone_detector import reading_frames
 from simulators.comb_plate import CombPlate

@@ -17,9 +17,9 @@ from command_line import exit_code
 from emulated_loads import TRUE, Touches, nominal_text, true_text
 from emulation import emulated
 
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY
 from resonator_daemon.config import load_config
-from resonator_daemon.plate import load_plate
 from simulators.emulator import EmulatorOptions
 
 MASSES = (0.1, 0.3, 0.5)

@@ -9,6 +9,7 @@ from emulated_loads import SHIPPED
 
 from resonator_daemon.base.errors import ConfigurationError, UsageError
 from resonator_daemon.base.host.new_file import NoNewFileError
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.calibration.plate_file import (
     PlateFile,
     Record,
@@ -18,7 +19,6 @@ from resonator_daemon.calibration.plate_file import (
     with_record,
     write_plate_file,
 )
-from resonator_daemon.plate import load_plate
 
 RECORD = Record(
     id="4f1e",

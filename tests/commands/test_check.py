@@ -13,13 +13,13 @@ import pytest
 import tomlkit
 
 from resonator_daemon.base.errors import ConfigurationError, ExitCode
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.commands import main
 from resonator_daemon.config.text import plate_text
 from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.daemon.daemon import Service
 from resonator_daemon.decoding.skin_decoder import SkinDecoder
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
-from resonator_daemon.plate import load_plate
 from resonator_daemon.sensors.surface_stream import SurfaceSettings
 
 BAD = (0, -1, 1e-300, 1e300, math.nan, math.inf, 10**400, [], "1")

@@ -9,8 +9,8 @@ import pytest
 from command_line import exit_code
 from plates import plate_head, site
 
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.commands import main
-from resonator_daemon.plate import load_plate
 from resonator_daemon.sensors import code_check
 
 GRID = ("--grid", "4x4", "--pitch-mm", "5")

@@ -15,10 +15,10 @@ from emulation import emulated
 from jsonschema import validate
 from mcap.reader import make_reader
 
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.config import load_config
 from resonator_daemon.config.text import load_plate_text
 from resonator_daemon.daemon.link_recording import NoBoardError, PortInUseError, RecordOptions, record
-from resonator_daemon.plate import load_plate
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.reader import open_recording
 from resonator_daemon.session.board_reader import BoardReader

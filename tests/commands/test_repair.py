@@ -13,8 +13,8 @@ from mcap.reader import make_reader
 from recording_bench import ONE_BATCH
 
 from resonator_daemon.base.host.new_file import NoNewFileError
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.commands import main
-from resonator_daemon.plate import load_plate
 from resonator_daemon.recording import recorder as recording
 from resonator_daemon.recording.reader import DAMAGE, Mark, Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder

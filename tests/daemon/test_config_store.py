@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.base.errors import ConfigurationError
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.config.text import plate_text
 from resonator_daemon.daemon.config_store import ConfigStore
-from resonator_daemon.plate import load_plate
 
 GOOD = (
     'name = "left"\nplate = "own.toml"\nlink = "tcp://127.0.0.1:5000"\n[mqtt]\nusername = "a"\npassword_file = "pw"\n'

@@ -14,7 +14,7 @@ from service_bench import Bench, events
 
 from firmware_protocol.packets import encode_packet
 from resonator_daemon.base.errors import ConfigurationError, ExitCode, IncompatibleBoardError
-from resonator_daemon.plate import load_plate
+from resonator_daemon.base.plate import load_plate
 from simulators.faults import parse_faults
 
 

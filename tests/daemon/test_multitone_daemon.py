@@ -9,7 +9,7 @@ from observer import Observer, observe
 from scenarios import IDEAL, touch_text
 from service_bench import Bench, events
 
-from resonator_daemon.plate import load_plate
+from resonator_daemon.base.plate import load_plate
 
 PLACE_M = (1.5e-3, -1.0e-3)
 SITES = {site.id: site.position_mm for site in load_plate("comb16").sites}

@@ -13,8 +13,8 @@ from published import HEADER, publish
 from report_makers import Messages, configured
 
 from firmware_protocol.messages import Configuration, Description, Identity
+from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.config import Mqtt
-from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.publishing.payloads import Info, State
 from resonator_daemon.session.frames import BoardOnline
 

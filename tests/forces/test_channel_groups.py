@@ -5,8 +5,8 @@ import pytest
 from brute_force_board import Ladder
 from drawn_touches import MODEL_ERROR, NOISE, draws, match_all, matcher_of
 
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.forces.site_identification import Matcher
-from resonator_daemon.plate import load_plate
 
 
 class Shipped(Ladder):

@@ -3,6 +3,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.forces.code_placement import (
     default_coupling,
     distances_m,
@@ -12,7 +13,6 @@ from resonator_daemon.forces.code_placement import (
     neighbours,
     place_codes,
 )
-from resonator_daemon.plate import load_plate
 
 
 def grid(columns: int, rows: int):

@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.forces.spread import SpreadFit
-from resonator_daemon.plate import load_plate
 
 DEPTH_M = 2.5e-3
 NOISE_STD = 1e-3

@@ -6,8 +6,8 @@ import pytest
 from brokers import Mosquitto
 from observer import observe
 
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.config import Mqtt
-from resonator_daemon.plate import load_plate
 from resonator_daemon.publishing import outbox
 from resonator_daemon.recording.reader import Mark, Origin
 from resonator_daemon.recording.recorder import Recorder

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol.messages import Description
-from resonator_daemon.plate import load_plate
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.session.compatibility import incompatibilities, oscillator_hz
 
 QUARTZ, SKIN = load_plate("quartz16"), load_plate("skin32")

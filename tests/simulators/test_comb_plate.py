@@ -6,7 +6,7 @@ from scenarios import steady
 from tone_fields import counted_fields
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.base.plate import Plate, load_plate
 from simulators.comb_plate import CombPlate
 from simulators.physics import Physics
 from simulators.scenario import Scenario

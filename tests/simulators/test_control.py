@@ -15,7 +15,7 @@ from emulation import emulated
 from scenarios import steady
 from wire_host import Host, opened, truths
 
-from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.base.plate import Plate, load_plate
 from simulators.comb_plate import CombPlate
 from simulators.control import CLIENTS_MAX, LINE_BYTES_MAX
 from simulators.emulator import Emulator, EmulatorOptions

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.config import load_config
-from resonator_daemon.plate import load_plate
 from simulators.links import PtyLink, TcpLink
 
 WAIT_S = 5.0

@@ -5,7 +5,7 @@ import numpy.typing as npt
 import pytest
 from scenarios import steady
 
-from resonator_daemon.plate import load_plate
+from resonator_daemon.base.plate import load_plate
 from simulators.load_sharing import SiteLoads, site_loads
 from simulators.scenario import Scenario
 from simulators.scenario_file import Touch

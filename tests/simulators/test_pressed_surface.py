@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from resonator_daemon.plate import load_plate
+from resonator_daemon.base.plate import load_plate
 from simulators.contact import hertz_parts, pressed_signals
 from simulators.pressed_surface import PressedSurface
 

@@ -9,7 +9,7 @@ from plates import plate_head, site
 from scenarios import steady
 
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag, SingleToneRecord
-from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.base.plate import Plate, load_plate
 from simulators.physics import Physics
 from simulators.quartz_plate import QuartzPlate
 from simulators.scenario import Scenario

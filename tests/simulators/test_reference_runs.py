@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol.layouts import SINGLE_TONE_FIELDS, TONE_FIELDS
-from resonator_daemon.plate import load_plate
+from resonator_daemon.base.plate import load_plate
 from simulators.board import MadeFrame
 from simulators.comb_plate import CombPlate
 from simulators.plate import EmulatedPlate, record_type

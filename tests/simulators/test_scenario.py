@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenarios import steady
 
-from resonator_daemon.plate import load_plate
+from resonator_daemon.base.plate import load_plate
 from simulators.scenario import Scenario, load_scenario
 from simulators.scenario_file import Touch, shipped_scenarios
 

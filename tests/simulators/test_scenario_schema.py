@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from jsonschema import Draft202012Validator
 
-from resonator_daemon.plate import load_plate
+from resonator_daemon.base.plate import load_plate
 from simulators import scenario_file
 from simulators.scenario import load_scenario
 from simulators.scenario_schema import scenario_schema

@@ -9,7 +9,7 @@ import pytest
 from plates import with_tables
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.base.plate import Plate, load_plate
 from simulators.physics import Physics
 from simulators.site_physics import SiteFrames, SitePhysics
 

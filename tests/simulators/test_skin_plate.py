@@ -5,7 +5,7 @@ import pytest
 from tone_fields import counted_fields
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.plate import load_plate
+from resonator_daemon.base.plate import load_plate
 from simulators.contact import pressed_signals
 from simulators.scenario import Scenario
 from simulators.skin_plate import SkinPlate

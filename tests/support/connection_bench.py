@@ -11,7 +11,7 @@ from firmware_protocol.host import Described
 from firmware_protocol.messages import CounterKind, Description, Identity
 from firmware_protocol.states import BoardState
 from resonator_daemon.base.host.load import NO_LOAD
-from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.session.compatibility import gate_ticks
 from resonator_daemon.session.connection import Connection
 from resonator_daemon.session.counters import LinkCounters

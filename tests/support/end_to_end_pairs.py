@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from plate_bench import SETTLED_S, Moment, PlateBench, corner_levels_db
 
-from resonator_daemon.plate import Plate
+from resonator_daemon.base.plate import Plate
 from simulators.scenario_file import Touch
 
 FORCE_NEWTON = (0.2, 8.0)

@@ -7,8 +7,8 @@ import numpy as np
 from plate_bench import ROOM_KELVIN, SETTLED_S, PlateBench
 
 from resonator_daemon.base.arrays import Floats
+from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.base.plate_tables import Response, Thermal
-from resonator_daemon.plate import Plate, load_plate
 from simulators.physics import Physics
 from simulators.scenario_file import Touch
 

@@ -4,8 +4,8 @@ import threading
 import time
 from collections.abc import Callable
 
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.links.target import LinkTarget
-from resonator_daemon.plate import load_plate
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frames import Arrival, ChannelisedFrame, Gap, LinkChange, Outage, SingleToneFrame

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, TONE_FIELDS, SingleToneRecord
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.config import Measurement
 from resonator_daemon.forces.readings import ForceReading
-from resonator_daemon.plate import Plate
 from resonator_daemon.sensors.force_sensor import ForceSensor
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.sensors.single_tone_processing import SingleToneProcessing

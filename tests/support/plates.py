@@ -3,7 +3,7 @@
 import json
 from typing import Any
 
-from resonator_daemon.plate import Plate
+from resonator_daemon.base.plate import Plate
 
 SMALL_SKIN = """
 format = 1

@@ -11,8 +11,8 @@ import numpy as np
 from mcap.reader import make_reader
 
 from resonator_daemon.base.conditions import Condition
+from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.recording.event_replay import replay
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.reader import Origin, open_recording

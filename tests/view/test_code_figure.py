@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from resonator_daemon.plate import load_plate
+from resonator_daemon.base.plate import load_plate
 from resonator_daemon.view.pages import write_code_figure
 
 
