@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.base.arrays import Floats
+from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
 from resonator_daemon.forces.code_fit import RUNNER_UP_GAP
-from resonator_daemon.tones.frequency_estimators import oscillator_std
 
 NOISE_FACTOR: Final = math.sqrt(RUNNER_UP_GAP)  # standard deviations a site, so that odds are 1000 : 1
 

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from resonator_daemon.tones.frequency_estimators import Sums
-from resonator_daemon.tones.gate_block import GateBlock, WindowSums
+from resonator_daemon.estimate.tones.frequency_estimators import Sums
+from resonator_daemon.estimate.tones.gate_block import GateBlock, WindowSums
 
 
 class CountedWindow:

@@ -10,7 +10,7 @@ from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
-from resonator_daemon.tones.tone_detector import PILOT_TOLERANCE
+from resonator_daemon.estimate.tones.tone_detector import PILOT_TOLERANCE
 
 _SPACING_SHARE: Final = 0.45  # of the way to the next tone, beyond which a tone is another's
 

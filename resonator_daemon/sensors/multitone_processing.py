@@ -11,6 +11,8 @@ from scipy.spatial.distance import pdist, squareform
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
+from resonator_daemon.estimate.tones.tone_merging import SIGMA_HZ, merge_tones
 from resonator_daemon.forces.contacts import ONSET_NEWTON, ContactEvent, ContactTracker, Touch, touch_of
 from resonator_daemon.forces.force import cell_std_m
 from resonator_daemon.forces.force_sites import ForceSites
@@ -22,8 +24,6 @@ from resonator_daemon.forces.site_identification import SiteForce, overload_reas
 from resonator_daemon.forces.spread import TOUCHES_MAX, SpreadFit, Touches
 from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED, NO_TONE
 from resonator_daemon.session.frames import ChannelisedFrame, Frame
-from resonator_daemon.tones.frequency_estimators import oscillator_std
-from resonator_daemon.tones.tone_merging import SIGMA_HZ, merge_tones
 
 OFFSET_STD: Final = 2e-7  # of a site's f0 since calibration, relative: the ageing of weeks
 LOCAL_KELVIN_STD: Final = 0.01  # of a site's own thermometer

@@ -8,6 +8,12 @@ from typing import Final, Literal
 import numpy as np
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
+from resonator_daemon.estimate.tones.gate_block import GateBlock
+from resonator_daemon.estimate.tones.record_checks import CAPTURE_SWITCH, FAULTS_IN_WORDS
+from resonator_daemon.estimate.tones.tone_count import NO_TONE, ToneCount, count_tone
+from resonator_daemon.estimate.tones.tone_detector import PILOT_TOLERANCE, capture_band_hz
+from resonator_daemon.estimate.tones.tone_windows import ToneWindows
 from resonator_daemon.forces.baseline import CommonMode
 from resonator_daemon.forces.contacts import ContactEvent, ContactTracker, Touch, touch_of
 from resonator_daemon.forces.force import cell_std_m, hidden_fraction
@@ -20,12 +26,6 @@ from resonator_daemon.sensors.corner_tones import CornerTones
 from resonator_daemon.sensors.counted_window import CountedWindow
 from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED, COMMON_MODE_PENDING
 from resonator_daemon.session.frames import Frame, SingleToneFrame
-from resonator_daemon.tones.frequency_estimators import oscillator_std
-from resonator_daemon.tones.gate_block import GateBlock
-from resonator_daemon.tones.record_checks import CAPTURE_SWITCH, FAULTS_IN_WORDS
-from resonator_daemon.tones.tone_count import NO_TONE, ToneCount, count_tone
-from resonator_daemon.tones.tone_detector import PILOT_TOLERANCE, capture_band_hz
-from resonator_daemon.tones.tone_windows import ToneWindows
 
 BASELINE_READINGS: Final = 20  # untouched readings before the common mode counts as known
 UNKNOWN_CONTACT_S: Final = 0.5

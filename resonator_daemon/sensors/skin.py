@@ -8,6 +8,7 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.decoding.skin import DecodingOptions, Skin, refuse_undecodable
 from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.tones.tone_detector import MultitoneDetector, ToneDetector
 from resonator_daemon.forces.readings import SkinReading
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.headers import MeasuredFields
@@ -23,7 +24,6 @@ from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.compatibility import oscillator_hz
 from resonator_daemon.session.frames import BoardOnline, ChannelisedFrame, Frame
-from resonator_daemon.tones.tone_detector import MultitoneDetector, ToneDetector
 
 _SURFACE: Final = (DECODED, DECODED_SUMMARY, CONTACTS)
 _CONDITIONS: Final = {  # while nothing is decoded

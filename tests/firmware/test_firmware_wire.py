@@ -10,7 +10,7 @@ from switch import Switch
 from firmware_protocol.host import Described, Frame, Located, Pong
 from firmware_protocol.layouts import RecordFlag
 from firmware_protocol.messages import BoardStatus, Configuration, Refusal
-from resonator_daemon.tones.frequency_estimators import Sums, continues, frequency_hz
+from resonator_daemon.estimate.tones.frequency_estimators import Sums, continues, frequency_hz
 
 pytestmark = pytest.mark.firmware
 

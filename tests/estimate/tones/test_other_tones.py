@@ -3,9 +3,14 @@ import math
 import numpy as np
 import pytest
 
-from resonator_daemon.tones import other_tones
-from resonator_daemon.tones.frequency_estimators import Sums
-from resonator_daemon.tones.other_tones import RESIDUAL_LIMIT, beat_std_hz, has_other_tone, pilot_residual_ticks2
+from resonator_daemon.estimate.tones import other_tones
+from resonator_daemon.estimate.tones.frequency_estimators import Sums
+from resonator_daemon.estimate.tones.other_tones import (
+    RESIDUAL_LIMIT,
+    beat_std_hz,
+    has_other_tone,
+    pilot_residual_ticks2,
+)
 
 REFERENCE_HZ = 1e9
 TONE_HZ = 10e6

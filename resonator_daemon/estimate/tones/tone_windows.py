@@ -6,11 +6,11 @@ from typing import Final
 import numpy as np
 
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag, SingleToneRecord
-from resonator_daemon.tones.few_gates import Column, FewGates
-from resonator_daemon.tones.frequency_estimators import FREQUENCY_JUMP, Sums, continues
-from resonator_daemon.tones.gate_block import GateBlock
-from resonator_daemon.tones.many_gates import ManyGates, as_arrays, begins
-from resonator_daemon.tones.record_checks import RECORD, Gate, read_gate, read_gates
+from resonator_daemon.estimate.tones.few_gates import Column, FewGates
+from resonator_daemon.estimate.tones.frequency_estimators import FREQUENCY_JUMP, Sums, continues
+from resonator_daemon.estimate.tones.gate_block import GateBlock
+from resonator_daemon.estimate.tones.many_gates import ManyGates, as_arrays, begins
+from resonator_daemon.estimate.tones.record_checks import RECORD, Gate, read_gate, read_gates
 
 _STRIDE_BREAK: Final = int(RecordFlag.STRIDE_BREAK)
 _FLAGS: Final = SingleToneRecord._fields.index("flags")

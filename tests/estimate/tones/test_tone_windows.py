@@ -5,8 +5,8 @@ import pytest
 from brute_force_board import REFERENCE_HZ, Channel, payload_of
 
 from firmware_protocol.layouts import RecordFlag, SingleToneRecord
-from resonator_daemon.tones.frequency_estimators import Sums, frequency_hz, merge
-from resonator_daemon.tones.tone_windows import ToneWindows
+from resonator_daemon.estimate.tones.frequency_estimators import Sums, frequency_hz, merge
+from resonator_daemon.estimate.tones.tone_windows import ToneWindows
 
 BAND_HZ = (9e6, 11e6)
 

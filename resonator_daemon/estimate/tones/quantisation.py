@@ -16,7 +16,7 @@ import numpy.typing as npt
 from numpy.typing import NDArray
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.tones.frequency_estimators import QUANTISATION_TICKS2, Sums
+from resonator_daemon.estimate.tones.frequency_estimators import QUANTISATION_TICKS2, Sums
 
 EXCESS_LIMIT: Final = 0.05  # of the variance over 12 s^2 / (N T^2)
 STAMPS_MIN: Final = 3

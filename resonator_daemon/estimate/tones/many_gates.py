@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.base.arrays import Floats, Integers
-from resonator_daemon.tones.frequency_estimators import FREQUENCY_JUMP, WRAP_MASK, Sums
-from resonator_daemon.tones.gate_block import GateBlock
-from resonator_daemon.tones.record_checks import Gate
+from resonator_daemon.estimate.tones.frequency_estimators import FREQUENCY_JUMP, WRAP_MASK, Sums
+from resonator_daemon.estimate.tones.gate_block import GateBlock
+from resonator_daemon.estimate.tones.record_checks import Gate
 
 _EXACT_IN_64_BITS: Final = 2.0**62  # N^2 T, in which 6 (2 S2 - (N - 1) S1) has room, whatever wraps on the way
 

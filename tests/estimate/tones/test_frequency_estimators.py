@@ -6,7 +6,7 @@ from brute_force_board import REFERENCE_HZ, WRAP, record_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from resonator_daemon.tones.frequency_estimators import (
+from resonator_daemon.estimate.tones.frequency_estimators import (
     Sums,
     continues,
     counter_std,

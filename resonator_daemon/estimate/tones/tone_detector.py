@@ -10,9 +10,15 @@ from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT, SingleToneRecord
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.tones.frequency_estimators import Sums, counter_std, frequency_hz, oscillator_std, stamp_std_ticks
-from resonator_daemon.tones.tone_merging import SIGMA_HZ, merge_tones
-from resonator_daemon.tones.tone_windows import ToneWindows
+from resonator_daemon.estimate.tones.frequency_estimators import (
+    Sums,
+    counter_std,
+    frequency_hz,
+    oscillator_std,
+    stamp_std_ticks,
+)
+from resonator_daemon.estimate.tones.tone_merging import SIGMA_HZ, merge_tones
+from resonator_daemon.estimate.tones.tone_windows import ToneWindows
 
 READING_S: Final = 0.1
 PILOT_TOLERANCE: Final = 100e-6  # reference error and temperature together stay below it

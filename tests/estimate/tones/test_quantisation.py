@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from brute_force_board import record_of
 
-from resonator_daemon.tones.frequency_estimators import Sums
-from resonator_daemon.tones.quantisation import (
+from resonator_daemon.estimate.tones.frequency_estimators import Sums
+from resonator_daemon.estimate.tones.quantisation import (
     EXCESS_LIMIT,
     beats,
     excess_bound,

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from resonator_daemon.tones.tone_merging import merge_tones
+from resonator_daemon.estimate.tones.tone_merging import merge_tones
 
 GATE_S, SAMPLES, NOISE_TURN = 0.004, 400, 0.01
 WITHIN_S = (np.arange(SAMPLES) + 0.5) * GATE_S / SAMPLES

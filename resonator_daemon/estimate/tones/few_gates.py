@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from firmware_protocol.layouts import SingleToneRecord
-from resonator_daemon.tones.frequency_estimators import Sums, frequency_hz, merge_adjacent
-from resonator_daemon.tones.gate_block import GateBlock
-from resonator_daemon.tones.record_checks import Gate
+from resonator_daemon.estimate.tones.frequency_estimators import Sums, frequency_hz, merge_adjacent
+from resonator_daemon.estimate.tones.gate_block import GateBlock
+from resonator_daemon.estimate.tones.record_checks import Gate
 
 _ATTENUATION: Final = SingleToneRecord._fields.index("attenuation_db256")
 

@@ -5,8 +5,8 @@ import pytest
 from brute_force_board import REFERENCE_HZ, payload_of, record_of
 
 from firmware_protocol.layouts import RecordFlag, SingleToneRecord
-from resonator_daemon.tones.frequency_estimators import Sums, frequency_hz
-from resonator_daemon.tones.record_checks import FAULTS, RECORD, read_gate, read_gates
+from resonator_daemon.estimate.tones.frequency_estimators import Sums, frequency_hz
+from resonator_daemon.estimate.tones.record_checks import FAULTS, RECORD, read_gate, read_gates
 
 GOOD = record_of([1000 * k for k in range(1000)], 0, 10)
 

@@ -8,14 +8,14 @@ import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from resonator_daemon.tones.frequency_estimators import Sums, regression_std, stamp_std_ticks
-from resonator_daemon.tones.other_tones import (
+from resonator_daemon.estimate.tones.frequency_estimators import Sums, regression_std, stamp_std_ticks
+from resonator_daemon.estimate.tones.other_tones import (
     beat_bound_hz,
     beat_std_hz,
     has_other_tone,
     pilot_residual_ticks2,
 )
-from resonator_daemon.tones.quantisation import EXCESS_LIMIT, excess_bound_of_one, stamp_jitter_ticks
+from resonator_daemon.estimate.tones.quantisation import EXCESS_LIMIT, excess_bound_of_one, stamp_jitter_ticks
 
 EXCESS_CAP: Final = 1e6  # of the counter's variance; a beat that slow is worth nothing
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from firmware_protocol.layouts import SINGLE_TONE_FIELDS, RecordFlag
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.tones.frequency_estimators import FREQUENCY_JUMP, QUANTISATION_TICKS2, PlainSums
-from resonator_daemon.tones.other_tones import end_residual_ticks2
+from resonator_daemon.estimate.tones.frequency_estimators import FREQUENCY_JUMP, QUANTISATION_TICKS2, PlainSums
+from resonator_daemon.estimate.tones.other_tones import end_residual_ticks2
 
 STAMPS_MIN: Final = 3  # two give a slope but no estimate of its noise
 LINE_TOLERANCE: Final = 64  # stamps lie within 1/64 of the span of the line through the end points

@@ -5,8 +5,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Protocol
 
-from resonator_daemon.tones.frequency_estimators import Sums
-from resonator_daemon.tones.record_checks import FAULTS
+from resonator_daemon.estimate.tones.frequency_estimators import Sums
+from resonator_daemon.estimate.tones.record_checks import FAULTS
 
 
 class WindowSums(Protocol):

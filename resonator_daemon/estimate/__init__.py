@@ -1,0 +1,1 @@
+"""Arrays in, arrays out: tones, forces, elasticity, the surface under a skin. No I/O, clock or configuration."""
