@@ -28,9 +28,9 @@ from firmware_protocol.messages import CounterKind, Description, Identity
 from firmware_protocol.packets import PacketDecoder
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.config import Mqtt
+from resonator_daemon.estimate.forces.site_identification import Matcher
 from resonator_daemon.estimate.tones.tone_detector import capture_band_hz
 from resonator_daemon.estimate.tones.tone_windows import ToneWindows
-from resonator_daemon.forces.site_identification import Matcher
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.mqtt_messages import Outgoing

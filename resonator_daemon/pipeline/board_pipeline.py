@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.config import Config
-from resonator_daemon.forces.readings import Compensation, ForceReading, SkinReading
+from resonator_daemon.estimate.forces.readings import Compensation, ForceReading, SkinReading
 from resonator_daemon.pipeline.control_requests import SetWindow, Tare, parse_request
 from resonator_daemon.pipeline.frame_timeout import CallLater, FrameTimeout
 from resonator_daemon.pipeline.state_messages import StateMessages

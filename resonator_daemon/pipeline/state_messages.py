@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from resonator_daemon.base.reasons import Reason
 from resonator_daemon.config import Config
-from resonator_daemon.forces.readings import Compensation as AppliedCompensation
+from resonator_daemon.estimate.forces.readings import Compensation as AppliedCompensation
 from resonator_daemon.monitoring.daemon_state import DaemonSnapshot
 from resonator_daemon.publishing.headers import Headers
 from resonator_daemon.publishing.payloads import (

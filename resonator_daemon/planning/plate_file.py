@@ -14,7 +14,7 @@ from resonator_daemon.base.errors import ConfigurationError, UsageError
 from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml.reading import TomlFile, load_model
-from resonator_daemon.forces.force_sites import DEFAULT_COEFFICIENT_STD
+from resonator_daemon.estimate.forces.force_sites import DEFAULT_COEFFICIENT_STD
 
 LEAST_BORDER_M: Final = 2e-3
 PILOT_ABOVE: Final = 1e-3  # the tone that no code has, relative

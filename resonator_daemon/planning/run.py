@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.errors import ExitCode, UsageError, UserError
 from resonator_daemon.base.plate import Plate
+from resonator_daemon.estimate.forces import code_placement, code_trials
+from resonator_daemon.estimate.forces.code_plan import GuardBand, force_noise, guard_band, ladder_hz, stamp_noise
+from resonator_daemon.estimate.forces.code_trials import Codes, Outcomes, Scatter
 from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
-from resonator_daemon.forces import code_placement, code_trials
-from resonator_daemon.forces.code_plan import GuardBand, force_noise, guard_band, ladder_hz, stamp_noise
-from resonator_daemon.forces.code_trials import Codes, Outcomes, Scatter
 from resonator_daemon.planning.plate_file import (
     PILOT_ABOVE,
     Layout,

@@ -8,8 +8,8 @@ from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason
 from resonator_daemon.config import Decoding, Measurement
+from resonator_daemon.estimate.forces.readings import ForceReading, SkinReading
 from resonator_daemon.estimate.tones.tone_detector import ToneDetector
-from resonator_daemon.forces.readings import ForceReading, SkinReading
 from resonator_daemon.publishing.payloads import SiteCode
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.sensors.expected_tones import ExpectedTones

@@ -4,10 +4,10 @@ import math
 from collections.abc import Sequence
 
 from resonator_daemon.base.reasons import ReasonCode
+from resonator_daemon.estimate.forces.force_sites import ForceSites
+from resonator_daemon.estimate.forces.readings import CapturedTone, CornerTone
+from resonator_daemon.estimate.forces.site_identification import SiteForce
 from resonator_daemon.estimate.tones.tone_count import ToneCount
-from resonator_daemon.forces.force_sites import ForceSites
-from resonator_daemon.forces.readings import CapturedTone, CornerTone
-from resonator_daemon.forces.site_identification import SiteForce
 
 
 class CornerTones:

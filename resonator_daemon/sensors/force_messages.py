@@ -4,9 +4,9 @@ import math
 from typing import Any, Final
 
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.forces import contacts as measured
-from resonator_daemon.forces.readings import ForceReading
-from resonator_daemon.forces.site_identification import SiteForce as MeasuredForce
+from resonator_daemon.estimate.forces import contacts as measured
+from resonator_daemon.estimate.forces.readings import ForceReading
+from resonator_daemon.estimate.forces.site_identification import SiteForce as MeasuredForce
 from resonator_daemon.publishing.codec import Encoded, encode_fields
 from resonator_daemon.publishing.payloads import ContactEvent, Contacts, EventContact, Forces, Lost, Status
 from resonator_daemon.publishing.rounding import rounded, rounded_std

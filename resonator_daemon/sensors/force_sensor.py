@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason
 from resonator_daemon.config import Measurement
-from resonator_daemon.forces.contacts import ContactEvent
-from resonator_daemon.forces.readings import Compensation, ForceReading
+from resonator_daemon.estimate.forces.contacts import ContactEvent
+from resonator_daemon.estimate.forces.readings import Compensation, ForceReading
 from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, FORCES, TONES, Topic
 from resonator_daemon.sensors.base import Sensor
 from resonator_daemon.sensors.force_messages import ForceMessages

@@ -3,8 +3,8 @@
 from typing import Final
 
 from resonator_daemon.base.arrays import Floats
+from resonator_daemon.estimate.forces.force_tones import ForceTones
 from resonator_daemon.estimate.tones.tone_detector import MultitoneDetector, ToneDetector
-from resonator_daemon.forces.force_tones import ForceTones
 from resonator_daemon.sensors.expected_tones import ExpectedTones, force_tones
 from resonator_daemon.sensors.force_sensor import ForceSensor
 from resonator_daemon.sensors.multitone_processing import MultitoneProcessing

@@ -11,17 +11,17 @@ from scipy.spatial.distance import pdist, squareform
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.estimate.forces.contacts import ONSET_NEWTON, ContactEvent, ContactTracker, Touch, touch_of
+from resonator_daemon.estimate.forces.force import cell_std_m
+from resonator_daemon.estimate.forces.force_sites import ForceSites
+from resonator_daemon.estimate.forces.force_tones import ForceTones, SiteShifts
+from resonator_daemon.estimate.forces.plate_drift import OFF_SIGMAS, DriftReading, PlateDrift
+from resonator_daemon.estimate.forces.readings import Compensation, ForceReading, SensorStatus
+from resonator_daemon.estimate.forces.site_errors import PressedSites, SiteErrors
+from resonator_daemon.estimate.forces.site_identification import SiteForce, overload_reason
+from resonator_daemon.estimate.forces.spread import TOUCHES_MAX, SpreadFit, Touches
 from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
 from resonator_daemon.estimate.tones.tone_merging import SIGMA_HZ, merge_tones
-from resonator_daemon.forces.contacts import ONSET_NEWTON, ContactEvent, ContactTracker, Touch, touch_of
-from resonator_daemon.forces.force import cell_std_m
-from resonator_daemon.forces.force_sites import ForceSites
-from resonator_daemon.forces.force_tones import ForceTones, SiteShifts
-from resonator_daemon.forces.plate_drift import OFF_SIGMAS, DriftReading, PlateDrift
-from resonator_daemon.forces.readings import Compensation, ForceReading, SensorStatus
-from resonator_daemon.forces.site_errors import PressedSites, SiteErrors
-from resonator_daemon.forces.site_identification import SiteForce, overload_reason
-from resonator_daemon.forces.spread import TOUCHES_MAX, SpreadFit, Touches
 from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED, NO_TONE
 from resonator_daemon.session.frames import ChannelisedFrame, Frame
 

@@ -4,8 +4,8 @@ import math
 from collections.abc import Callable, Sequence
 
 from resonator_daemon.base.reasons import Reason, ReasonCode, joined
-from resonator_daemon.forces.drift_watch import DriftWatch
-from resonator_daemon.forces.readings import Compensation
+from resonator_daemon.estimate.forces.drift_watch import DriftWatch
+from resonator_daemon.estimate.forces.readings import Compensation
 from resonator_daemon.publishing.payloads import Condition
 from resonator_daemon.sensors.usual_reasons import COMMON_MODE_PENDING, NO_TONE
 from resonator_daemon.session.clock import Instant

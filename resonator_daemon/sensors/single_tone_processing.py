@@ -8,20 +8,20 @@ from typing import Final, Literal
 import numpy as np
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.estimate.forces.baseline import CommonMode
+from resonator_daemon.estimate.forces.contacts import ContactEvent, ContactTracker, Touch, touch_of
+from resonator_daemon.estimate.forces.force import cell_std_m, hidden_fraction
+from resonator_daemon.estimate.forces.force_sites import ForceSites
+from resonator_daemon.estimate.forces.overload_latch import OverloadLatch
+from resonator_daemon.estimate.forces.readings import Compensation, CornerTone, ForceReading, SensorStatus
+from resonator_daemon.estimate.forces.site_errors import SiteErrors
+from resonator_daemon.estimate.forces.site_identification import Match, Matcher, SiteForce
 from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
 from resonator_daemon.estimate.tones.gate_block import GateBlock
 from resonator_daemon.estimate.tones.record_checks import CAPTURE_SWITCH, FAULTS_IN_WORDS
 from resonator_daemon.estimate.tones.tone_count import NO_TONE, ToneCount, count_tone
 from resonator_daemon.estimate.tones.tone_detector import PILOT_TOLERANCE, capture_band_hz
 from resonator_daemon.estimate.tones.tone_windows import ToneWindows
-from resonator_daemon.forces.baseline import CommonMode
-from resonator_daemon.forces.contacts import ContactEvent, ContactTracker, Touch, touch_of
-from resonator_daemon.forces.force import cell_std_m, hidden_fraction
-from resonator_daemon.forces.force_sites import ForceSites
-from resonator_daemon.forces.overload_latch import OverloadLatch
-from resonator_daemon.forces.readings import Compensation, CornerTone, ForceReading, SensorStatus
-from resonator_daemon.forces.site_errors import SiteErrors
-from resonator_daemon.forces.site_identification import Match, Matcher, SiteForce
 from resonator_daemon.sensors.corner_tones import CornerTones
 from resonator_daemon.sensors.counted_window import CountedWindow
 from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED, COMMON_MODE_PENDING

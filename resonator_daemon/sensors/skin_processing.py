@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.forces.baseline import CommonMode
-from resonator_daemon.forces.readings import SensorStatus, SkinReading
+from resonator_daemon.estimate.forces.baseline import CommonMode
+from resonator_daemon.estimate.forces.readings import SensorStatus, SkinReading
 from resonator_daemon.sensors.skin_signals import TONES_MIN, ToneArray
 from resonator_daemon.sensors.usual_reasons import COMMON_MODE_PENDING, NO_TONE
 

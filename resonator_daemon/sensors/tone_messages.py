@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.forces.readings import CornerTone as MeasuredTone
-from resonator_daemon.forces.readings import ForceReading
+from resonator_daemon.estimate.forces.readings import CornerTone as MeasuredTone
+from resonator_daemon.estimate.forces.readings import ForceReading
 from resonator_daemon.publishing.codec import Encoded, encode_fields
 from resonator_daemon.publishing.payloads import CapturedTone, SiteCode, Tones
 from resonator_daemon.publishing.rounding import rounded, rounded_std

@@ -13,9 +13,9 @@ from rich.table import Table
 
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import Counter
-from resonator_daemon.forces.code_plan import ForceNoise, GuardBand
-from resonator_daemon.forces.code_trials import Outcomes
-from resonator_daemon.forces.codes import CodeOverlap
+from resonator_daemon.estimate.forces.code_plan import ForceNoise, GuardBand
+from resonator_daemon.estimate.forces.code_trials import Outcomes
+from resonator_daemon.estimate.forces.codes import CodeOverlap
 from resonator_daemon.view.pages import number_table, write_code_figure
 from resonator_daemon.view.words import quantity
 

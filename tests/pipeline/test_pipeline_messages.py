@@ -10,9 +10,9 @@ from report_makers import LOST, NAN, Losses, Messages, configured, gate_middle, 
 
 from firmware_protocol.messages import Configuration, Description, Identity
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.forces.contacts import Contact, ContactEvent, Touch
-from resonator_daemon.forces.readings import Compensation, ForceReading, SensorStatus
-from resonator_daemon.forces.site_identification import SiteForce
+from resonator_daemon.estimate.forces.contacts import Contact, ContactEvent, Touch
+from resonator_daemon.estimate.forces.readings import Compensation, ForceReading, SensorStatus
+from resonator_daemon.estimate.forces.site_identification import SiteForce
 from resonator_daemon.publishing.payloads import Condition, Lost
 from resonator_daemon.session.frames import BoardOnline, LinkChange
 

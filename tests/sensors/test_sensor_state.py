@@ -6,7 +6,7 @@ from typing import get_args
 import pytest
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.forces.readings import Compensation, SensorStatus
+from resonator_daemon.estimate.forces.readings import Compensation, SensorStatus
 from resonator_daemon.publishing.payloads import Condition
 from resonator_daemon.sensors.sensor_state import SensorState
 from resonator_daemon.session.clock import Instant

@@ -15,7 +15,7 @@ from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
 from resonator_daemon.decoding.patches import Patch as FoundPatch
 from resonator_daemon.decoding.skin_contacts import SkinContact, SkinEvent
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
-from resonator_daemon.forces.readings import SkinReading
+from resonator_daemon.estimate.forces.readings import SkinReading
 from resonator_daemon.publishing import payloads
 from resonator_daemon.publishing.codec import decode, encode
 from resonator_daemon.publishing.headers import MeasuredFields

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from resonator_daemon.estimate.forces.site_identification import Matcher
 from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
-from resonator_daemon.forces.site_identification import Matcher
 
 COUNTER_STD = np.full(4, 5e-10)
 OSCILLATOR_STD = oscillator_std(0.01)

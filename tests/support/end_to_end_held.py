@@ -9,8 +9,8 @@ from plate_bench import ROOM_KELVIN, SETTLED_S, PlateBench
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.forces.contacts import Touch as TrackedTouch
-from resonator_daemon.forces.site_identification import SiteForce
+from resonator_daemon.estimate.forces.contacts import Touch as TrackedTouch
+from resonator_daemon.estimate.forces.site_identification import SiteForce
 from simulators.physics import Physics
 from simulators.scenario_file import Touch
 

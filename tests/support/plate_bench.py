@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, TONE_FIELDS, SingleToneRecord
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.config import Measurement
-from resonator_daemon.forces.readings import ForceReading
+from resonator_daemon.estimate.forces.readings import ForceReading
 from resonator_daemon.sensors.force_sensor import ForceSensor
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.sensors.single_tone_processing import SingleToneProcessing

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.config import Config
-from resonator_daemon.forces.readings import ForceReading
+from resonator_daemon.estimate.forces.readings import ForceReading
 from resonator_daemon.pipeline.state_messages import StateMessages
 from resonator_daemon.publishing.codec import Encoded, decoded, encode
 from resonator_daemon.publishing.headers import Headers

@@ -4,7 +4,7 @@ import numpy as np
 from brute_force_board import GATE_TICKS, PILOT_HZ, REFERENCE_HZ, Board, Ladder, payload_of
 
 from firmware_protocol.layouts import RecordFlag
-from resonator_daemon.forces.force_sites import ForceSites, Warmth
+from resonator_daemon.estimate.forces.force_sites import ForceSites, Warmth
 from resonator_daemon.sensors.single_tone_processing import SingleToneProcessing
 
 NO_SIGNAL = int(RecordFlag.NO_SIGNAL)

@@ -5,8 +5,8 @@ import math
 import numpy as np
 from brute_force_board import Ladder
 
-from resonator_daemon.forces.force_sites import ForceSites, Warmth
-from resonator_daemon.forces.force_tones import ForceTones
+from resonator_daemon.estimate.forces.force_sites import ForceSites, Warmth
+from resonator_daemon.estimate.forces.force_tones import ForceTones
 from resonator_daemon.sensors.multitone_processing import MultitoneProcessing
 
 REFERENCE_HZ = 250e6

@@ -1,0 +1,175 @@
+"""Force that presses from the force that a site feels: response inverted, with all systematic errors."""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.base.arrays import Floats, Indices
+from resonator_daemon.estimate.forces.contact_thermal import warmed_shift, warming_std
+from resonator_daemon.estimate.forces.force_sites import ForceSites
+from resonator_daemon.estimate.forces.site_response import ResponseInverse
+
+# Of quartz force sensors whose response nobody has measured: half width of hysteresis, of the largest force, and creep.
+DEFAULT_HYSTERESIS: Final = 0.01
+DEFAULT_CREEP: Final = 0.005
+PROVEN_HYSTERESES: Final = 4.0  # a press that large leaves a site where any press leaves it
+RANGE_MARGIN: Final = 0.02  # of the largest calibrated force, before a force counts as outside
+
+
+class Pressed(NamedTuple):
+    """A force that presses, its noise and systematic standard deviations, and whether calibration covers it.
+
+    `unmodelled_newton` is added to the latter once something presses: hysteresis and creep that were not calibrated,
+    an unknown rest, and the warmth of a touch for a site observed untouched.
+    """
+
+    force_newton: float
+    noise_newton: float
+    systematic_newton: float
+    unmodelled_newton: float
+    calibrated: bool
+
+
+class PressedSites(NamedTuple):
+    """As `Pressed`, of all sites, (m,)."""
+
+    force_newton: Floats
+    noise_newton: Floats
+    systematic_newton: Floats
+    unmodelled_newton: Floats
+    calibrated: NDArray[np.bool_]
+
+
+class SiteErrors:
+    """Tracker of every site's presses: hysteresis, creep and duration."""
+
+    def __init__(self, sites: ForceSites) -> None:
+        self._sites = sites
+        self._slope_per_kelvin: list[float] = sites.warmth.coefficients[:, 0].tolist()
+        self._contact_std_kelvin: list[float] = sites.warmth.contact_std_kelvin.tolist()
+        low, high = sites.valid_newton
+        margin = RANGE_MARGIN * high if math.isfinite(high) else 0.0
+        self._lowest_newton, self._highest_newton = low - margin, high + margin
+        self.reset()
+
+    def reset(self) -> None:
+        """Discard all presses; the past is unknown."""
+        response, count = self._sites.response, len(self._sites.positions_m)
+        self._inverse = ResponseInverse(count, response, self._sites.force_max_newton) if response else None
+        self._since_s = np.full(count, math.nan)
+        self._silent = np.zeros(count, dtype=bool)
+        self._all_silent = False
+        self._unproven = np.zeros(count, dtype=bool)
+
+    def rest(self, time_s: float) -> None:
+        """Tare: nothing presses any site now, and what the sites feel counts as zero.
+
+        How far a site still was from its rest shows once it is pressed by more than its hysteresis.
+        """
+        if self._inverse is not None:
+            self._inverse.rest(np.arange(len(self._unproven)), time_s)
+            self._unproven[:] = True
+
+    def silence(self, time_s: float) -> None:
+        """Mark all sites as untouched and unobserved until they are pressed again."""
+        if self._all_silent:
+            return
+        if self._inverse is not None:
+            self._inverse.release(np.flatnonzero(~self._silent), time_s)
+        self._silent[:] = self._all_silent = True
+        self._since_s[:] = math.nan
+
+    def press(
+        self,
+        site: int,
+        felt_newton: float,
+        noise_newton: float,
+        systematic_newton: float,
+        newton_per_shift: float,
+        time_s: float,
+    ) -> Pressed:
+        """Update with the force that a touched site feels.
+
+        `systematic_newton` is what the felt force may be off by; to it come the response's share, the sensitivity's and
+        that of a warm or cold touch, which `newton_per_shift` makes a force of.
+        """
+        force, noise, of_response = felt_newton, noise_newton, 0.0
+        if self._inverse is None:
+            unmodelled = self.unmodelled_newton(force)
+        else:
+            at = np.array([site])
+            answer = self._inverse.press(at, np.array([felt_newton]), np.array([noise_newton]), time_s)
+            (force,), (noise,), (of_response,) = (part.tolist() for part in answer)
+            unmodelled = float(self._unknown_rest(at, answer.force_newton)[0])
+        since_s = float(self._since_s[site])
+        if math.isnan(since_s):
+            self._since_s[site] = since_s = time_s
+        self._silent[site] = self._all_silent = False
+        warmth = self._sites.warmth
+        held_s, slope = time_s - since_s, self._slope_per_kelvin[site]
+        per_kelvin = warming_std(held_s, slope, warmth.transient_s, warmth.contact_time_s)
+        # The slope itself is not known better than that.
+        unknown = warmth.coefficient_std * -math.expm1(-held_s / warmth.contact_time_s)
+        warming = self._contact_std_kelvin[site] * math.hypot(per_kelvin, unknown) * newton_per_shift
+        of_sensitivity = self._sites.sensitivity_std * force
+        systematic = math.sqrt(systematic_newton**2 + of_sensitivity**2 + warming**2 + of_response**2)
+        calibrated = math.isnan(force) or self._lowest_newton <= force <= self._highest_newton
+        return Pressed(force, noise, systematic, unmodelled, calibrated)
+
+    def press_all(
+        self,
+        felt_newton: Floats,
+        noise_newton: Floats,
+        systematic_newton: Floats,
+        newton_per_shift: Floats,
+        time_s: float,
+        touched: NDArray[np.bool_],
+    ) -> PressedSites:
+        """Update with the forces that all sites (m,) feel, NaN for unknown; sites not `touched` rest.
+
+        The other arguments are those of `press`, one for each site. Warmth counts as unmodelled: touches cause it, and
+        it must not hide one.
+        """
+        sites = np.arange(len(felt_newton))
+        since_s = np.where(np.isnan(self._since_s), time_s, self._since_s)
+        self._since_s = np.where(touched, since_s, math.nan)
+        self._silent[:] = self._all_silent = False
+        force, noise, of_response = felt_newton, noise_newton, np.zeros(len(sites))
+        if self._inverse is None:
+            unmodelled = self._unmodelled_all(force)
+        else:
+            force, noise, of_response = self._inverse.press(sites, felt_newton, noise_newton, time_s)
+            unmodelled = self._unknown_rest(sites, force)
+        warmth = self._sites.warmth
+        held_s = np.where(touched, time_s - since_s, 0.0)
+        left = np.exp(-held_s / warmth.contact_time_s)
+        per_kelvin = warmed_shift(left, warmth.coefficients[:, 0], warmth.transient_s, warmth.contact_time_s)
+        unknown = warmth.coefficient_std * (1.0 - left)
+        warming = warmth.contact_std_kelvin * np.hypot(per_kelvin, unknown)
+        unmodelled = np.hypot(unmodelled, np.where(touched, warming, 0.0) * newton_per_shift)
+        of_sensitivity = self._sites.sensitivity_std * force
+        systematic = np.sqrt(systematic_newton**2 + of_sensitivity**2 + of_response**2)
+        calibrated = np.isnan(force) | ((force >= self._lowest_newton) & (force <= self._highest_newton))
+        return PressedSites(force, noise, systematic, unmodelled, calibrated)
+
+    def _unmodelled_all(self, force_newton: Floats) -> Floats:
+        lag = np.minimum(DEFAULT_HYSTERESIS * self._sites.force_max_newton / 2.0, np.abs(force_newton))
+        return np.hypot(lag, DEFAULT_CREEP / 2.0 * force_newton)
+
+    def _unknown_rest(self, sites: Indices, force_newton: Floats) -> Floats:
+        response, unproven = self._sites.response, self._unproven[sites]
+        hysteresis = response.hysteresis_newton if response else 0.0
+        self._unproven[sites] = unproven & ~(force_newton > PROVEN_HYSTERESES * hysteresis)
+        # Up to its hysteresis a site answers alike wherever it was at rest.
+        beyond = np.clip(force_newton - hysteresis, 0.0, hysteresis) / 2.0
+        return np.where(unproven, np.nan_to_num(beyond), 0.0)
+
+    def unmodelled_newton(self, force_newton: float) -> float:
+        """Return one standard deviation of a force from unknown hysteresis and creep."""
+        if self._inverse is not None:
+            return 0.0
+        # A site lags by half of its hysteresis, but by no more than presses it.
+        lag = min(DEFAULT_HYSTERESIS * self._sites.force_max_newton / 2.0, abs(force_newton))
+        return math.hypot(lag, DEFAULT_CREEP / 2.0 * force_newton)
