@@ -18,9 +18,9 @@ from resonator_daemon.decoding.fitting.contact_start import ContactStart
 from resonator_daemon.decoding.fitting.slip import SlipWatch
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_decoder import SkinDecoder
-from resonator_daemon.elastic.contact import press
-from resonator_daemon.elastic.influence import SurfaceCompliance, Z
-from resonator_daemon.elastic.profiles import paraboloid
+from resonator_daemon.estimate.elastic.contact import press
+from resonator_daemon.estimate.elastic.influence import SurfaceCompliance, Z
+from resonator_daemon.estimate.elastic.profiles import paraboloid
 
 FRAMES = 64  # of a scene, to and fro
 HERTZ_SIDE, HERTZ_SIDE_M, CURVATURE_RADIUS_M, HERTZ_RADIUS_M = 128, 12.8e-3, 20e-3, 2e-3

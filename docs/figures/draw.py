@@ -30,8 +30,8 @@ from scene import signals as signals_in_closed_form
 from section4 import errors_by_noise, figures_9_to_12
 from stick_radius import stick_radius
 
-from resonator_daemon.elastic import FrictionalContact, SurfaceCompliance, SurfaceFields
-from resonator_daemon.elastic.profiles import paraboloid
+from resonator_daemon.estimate.elastic import FrictionalContact, SurfaceCompliance, SurfaceFields
+from resonator_daemon.estimate.elastic.profiles import paraboloid
 from resonator_daemon.view.pages import write_density_figure
 
 PANELS = {

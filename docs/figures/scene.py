@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from resonator_daemon.elastic import HalfSpace, SurfaceFields
+from resonator_daemon.estimate.elastic import HalfSpace, SurfaceFields
 from simulators.contact import pixel_tractions
 from simulators.half_space_fields import hertz_fields
 

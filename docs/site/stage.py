@@ -13,7 +13,7 @@ PARTS = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "docs/", "fi
 PACKAGE = [f"resonator_daemon.python_api.{module}" for module in ("recordings", "tables", "live", "errors")]
 API = {
     "python-package": ("Python package resonatord", *PACKAGE),
-    "python-elastic": ("Elastic half-space", "resonator_daemon.elastic"),
+    "python-elastic": ("Elastic half-space", "resonator_daemon.estimate.elastic"),
     "python-decoding": ("Decoders", "resonator_daemon.decoding"),
 }
 

@@ -8,7 +8,7 @@ import numpy as np
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.layout import as_grid, diagonal_m, refuse_duplicates
 from resonator_daemon.decoding.prior import DEFAULT_PRIOR, Prior
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 _SITES_MIN: Final = 3  # with three signals each, more than the six unknowns of a contact
 

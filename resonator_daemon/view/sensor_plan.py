@@ -12,8 +12,8 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.segment import Segment
 from rich.table import Table
 
-from resonator_daemon.elastic.sensor_resolution import LOADS, Load, SensorArray
-from resonator_daemon.elastic.sensor_sets import SensorSet
+from resonator_daemon.estimate.elastic.sensor_resolution import LOADS, Load, SensorArray
+from resonator_daemon.estimate.elastic.sensor_sets import SensorSet
 from resonator_daemon.view.maps import side_by_side, traction_map
 from resonator_daemon.view.pages import number_table, write_density_figure
 from resonator_daemon.view.words import UNKNOWN, quantity

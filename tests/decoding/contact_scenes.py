@@ -9,7 +9,7 @@ import numpy as np
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding import Decoded, FourierDecoder
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 from simulators.contact import hertz_parts, pixel_tractions
 from simulators.half_space_fields import hertz_fields
 

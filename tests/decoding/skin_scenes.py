@@ -5,7 +5,7 @@ from contact_scenes import DEPTH_M, NU, E, contact_signals, grid_positions
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.skin import Skin
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 SHAPE = NY, NX = 12, 24
 SITES = NY * NX

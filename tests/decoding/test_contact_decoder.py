@@ -12,7 +12,7 @@ from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
 from resonator_daemon.decoding.contact_physics.support_search import SupportSearch
 from resonator_daemon.decoding.fitting.parametric_decoder import hertz_displacement
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 SKIN = HalfSpace(E, 0.5)
 NOISE_STD = centred_noise(30)  # of the fixtures' decoders; scenes are scaled to reach other ratios

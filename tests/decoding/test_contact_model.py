@@ -6,7 +6,7 @@ from contact_scenes import DEPTH_M, NU, SITES_M, E, disc_model, hertz
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 
 def flat_by_points(centre_m: Floats, radius_m: float) -> Floats:

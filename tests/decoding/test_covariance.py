@@ -6,7 +6,7 @@ import pytest
 from resonator_daemon.decoding.open_plane.decoder import SiteCovariance
 from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.decoding.prior import Prior
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 PRIOR = StationaryPrior(HalfSpace(2e5, 0.4), Prior(1e-3, 0.3), 1.0)
 SITES = np.random.default_rng(0).uniform(-4e-3, 4e-3, (12, 2))

@@ -5,7 +5,7 @@ import pytest
 from contact_scenes import DEPTH_M, PITCH_M, E, Scene, fourier_decoder, grid_scene, noise_std
 
 from resonator_daemon.decoding import Decoded, FourierDecoder
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 
 @pytest.fixture(scope="module")

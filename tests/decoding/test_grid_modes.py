@@ -12,7 +12,7 @@ from resonator_daemon.decoding.open_plane.modes import DenseModes
 from resonator_daemon.decoding.open_plane.parity import CLASSES
 from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.decoding.prior import Prior
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 PRIOR = StationaryPrior(HalfSpace(2e5, 0.3), Prior(1e-3, 0.3), 10.0)
 DEPTH = 1e-3

@@ -5,7 +5,7 @@ import pytest
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.fitting.parametric_decoder import hertz_displacement, hertz_traction
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 RADIUS_M = 1.7e-3
 

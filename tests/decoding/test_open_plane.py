@@ -9,7 +9,7 @@ from contact_scenes import DEPTH_M, E, Scene, centred_noise, grid_positions, sce
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder, SiteCovariance
 from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.decoding.prior import Prior
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 SKIN = HalfSpace(E, 0.5)
 GRID = (3, 32, 32)

@@ -10,7 +10,7 @@ from scipy.stats import norm
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.fitting.parametric_decoder import ParametricDecoder, sparse_reason
 from resonator_daemon.decoding.patches import Patch
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 RADIUS_M = 2e-3
 SKIN = HalfSpace(E, NU)

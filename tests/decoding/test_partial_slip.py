@@ -11,7 +11,7 @@ from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
 from resonator_daemon.decoding.fitting.partial_slip import PartialSlip, stick_ratio
 from resonator_daemon.decoding.fitting.slip_fitter import fit_partial_slip
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 SCENE = Contact((3e-4, -1.1e-3), 2.4e-3, 0.6, 0.8)
 

@@ -9,7 +9,7 @@ import pytest
 
 from resonator_daemon.decoding.setup_cache import cached
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_start import ContactStart
 from resonator_daemon.decoding.fitting.shape import ShapeFitter
 from resonator_daemon.decoding.fitting.slip_fitter import fit_partial_slip
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 START = ContactStart((1e-4, -4e-4), 2.2e-3)
 

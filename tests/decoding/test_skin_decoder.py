@@ -15,7 +15,7 @@ from resonator_daemon.decoding import FourierDecoder, OpenPlaneDecoder
 from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 SHAPE, SITES = (12, 12), 144
 HALF_SPACE = HalfSpace(E, NU)

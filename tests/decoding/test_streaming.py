@@ -18,7 +18,7 @@ from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_contacts import SkinEvent
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
 from resonator_daemon.decoding.streaming import StreamingDecoder, UndecodableError
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 SHAPE, SITES = (12, 12), 144
 SKIN = Skin(HalfSpace(E, NU), grid_positions(SHAPE), DEPTH_M)

@@ -16,7 +16,7 @@ from resonator_daemon.config.tables import Decoding
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.decoding import equal_skins
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.publishing.codec import Encoded, decode, encode
 from resonator_daemon.publishing.payloads import ContactEvent, Info, Message, Signals
 from resonator_daemon.publishing.topics import Topic

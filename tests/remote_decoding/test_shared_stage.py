@@ -13,7 +13,7 @@ from resonator_daemon.base.reasons import Reason
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.remote_decoding import shared_plates
 from resonator_daemon.remote_decoding.plate import SkinPlate
 from resonator_daemon.remote_decoding.shared_plates import DECODERS_MAX, SharedStage

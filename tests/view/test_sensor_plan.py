@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.elastic.sensor_resolution import SensorArray
-from resonator_daemon.elastic.sensor_sets import SensorSet
+from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.sensor_resolution import SensorArray
+from resonator_daemon.estimate.elastic.sensor_sets import SensorSet
 from resonator_daemon.view.sensor_plan import FEATURES_M, SensorPlan
 
 

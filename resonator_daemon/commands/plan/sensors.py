@@ -47,9 +47,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.elastic.half_space import HalfSpace
-    from resonator_daemon.elastic.sensor_resolution import SensorArray
-    from resonator_daemon.elastic.sensor_sets import SensorSet
+    from resonator_daemon.estimate.elastic.half_space import HalfSpace
+    from resonator_daemon.estimate.elastic.sensor_resolution import SensorArray
+    from resonator_daemon.estimate.elastic.sensor_sets import SensorSet
     from resonator_daemon.view.sensor_plan import SensorPlan
 
     logging.getLogger().setLevel(logging.WARNING)  # matplotlib logs its fonts

@@ -8,7 +8,7 @@ from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
 from resonator_daemon.decoding.layout import as_grid
 from resonator_daemon.decoding.open_plane.prior_tables import Kernel, StationaryPrior
 from resonator_daemon.decoding.prior import Prior
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 _WHITE_DEPTHS = 1e-3  # correlation length over depth of a traction that is white to the signals
 _PANEL = np.array([7.0, 32.0, 12.0, 32.0, 7.0]) / 90.0  # Boole's rule

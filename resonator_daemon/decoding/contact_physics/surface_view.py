@@ -9,7 +9,7 @@ from scipy import fft
 
 from resonator_daemon.base.arrays import ComplexSingles, Floats, Indices, Singles
 from resonator_daemon.decoding.contact_physics.pixels import Interpolation, PixelLattice
-from resonator_daemon.elastic import HalfSpace, SurfaceCompliance
+from resonator_daemon.estimate.elastic import HalfSpace, SurfaceCompliance
 
 
 class SurfacePlaces:

@@ -12,7 +12,7 @@ from resonator_daemon.base.arrays import Floats
 from resonator_daemon.decoding.fitting.slip_signals import SlipSignals
 from resonator_daemon.decoding.layout import diagonal_m
 from resonator_daemon.decoding.parameters import positions, positive
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 Profile = Literal["hertz", "flat"]
 

@@ -22,7 +22,7 @@ from resonator_daemon.decoding.parameters import (
     positive,
 )
 from resonator_daemon.decoding.patches import Patch
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 FEWEST_SITES = 40  # with fewer, a linear map peaks at the nearest site
 WIDEST_SPACING_DEPTHS = 3.0  # beyond it a contact between sites is felt by the nearest alone

@@ -15,7 +15,7 @@ from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
 from resonator_daemon.decoding.fitting.slip_fitter import fit_partial_slip
 from resonator_daemon.decoding.fitting.slip_signals import FORCE_Z, RADIUS
 from resonator_daemon.decoding.parameters import SIGNAL_LIMIT
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 Kind = Literal["paraboloid", "flat", "edge"]
 

@@ -33,7 +33,7 @@ from resonator_daemon.decoding.parameters import (
     noise_of_signals,
 )
 from resonator_daemon.decoding.prior import DEFAULT_PRIOR, Prior
-from resonator_daemon.elastic import HalfSpace, SpectralGrid
+from resonator_daemon.estimate.elastic import HalfSpace, SpectralGrid
 
 _SCALES = np.logspace(
     -1.0, 5.0, 30

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from resonator_daemon.base.arrays import Complexes, Floats
 from resonator_daemon.decoding.prior import Prior
-from resonator_daemon.elastic import SpectralGrid
+from resonator_daemon.estimate.elastic import SpectralGrid
 
 Spectra = Callable[[Floats, Floats], NDArray[np.inexact[Any]]]
 """Of omega_x (nx,) and omega_y (ny, 1) in rad/m: powers of x, y, z (ny, nx, 3), or matrices (ny, nx, 3, 3)."""

@@ -19,7 +19,7 @@ from resonator_daemon.decoding.open_plane.prior_tables import Field, StationaryP
 from resonator_daemon.decoding.open_plane.scale_grid import ScaleGrid
 from resonator_daemon.decoding.parameters import check_gain, noise_of_signals, positions, positive
 from resonator_daemon.decoding.prior import DEFAULT_PRIOR, Prior
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 _SCALES = np.logspace(-1.0, 4.0, 126)  # standard deviation of f_z over the traction that makes a signal of the noise
 _CONTACT_FACTOR = 1.4  # of the standard deviation under contacts, for equal power of all components ...

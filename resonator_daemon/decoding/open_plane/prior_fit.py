@@ -11,7 +11,7 @@ from resonator_daemon.decoding.layout import as_grid
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.parameters import SIGNAL_LIMIT, noise_of_signals
 from resonator_daemon.decoding.prior import DEFAULT_PRIOR, Prior
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.estimate.elastic import HalfSpace
 
 Place = tuple[int, int]  # in finest steps of log l and log r from the usual prior
 Progress = Callable[[int, float, float], None]

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from resonator_daemon.elastic import Convention, HalfSpace
-from resonator_daemon.elastic.half_space import Input, Output
+from resonator_daemon.estimate.elastic import Convention, HalfSpace
+from resonator_daemon.estimate.elastic.half_space import Input, Output
 
 POISSON = [-0.7, 0.0, 0.3, 0.49, 0.5]
 E = 2.0e5

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.special import roots_laguerre
 
 from resonator_daemon.base.arrays import Complexes, Floats, Integers
-from resonator_daemon.elastic.half_space import HalfSpace, Output
+from resonator_daemon.estimate.elastic.half_space import HalfSpace, Output
 
 Loss = Literal["none", "too_few", "incompressible", "dependent"]
 

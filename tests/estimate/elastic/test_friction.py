@@ -10,9 +10,9 @@ from scipy.optimize import brentq
 from scipy.special import ellipk
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.elastic.contact import press
-from resonator_daemon.elastic.friction import FrictionalContact, FrictionState
-from resonator_daemon.elastic.influence import SurfaceCompliance
+from resonator_daemon.estimate.elastic.contact import press
+from resonator_daemon.estimate.elastic.friction import FrictionalContact, FrictionState
+from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
 from simulators.contact import pixel_tractions
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import fft
 
-from resonator_daemon.elastic import HalfSpace, SpectralGrid
+from resonator_daemon.estimate.elastic import HalfSpace, SpectralGrid
 
 E = 2.0e5
 

@@ -5,9 +5,9 @@ import pytest
 from dense_surface import dense_compliance
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.elastic.influence import SurfaceCompliance
-from resonator_daemon.elastic.regions import RegionSolution, solve_regions
+from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
+from resonator_daemon.estimate.elastic.regions import RegionSolution, solve_regions
 
 MU, PITCH_M = 7e4, 4e-4
 NU = [-0.5, 0.0, 0.3, 0.5]

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from resonator_daemon.base.arrays import Bools, Floats
-from resonator_daemon.elastic.checks import check_tolerance, real_array
-from resonator_daemon.elastic.constrained import NotConvergedError, Pushing, minimise
-from resonator_daemon.elastic.grid import window_around
-from resonator_daemon.elastic.influence import RoughStiffness, SurfaceCompliance, Z
+from resonator_daemon.estimate.elastic.checks import check_tolerance, real_array
+from resonator_daemon.estimate.elastic.constrained import NotConvergedError, Pushing, minimise
+from resonator_daemon.estimate.elastic.grid import window_around
+from resonator_daemon.estimate.elastic.influence import RoughStiffness, SurfaceCompliance, Z
 
 _COARSEST = 12  # pixels a side that a coarser grid must have to pay
 _COARSE_TOLERANCE = 3e-2  # about as far as the coarser grid is from the finer one

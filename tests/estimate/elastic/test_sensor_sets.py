@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.elastic.sensor_sets import CANDIDATES, COMPONENTS, SensorSet
+from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.sensor_sets import CANDIDATES, COMPONENTS, SensorSet
 
 E = 2.0e5
 DEPTH_M = 1.3e-3

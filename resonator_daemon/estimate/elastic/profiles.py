@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.elastic.checks import finite_array
-from resonator_daemon.elastic.grid import SpectralGrid
+from resonator_daemon.estimate.elastic.checks import finite_array
+from resonator_daemon.estimate.elastic.grid import SpectralGrid
 
 Point = tuple[float, float]
 

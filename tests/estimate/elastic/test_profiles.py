@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from resonator_daemon.elastic.profiles import flat_punch, paraboloid, relief, sphere
+from resonator_daemon.estimate.elastic.profiles import flat_punch, paraboloid, relief, sphere
 
 SHAPE, PITCH_M = (5, 8), 1e-3  # centres at y = -2 .. 2 mm, x = -3.5 .. 3.5 mm
 

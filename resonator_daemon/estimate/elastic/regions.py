@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.elastic.checks import real_array
-from resonator_daemon.elastic.constrained import Prescribed, minimise
-from resonator_daemon.elastic.grid import window_around
-from resonator_daemon.elastic.influence import RoughStiffness, SurfaceCompliance, X, Y, Z
+from resonator_daemon.estimate.elastic.checks import real_array
+from resonator_daemon.estimate.elastic.constrained import Prescribed, minimise
+from resonator_daemon.estimate.elastic.grid import window_around
+from resonator_daemon.estimate.elastic.influence import RoughStiffness, SurfaceCompliance, X, Y, Z
 
 
 @dataclass(frozen=True)

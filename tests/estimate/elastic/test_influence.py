@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.elastic.influence import SurfaceCompliance
+from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
 
 E = 2.0e5
 PITCH = 4e-4

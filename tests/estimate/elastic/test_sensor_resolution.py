@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.elastic.sensor_resolution import LOADS, Load, SensorArray
-from resonator_daemon.elastic.sensor_sets import CANDIDATES, SensorSet
+from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.sensor_resolution import LOADS, Load, SensorArray
+from resonator_daemon.estimate.elastic.sensor_sets import CANDIDATES, SensorSet
 
 BEST = ("p_n", "xz", "yz")
 

@@ -8,8 +8,8 @@ import pytest
 from boundary_value_problem import BoundaryValueProblem, Numbers, mp
 from printed_equations import EQUATIONS, J, Symbols
 
-from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.elastic.transfer_matrices import MATRICES
+from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.transfer_matrices import MATRICES
 
 TINY = mp.mpf("1e-40")
 

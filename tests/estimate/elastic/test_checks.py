@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from resonator_daemon.elastic import (
+from resonator_daemon.estimate.elastic import (
     FrictionalContact,
     HalfSpace,
     MixedBoundary,
@@ -18,7 +18,7 @@ from resonator_daemon.elastic import (
     press,
     solve_regions,
 )
-from resonator_daemon.elastic.profiles import paraboloid
+from resonator_daemon.estimate.elastic.profiles import paraboloid
 
 BODY = HalfSpace(2e5, 0.3)
 PITCH = 1e-3

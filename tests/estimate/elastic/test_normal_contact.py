@@ -5,10 +5,10 @@ import pytest
 from scipy.optimize import nnls
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.elastic.contact import NormalContact, press
-from resonator_daemon.elastic.influence import SurfaceCompliance
-from resonator_daemon.elastic.profiles import paraboloid
+from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.contact import NormalContact, press
+from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
+from resonator_daemon.estimate.elastic.profiles import paraboloid
 from simulators.contact import pixel_tractions
 
 SIDE_M = 12.8e-3

@@ -7,8 +7,8 @@ import pytest
 from boundary_value_problem import BoundaryValueProblem, mp
 
 from resonator_daemon.base.arrays import Complexes, Floats
-from resonator_daemon.elastic import HalfSpace, SpectralGrid
-from resonator_daemon.elastic.mixed import MixedBoundary, Quantity
+from resonator_daemon.estimate.elastic import HalfSpace, SpectralGrid
+from resonator_daemon.estimate.elastic.mixed import MixedBoundary, Quantity
 
 E, PITCH_M = 2e5, 4e-4
 NAMES: tuple[Quantity, ...] = ("u_x", "u_y", "u_z", "f_x", "f_y", "f_z")

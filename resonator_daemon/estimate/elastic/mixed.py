@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 from scipy import fft
 
 from resonator_daemon.base.arrays import Bools, Complexes, Floats
-from resonator_daemon.elastic.checks import finite_array
-from resonator_daemon.elastic.grid import SpectralGrid
-from resonator_daemon.elastic.half_space import HalfSpace, Output, ZeroRule
+from resonator_daemon.estimate.elastic.checks import finite_array
+from resonator_daemon.estimate.elastic.grid import SpectralGrid
+from resonator_daemon.estimate.elastic.half_space import HalfSpace, Output, ZeroRule
 
 Quantity = Literal["u_x", "u_y", "u_z", "f_x", "f_y", "f_z"]
 _QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)

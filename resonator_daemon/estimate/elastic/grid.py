@@ -7,7 +7,7 @@ from numbers import Integral
 import numpy as np
 
 from resonator_daemon.base.arrays import Bools, Complexes, Floats
-from resonator_daemon.elastic.half_space import HalfSpace, Input, Output, ZeroRule
+from resonator_daemon.estimate.elastic.half_space import HalfSpace, Input, Output, ZeroRule
 
 Window = tuple[slice, slice]
 

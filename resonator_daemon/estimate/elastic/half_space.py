@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from resonator_daemon.base.arrays import Complexes, Floats
-from resonator_daemon.elastic import transfer_matrices
-from resonator_daemon.elastic.checks import finite_array
+from resonator_daemon.estimate.elastic import transfer_matrices
+from resonator_daemon.estimate.elastic.checks import finite_array
 
 Output = Literal["displacement", "strain", "stress", "p_n", "sensor", "traction"]
 Input = Literal["traction", "displacement"]

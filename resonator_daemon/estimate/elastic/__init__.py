@@ -1,0 +1,28 @@
+"""Linear elasticity of a half-space in the domain of spatial frequency: pure arrays, no I/O."""
+
+from resonator_daemon.estimate.elastic.constrained import NotConvergedError
+from resonator_daemon.estimate.elastic.contact import press
+from resonator_daemon.estimate.elastic.fields import SurfaceFields
+from resonator_daemon.estimate.elastic.friction import FrictionalContact
+from resonator_daemon.estimate.elastic.grid import SpectralGrid
+from resonator_daemon.estimate.elastic.half_space import Convention, HalfSpace
+from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
+from resonator_daemon.estimate.elastic.mixed import MixedBoundary
+from resonator_daemon.estimate.elastic.regions import solve_regions
+from resonator_daemon.estimate.elastic.sensor_resolution import SensorArray
+from resonator_daemon.estimate.elastic.sensor_sets import SensorSet
+
+__all__ = [
+    "Convention",
+    "FrictionalContact",
+    "HalfSpace",
+    "MixedBoundary",
+    "NotConvergedError",
+    "SensorArray",
+    "SensorSet",
+    "SpectralGrid",
+    "SurfaceCompliance",
+    "SurfaceFields",
+    "press",
+    "solve_regions",
+]
