@@ -21,13 +21,13 @@ from threadpoolctl import threadpool_limits
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.decoding import FourierDecoder, OpenPlaneDecoder
-from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
-from resonator_daemon.decoding.prior import Prior
-from resonator_daemon.decoding.skin import DecodingOptions, Skin
-from resonator_daemon.decoding.skin_decoder import SkinDecoder
-from resonator_daemon.decoding.streaming import set_up
 from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.surface import FourierDecoder, OpenPlaneDecoder
+from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDecoder
+from resonator_daemon.estimate.surface.prior import Prior
+from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
+from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder
+from resonator_daemon.estimate.surface.streaming import set_up
 from simulators.contact import hertz_parts, pixel_tractions
 from simulators.half_space_fields import hertz_fields
 
@@ -297,7 +297,7 @@ def print_set_ups(repeats: int) -> None:
                     times.append(time.thread_time() - began)
             size_mb = sum(path.stat().st_size for path in Path(folder).iterdir()) / 1e6
         print(f"{name:24} {min(spent[0]):12.2f} {min(spent[1]):15.3f} {size_mb:9.0f}", flush=True)
-    program = "import time; import resonator_daemon.decoding.streaming; print(time.process_time())"
+    program = "import time; import resonator_daemon.estimate.surface.streaming; print(time.process_time())"
     run = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
     print(f"start of Python with the decoders: {float(run.stdout):.2f} s of processor time")
 

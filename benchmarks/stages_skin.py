@@ -11,16 +11,16 @@ from scipy.linalg import cho_factor
 from stages import Stage, Work
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.decoding import OpenPlaneDecoder
-from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
-from resonator_daemon.decoding.fitting.contact_model import DiscModel
-from resonator_daemon.decoding.fitting.contact_start import ContactStart
-from resonator_daemon.decoding.fitting.slip import SlipWatch
-from resonator_daemon.decoding.skin import DecodingOptions, Skin
-from resonator_daemon.decoding.skin_decoder import SkinDecoder
 from resonator_daemon.estimate.elastic.contact import press
 from resonator_daemon.estimate.elastic.influence import SurfaceCompliance, Z
 from resonator_daemon.estimate.elastic.profiles import paraboloid
+from resonator_daemon.estimate.surface import OpenPlaneDecoder
+from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDecoder
+from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
+from resonator_daemon.estimate.surface.fitting.contact_start import ContactStart
+from resonator_daemon.estimate.surface.fitting.slip import SlipWatch
+from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
+from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder
 
 FRAMES = 64  # of a scene, to and fro
 HERTZ_SIDE, HERTZ_SIDE_M, CURVATURE_RADIUS_M, HERTZ_RADIUS_M = 128, 12.8e-3, 20e-3, 2e-3

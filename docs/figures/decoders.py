@@ -5,8 +5,8 @@ from numpy.typing import ArrayLike, NDArray
 from scene import BODY, COUNT, DEPTH_M, FRICTION, PITCH_M, SITES_M
 from scipy import fft
 
-from resonator_daemon.decoding import ContactDecoder, OpenPlaneDecoder
 from resonator_daemon.estimate.elastic import SpectralGrid, SurfaceFields
+from resonator_daemon.estimate.surface import ContactDecoder, OpenPlaneDecoder
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -29,8 +29,8 @@ from scene import (
     tractions,
 )
 
-from resonator_daemon.decoding.fitting.contact_start import ContactStart
-from resonator_daemon.decoding.fitting.shape import ShapeFitter
+from resonator_daemon.estimate.surface.fitting.contact_start import ContactStart
+from resonator_daemon.estimate.surface.fitting.shape import ShapeFitter
 
 Floats = NDArray[np.float64]
 Fields = dict[str, tuple[Floats, Floats]]  # traction and displacement by the name of the decoder

@@ -8,10 +8,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scene import BODY, DEPTH_M, FRICTION, PITCH_M, RADIUS_M, SITES_M, noise_rms, signals
 
-from resonator_daemon.decoding.fitting.contact_model import DiscModel
-from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
-from resonator_daemon.decoding.fitting.slip_fitter import fit_partial_slip
-from resonator_daemon.decoding.patches import PatchFinder
+from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
+from resonator_daemon.estimate.surface.fitting.contact_start import ContactStart, Friction
+from resonator_daemon.estimate.surface.fitting.slip_fitter import fit_partial_slip
+from resonator_daemon.estimate.surface.patches import PatchFinder
 
 Floats = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ PACKAGE = [f"resonator_daemon.python_api.{module}" for module in ("recordings", 
 API = {
     "python-package": ("Python package resonatord", *PACKAGE),
     "python-elastic": ("Elastic half-space", "resonator_daemon.estimate.elastic"),
-    "python-decoding": ("Decoders", "resonator_daemon.decoding"),
+    "python-decoding": ("Decoders", "resonator_daemon.estimate.surface"),
 }
 
 

@@ -17,9 +17,9 @@ from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import Skin
 from resonator_daemon.calibration.steps import CalibrationRefusedError
 from resonator_daemon.config import Config, load_config
-from resonator_daemon.decoding.open_plane.prior_fit import PriorFit, fit_prior, has_load
-from resonator_daemon.decoding.prior import DEFAULT_PRIOR
 from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.surface.open_plane.prior_fit import PriorFit, fit_prior, has_load
+from resonator_daemon.estimate.surface.prior import DEFAULT_PRIOR
 from resonator_daemon.publishing.payloads import Signals
 from resonator_daemon.publishing.requests import reach
 from resonator_daemon.publishing.subscriber import subscribe

@@ -19,7 +19,7 @@ from resonator_daemon.decoder_process.messages import (
     Work,
     packed,
 )
-from resonator_daemon.decoding.streaming import UndecodableError
+from resonator_daemon.estimate.surface.streaming import UndecodableError
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import ContactEvent, Header, Message

@@ -10,7 +10,7 @@ import numpy as np
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
-from resonator_daemon.decoding.skin import DecodingOptions
+from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.pipeline.frame_timeout import CONTACTS_END_S
 from resonator_daemon.publishing.codec import Encoded

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.decoding.prior import Prior
-from resonator_daemon.decoding.skin import Skin
 from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.surface.prior import Prior
+from resonator_daemon.estimate.surface.skin import Skin
 from resonator_daemon.publishing.codec import Encoded, decode
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import DecoderPlateHealth, GridInfo, Info, Signals, Status

@@ -19,7 +19,7 @@ from resonator_daemon.base.host.systemd import ServiceManager
 from resonator_daemon.base.reasons import Reason, ReasonCode, joined
 from resonator_daemon.config import DECODER
 from resonator_daemon.config.decoder import DecoderConfig
-from resonator_daemon.decoding.skin import DecodingOptions
+from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.monitoring.health import ProcessUsage
 from resonator_daemon.monitoring.liveness import LivenessMonitor
 from resonator_daemon.publishing.codec import Encoded, encode

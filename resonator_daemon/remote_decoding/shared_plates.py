@@ -17,9 +17,9 @@ from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.config import plate_name
 from resonator_daemon.config.decoder import DecoderConfig
-from resonator_daemon.decoding.skin import DecodingOptions
-from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
-from resonator_daemon.decoding.streaming import CANNOT_DECODE, failed, set_up
+from resonator_daemon.estimate.surface.skin import DecodingOptions
+from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
+from resonator_daemon.estimate.surface.streaming import CANNOT_DECODE, failed, set_up
 from resonator_daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth, DecoderProcessInfo, Signals

@@ -12,8 +12,8 @@ from typing import Any, Generic, Literal, TypeVar
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoder_process.supervisor import WAIT_MAX_NS
 from resonator_daemon.decoder_process.worker import AGE_MAX_NS
-from resonator_daemon.decoding.equal_skins import EqualSkins
-from resonator_daemon.decoding.streaming import UndecodableError
+from resonator_daemon.estimate.surface.equal_skins import EqualSkins
+from resonator_daemon.estimate.surface.streaming import UndecodableError
 from resonator_daemon.publishing.codec import Encoded, encode
 from resonator_daemon.publishing.payloads import ContactEvent, DecoderProcessInfo, Header, Message
 from resonator_daemon.publishing.topics import DECODED, Topic

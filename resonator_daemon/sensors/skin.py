@@ -5,10 +5,10 @@ from typing import Any, ClassVar, Final
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.decoding.prior import Prior
-from resonator_daemon.decoding.skin import DecodingOptions, Skin, refuse_undecodable
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.forces.readings import SkinReading
+from resonator_daemon.estimate.surface.prior import Prior
+from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin, refuse_undecodable
 from resonator_daemon.estimate.tones.tone_detector import MultitoneDetector, ToneDetector
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.headers import MeasuredFields

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any, Generic, Protocol, TypeVar
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.decoding.streaming import UndecodableError
+from resonator_daemon.estimate.surface.streaming import UndecodableError
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import ContactEvent, Lost, Message

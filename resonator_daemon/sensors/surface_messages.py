@@ -24,9 +24,9 @@ from resonator_daemon.publishing.rounding import rounded, rounded_std
 from resonator_daemon.sensors.usual_reasons import reason_fields
 
 if TYPE_CHECKING:
-    from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
-    from resonator_daemon.decoding.skin_contacts import SkinContact, SkinEvent
-    from resonator_daemon.decoding.skin_decoder import SurfaceReading
+    from resonator_daemon.estimate.surface.decoded import Decoded as DecodedFrame
+    from resonator_daemon.estimate.surface.skin_contacts import SkinContact, SkinEvent
+    from resonator_daemon.estimate.surface.skin_decoder import SurfaceReading
 
 _NS = 1_000_000_000
 _ON_GRID = 3  # dimensions of a map: component, y, x

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason
-from resonator_daemon.decoding.skin import DecodingOptions, Skin
-from resonator_daemon.decoding.streaming import SetUp, StreamingDecoder
+from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
+from resonator_daemon.estimate.surface.streaming import SetUp, StreamingDecoder
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, Topic

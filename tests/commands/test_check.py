@@ -18,7 +18,7 @@ from resonator_daemon.commands import main
 from resonator_daemon.config.text import plate_text
 from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.daemon.daemon import Service
-from resonator_daemon.decoding.skin_decoder import SkinDecoder
+from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.sensors.surface_stream import SurfaceSettings
 

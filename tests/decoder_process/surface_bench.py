@@ -11,8 +11,8 @@ from observer import running_task
 
 from resonator_daemon.base.reasons import Reason
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
-from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.publishing.codec import decode, encode
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import ContactEvent, Lost, Message

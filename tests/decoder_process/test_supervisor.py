@@ -14,7 +14,7 @@ from surface_bench import NOTHING, SKIN, Client, frame
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoder_process import supervisor
-from resonator_daemon.decoding.skin import Skin
+from resonator_daemon.estimate.surface.skin import Skin
 
 
 async def test_frames_become_messages_of_their_topics_under_their_own_numbers() -> None:

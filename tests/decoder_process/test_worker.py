@@ -16,7 +16,7 @@ from surface_bench import NOTHING, frame, header, settings
 from resonator_daemon.decoder_process.connection import WorkerConnection
 from resonator_daemon.decoder_process.messages import Reply, Request, Results, SetUpStep, Work, packed
 from resonator_daemon.decoder_process.worker import AGE_MAX_NS, work
-from resonator_daemon.decoding.streaming import StreamingDecoder
+from resonator_daemon.estimate.surface.streaming import StreamingDecoder
 
 
 class Bench:

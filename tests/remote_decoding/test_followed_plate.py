@@ -14,9 +14,9 @@ from observer import running_task
 from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.config.tables import Decoding
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
-from resonator_daemon.decoding import equal_skins
-from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.surface import equal_skins
+from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.publishing.codec import Encoded, decode, encode
 from resonator_daemon.publishing.payloads import ContactEvent, Info, Message, Signals
 from resonator_daemon.publishing.topics import Topic

@@ -14,7 +14,7 @@ from observer import running_task
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.config.tables import Decoding
-from resonator_daemon.decoding.skin import DecodingOptions
+from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import GridInfo, Info, Message, Signals
 from resonator_daemon.remote_decoding import shared_plates

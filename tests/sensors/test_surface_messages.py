@@ -10,12 +10,12 @@ from report_makers import LOST, NAN, Messages, configured, gate_middle, literal
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.config import Config
-from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
-from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
-from resonator_daemon.decoding.patches import Patch as FoundPatch
-from resonator_daemon.decoding.skin_contacts import SkinContact, SkinEvent
-from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.estimate.forces.readings import SkinReading
+from resonator_daemon.estimate.surface.decoded import Decoded as DecodedFrame
+from resonator_daemon.estimate.surface.fitting.partial_slip import PartialSlip
+from resonator_daemon.estimate.surface.patches import Patch as FoundPatch
+from resonator_daemon.estimate.surface.skin_contacts import SkinContact, SkinEvent
+from resonator_daemon.estimate.surface.skin_decoder import SurfaceReading
 from resonator_daemon.publishing import payloads
 from resonator_daemon.publishing.codec import decode, encode
 from resonator_daemon.publishing.headers import MeasuredFields

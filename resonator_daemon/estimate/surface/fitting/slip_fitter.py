@@ -1,0 +1,196 @@
+"""Fits of contacts in partial slip: of a single frame, and of frames that follow each other."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.estimate.surface.fitting.contact_fit import Fit
+from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
+from resonator_daemon.estimate.surface.fitting.contact_start import ContactStart
+from resonator_daemon.estimate.surface.fitting.partial_slip import (
+    MARGIN_STD_LIMIT,
+    PartialSlip,
+    describe,
+    nothing_known,
+)
+from resonator_daemon.estimate.surface.fitting.slip_problem import (
+    FULL_STICK,
+    Frame,
+    Linearisation,
+    Settled,
+    SlipProblem,
+    Whitening,
+)
+from resonator_daemon.estimate.surface.fitting.slip_signals import MARGIN, PARAMETERS
+from resonator_daemon.estimate.surface.parameters import KNOWN_LIMIT, SIGNAL_LIMIT
+
+_ANY_MARGIN_PRECISION = 12.0  # of one that may be anything between 0 and 1
+_RELEASE_STD = 0.15  # of a margin that was held because it left no trace: from then on it is fitted
+_RIVAL_DISTANCE = 0.3  # from the best margin, where another that fits ...
+_RIVAL_STD = 3.0  # ... within so many standard deviations leaves it unknown
+_CERTAIN_STD = 0.025  # of a margin, within which there is no rival ...
+_CERTAIN_MARGIN = 0.8  # ... unless it is above this: near full stick errors are far from Gaussian
+_RIVAL_MOVE = 0.1  # of the margin, within which the rival of the frame before is a good beginning
+
+
+def fit_partial_slip(
+    model: DiscModel, signals: ArrayLike, noise_std: ArrayLike, starts: Sequence[ContactStart]
+) -> list[PartialSlip]:
+    """Fit contacts to one frame, all at once, each in the field of the others.
+
+    Parameters
+    ----------
+    model
+        With the Hertz profile.
+    signals
+        [3 p_n / (2 E), eps_xz, eps_yz], (3, n); one that is NaN, infinite or beyond 10 counts as lost.
+    noise_std
+        Broadcastable to (3, n).
+    starts
+        One for each contact.
+
+    Raises
+    ------
+    ValueError
+        No start or one that is not finite, a shape that does not fit, fewer sites than unknowns, noise not above 0.
+    """
+    return list(SlipFitter(model).fit(signals, noise_std, dict(enumerate(starts))).values())
+
+
+class SlipFitter:
+    """Sequential fit of contacts to frames, each from where the fit of the frame before ended.
+
+    As long as contacts stay the same, a frame costs one evaluation of the signals and their slopes, and none at rest.
+
+    Parameters
+    ----------
+    model
+        With the Hertz profile.
+    """
+
+    def __init__(self, model: DiscModel) -> None:
+        self._model = model
+        self._whitening: Whitening | None = None
+        self._reset()
+
+    def _reset(self) -> None:
+        self._contacts: list[int] = []
+        self._before: Linearisation | None = None
+        self._unknown: set[int] = set()  # contacts, by index, whose margin was not known
+        self._held: dict[int, float] = {}  # margins that left no trace
+        self._rivals: dict[tuple[int, float], Linearisation] = {}  # by contact and distance of the margin
+
+    def fit(
+        self, signals: ArrayLike, noise_std: ArrayLike, starts: Mapping[int, ContactStart]
+    ) -> dict[int, PartialSlip]:
+        """Fit a frame; returns results by the ids of the contacts.
+
+        `starts` serve where there is no frame before, or it leads nowhere. Other arguments and errors as of
+        `fit_partial_slip`.
+        """
+        frame = self._checked(signals, noise_std, len(starts))
+        self._whitening = frame.whitening
+        needed = max(KNOWN_LIMIT * frame.target.size, PARAMETERS * len(starts))
+        if frame.count < needed:
+            self._reset()
+            text = f"{frame.count} signals known (finite, within {SIGNAL_LIMIT}), needs {needed:.0f}"
+            return {
+                contact: nothing_known(np.nan, np.nan, Reason(ReasonCode.SIGNALS_MISSING, text)) for contact in starts
+            }
+        problem = SlipProblem(self._model, frame, [start.friction for start in starts.values()])
+        found = self._followed(problem) if self._contacts == list(starts) else None
+        if found is None:
+            self._reset()
+            found, _ = self._described(problem, problem.from_starts(list(starts.values())), {})
+        self._contacts = list(starts)
+        if any(math.isnan(slip.radius_m) for slip in found):
+            self._reset()
+        return dict(zip(starts, found, strict=True))
+
+    def _checked(self, signals: ArrayLike, noise_std: ArrayLike, contacts: int) -> Frame:
+        frame, count = np.asarray(signals, np.float64), len(self._model.sites_m)
+        if frame.shape != (3, count):
+            raise ValueError(f"signals have shape {frame.shape}, must be (3, {count})")
+        if not contacts:
+            raise ValueError("starts is empty, must name at least one contact")
+        if 3 * count < PARAMETERS * contacts:
+            raise ValueError(
+                f"{count} sites make {3 * count} signals, must be at least 7 for each of {contacts} contacts"
+            )
+        return Frame(self._model, frame, np.asarray(noise_std, np.float64), self._whitening)
+
+    def _followed(self, problem: SlipProblem) -> list[PartialSlip] | None:
+        """Fit from the frame before; None where a fit from the starts is due.
+
+        That is where the fit does not settle, where another margin fits better, and where a margin becomes known.
+        """
+        if self._before is None:
+            return None
+        held = {index: margin for index, margin in self._held.items() if index not in problem.lawful}
+        unknown = self._unknown - problem.lawful
+        settled = problem.from_before(self._before, held)
+        if settled is None:
+            return None
+        found, is_best = self._described(problem, settled, held)
+        return found if is_best and unknown <= self._unknown else None
+
+    def _described(
+        self, problem: SlipProblem, settled: Settled, held: Mapping[int, float]
+    ) -> tuple[list[PartialSlip], bool]:
+        """Describe contacts and keep what the next frame needs; returns also whether no other margin fits better.
+
+        `held`: margins of contacts, by index, that were not fitted.
+        """
+        frame, parameters, precision = problem.frame, settled.parameters, settled.precision.copy()
+        margins = np.arange(MARGIN, parameters.size, PARAMETERS)
+        precision[margins, margins] += _ANY_MARGIN_PRECISION
+        fit = Fit(parameters, precision, settled.chi_square, problem.count, frame.energy)
+        covariance, rivals, is_best = fit.covariance, self._rivals, True
+        self._before, self._rivals, self._held, self._unknown = settled.linearisation, {}, {}, set()
+        found = []
+        for index, place in enumerate(margins.tolist()):
+            rows = slice(place - MARGIN, place + 1)
+            margin, margin_std = float(parameters[place]), math.sqrt(covariance[place, place])
+            if index not in problem.lawful:
+                if margin_std > (_RELEASE_STD if index in held else MARGIN_STD_LIMIT):
+                    self._held[index] = margin
+                    self._unknown.add(index)
+                elif index in held:
+                    is_best = False
+                elif margin_std > _CERTAIN_STD or margin > _CERTAIN_MARGIN:
+                    worse = self._rival(problem, settled, index, held, rivals) - settled.chi_square
+                    is_best = is_best and worse > 0.0
+                    if worse < _RIVAL_STD**2 * max(fit.chi2, 1.0):
+                        self._unknown.add(index)
+            is_known = index not in self._unknown
+            one = covariance[rows, rows]
+            found.append(describe(fit, parameters[rows], one, self._model.radius_max_m, margin_known=is_known))
+        return found, is_best
+
+    def _rival(
+        self,
+        problem: SlipProblem,
+        best: Settled,
+        index: int,
+        held: Mapping[int, float],
+        before: Mapping[tuple[int, float], Linearisation],
+    ) -> float:
+        """Least chi-square with a margin far off the best one of a contact."""
+        chi_squares = [np.inf]
+        for distance in (_RIVAL_DISTANCE, -_RIVAL_DISTANCE):
+            place = PARAMETERS * index + MARGIN
+            margin = float(best.parameters[place]) + distance
+            if not 0.0 <= margin <= FULL_STICK:
+                continue
+            begin = before.get((index, distance))
+            if begin is None or abs(float(begin.parameters[place]) - margin) > _RIVAL_MOVE:
+                begin = best.linearisation
+            rival = problem.from_before(begin, {**held, index: margin})
+            if rival is None:
+                rival = problem.from_parameters(best.parameters, {**held, index: margin})
+            self._rivals[index, distance] = rival.linearisation
+            chi_squares.append(rival.chi_square)
+        return min(chi_squares)

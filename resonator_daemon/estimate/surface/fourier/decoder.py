@@ -1,0 +1,322 @@
+"""Decoder of a regular array by the multivariate Wiener inverse, frequency by frequency.
+
+Four things that a small array needs are added to eq. (5) of Karason, Srinivasan and Annaswamy:
+
+- The array is extended to 1.5 times its side, edge samples repeated and tapered to 0, because the fields fall off so
+  slowly that the period of the plain transform would fold 10 % of them back.
+- The prior of the traction is smooth: its power spectrum is q (r, r, 1) / (1 + omega^2 l^2)^2 for x, y, z.
+- Its scale q is chosen for each frame out of a grid by maximum likelihood. (Generalised cross-validation fails badly
+  where a contact crosses the border.)
+- The noise is at least the declared one. Where the best fit leaves more (gain errors, a contact across the border), the
+  excess counts as noise and widens the error bars; without that, small noise would make errors of the model explode.
+
+Two things are corrected: eq. (5) as printed holds only for noise of one power in all channels, and the spectra printed
+for a sliding contact are no covariance, because they tie f_z to both directions at once.
+"""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from resonator_daemon.base.arrays import Bools, Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.estimate.elastic import HalfSpace, SpectralGrid
+from resonator_daemon.estimate.surface.decoded import Decoded, stated
+from resonator_daemon.estimate.surface.fourier.extension import ExtendedTransform, ExtensionName
+from resonator_daemon.estimate.surface.fourier.spectra import Spectra, prior_root, sliding, spectra_of, white
+from resonator_daemon.estimate.surface.fourier.wiener import AveragedWiener, SpectralWiener, product
+from resonator_daemon.estimate.surface.parameters import (
+    CHI2_LIMIT,
+    KNOWN_LIMIT,
+    SIGNAL_LIMIT,
+    UNEXPLAINED_LIMIT,
+    noise_of_signals,
+)
+from resonator_daemon.estimate.surface.prior import DEFAULT_PRIOR, Prior
+
+_SCALES = np.logspace(
+    -1.0, 5.0, 30
+)  # standard deviation of the prior over the traction that makes a signal of the noise
+_PRIOR_LIMIT_PASCAL = 1e30  # keeps squares of it well within double precision
+_SECTORS = 36  # of directions in which a contact may slide
+_STACK = 16  # frames decoded at once: many more would not stay in the processor's cache
+_BORDER_SHARE = 0.04  # of the energy of f_z on the outermost sites ...
+_BORDER_SIGMAS = 1.5  # ... and their rms over the standard deviation
+
+_FILL_ROUNDS = 20  # most rounds of the model's own prediction ...
+_FILL_TOLERANCE = 0.3  # ... which end when it changes by less than this share of the noise
+
+
+class Imputation:
+    """Imputation of lost signals in frames (3, ny, nx).
+
+    Parameters
+    ----------
+    shape
+        (ny, nx) of the array.
+    transform, wiener
+        The model.
+    noise_variance
+        Mean over the channels.
+    depth_pitches
+        Depth of the sites over their pitch.
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        transform: ExtendedTransform,
+        wiener: SpectralWiener,
+        noise_variance: float,
+        depth_pitches: float,
+    ) -> None:
+        self._shape = shape
+        self._transform = transform
+        self._wiener = wiener
+        self._noise_variance = noise_variance
+        self._neighbours_y, self._neighbours_x = (_kernel(n, 0.5) for n in shape)
+        self._blur_y, self._blur_x = (_kernel(n, 0.5 * max(depth_pitches, 1.0)) for n in shape)
+
+    def fill(self, frame: Floats, known: Bools) -> tuple[Floats, bool]:
+        """Replace lost signals by the model's prediction from the others; False where that has not settled.
+
+        A mean of the neighbours, then expectation and maximisation in turn, with Nesterov's momentum.
+        """
+        total = self._neighbours_y @ np.where(known, frame, 0.0) @ self._neighbours_x
+        filled = predicted = np.where(known, frame, total / (self._neighbours_y @ known @ self._neighbours_x))
+        limit = _FILL_TOLERANCE**2 * self._noise_variance * (known.size - known.sum())
+        for n in range(_FILL_ROUNDS):
+            fit = self._wiener.fit(self._transform.to_spectrum(filled[None]), float(known.mean()))
+            change = np.where(known, 0.0, self._transform.to_space(self._wiener.signals(fit))[0] - predicted)
+            predicted = predicted + change
+            filled = predicted + n / (n + 3.0) * change
+            if np.sum(change**2) < limit:
+                return predicted, True
+        return predicted, False
+
+    def density(self, known: Bools) -> Floats:
+        """Share of known signals around each site, of the channel that has lost most there."""
+        ones = np.ones(self._shape)
+        shares = (self._blur_y @ known @ self._blur_x) / (self._blur_y @ ones @ self._blur_x)
+        return np.asarray(shares.min(axis=0), np.float64)
+
+
+def _kernel(count: int, width: float) -> Floats:
+    """Return weights (count, count) that fall with the distance of two samples, a few times faster beyond `width`."""
+    distance = np.subtract.outer(np.arange(count), np.arange(count))
+    return np.asarray(1.0 / (1.0 + (distance / width) ** 2) ** 2, np.float64)
+
+
+class FourierDecoder:
+    """Linear minimum-mean-square estimate of tractions and displacements on a grid of sites.
+
+    The Wiener inverse of Karason, Srinivasan and Annaswamy, "Encoding and Decoding of Static Information in Tactile
+    Sensing Systems", eq. (5). The printed recipe is `extension="periodic", spectra="white"` with a `prior` of given
+    standard deviation; without regularisation, one far above any traction; their weighted-norm filter,
+    `spectra=weighted_norm(...)`.
+
+    Parameters
+    ----------
+    half_space
+    shape
+        (ny, nx) of the array.
+    pitch_m
+        Spacing of the sites along both axes.
+    depth_m
+        Depth of the sites, at least 0.
+    noise_std
+        Standard deviation of the noise of the dimensionless signals: a scalar, (3,), or what broadcasts to (3, ny, nx).
+        The solution uses the mean variance of each channel, because it works frequency by frequency.
+    extension
+        "taper", to a square of 1.5 times the longer side; "periodic", not at all.
+    spectra
+        Power spectra of the traction up to a common factor: "prior", those of the prior; "white", the same for all
+        frequencies and components; or spectra and cross-spectra as a function of omega_x and omega_y, see
+        `spectra.Spectra`.
+    prior
+        Prior of the traction. With white spectra, only its standard deviation counts; give one, because their
+        likelihood chooses badly.
+    sliding_friction
+        Friction coefficient of a contact that slides as a whole: f_t is this times f_z, in one direction. Of the
+        spectra only the power of f_z counts. Estimates for 36 sectors of directions are averaged by their evidence, at
+        the cost of as many. Where a part of the contact sticks, f_t comes out too large there and its error bars too
+        small; above about 30 dB `chi2` shows it.
+
+    Raises
+    ------
+    ValueError
+        A shape that does not fit, a parameter that is not finite and above 0 (depth: at least 0), a name that is none
+        of those above, or spectra that are no covariance of real tractions.
+    """
+
+    def __init__(
+        self,
+        half_space: HalfSpace,
+        shape: tuple[int, int],
+        pitch_m: float,
+        depth_m: float,
+        noise_std: ArrayLike,
+        *,
+        extension: ExtensionName = "taper",
+        spectra: Literal["prior", "white"] | Spectra = "prior",
+        prior: Prior = DEFAULT_PRIOR,
+        sliding_friction: float | None = None,
+    ) -> None:
+        SpectralGrid(shape, pitch_m)  # refuses what is no grid
+        if sliding_friction is not None and not 0.0 < sliding_friction < np.inf:
+            raise ValueError(f"sliding_friction is {sliding_friction}, must be finite and above 0")
+        std_pascal = prior.std_pascal
+        if std_pascal is not None and std_pascal > _PRIOR_LIMIT_PASCAL:
+            limit = f"must be at most {_PRIOR_LIMIT_PASCAL:.0e}, where it no longer regularises"
+            raise ValueError(f"std_pascal is {std_pascal}, {limit}")
+        channel_std = np.sqrt(np.mean(noise_of_signals(noise_std, shape) ** 2, axis=(1, 2)))
+
+        self._shape = shape
+        self._transform = ExtendedTransform(shape, extension)
+        grid = SpectralGrid(self._transform.extended_shape, pitch_m)
+        bin_power = self._transform.noise_power
+        forward = grid.transfer_matrix(half_space, "sensor", "traction", depth_m)
+        bin_std = np.sqrt(bin_power)[..., None] * channel_std
+        noise_traction = 2.0 * half_space.shear_modulus_pascal * np.sqrt(np.mean(channel_std**2))
+        scales = (noise_traction * _SCALES) ** 2 if std_pascal is None else np.array([std_pascal**2])
+
+        def wiener(spectra: Spectra) -> SpectralWiener:
+            return SpectralWiener(forward, prior_root(spectra, grid), bin_std, grid.multiplicity, scales)
+
+        self._inverse: SpectralWiener | AveragedWiener
+        chosen = _spectra(spectra, prior)
+        if sliding_friction is None:
+            self._inverse = predictor = wiener(chosen)
+        else:
+            sector = 2.0 * np.pi / _SECTORS
+            ways = [wiener(sliding(chosen, sliding_friction, n * sector, sector)) for n in range(_SECTORS)]
+            self._inverse = AveragedWiener(ways, self._transform.samples_share)
+            predictor = wiener(sliding(chosen, sliding_friction, 0.0, 2.0 * np.pi))
+
+        self._noise_variance = float(np.mean(channel_std**2))
+        self._imputation = Imputation(shape, self._transform, predictor, self._noise_variance, depth_m / pitch_m)
+        # A periodic load has no level to move from: zero at omega = 0.
+        zero: Literal["isolated", "periodic"] = "periodic" if extension == "periodic" else "isolated"
+        compliance = grid.transfer_matrix(half_space, "displacement", "traction", 0.0, zero=zero)
+        self._compliance = np.ascontiguousarray(np.moveaxis(compliance.reshape(-1, 3, 3), 0, -1))
+        self._border = np.ones(shape, np.bool_)
+        self._border[1:-1, 1:-1] = False
+        self._evidence_offset = 1.5 * (grid.multiplicity * np.log(bin_power)).sum()  # repeated samples are no new ones
+
+    def decode(self, signals: ArrayLike, *, displacement: bool = False) -> Decoded:
+        """Return tractions, and displacements if asked for, of frames of signals [3 p_n / (2 E), eps_xz, eps_yz].
+
+        Parameters
+        ----------
+        signals
+            Shape (..., 3, ny, nx), dimensionless. The frames next to it change a frame's result by rounding only. A
+            signal that is NaN, infinite or beyond 10 counts as lost: the model's prediction from the others takes its
+            place and the error bar around it widens; that takes up to twenty times as long.
+        displacement
+            Also the surface displacement that the decoded traction causes, alone on the plane; for a Poisson's ratio
+            below 1/2 without the part that is linear in x and y. With a periodic extension that of the periodic
+            traction, less its mean.
+
+        Returns
+        -------
+        Decoded
+            `traction_std_pascal`: from the posterior covariance of the estimate at the frame's scale, the same
+            everywhere but for lost signals; right on average over the array, too small under a contact.
+            `chi2`: mean square of the innovation in units of prior and declared noise. `log_evidence`: Whittle's
+            likelihood, for the number of samples measured. `border_contact`: the outermost sites hold more than 4 % of
+            the energy of f_z, their rms exceeds 1.5 standard deviations. `status`: "ok", where `reason` counts lost
+            signals; "no_signal", less than half of a channel known; "rejected", the residual exceeds ten times the
+            noise and half of the energy, so that no load explains the frame.
+
+        Raises
+        ------
+        ValueError
+            Signals of another shape, or not numbers.
+        """
+        given = np.asarray(signals, np.float64)
+        wanted = (3, *self._shape)
+        if given.shape[-3:] != wanted:
+            raise ValueError(f"signals have shape {given.shape}, must be (..., {', '.join(map(str, wanted))})")
+        leading, frames = given.shape[:-3], given.reshape(-1, *wanted)
+        known = np.abs(frames) <= SIGNAL_LIMIT  # False for NaN
+        complete = known.all(axis=(1, 2, 3))
+        whole = np.flatnonzero(complete)
+        found: dict[int, Decoded] = {}
+        for start in range(0, whole.size, _STACK):
+            rows = whole[start : start + _STACK]
+            stack = self._decode_stack(frames[rows], 1.0, np.ones((1, 1)), displacement)
+            found.update(zip(rows.tolist(), stack, strict=True))
+        for row in np.flatnonzero(~complete).tolist():
+            found[row] = self._decode_incomplete(frames[row], known[row], displacement)
+        decoded = [found[row] for row in range(len(frames))]
+        return Decoded.stack(decoded, leading, wanted) if leading else decoded[0]
+
+    def _decode_incomplete(self, frame: Floats, known: Bools, displacement: bool) -> Decoded:
+        worst = float(known.mean(axis=(1, 2)).min())
+        if worst < KNOWN_LIMIT:
+            text = f"{worst:.0%} of a channel known (finite, within {SIGNAL_LIMIT}), needs {KNOWN_LIMIT:.0%}"
+            missing = Reason(ReasonCode.SIGNALS_MISSING, text)
+            return Decoded.unknown((3, *self._shape), displacement, np.nan, np.nan, "no_signal", missing)
+        filled, settled = self._imputation.fill(frame, known)
+        reason = f"{known.size - known.sum()} of {known.size} signals lost and filled in"
+        reason += "" if settled else "; too many side by side for that to settle"
+        density = self._imputation.density(known)
+        lost = Reason(ReasonCode.SIGNALS_LOST, reason)
+        return self._decode_stack(filled[None], float(known.mean()), density, displacement, lost)[0]
+
+    def _decode_stack(
+        self, frames: Floats, known_share: float, density: Floats, displacement: bool, reason: Reason | None = None
+    ) -> list[Decoded]:
+        """Decode frames (n, 3, ny, nx) without gaps; `density` (1, 1) or (ny, nx) as the inverse takes it."""
+        estimate = self._inverse.estimate(self._transform.to_spectrum(frames), known_share, density)
+        corrected = estimate.log_evidence + known_share * self._evidence_offset
+        log_evidence = self._transform.samples_share * corrected
+
+        energy = np.maximum(np.mean(frames**2, axis=(1, 2, 3)), np.finfo(np.float64).tiny)
+        left = estimate.chi2 * self._noise_variance / energy
+        rejected = (estimate.chi2 > CHI2_LIMIT) & (left > UNEXPLAINED_LIMIT)
+
+        traction = self._transform.to_space(estimate.tractions)
+        std = np.sqrt(estimate.variance)
+        moved = None
+        if displacement:
+            moved = self._transform.to_space(product(self._compliance, estimate.tractions))
+        normal = traction[:, 2] ** 2
+        border_energy = normal[:, self._border].sum(axis=1)
+        significant = self._border.sum() * (_BORDER_SIGMAS * std[:, 2].mean(axis=(1, 2))) ** 2
+        at_border = border_energy > np.maximum(_BORDER_SHARE * normal.sum(axis=(1, 2)), significant)
+
+        sentence, code = stated(reason)
+        decoded = []
+        for n, chi2 in enumerate(estimate.chi2.tolist()):
+            evidence = float(log_evidence[n])
+            if rejected[n]:
+                text = f"chi2 {chi2:.3g} exceeds {CHI2_LIMIT:.0f} and {left[n]:.0%} of the energy remain unexplained"
+                why = Reason(ReasonCode.SIGNALS_UNEXPLAINED, text)
+                decoded.append(Decoded.unknown((3, *self._shape), displacement, evidence, chi2, "rejected", why))
+                continue
+            decoded.append(
+                Decoded(
+                    traction_pascal=np.ascontiguousarray(traction[n]),
+                    traction_std_pascal=np.broadcast_to(std[n], traction[n].shape).copy(),
+                    displacement_m=None if moved is None else np.ascontiguousarray(moved[n]),
+                    border_contact=bool(at_border[n]),
+                    log_evidence=evidence,
+                    chi2=chi2,
+                    status="ok",
+                    reason=sentence,
+                    reason_code=code,
+                )
+            )
+        return decoded
+
+
+def _spectra(spectra: Literal["prior", "white"] | Spectra, prior: Prior) -> Spectra:
+    if spectra == "prior":
+        return spectra_of(prior)
+    if spectra == "white":
+        return white
+    if isinstance(spectra, str):
+        raise ValueError(f"spectra is {spectra!r}, must be 'prior', 'white' or a function of omega_x and omega_y")
+    return spectra

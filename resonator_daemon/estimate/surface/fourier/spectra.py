@@ -1,0 +1,120 @@
+"""Power spectra of surface tractions that serve a spectral decoder as its prior."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.base.arrays import Complexes, Floats
+from resonator_daemon.estimate.elastic import SpectralGrid
+from resonator_daemon.estimate.surface.prior import Prior
+
+Spectra = Callable[[Floats, Floats], NDArray[np.inexact[Any]]]
+"""Of omega_x (nx,) and omega_y (ny, 1) in rad/m: powers of x, y, z (ny, nx, 3), or matrices (ny, nx, 3, 3)."""
+
+_ROUNDING = 1e-12  # eigenvalues below this share of the largest are those of a singular matrix
+
+
+def spectra_of(prior: Prior) -> Spectra:
+    """Return the power spectra of a prior."""
+
+    def power(omega_x: Floats, omega_y: Floats) -> Floats:
+        return np.asarray(prior.spectrum_m2(omega_x**2 + omega_y**2)[..., None] * prior.powers, np.float64)
+
+    return power
+
+
+def white(omega_x: Floats, omega_y: Floats) -> Floats:
+    """Power 1 of each component at every frequency."""
+    return np.ones((omega_y.size, omega_x.size, 3))
+
+
+def weighted_norm(weights: Spectra) -> Spectra:
+    """Prior under which the decoder is the weighted-norm filter [T* T + alpha H]^-1 T* for the weights H.
+
+    That is the inverse of H. With noise of one standard deviation sigma in all channels, alpha is sigma^2 / q for the
+    prior q H^-1. Channels of unlike noise count as whitened first: H = P_s^-1 P_n / alpha, as printed, holds for
+    noise of one power only.
+
+    Raises
+    ------
+    ValueError
+        From the result: weights that leave a load without a norm, such as those of a gradient at omega = 0.
+    """
+
+    def power(omega_x: Floats, omega_y: Floats) -> Complexes:
+        matrices = _matrices("weights", weights, omega_x, omega_y)
+        eigenvalues = np.linalg.eigvalsh(matrices)
+        if not (eigenvalues[..., 0] > _ROUNDING * eigenvalues[..., -1]).all():
+            raise ValueError(
+                f"weights have the eigenvalue {eigenvalues.min():.3g}, must be above 0 everywhere: add a constant"
+            )
+        return np.asarray(np.linalg.inv(matrices), np.complex128)
+
+    return power
+
+
+def sliding(spectra: Spectra, friction: float, direction_rad: float, sector_rad: float) -> Spectra:
+    """Coulomb's law for a direction of f_t anywhere in a sector: the mean of v v^T P_fz, v = (mu cos, mu sin, 1).
+
+    P_fz is the power of f_z in `spectra`. A sector of 0 ties f_x and f_y fully to f_z; one of 2 pi leaves the powers
+    (mu^2 / 2, mu^2 / 2, 1) without any coupling. The matrix printed for an unknown direction, with both couplings at
+    once, has a negative eigenvalue.
+    """
+    once, twice = np.sinc(sector_rad / (2.0 * np.pi)), np.sinc(sector_rad / np.pi)  # means of cos and of cos 2 phi
+    x, y = friction * once * np.cos(direction_rad), friction * once * np.sin(direction_rad)
+    half = friction**2 / 2.0
+    cos, sin = half * twice * np.cos(2.0 * direction_rad), half * twice * np.sin(2.0 * direction_rad)
+    moments = np.array([[half + cos, sin, x], [sin, half - cos, y], [x, y, 1.0]])
+
+    def power(omega_x: Floats, omega_y: Floats) -> Floats:
+        normal = _matrices("prior", spectra, omega_x, omega_y)[..., 2, 2].real
+        return np.asarray(normal[..., None, None] * moments, np.float64)
+
+    return power
+
+
+def prior_root(spectra: Spectra, grid: SpectralGrid) -> Complexes:
+    """Square root R of the spectra on a grid, P = R R*, scaled to unit variance of f_z in space.
+
+    Shape (ny, nx // 2 + 1, 3, 3). As in a transfer matrix, a Nyquist frequency stands for both its signs.
+
+    Raises
+    ------
+    ValueError
+        Spectra of another shape, not finite, not those of a real field, no covariance, or without power of f_z.
+    """
+    nyquist_x = np.arange(grid.omega_x.size) * 2 == grid.shape[1]
+    nyquist_y = np.arange(grid.shape[0])[:, None] * 2 == grid.shape[0]
+    across = [grid.omega_x, np.where(nyquist_x, -grid.omega_x, grid.omega_x)]
+    along = [grid.omega_y, np.where(nyquist_y, -grid.omega_y, grid.omega_y)]
+    signs = [_matrices("prior", spectra, x, y) for x in across for y in along]
+    mirrored = _matrices("prior", spectra, -grid.omega_x, -grid.omega_y).conj()
+    if not np.allclose(signs[0], mirrored, rtol=1e-9, atol=0.0):
+        raise ValueError("prior differs from its conjugate at -omega, must equal it: tractions are real")
+    eigenvalues, vectors = np.linalg.eigh(np.mean(signs, axis=0))
+    largest = eigenvalues[..., -1]
+    if (eigenvalues[..., 0] < -1e-9 * np.abs(largest)).any():
+        raise ValueError(f"prior has the eigenvalue {eigenvalues.min():.3g}, must have none below 0 to be a covariance")
+    eigenvalues[eigenvalues < _ROUNDING * largest[..., None]] = 0.0
+    root = vectors * np.sqrt(eigenvalues)[..., None, :]
+    power = (grid.multiplicity * (np.abs(root[..., 2, :]) ** 2).sum(axis=-1)).sum()
+    if power == 0.0:
+        raise ValueError("prior has power 0 of f_z, must be above 0: its standard deviation is the scale")
+    return np.asarray(root * np.sqrt(grid.shape[0] * grid.shape[1] / power), np.complex128)
+
+
+def _matrices(name: str, spectra: Spectra, omega_x: Floats, omega_y: Floats) -> Complexes:
+    """Evaluate to (ny, nx, 3, 3), Hermitian."""
+    values = np.asarray(spectra(omega_x, omega_y))
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name} holds values that are not finite, must be finite at every frequency")
+    wanted = (omega_y.size, omega_x.size, 3)
+    if values.shape == wanted:
+        values = values[..., None] * np.eye(3)
+    if values.shape != (*wanted, 3):
+        raise ValueError(f"{name} has shape {values.shape}, must be {wanted} or {(*wanted, 3)}")
+    if not np.allclose(values, values.conj().swapaxes(-1, -2), rtol=1e-9, atol=0.0):
+        raise ValueError(f"{name} differs from its conjugate transpose, must be Hermitian")
+    return np.asarray(values, np.complex128)

@@ -1,0 +1,137 @@
+"""Power of the estimate that patterns along one axis of a grid carry: what reduced bases have to keep.
+
+Across the axis the grid is taken as endless, so that its modes are waves there; along the axis it has its true ends. At
+each frequency across, the signals have a covariance q V diag(L) V' + 1 and the surface q F V' with them. A mode carries
+w = q^2 |F v|^2 / (q L + 1) of the estimate's power.
+"""
+
+from typing import Literal
+
+import numpy as np
+
+from resonator_daemon.base.arrays import Complexes, Floats
+from resonator_daemon.estimate.surface.layout import Grid
+from resonator_daemon.estimate.surface.open_plane.parity import fold, half, parities
+from resonator_daemon.estimate.surface.open_plane.prior_tables import Field, StationaryPrior
+
+AxisPower = list[list[Floats]]
+"""Power matrices between even and between odd vectors of each channel: [channel][odd], (waves across, h, h)."""
+
+FIELDS: tuple[Field, ...] = ("sensor", "traction", "displacement")
+_LENGTHS = 2  # of the grid: half the period along the axis
+_FADED = 12.0  # frequency times depth beyond which what a grid folds back is negligible
+# Which channel points across the axis x, y: its waves are a quarter of a period behind those of the others.
+_ACROSS: dict[Field, tuple[int, int]] = {"sensor": (2, 1), "traction": (1, 0), "displacement": (1, 0)}
+
+
+class EstimatePower:
+    """Power of the estimate along one axis.
+
+    Parameters
+    ----------
+    prior
+        At scale 1.
+    grid
+    depth_m
+    noise_std
+        Of each channel, (3,).
+    axis
+        0 for x, 1 for y.
+    """
+
+    def __init__(
+        self, prior: StationaryPrior, grid: Grid, depth_m: float, noise_std: Floats, axis: Literal[0, 1]
+    ) -> None:
+        counts, pitches_m = grid.shape[::-1], (grid.pitch_x_m, grid.pitch_y_m)
+        self._count = count = counts[axis]
+        periods = (counts[0] * (1 if axis else _LENGTHS), counts[1] * (_LENGTHS if axis else 1))
+        x, y = ((frequencies(size) / pitch_m) for size, pitch_m in zip(periods, pitches_m, strict=True))
+        self._axis = axis
+        tables = {
+            field: _lags(_density(prior, grid, depth_m, field, x, y), field, axis, count) / noise_std
+            for field in FIELDS
+        }
+        self._modes = []
+        for odd in (0, 1):
+            blocks = {field: _folded(table, field, axis, odd, count) for field, table in tables.items()}
+            scaled = (
+                blocks["sensor"]
+                / np.concatenate(
+                    [np.full(half(count, o), std) for o, std in zip(_odd("sensor", axis, odd), noise_std, strict=True)]
+                )[:, None]
+            )
+            eigenvalues, vectors = np.linalg.eigh(scaled)
+            self._modes.append(
+                (
+                    np.maximum(eigenvalues, 0.0),
+                    {
+                        "sensor": vectors,
+                        "traction": blocks["traction"] @ vectors,
+                        "displacement": blocks["displacement"] @ vectors,
+                    },
+                )
+            )
+
+    def by_channel(self, scale: float) -> dict[Field, AxisPower]:
+        """Power in each field at a scale of the prior."""
+        power: dict[Field, AxisPower] = {field: [[np.empty(0), np.empty(0)] for _ in range(3)] for field in FIELDS}
+        for odd, (eigenvalues, fields) in enumerate(self._modes):
+            std = scale / np.sqrt(scale * eigenvalues + 1.0)
+            carried = std * np.linalg.norm(fields["traction"], axis=1)
+            for field in FIELDS:
+                weighted = fields[field] * (carried if field == "sensor" else std)[:, None, :]
+                odds = _odd(field, self._axis, odd)
+                ends = np.cumsum([half(self._count, o) for o in odds])[:2]
+                for channel, part in enumerate(np.split(weighted, ends, axis=1)):
+                    power[field][channel][odds[channel]] = part @ part.swapaxes(1, 2)
+        return power
+
+
+def frequencies(size: int) -> Floats:
+    """At the midpoints of `size` equal steps from 0 to half a wave per site, in rad per site."""
+    return (np.arange(size) + 0.5) * np.pi / size
+
+
+def _odd(field: Field, axis: int, odd: int) -> list[int]:
+    """Parity of each channel along an axis where p_n and f_z have the parity `odd`."""
+    return [parity[axis] for parity in parities(field, (odd, odd))]
+
+
+def _density(
+    prior: StationaryPrior, grid: Grid, depth_m: float, field: Field, omega_x: Floats, omega_y: Floats
+) -> Complexes:
+    """Spectral density of samples on the grid, those of shorter waves folded back: (y, x, 3, 3)."""
+    highest = np.pi / grid.pitch_x_m, np.pi / grid.pitch_y_m
+    images = [2.0 * w * np.arange(-k, k + 1) for w in highest for k in [int(_FADED / depth_m / w / 2.0 + 0.5)]]
+    density: Complexes = np.zeros((omega_y.size, omega_x.size, 3, 3), np.complex128)
+    for x in images[0]:
+        for y in images[1]:
+            row_depth_m = depth_m if field == "sensor" else 0.0
+            density += prior.spectral_density(field, row_depth_m, "sensor", depth_m, omega_x + x, omega_y[:, None] + y)
+    return density / (grid.pitch_x_m * grid.pitch_y_m)
+
+
+def _lags(density: Complexes, field: Field, axis: int, count: int) -> Floats:
+    """From densities (y, x, 3, 3) to covariances at lags 1 - count .. count - 1 along an axis: (across, lags, 3, 3)."""
+    along = density if axis == 0 else density.swapaxes(0, 1)
+    rows, columns = np.ones((2, 3), np.complex128)
+    rows[_ACROSS[field][axis]] = columns[_ACROSS["sensor"][axis]] = 1j
+    along = along * rows[:, None] * columns.conj()
+    lags = np.outer(np.arange(1 - count, count), frequencies(along.shape[1]))
+    # Along the axis a wave and its mirror image together are real: even entries by cosines, odd ones by sines.
+    size = along.shape[1]
+    even, odd = along.real.reshape(len(along), size, 9), along.imag.reshape(len(along), size, 9)
+    found = (np.cos(lags) @ even - np.sin(lags) @ odd) / size
+    return np.asarray(found.reshape(len(along), -1, 3, 3), np.float64)
+
+
+def _folded(table: Floats, field: Field, axis: int, odd: int, count: int) -> Floats:
+    """Covariance between even and odd vectors of both fields' channels, (across, rows, columns)."""
+    rows, columns = _odd(field, axis, odd), _odd("sensor", axis, odd)
+    return np.concatenate(
+        [
+            np.concatenate([fold(table[:, :, r, c], count, row, column) for c, column in enumerate(columns)], axis=2)
+            for r, row in enumerate(rows)
+        ],
+        axis=1,
+    )

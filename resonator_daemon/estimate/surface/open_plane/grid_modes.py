@@ -1,0 +1,236 @@
+"""Eigenmodes of a regular grid of sites in a reduced, separable basis: a few small products in place of one large one.
+
+Parity splits the covariances into four blocks, exactly. Each block is reduced to bases that carry the estimate.
+Strong signals need more of them than faint ones: there is a set for each level.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from resonator_daemon.base.arrays import Floats, Indices, Singles
+from resonator_daemon.estimate.surface.layout import Grid
+from resonator_daemon.estimate.surface.open_plane.estimate_power import EstimatePower
+from resonator_daemon.estimate.surface.open_plane.grid_bases import Bases, Reduction
+from resonator_daemon.estimate.surface.open_plane.modes import Modes
+from resonator_daemon.estimate.surface.open_plane.parity import CLASSES, offset_table
+from resonator_daemon.estimate.surface.open_plane.prior_tables import Field, StationaryPrior
+
+
+class Level(NamedTuple):
+    """Power of signals over noise up to which a set of bases serves, and shares of the estimate's power it may lose.
+
+    The shares are those that raise the error of a contact by less than 1 %. What the signals lose lies close to the
+    noise; the surface may lose less the more of it is seen.
+    """
+
+    power: float
+    signals: float
+    surface: float
+
+
+LEVELS = (
+    Level(1.5e2, 0.0055, 0.0025),
+    Level(1.5e3, 0.008, 0.0035),
+    Level(1.5e4, 0.0036, 0.0020),
+    Level(1.5e6, 0.0016, 0.0012),
+)
+_HEADROOM = 8.0  # of the scale: a contact puts the array's power on a tenth of its area, and its edges are sharp
+_DISPLACEMENT_PART = 0.2  # of the surface's share: most of the power is in long waves, which take few vectors
+
+
+class _Synthesis:
+    """From modes (4 r,) to a field on the grid, flat (3 ny nx,), or to some of its components."""
+
+    def __init__(self, bases: Bases, blocks: list[Floats], components: tuple[int, ...] = (0, 1, 2)) -> None:
+        x, component, y = np.unravel_index(bases.places, (bases.x.shape[1], 3, bases.y.shape[1]))
+        asked = np.isin(component, components)
+        # Classes keep unequal numbers of products of a component: the surplus goes to a place of its own.
+        most = int(asked.sum(axis=1).max())
+        rows = np.argsort(~asked, axis=1, kind="stable")[:, :most]
+        shape = bases.x.shape[1], len(components), bases.y.shape[1]
+        self._size = int(np.prod(shape))
+        inner = np.clip(np.searchsorted(components, component), 0, len(components) - 1)
+        places = np.where(asked, np.ravel_multi_index((x, inner, y), shape), self._size)
+        self._places = np.take_along_axis(places, rows, axis=1).ravel()
+        self._blocks = np.take_along_axis(np.array(blocks, np.float32), rows[..., None], axis=1)
+        self._y = np.ascontiguousarray(bases.y.T, np.float32)
+        self._x = np.ascontiguousarray(bases.x.T, np.float32)
+
+    def __call__(self, modes: Singles) -> Singles:
+        if modes.ndim > 1:
+            return self._stack(modes)
+        coefficients = np.zeros(self._size + 1, np.float32)
+        coefficients[self._places] = (self._blocks @ modes.reshape(4, -1, 1)).ravel()
+        columns = coefficients[:-1].reshape(-1, len(self._y)).dot(self._y).reshape(len(self._x), -1)
+        field: Singles = columns.T.dot(self._x).ravel()
+        return field
+
+    def _stack(self, modes: Singles) -> Singles:
+        """From modes (4 r, k) to fields (k, 3 ny nx)."""
+        count = modes.shape[1]
+        coefficients = np.zeros((count, self._size + 1), np.float32)
+        coefficients[:, self._places] = (self._blocks @ modes.reshape(4, -1, count)).reshape(-1, count).T
+        columns = coefficients[:, :-1].reshape(count, len(self._x), -1).swapaxes(1, 2)  # (k, 3 ky, kx)
+        rows = np.matmul(columns, self._x).reshape(count, -1, len(self._y), self._x.shape[1])
+        fields: Singles = np.matmul(self._y.T, rows).reshape(count, -1)
+        return fields
+
+    def quarter(self, index: int) -> Singles:
+        """Return the modes of a class on a quarter of the grid, (r, 3, ny / 2, nx / 2) rounded up."""
+        y, x = (vectors[:, : -(-vectors.shape[1] // 2)] for vectors in (self._y, self._x))
+        block = self._blocks[index]
+        coefficients = np.zeros((block.shape[1], len(x) * 3 * len(y)), np.float32)
+        coefficients[:, self._places.reshape(4, -1)[index]] = block.T
+        along_y = coefficients.reshape(-1, len(x), 3, len(y)) @ y
+        fields: Singles = np.einsum("rxcy,xn->rcyn", along_y, x, optimize=True)
+        return fields
+
+
+class GridCovariance:
+    """Covariances of a regular grid of sites at one depth with equal noise in each channel, and of the surface at them.
+
+    Parameters
+    ----------
+    prior
+        At scale 1.
+    grid
+    depth_m
+    noise_std
+        Of each channel, (3,).
+    largest_scale
+        Of the prior.
+    """
+
+    def __init__(
+        self, prior: StationaryPrior, grid: Grid, depth_m: float, noise_std: Floats, largest_scale: float
+    ) -> None:
+        self.grid = grid
+        self.largest_scale = largest_scale
+        row_depths_m: dict[Field, float] = {"sensor": depth_m, "traction": 0.0, "displacement": 0.0}
+        self.tables = {
+            field: offset_table(grid, prior, field, row_depth_m, "sensor", depth_m) / noise_std[:, None, None]
+            for field, row_depth_m in row_depths_m.items()
+        }
+        self.tables["sensor"] /= noise_std[:, None, None, None]
+        ny, nx = grid.shape
+        self.mean_power = float(np.einsum("cc->", self.tables["sensor"][..., ny - 1, nx - 1])) / 3.0
+        self._along_x = EstimatePower(prior, grid, depth_m, noise_std, 0)
+        is_square = ny == nx and np.isclose(grid.pitch_x_m, grid.pitch_y_m) and noise_std[1] == noise_std[2]
+        self._along_y = None if is_square else EstimatePower(prior, grid, depth_m, noise_std, 1)
+
+    def bases(self, scale: float, left_out: dict[Field, float]) -> dict[Field, Bases]:
+        """Return the bases that lose no more than a share of each field's estimate at a scale of the prior."""
+        along_x = self._along_x.by_channel(scale)
+        along_y = self._along_y.by_channel(scale) if self._along_y else {}
+        return {
+            field: Bases(self.grid, field, along_x[field], along_y.get(field), share)
+            for field, share in left_out.items()
+        }
+
+
+class GridModes(Modes):
+    """Eigenmodes in bases that serve up to a level."""
+
+    traction: _Synthesis
+
+    def __init__(self, covariance: GridCovariance, level: Level) -> None:
+        self._grid = covariance.grid
+        scale = min(level.power / covariance.mean_power, _HEADROOM * covariance.largest_scale)
+        left_out: dict[Field, float] = {
+            "sensor": level.signals,
+            "traction": level.surface,
+            "displacement": _DISPLACEMENT_PART * level.surface,
+        }
+        bases = covariance.bases(scale, left_out)
+        values_of_class: list[Floats] = []
+        rotations: list[Floats] = []
+        surface: dict[Field, list[Floats]] = {"traction": [], "displacement": []}
+        reductions = {
+            field: Reduction(table, bases[field], bases["sensor"]) for field, table in covariance.tables.items()
+        }
+        for index, parity in enumerate(CLASSES):
+            partners = bases["sensor"].exchanged
+            if partners and parity == (1, 0):
+                values_of_class.append(values_of_class[-1])
+                rotations.append(rotations[-1][partners[index]])
+                for field, blocks in surface.items():
+                    exchanged = bases[field].exchanged or []
+                    blocks.append(blocks[-1][exchanged[index]])
+                continue
+            block = reductions["sensor"].block(index)
+            halved = partners and parity in ((0, 0), (1, 1))
+            values, rotation = _eigenvectors(block, partners[index]) if partners and halved else np.linalg.eigh(block)
+            values_of_class.append(np.maximum(values, 0.0))
+            rotations.append(rotation)
+            for field, blocks in surface.items():
+                blocks.append(reductions[field].block(index) @ rotation)
+        self.eigenvalues = np.concatenate(values_of_class)
+        self._sensor = bases["sensor"]
+        self._rotation = np.array(rotations)
+        self.traction = _Synthesis(bases["traction"], surface["traction"])
+        self.pressure = _Synthesis(bases["traction"], surface["traction"], (2,))
+        self.displacement = _Synthesis(bases["displacement"], surface["displacement"])
+        self._x = np.ascontiguousarray(self._sensor.x.T, np.float32)
+        self._y = np.ascontiguousarray(self._sensor.y, np.float32)
+        x, channel, y = np.unravel_index(self._sensor.places, (len(self._x), 3, self._y.shape[1]))
+        # Of coefficients in (3, 2 ky, 2 kx).
+        self._stack_places = np.ravel_multi_index((channel, y, x), (3, self._y.shape[1], len(self._x)))
+        self._to_modes = np.ascontiguousarray(self._rotation.swapaxes(1, 2), np.float32)
+
+    def project(self, whitened: Singles) -> Singles:
+        if whitened.ndim > 1:
+            return self._project_stack(whitened)
+        columns = self._x.dot(whitened.reshape(-1, self._grid.shape[1]).T).reshape(-1, self._grid.shape[0])
+        coefficients = columns.dot(self._y).take(self._sensor.places)
+        modes: Singles = (self._to_modes @ coefficients[..., None]).ravel()
+        return modes
+
+    def _project_stack(self, whitened: Singles) -> Singles:
+        """From signals (k, 3 n) to modes (4 r, k)."""
+        count, (ny, nx) = len(whitened), self._grid.shape
+        rows = (whitened.reshape(-1, nx) @ self._x.T).reshape(count, 3, ny, -1)
+        coefficients = np.matmul(self._y.T, rows).reshape(count, -1).take(self._stack_places, axis=1)
+        by_class = np.ascontiguousarray(coefficients.transpose(1, 2, 0))  # (4, kept, k)
+        modes: Singles = np.matmul(self._to_modes, by_class).reshape(-1, count)
+        return modes
+
+    def explained_variance(self, scales: Floats) -> Floats:
+        ny, nx = self._grid.shape
+        gain = scales[:, None] ** 2 / (scales[:, None] * self.eigenvalues + 1.0)
+        of_class = [
+            np.tensordot(gains, self.traction.quarter(index) ** 2, (1, 0))
+            for index, gains in enumerate(np.split(gain, len(CLASSES), axis=1))
+        ]
+        quarter = np.sum(of_class, axis=0)  # parity gives the rest
+        y, x = (np.minimum(np.arange(count), np.arange(count)[::-1]) for count in (ny, nx))
+        return np.asarray(quarter[..., y[:, None], x], np.float64).reshape(scales.size, -1)
+
+    def rows(self, signals: Indices) -> Floats:
+        channel, y, x = np.unravel_index(signals, (3, *self._grid.shape))
+        coefficients = np.zeros((signals.size, self._sensor.x.shape[1], 3, self._sensor.y.shape[1]))
+        coefficients[np.arange(signals.size), :, channel] = (
+            self._sensor.x[x][:, :, None] * self._sensor.y[y][:, None, :]
+        )
+        of_class = coefficients.reshape(signals.size, -1)[:, self._sensor.places].swapaxes(0, 1)
+        rows: Floats = (of_class @ self._rotation).swapaxes(0, 1).reshape(signals.size, -1)
+        return rows
+
+
+def _eigenvectors(matrix: Floats, partners: Indices) -> tuple[Floats, Floats]:
+    """Solve the eigenproblem of a matrix that is the same after rows and columns trade places with their partners."""
+    places = np.arange(partners.size)
+    first, alone = np.flatnonzero(places < partners), np.flatnonzero(places == partners)
+    second = partners[first]
+    same, across = matrix[np.ix_(first, first)], matrix[np.ix_(first, second)]
+    to_alone = np.sqrt(2.0) * matrix[np.ix_(first, alone)]
+    even, even_vectors = np.linalg.eigh(
+        np.block([[same + across, to_alone], [to_alone.T, matrix[np.ix_(alone, alone)]]])
+    )
+    odd, odd_vectors = np.linalg.eigh(same - across)
+    vectors = np.zeros_like(matrix)
+    vectors[first, : even.size] = vectors[second, : even.size] = even_vectors[: first.size] / np.sqrt(2.0)
+    vectors[alone, : even.size] = even_vectors[first.size :]
+    vectors[first, even.size :] = odd_vectors / np.sqrt(2.0)
+    vectors[second, even.size :] = -odd_vectors / np.sqrt(2.0)
+    return np.concatenate([even, odd]), vectors

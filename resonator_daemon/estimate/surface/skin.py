@@ -1,0 +1,56 @@
+"""Skin and options of its decoder."""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from resonator_daemon.base.arrays import Floats
+from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.surface.layout import as_grid, diagonal_m, refuse_duplicates
+from resonator_daemon.estimate.surface.prior import DEFAULT_PRIOR, Prior
+
+_SITES_MIN: Final = 3  # with three signals each, more than the six unknowns of a contact
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """Sites under an elastic half-space, with the prior of its loads."""
+
+    half_space: HalfSpace
+    site_positions_m: Floats  # (n, 2); those of a grid row by row, x running first
+    depth_m: float
+    gain_std: float = 0.0
+    prior: Prior = DEFAULT_PRIOR
+
+    def geometry(self) -> tuple[object, ...]:
+        """Return what two skins have in common that one decoder serves."""
+        elastic = (self.half_space.youngs_modulus_pascal, self.half_space.poisson_ratio, self.depth_m)
+        return (self.site_positions_m.tobytes(), *elastic, self.gain_std, self.prior)
+
+
+@dataclass(frozen=True)
+class DecodingOptions:
+    """Options of a decoder; contact physics needs the method "open-plane"."""
+
+    method: Literal["open-plane", "fourier"] = "open-plane"
+    contact_physics: bool = True
+    friction_coefficient: float | None = None  # None: not known
+    displacement: bool = True  # of the surface, too
+    background: bool = True  # contact physics prepares its matrices in another thread; False: while it decodes
+
+
+def refuse_undecodable(skin: Skin, options: DecodingOptions) -> None:
+    """ValueError for sites or a method of which `SkinDecoder` can make no decoder, before the time that takes."""
+    sites_m = skin.site_positions_m
+    depths_m = np.full(len(sites_m), skin.depth_m)
+    if len(sites_m) < _SITES_MIN:
+        raise ValueError(f"{len(sites_m)} sites under a skin, at least {_SITES_MIN} are needed to decode a contact")
+    refuse_duplicates(sites_m, depths_m)
+    diagonal_m(sites_m, depths_m)
+    grid = as_grid(sites_m)
+    if options.method == "fourier" and (grid is None or not np.isclose(grid.pitch_x_m, grid.pitch_y_m)):
+        raise ValueError(
+            f'method "fourier" needs a square grid of two rows and columns or more, {len(sites_m)} sites form none; '
+            'use "open-plane"'
+        )

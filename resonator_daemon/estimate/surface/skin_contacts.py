@@ -1,0 +1,184 @@
+"""Contacts on a skin over time: which patch is which, its forces, onset and release, margin to slip."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from resonator_daemon.base.arrays import Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
+from resonator_daemon.estimate.surface.fitting.contact_start import ContactStart, Friction
+from resonator_daemon.estimate.surface.fitting.partial_slip import PartialSlip
+from resonator_daemon.estimate.surface.fitting.slip import SlipWatch
+from resonator_daemon.estimate.surface.parameters import SIGNAL_LIMIT
+from resonator_daemon.estimate.surface.patch_tracks import PatchTracker
+from resonator_daemon.estimate.surface.patches import Patch
+from resonator_daemon.estimate.surface.skin import Skin
+
+_ONSET_FRAMES = 2  # in a row: a patch of one frame may be noise
+_SIGNIFICANCE = 6.0  # standard deviations of the normal force at onset
+_RADIUS_SHARE = 0.5  # of the sites' extent: contacts are no larger
+_FRICTION_STD = 0.03  # relative, of a coefficient that is given: friction changes, and models are wrong
+_FRICTION_KNOWN = 0.1  # relative standard deviation at which an estimate begins to bound shear
+
+
+@dataclass(frozen=True)
+class SkinContact:
+    """One contact in one frame."""
+
+    id: int
+    patch: Patch
+    slip: PartialSlip | None  # None: nothing was fitted
+    radius_of_curvature_m: float  # NaN where it is not known
+    peak_newton: float  # of the normal force so far
+
+
+@dataclass(frozen=True)
+class SkinEvent:
+    """A contact begins, ends or slips; of one that ends, the contact as it was seen last."""
+
+    event: Literal["onset", "release", "incipient_slip", "gross_slip"]
+    contact: SkinContact
+    reason: Reason | None = None  # of a release
+
+
+@dataclass
+class _Track:
+    last: SkinContact
+    frames: int = 0  # in a row in which it was significant
+    announced: bool = False
+
+
+class SkinContacts:
+    """Tracker of the contacts of one skin.
+
+    Parameters
+    ----------
+    skin
+    noise_std
+        Of the signals, gain errors aside, (3, n).
+    friction_coefficient
+        None where it is not known: then it is estimated from slip.
+
+    Attributes
+    ----------
+    tracker
+        Numbers the contacts.
+    friction_estimate
+        Estimate from slip so far, None where there is none.
+    """
+
+    def __init__(self, skin: Skin, noise_std: Floats, friction_coefficient: float | None) -> None:
+        sites_m = skin.site_positions_m
+        self._noise_std = noise_std
+        self._gain_std = skin.gain_std
+        self._curvature = 4.0 / 3.0 * skin.half_space.youngs_modulus_pascal / (1.0 - skin.half_space.poisson_ratio**2)
+        radius_max_m = _RADIUS_SHARE * float(np.ptp(sites_m, axis=0).max())
+        self._model = DiscModel(skin.half_space, sites_m, skin.depth_m, radius_max_m)
+        _ = self._model.slip  # made now rather than at the first contact
+        known = friction_coefficient
+        self._friction = None if known is None else Friction(known, _FRICTION_STD * known)
+        self.tracker = PatchTracker()
+        self.friction_estimate: float | None = None
+        self._tracks: dict[int, _Track] = {}
+        self._watch = SlipWatch(self._model, self._friction)
+
+    def reset(self, reason: Reason) -> tuple[SkinEvent, ...]:
+        """End all contacts for this reason: what follows has nothing in common with what was."""
+        ended = tuple(SkinEvent("release", track.last, reason) for track in self._tracks.values() if track.announced)
+        self.tracker.clear()
+        self._tracks = {}
+        self._watch = SlipWatch(self._model, self._friction)
+        return ended
+
+    def update(
+        self, signals: Floats, patches: Sequence[Patch]
+    ) -> tuple[tuple[SkinContact, ...], tuple[SkinEvent, ...]]:
+        """Return the contacts and events of a frame (3, n) and the patches that were found in it."""
+        found = self.tracker.update(patches)
+        for missing in self._tracks.keys() - found.keys():
+            self._tracks[missing].frames = 0
+        real = {i: patch for i, patch in found.items() if self._is_real(i, patch)}
+        slips, slip_events = self._watch.update(signals, self._noise_of(signals), _starts(real))
+        self.friction_estimate = _estimated_friction(slips) or self.friction_estimate
+        contacts = {i: self._contact(i, patch, slips.get(i)) for i, patch in real.items()}
+        events = self._follow(contacts)
+        events += [SkinEvent(event.event, contacts[event.contact]) for event in slip_events]
+        return tuple(contacts.values()), tuple(events)
+
+    def alone(self, signals: Floats, patches: Sequence[Patch]) -> tuple[SkinContact, ...]:
+        """Return the contacts of a single frame (3, n), numbered from 1; those that are tracked are not changed.
+
+        The friction estimate is left out, too: frames may be those of many skins.
+        """
+        real = {i: patch for i, patch in enumerate(patches, 1) if _is_significant(patch)}
+        slips, _ = SlipWatch(self._model, self._friction).update(signals, self._noise_of(signals), _starts(real))
+        force = {i: float(patch.force_newton[2]) for i, patch in real.items()}
+        return tuple(
+            SkinContact(i, patch, slips.get(i), self._curvature_m(slips.get(i)), force[i]) for i, patch in real.items()
+        )
+
+    def _is_real(self, contact: int, patch: Patch) -> bool:
+        """Return whether a patch is a contact: significant in some frames in a row, then while it is tracked."""
+        if contact not in self._tracks:
+            self._tracks[contact] = _Track(SkinContact(contact, patch, None, np.nan, 0.0))
+        track = self._tracks[contact]
+        track.frames = track.frames + 1 if _is_significant(patch) else 0
+        return track.announced or track.frames >= _ONSET_FRAMES
+
+    def _contact(self, contact: int, patch: Patch, slip: PartialSlip | None) -> SkinContact:
+        force = float(patch.force_newton[2])
+        peak_newton = max(self._tracks[contact].last.peak_newton, force)
+        return SkinContact(contact, patch, slip, self._curvature_m(slip), peak_newton)
+
+    def _curvature_m(self, slip: PartialSlip | None) -> float:
+        if slip is None or not np.isfinite(slip.radius_m):
+            return np.nan
+        # a^3 = 3 F R (1 - nu^2) / (4 E) of a paraboloid (Johnson, Contact Mechanics, section 4.2)
+        return self._curvature * slip.radius_m**3 / float(slip.force_newton[2])
+
+    def _noise_of(self, signals: Floats) -> Floats:
+        """Noise and gain errors of a frame, (3, n)."""
+        if not self._gain_std:
+            return self._noise_std
+        sound = np.where(np.abs(signals) <= SIGNAL_LIMIT, signals, 0.0)
+        return np.hypot(self._noise_std, self._gain_std * sound)
+
+    def _follow(self, contacts: Mapping[int, SkinContact]) -> list[SkinEvent]:
+        """Onsets and releases; tracks whose patch is no longer tracked end."""
+        events = []
+        for i, contact in contacts.items():
+            track = self._tracks[i]
+            track.last = contact
+            if not track.announced:
+                track.announced = True
+                events.append(SkinEvent("onset", contact))
+        for i in [i for i in self._tracks if i not in self.tracker.ids]:
+            track = self._tracks.pop(i)
+            if track.announced:
+                text = f"not found in {self.tracker.patience + 1} frames in a row"
+                events.append(SkinEvent("release", track.last, Reason(ReasonCode.NOT_FOUND_ON_MAP, text)))
+        return events
+
+
+def _starts(patches: Mapping[int, Patch]) -> dict[int, ContactStart]:
+    return {
+        i: ContactStart((float(patch.centroid_m[0]), float(patch.centroid_m[1])), patch.radius_m)
+        for i, patch in patches.items()
+    }
+
+
+def _is_significant(patch: Patch) -> bool:
+    return bool(patch.force_newton[2] > _SIGNIFICANCE * patch.force_std_newton[2])
+
+
+def _estimated_friction(slips: Mapping[int, PartialSlip]) -> float | None:
+    """Largest coefficient of those that are known well: too small a bound does far more harm than too large a one."""
+    known = [
+        slip.friction_coefficient
+        for slip in slips.values()
+        if slip.friction_coefficient_std < _FRICTION_KNOWN * slip.friction_coefficient
+    ]
+    return max(known, default=None)

@@ -1,0 +1,318 @@
+"""From the signals of a skin to what happens on its surface: map, contacts and events, by the decoder that fits it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from resonator_daemon.base.arrays import Bools, Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDecoder, shows_load
+from resonator_daemon.estimate.surface.decoded import Decoded
+from resonator_daemon.estimate.surface.fitting.parametric_decoder import ParametricDecoder, sparse_reason
+from resonator_daemon.estimate.surface.fourier.decoder import FourierDecoder
+from resonator_daemon.estimate.surface.layout import as_grid, cell_areas_m2
+from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder
+from resonator_daemon.estimate.surface.patches import Patch, PatchFinder
+from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin, refuse_undecodable
+from resonator_daemon.estimate.surface.skin_contacts import SkinContact, SkinContacts, SkinEvent
+
+_NOISE_CHANGE = 1.5  # of a channel: a smaller one hardly changes what is decoded
+_NOISY = 3.0  # times a signal's usual noise: it counts as lost
+_NOISE_STEP = 1.0 / 32.0  # of an octave: what noise is rounded to, so that a set-up can be found again
+
+# Of sums, relative, inside and at the border of the sites; both to fit closed-form contacts.
+_CUT_BIAS = 0.07, 0.15  # over a map cut to its support
+_SUM_BIAS = 0.0, 0.03  # of the traction without bounds: beyond the border nothing determines the load well
+
+
+class MapEstimator:
+    """Linear map, with contact physics if asked for; its net loads have no bias.
+
+    Attributes
+    ----------
+    name
+        Of the decoder.
+    shape
+        Of the places of its maps, (ny, nx) or (n,).
+    physics
+        None without contact physics.
+    """
+
+    def __init__(
+        self, skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
+    ) -> None:
+        sites_m = skin.site_positions_m
+        grid = as_grid(sites_m)
+        self.name: str = options.method
+        self.shape: tuple[int, ...] = grid.shape if grid else (len(sites_m),)
+        self.physics: ContactDecoder | None = None
+        self._linear: OpenPlaneDecoder | FourierDecoder
+        progress(f"{options.method} decoder of {len(sites_m)} sites")
+        if grid and options.method == "fourier":
+            self._linear = FourierDecoder(
+                skin.half_space,
+                grid.shape,
+                grid.pitch_x_m,
+                skin.depth_m,
+                noise_std.reshape(3, *grid.shape),
+                prior=skin.prior,
+            )
+        else:
+            self._linear = OpenPlaneDecoder(
+                skin.half_space,
+                sites_m,
+                skin.depth_m,
+                noise_std,
+                gain_std=skin.gain_std,
+                prior=skin.prior,
+            )
+            if options.contact_physics:
+                progress("contact physics")
+                self.physics = ContactDecoder(self._linear, options.friction_coefficient, background=options.background)
+                self.name += "+contact"
+        self._displacement = options.displacement
+        self._finder = PatchFinder(sites_m, cell_areas_m2(sites_m), skin.depth_m)
+
+    def read(self, frame: Floats) -> Decoded:
+        """Return the map of a frame (3, n); frames are in the order of time."""
+        decoder = self.physics or self._linear
+        return decoder.decode(frame.reshape(3, *self.shape), displacement=self._displacement)
+
+    def read_untouched(self, frames: Floats) -> list[Decoded | None]:
+        """Return the maps of frames (k, 3, n) of k skins, computed together; None for each that shows a load.
+
+        Method "fourier" reads none of them.
+        """
+        if not isinstance(self._linear, OpenPlaneDecoder):
+            return [None] * len(frames)
+        if self.physics is not None:
+            self.physics.reset(rows_kept=True)
+        estimates = self._linear.estimates(frames.reshape(-1, 3, *self.shape), displacement=self._displacement)
+        return [None if shows_load(estimate) else estimate.decoded(self._displacement) for estimate in estimates]
+
+    def patches(self, decoded: Decoded) -> list[Patch]:
+        """Return the patches on the map that was read last."""
+        if self.physics is None:
+            return self._finder.find(decoded.traction_pascal, decoded.traction_std_pascal)
+        return net_patches(self._finder, self.physics, decoded)
+
+
+def net_patches(finder: PatchFinder, physics: ContactDecoder, decoded: Decoded) -> list[Patch]:
+    """Return the patches on the map that contact physics decoded last, with its net loads.
+
+    While it has none, because its matrices are being prepared, the map cut to its support is summed: biased by some
+    percent.
+    """
+    traction, std = decoded.traction_pascal.reshape(3, -1), decoded.traction_std_pascal.reshape(3, -1)
+    regions = finder.regions(traction[2], std[2])
+    net_loads = physics.net_loads(regions, (0.0, 0.0))
+    sums = finder.sums(regions, traction, std) if None in net_loads else net_loads
+    patches = []
+    for region, net_load, load in zip(regions, net_loads, sums, strict=True):
+        if load is not None:
+            biases = _CUT_BIAS if net_load is None else _SUM_BIAS
+            patches.append(_widened(finder.patch(region, net_load or load), biases))
+    return sorted(patches, key=lambda patch: -float(patch.force_newton[2]))
+
+
+def _widened(patch: Patch, biases: tuple[float, float]) -> Patch:
+    """Widen standard deviations by what sums may be off by, inside and at the border of the sites."""
+    bias = biases[patch.at_border]
+    if bias == 0.0:
+        return patch
+    off_newton = bias * float(np.linalg.norm(patch.force_newton))
+    lever_m = float(np.linalg.norm(patch.centroid_m)) + patch.radius_m
+    return replace(
+        patch,
+        centroid_std_m=np.hypot(patch.centroid_std_m, bias * patch.radius_m),
+        force_std_newton=np.hypot(patch.force_std_newton, off_newton),
+        moment_std_newton_m=np.hypot(patch.moment_std_newton_m, off_newton * lever_m),
+    )
+
+
+class ParametricEstimator:
+    """Parametric fit of the one contact that explains a frame best; methods and attributes as of `MapEstimator`."""
+
+    name = "template"
+    physics: ContactDecoder | None = None
+
+    def __init__(
+        self, skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
+    ) -> None:
+        self._displacement = options.displacement
+        self._patch: Patch | None = None
+        self.shape: tuple[int, ...] = (len(skin.site_positions_m),)
+        progress(f"parametric contact fit of {self.shape[0]} sites")
+        self._decoder = ParametricDecoder(
+            skin.half_space, skin.site_positions_m, skin.depth_m, noise_std, gain_std=skin.gain_std
+        )
+
+    def read(self, frame: Floats) -> Decoded:
+        decoded, self._patch = self._decoder.decode_with_patch(frame, displacement=self._displacement)
+        return decoded
+
+    def read_untouched(self, frames: Floats) -> list[Decoded | None]:
+        """Return None for each frame: they are read one by one."""
+        return [None] * len(frames)
+
+    def patches(self, _decoded: Decoded) -> list[Patch]:
+        return [] if self._patch is None else [self._patch]
+
+
+def surface_estimator(
+    skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
+) -> MapEstimator | ParametricEstimator:
+    """Return the estimator for the layout of the sites; ValueError for a skin or a method that cannot be decoded."""
+    if options.method == "open-plane" and sparse_reason(skin.site_positions_m, skin.depth_m):
+        return ParametricEstimator(skin, options, noise_std, progress)
+    return MapEstimator(skin, options, noise_std, progress)
+
+
+@dataclass(frozen=True)
+class SurfaceReading:
+    """One frame, read."""
+
+    decoder: str
+    decoded: Decoded
+    contacts: tuple[SkinContact, ...] = ()
+    events: tuple[SkinEvent, ...] = ()
+
+
+class SkinDecoder:
+    """Sequential decoder of the frames of one skin.
+
+    Parameters
+    ----------
+    skin
+    options
+        Contact physics needs the open-plane decoder. ValueError for what cannot be decoded so.
+    noise_std
+        Standard deviation of the noise of the dimensionless signals, (3, n), as `rounded_noise` makes it.
+    progress
+        Called with each step of the set-up.
+
+    Attributes
+    ----------
+    name
+        What decodes: the method, "+contact" with contact physics, or "template".
+    shape
+        Of the places of the map, (ny, nx) or (n,).
+    contacts
+        That are followed.
+    """
+
+    def __init__(
+        self, skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
+    ) -> None:
+        refuse_undecodable(skin, options)
+        self._noise_std = noise_std
+        self._estimator = surface_estimator(skin, options, noise_std, progress)
+        progress("contact shapes")
+        self.contacts = SkinContacts(skin, noise_std, options.friction_coefficient)
+        self._frame = np.full(noise_std.shape, np.nan)
+        self.name = self._estimator.name
+        self.shape = self._estimator.shape
+
+    def fits(self, noise_std: Floats) -> bool:
+        """Return whether the decoder still serves signals of such noise, (3, n); silent channels are ignored."""
+        ratios, known = noise_std / self._noise_std, _known(noise_std)
+        # A median is below a bound where at least half of the values are: no median has to be computed.
+        half = 0.5 * np.count_nonzero(known, axis=1)
+        below = np.count_nonzero(known & (ratios < _NOISE_CHANGE), axis=1)
+        above = np.count_nonzero(known & (ratios > 1.0 / _NOISE_CHANGE), axis=1)
+        return bool(((below >= half) & (above >= half)).all())
+
+    def reset(self, reason: Reason) -> tuple[SkinEvent, ...]:
+        """Discard the frames before; return the releases of their contacts, for this reason."""
+        if self._estimator.physics is not None:
+            self._estimator.physics.reset()
+        return self.contacts.reset(reason)
+
+    def start_cold(self) -> None:
+        """Discard the frames before, and the friction that was estimated, unless a contact is followed."""
+        if self.contacts.tracker.ids:
+            return
+        if self._estimator.physics is not None:
+            self._estimator.physics.reset()
+            self._estimator.physics.friction_estimate = None
+        self.contacts.friction_estimate = None
+
+    def number_from(self, last_contact_id: int) -> None:
+        """Continue the numbers of contacts after those of an earlier decoder."""
+        self.contacts.tracker.last_id = last_contact_id
+
+    def succeed(self, other: "SkinDecoder") -> tuple[SkinEvent, ...]:
+        """Replace another decoder: return the releases of its contacts, and continue its numbers."""
+        self.number_from(other.contacts.tracker.last_id)
+        return other.reset(Reason(ReasonCode.DECODER_RESET, "the decoder was set up again, for another noise"))
+
+    def decode(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
+        """Read a frame, both arrays (3, n): its map and its contacts."""
+        return self.read_contacts(self.decode_map(signals, noise_std))
+
+    def decode_map(self, signals: Floats, noise_std: Floats) -> Decoded:
+        """Read the map of a frame, both arrays (3, n); `read_contacts`, which takes as long again, is to follow.
+
+        What is far noisier than usual, or of unknown noise, counts as lost.
+        """
+        self._frame = self._sound(signals, noise_std)
+        return self._estimator.read(self._frame)
+
+    def read_contacts(self, decoded: Decoded) -> SurfaceReading:
+        """Read the contacts of the frame whose map was decoded last."""
+        patches = self._estimator.patches(decoded)
+        reading = SurfaceReading(self.name, decoded, *self.contacts.update(self._frame, patches))
+        if self._estimator.physics is not None:
+            self._estimator.physics.friction_estimate = self.contacts.friction_estimate
+        return reading
+
+    def decode_alone(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
+        """Read a frame, both arrays (3, n), as if it were the first: contacts have no past, and there are no events.
+
+        With `DecodingOptions.background`, contact physics would have no matrices for it.
+        """
+        frame = self._sound(signals, noise_std)
+        if self._estimator.physics is not None:
+            self._estimator.physics.reset(rows_kept=True)
+        decoded = self._estimator.read(frame)
+        return SurfaceReading(self.name, decoded, self.contacts.alone(frame, self._estimator.patches(decoded)))
+
+    def decode_untouched(self, signals: Floats, noise_std: Floats) -> list[SurfaceReading | None]:
+        """Read frames of k equal skins together, both arrays (k, 3, n), as `decode_alone` reads each, but for rounding.
+
+        None for a frame that shows a load, and where only single frames can be read: use `decode_alone`.
+        """
+        frames = self._sound(signals, noise_std)
+        return [
+            None
+            if decoded is None
+            else SurfaceReading(self.name, decoded, self.contacts.alone(frame, self._estimator.patches(decoded)))
+            for frame, decoded in zip(frames, self._estimator.read_untouched(frames), strict=True)
+        ]
+
+    def _sound(self, signals: Floats, noise_std: Floats) -> Floats:
+        return np.where(noise_std < _NOISY * self._noise_std, signals, np.nan)
+
+    def rebuild(self) -> bool:
+        """Update matrices if a contact has moved, and return whether; it may run in another thread than `decode`."""
+        return self._estimator.physics is not None and self._estimator.physics.rebuild()
+
+
+def rounded_noise(skin: Skin, noise_std: Floats) -> Floats | None:
+    """Noise to build a decoder for, out of that of a frame, (3, n); None while a channel has no signal.
+
+    On a grid it is the channel's median, because equal noise lets the grid's symmetry work; elsewhere each signal's
+    own, the median where that is not known.
+    """
+    known = _known(noise_std)
+    if not known.any(axis=1).all():
+        return None
+    median = np.array([[np.median(row[keep])] for row, keep in zip(noise_std, known, strict=True)])
+    on_grid = as_grid(skin.site_positions_m) is not None
+    chosen = np.broadcast_to(median, noise_std.shape) if on_grid else np.where(known, noise_std, median)
+    return np.asarray(np.exp2(np.round(np.log2(chosen) / _NOISE_STEP) * _NOISE_STEP), np.float64)
+
+
+def _known(noise_std: Floats) -> Bools:
+    return np.isfinite(noise_std) & (noise_std > 0.0)
