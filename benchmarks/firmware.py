@@ -14,8 +14,8 @@ from parts import free_port
 from qemu_board import QemuBoard, build
 
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.links.carriers.serial import SerialTarget
-from resonator_daemon.links.carriers.tcp import TcpTarget
+from resonator_daemon.board.links.carriers.serial import SerialTarget
+from resonator_daemon.board.links.carriers.tcp import TcpTarget
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.frames import SingleToneFrame
 

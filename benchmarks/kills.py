@@ -42,7 +42,7 @@ from parts import (
 from plates import SMALL_SKIN
 
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.recording.reader import open_recording
 from resonator_daemon.recording.repair import RepairError, repair
 

@@ -36,7 +36,7 @@ ABOVE: Final = ("tests/replay", "tests/daemon", "tests/commands")  # whole paths
 # The tests of a package, where they are not those in the folder of its name alone.
 FOLDERS: Final = {
     "resonator_daemon": ("tests/test_plate.py", "tests/config"),
-    "simulators": ("tests/simulators", "tests/links"),
+    "simulators": ("tests/simulators", "tests/board/links"),
 }
 START_S, TIMES, MAP_S = 30.0, 4.0, 1800.0  # a run's limit: so long, and so many times what its tests take
 PYTEST: Final = ("-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist")

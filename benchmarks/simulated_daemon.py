@@ -12,8 +12,8 @@ from typing import Any, Final
 from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.board.links.link import LinkLostError
 from resonator_daemon.config import Config
-from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.publishing.broker_connection import MQTT_5, InFlight
 from resonator_daemon.publishing.broker_limits import BrokerLimits

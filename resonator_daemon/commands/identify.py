@@ -15,7 +15,7 @@ from resonator_daemon.commands._output import print_json
 
 if TYPE_CHECKING:
     from resonator_daemon.base.reasons import ReasonCode
-    from resonator_daemon.links.target import LinkTarget
+    from resonator_daemon.board.links.target import LinkTarget
     from resonator_daemon.session.probe import ProbeResult
 
 
@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
 def _probe(target: "LinkTarget", *, blink: bool) -> "ProbeResult":
     from resonator_daemon.base.host.signals import interruptible
-    from resonator_daemon.links.link import LinkUnavailableError
+    from resonator_daemon.board.links.link import LinkUnavailableError
     from resonator_daemon.session.probe import NoBoardError, probe
 
     try:

@@ -15,7 +15,7 @@ from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.commands._output import print_error, print_json
 
 if TYPE_CHECKING:
-    from resonator_daemon.links.target import FoundPort
+    from resonator_daemon.board.links.target import FoundPort
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,8 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.links.link import LinkUnavailableError
-    from resonator_daemon.links.table import CARRIERS
+    from resonator_daemon.board.links.link import LinkUnavailableError
+    from resonator_daemon.board.links.table import CARRIERS
 
     places: list[FoundPort] = []
     for carrier in CARRIERS.values():

@@ -10,9 +10,9 @@ from firmware_protocol.messages import BoardStatus, MalformedMessageError, decod
 from firmware_protocol.packets import Packet, PacketDecoder
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason
+from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.doctor.host import Host, Load
 from resonator_daemon.doctor.plate_readings import FEWEST_FRAMES, PlateReading, plate_reading
-from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.pipeline.tone_capture import ToneCapture
 from resonator_daemon.sensors.expected_tones import ExpectedTones
 from resonator_daemon.sensors.kinds import sensor_of

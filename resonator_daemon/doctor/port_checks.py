@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Final
 
 from resonator_daemon.base.host.documentation import page
+from resonator_daemon.board.links.port_holders import Holder, Holders, is_pseudo_terminal
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, not_checked
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.usb_checks import usb_device_of
-from resonator_daemon.links.port_holders import Holder, Holders, is_pseudo_terminal
 
 EXISTS: Final = Check("port.exists", Area.WIRING, "port")
 PERMISSION: Final = Check("port.permission", Area.WIRING, "permission on the port")

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Final
 
 from resonator_daemon.base.host.documentation import page
+from resonator_daemon.board.links.target import UsbId
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, not_checked
 from resonator_daemon.doctor.host import Host
-from resonator_daemon.links.target import UsbId
 
 DEVICE: Final = Check("usb.device", Area.WIRING, "USB device")
 AUTOSUSPEND: Final = Check("usb.autosuspend", Area.SOFTWARE, "USB autosuspend")

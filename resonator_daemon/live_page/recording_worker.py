@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from resonator_daemon.base.errors import UserError
-from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.live_page.recording_entries import DONE, ENTRY, FAILED, PATHS, SCANNED, TIME
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.recording.reader import Mark, damage_in_words, open_recording

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from resonator_daemon.base.plate import Plate
+from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.estimate.tones.tone_detector import ToneDetector, ToneReading, reading_frames
-from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.session.blocking_reader import BlockingReader
 from resonator_daemon.session.compatibility import oscillator_hz

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from typing import Final
 
 from resonator_daemon.base.errors import ExitCode, UserError
-from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.board.links.link import LinkUnavailableError
 
 # Options of the command line that messages name, as arguments of the package's functions.
 _ARGUMENTS: Final = {"--config FILE": "config=FILE", "--from": "start", "--until": "until"}

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.links.link import LinkLostError
-from resonator_daemon.links.target import LinkTarget
+from resonator_daemon.board.links.link import LinkLostError
+from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.recording.reader import Recording, open_recording
 from resonator_daemon.session import board_reader
 from resonator_daemon.session import link_events as wire

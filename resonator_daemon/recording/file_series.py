@@ -15,7 +15,7 @@ from typing import Final
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.host.new_file import make_directory
 from resonator_daemon.base.host.system_limits import meaning_of
-from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.recording.mcap_messages import read_records
 from resonator_daemon.recording.reader import Origin, read_header
 from resonator_daemon.recording.writer import RecordingWriter

@@ -21,7 +21,7 @@ from mcap.writer import MCAP0_MAGIC, Writer
 from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.base.host.new_file import NewFile, check_new
 from resonator_daemon.base.host.system_limits import meaning_of
-from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.recording.mcap_messages import (
     DAMAGE,
     MAX_RECORD_BYTES,

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 from resonator_daemon.base.errors import NoRecordingError
 from resonator_daemon.base.plate import Plate
+from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.config import Config, Decoding
 from resonator_daemon.config.text import Settings, load_plate_text, load_settings_text
-from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.recording.event_replay import Replay
 from resonator_daemon.recording.outline import PartStart, read_outline

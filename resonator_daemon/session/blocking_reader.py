@@ -4,7 +4,7 @@ import threading
 from typing import Any, Self
 
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.links.target import LinkTarget
+from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.frames import Arrival
 

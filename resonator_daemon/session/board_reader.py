@@ -10,9 +10,9 @@ from contextlib import suppress
 from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.host.load import HostLoad, LoadMeter
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.links.hot_plug import PortWatch
-from resonator_daemon.links.link import Link, LinkLostError, LinkUnavailableError
-from resonator_daemon.links.target import LinkTarget
+from resonator_daemon.board.links.hot_plug import PortWatch
+from resonator_daemon.board.links.link import Link, LinkLostError, LinkUnavailableError
+from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.session.compatibility import BoardRefusedError
 from resonator_daemon.session.counters import FrameLoss, LinkCounters
 from resonator_daemon.session.frame_queue import FrameQueue

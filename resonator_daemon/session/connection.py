@@ -21,7 +21,7 @@ from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.host.load import NO_LOAD, HostLoad, LoadSample
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.links.link import LinkLostError
+from resonator_daemon.board.links.link import LinkLostError
 from resonator_daemon.session import link_reasons
 from resonator_daemon.session.blink import BlinkRequests
 from resonator_daemon.session.board_log import RESET_CAUSES, BoardLogFilter

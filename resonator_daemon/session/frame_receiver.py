@@ -6,7 +6,7 @@ from typing import Final
 from firmware_protocol.host import Frame, FramePart, PacketRefusal
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.links.link import LinkLostError
+from resonator_daemon.board.links.link import LinkLostError
 from resonator_daemon.session.clock import BoardClock, Instant, TickScale
 from resonator_daemon.session.compatibility import BoardRefusedError, gate_ticks
 from resonator_daemon.session.counters import LinkCounters

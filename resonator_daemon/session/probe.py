@@ -9,7 +9,7 @@ from firmware_protocol.layouts import PROTOCOL_MAJOR, PROTOCOL_MINOR
 from firmware_protocol.messages import Refusal
 from firmware_protocol.packets import ForeignVersion
 from resonator_daemon.base.reasons import ReasonCode
-from resonator_daemon.links.link import Link, LinkLostError
+from resonator_daemon.board.links.link import Link, LinkLostError
 from resonator_daemon.session.clock import TOLERANCE_PPM, Exchange
 
 ANSWER_S = 3.0

@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 from made_up_host import USB, MadeUpHost
 
+from resonator_daemon.board.links.carriers.usb import UsbTarget
 from resonator_daemon.doctor.finding import Finding, Outcome
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of
-from resonator_daemon.links.carriers.usb import UsbTarget
 
 LOAD_BIT_PER_S = 2.04e6
 

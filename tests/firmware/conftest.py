@@ -7,8 +7,8 @@ import pytest
 import qemu_board
 from switch import Switch
 
-from resonator_daemon.links.carriers.serial import SerialTarget
-from resonator_daemon.links.carriers.tcp import TcpTarget
+from resonator_daemon.board.links.carriers.serial import SerialTarget
+from resonator_daemon.board.links.carriers.tcp import TcpTarget
 
 
 @pytest.fixture(scope="session")

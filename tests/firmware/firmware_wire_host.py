@@ -15,8 +15,8 @@ from firmware_listener import DEADLINE_S
 
 from firmware_protocol.host import Described, HostEvent, HostSession, Started
 from firmware_protocol.messages import Configuration
-from resonator_daemon.links.carriers.serial import SerialTarget
-from resonator_daemon.links.carriers.tcp import TcpTarget
+from resonator_daemon.board.links.carriers.serial import SerialTarget
+from resonator_daemon.board.links.carriers.tcp import TcpTarget
 
 ASK_AGAIN_S = 0.3
 

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import qemu_board
 
-from resonator_daemon.links.carriers.serial import SerialTarget
-from resonator_daemon.links.carriers.tcp import TcpTarget
+from resonator_daemon.board.links.carriers.serial import SerialTarget
+from resonator_daemon.board.links.carriers.tcp import TcpTarget
 
 
 class Switch(NamedTuple):

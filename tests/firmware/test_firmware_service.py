@@ -11,7 +11,7 @@ import pytest
 from firmware_listener import DEADLINE_S
 from switch import Switch
 
-from resonator_daemon.links.carriers.tcp import TcpTarget
+from resonator_daemon.board.links.carriers.tcp import TcpTarget
 from resonator_daemon.publishing.embedded_broker import embedded_broker
 
 pytestmark = pytest.mark.firmware

@@ -11,8 +11,8 @@ from recording_bench import PLATE, at, record, replayed, same
 from firmware_protocol.host import HostSession
 from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.links.carriers.recording import RecordingTarget
-from resonator_daemon.links.carriers.serial import SerialTarget
+from resonator_daemon.board.links.carriers.recording import RecordingTarget
+from resonator_daemon.board.links.carriers.serial import SerialTarget
 from resonator_daemon.recording.event_replay import replay_of
 from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder

@@ -16,7 +16,7 @@ from recording_bench import ONE_BATCH, PLATE, at, read, record
 from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.recording import writer as recording_writer
 from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder, RecorderTimes

@@ -19,8 +19,8 @@ from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.links.carriers.serial import SerialTarget
-from resonator_daemon.links.target import LinkTarget
+from resonator_daemon.board.links.carriers.serial import SerialTarget
+from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.recording import recorder as recording
 from resonator_daemon.recording import switch as recording_switch
 from resonator_daemon.recording.file_series import Series

@@ -9,7 +9,7 @@ from emulation import emulated
 from listener import Listener, check_indices, frames
 
 from firmware_protocol.layouts import Capability
-from resonator_daemon.links.carriers.serial import SerialTarget
+from resonator_daemon.board.links.carriers.serial import SerialTarget
 from resonator_daemon.session.frames import Arrival, BlinkAnswered
 from simulators.emulator import EmulatorOptions
 

@@ -9,7 +9,7 @@ from firmware_protocol.layouts import MessageType
 from firmware_protocol.messages import BoardLog, ResetCause
 from firmware_protocol.packets import encode_packet
 from resonator_daemon.base.host.load import LoadSample
-from resonator_daemon.links.link import LinkLostError
+from resonator_daemon.board.links.link import LinkLostError
 from resonator_daemon.session.frames import BoardLogLine, BoardOnline, Outage
 
 

@@ -9,7 +9,7 @@ from connection_bench import DESCRIPTION, GATE_TICKS, IDENTITY, MS, PLATE, Bench
 
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.messages import Configuration, encode_message
-from resonator_daemon.links.link import LinkLostError
+from resonator_daemon.board.links.link import LinkLostError
 from resonator_daemon.session.compatibility import BoardRefusedError
 from resonator_daemon.session.frames import BoardLogLine
 

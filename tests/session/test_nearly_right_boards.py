@@ -9,7 +9,7 @@ from test_probe import LossyLink
 from firmware_protocol.host import PacketRefusal
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
-from resonator_daemon.links.link import LinkLostError
+from resonator_daemon.board.links.link import LinkLostError
 from resonator_daemon.session.probe import NoBoardError, probe
 from resonator_daemon.session.refusal_watch import RefusalWatch
 

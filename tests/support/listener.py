@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.links.target import LinkTarget
+from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frames import Arrival, ChannelisedFrame, Gap, LinkChange, Outage, SingleToneFrame

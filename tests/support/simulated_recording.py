@@ -7,10 +7,10 @@ from threadpoolctl import threadpool_limits
 from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.board.links.table import parse_link
 from resonator_daemon.config import Decoding, Measurement
 from resonator_daemon.config.text import config_of, plate_text, settings_text
 from resonator_daemon.daemon.recorded_messages import RecordedMessages
-from resonator_daemon.links.table import parse_link
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.recording.reader import Origin
 from resonator_daemon.recording.writer import RecordingWriter

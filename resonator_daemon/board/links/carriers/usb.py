@@ -7,9 +7,9 @@ from typing import Self
 from urllib.parse import quote
 
 from resonator_daemon.base.host.documentation import page
-from resonator_daemon.links.link import Link
-from resonator_daemon.links.port_holders import port_holders
-from resonator_daemon.links.target import FoundPort, LinkTarget, UsbId, options_of
+from resonator_daemon.board.links.link import Link
+from resonator_daemon.board.links.port_holders import port_holders
+from resonator_daemon.board.links.target import FoundPort, LinkTarget, UsbId, options_of
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class UsbTarget(LinkTarget):
         return cls(int(found[1], 16), int(found[2], 16), serial_number, reset == "yes")
 
     def open(self) -> Link:
-        from resonator_daemon.links.usb_link import open_usb  # loads libusb
+        from resonator_daemon.board.links.usb_link import open_usb  # loads libusb
 
         return open_usb(self)
 
@@ -73,7 +73,7 @@ class UsbTarget(LinkTarget):
 
     @classmethod
     def discover(cls) -> list[FoundPort]:
-        from resonator_daemon.links.usb_devices import present_boards  # loads libusb
+        from resonator_daemon.board.links.usb_devices import present_boards  # loads libusb
 
         ports = []
         for board in present_boards():

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon.links.tty_settings import shorten_latency_timer
+from resonator_daemon.board.links.tty_settings import shorten_latency_timer
 
 PATH = "/dev/ttyUSB7"
 

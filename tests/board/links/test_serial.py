@@ -21,9 +21,9 @@ import serial
 
 from resonator_daemon.base.host.documentation import page
 from resonator_daemon.base.reasons import Reason
-from resonator_daemon.links.carriers import serial as serial_link
-from resonator_daemon.links.carriers.serial import SerialTarget, open_serial
-from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.board.links.carriers import serial as serial_link
+from resonator_daemon.board.links.carriers.serial import SerialTarget, open_serial
+from resonator_daemon.board.links.link import LinkUnavailableError
 
 DENIED = "permission_denied"
 BAUD = 4_000_000

@@ -7,7 +7,7 @@ import threading
 import time
 
 from resonator_daemon.base.host.system_limits import meaning_of
-from resonator_daemon.links.inotify import DirectoryEvent, DirectoryEvents
+from resonator_daemon.board.links.inotify import DirectoryEvent, DirectoryEvents
 
 log = logging.getLogger(__name__)
 

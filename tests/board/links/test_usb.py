@@ -7,11 +7,11 @@ import pytest
 from link_bench import BoardEnd, usb_board
 from usb_bench import LINK, HostError, UsbHost, usb_host
 
-from resonator_daemon.links import usb_link
-from resonator_daemon.links.carriers.usb import UsbTarget
-from resonator_daemon.links.link import LinkUnavailableError
-from resonator_daemon.links.usb_devices import UsbBoard
-from resonator_daemon.links.usb_link import open_usb
+from resonator_daemon.board.links import usb_link
+from resonator_daemon.board.links.carriers.usb import UsbTarget
+from resonator_daemon.board.links.link import LinkUnavailableError
+from resonator_daemon.board.links.usb_devices import UsbBoard
+from resonator_daemon.board.links.usb_link import open_usb
 from simulators.usb_link import UsbLink
 
 UNSUPPORTED = "Operation not supported or unimplemented on this platform"
@@ -19,12 +19,12 @@ UNSUPPORTED = "Operation not supported or unimplemented on this platform"
 _IMPORTS = """
 import errno, hashlib, os, threading
 from usb.core import USBError
-from resonator_daemon.links import usb_link
-from resonator_daemon.links import usb_transfers
-from resonator_daemon.links.port_holders import Holder, Holders
-from resonator_daemon.links.usb_devices import present_boards
-from resonator_daemon.links.usb_link import open_usb
-from resonator_daemon.links.table import parse_link
+from resonator_daemon.board.links import usb_link
+from resonator_daemon.board.links import usb_transfers
+from resonator_daemon.board.links.port_holders import Holder, Holders
+from resonator_daemon.board.links.usb_devices import present_boards
+from resonator_daemon.board.links.usb_link import open_usb
+from resonator_daemon.board.links.table import parse_link
 
 def open_link(text):
     global link

@@ -8,8 +8,8 @@ from urllib.parse import parse_qsl
 
 from resonator_daemon.base.host.documentation import page
 from resonator_daemon.base.toml.reading import nearest
-from resonator_daemon.links.link import Link
-from resonator_daemon.links.port_holders import Holder
+from resonator_daemon.board.links.link import Link
+from resonator_daemon.board.links.port_holders import Holder
 
 
 class UsbId(NamedTuple):

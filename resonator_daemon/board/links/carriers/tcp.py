@@ -13,9 +13,9 @@ from resonator_daemon.base.host.documentation import page
 from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.base.toml.urls import split_url
-from resonator_daemon.links.host_lookup import resolve_host
-from resonator_daemon.links.link import FileDescriptorLink, LinkUnavailableError
-from resonator_daemon.links.target import LinkTarget
+from resonator_daemon.board.links.host_lookup import resolve_host
+from resonator_daemon.board.links.link import FileDescriptorLink, LinkUnavailableError
+from resonator_daemon.board.links.target import LinkTarget
 
 CONNECT_TIMEOUT_S = 3.0
 

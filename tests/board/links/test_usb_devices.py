@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from resonator_daemon.links import usb_devices
-from resonator_daemon.links.usb_devices import present_boards
+from resonator_daemon.board.links import usb_devices
+from resonator_daemon.board.links.usb_devices import present_boards
 
 UNSUPPORTED = "Operation not supported or unimplemented on this platform"
 

@@ -12,17 +12,17 @@ from usb.core import USBError, USBTimeoutError
 from firmware_protocol.layouts import PROTOCOL_MAJOR
 from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.links.carriers.usb import UsbTarget
-from resonator_daemon.links.link import (
+from resonator_daemon.board.links.carriers.usb import UsbTarget
+from resonator_daemon.board.links.link import (
     CLOSED_HERE,
     WRITE_TIMEOUT_S,
     LinkLostError,
     LinkUnavailableError,
     write_timeout,
 )
-from resonator_daemon.links.port_holders import Holders, port_holders
-from resonator_daemon.links.usb_devices import FAILURES, UsbBoard, present_boards, usb_backend
-from resonator_daemon.links.usb_transfers import BulkReader, Failure
+from resonator_daemon.board.links.port_holders import Holders, port_holders
+from resonator_daemon.board.links.usb_devices import FAILURES, UsbBoard, present_boards, usb_backend
+from resonator_daemon.board.links.usb_transfers import BulkReader, Failure
 
 _ENDPOINT_OUT, _ENDPOINT_IN = 0x01, 0x81
 _BEGIN = (0x41, 0x01)  # bmRequestType, bRequest; vendor, to the interface

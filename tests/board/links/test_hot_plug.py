@@ -11,10 +11,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from resonator_daemon.links import hot_plug as port_watch
-from resonator_daemon.links import inotify as port_inotify
-from resonator_daemon.links.hot_plug import PortWatch
-from resonator_daemon.links.inotify import DirectoryEvents
+from resonator_daemon.board.links import hot_plug as port_watch
+from resonator_daemon.board.links import inotify as port_inotify
+from resonator_daemon.board.links.hot_plug import PortWatch
+from resonator_daemon.board.links.inotify import DirectoryEvents
 
 AMPLE_S = 20.0
 

@@ -12,8 +12,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from resonator_daemon.links import link as link_module
-from resonator_daemon.links.link import FileDescriptorLink, LinkLostError
+from resonator_daemon.board.links import link as link_module
+from resonator_daemon.board.links.link import FileDescriptorLink, LinkLostError
 
 AMPLE_S = 20.0  # to wait for what must come: ends a test that hangs
 

@@ -2,7 +2,7 @@
 
 The same over a real board, which is left quiet:
 
-    RESONATOR_TEST_LINK="serial:/dev/ttyACM0?baud=4000000" pytest -m hardware tests/links/test_link_conformance.py
+    RESONATOR_TEST_LINK="serial:/dev/ttyACM0?baud=4000000" pytest -m hardware tests/board/links/test_link_conformance.py
 """
 
 import os
@@ -16,7 +16,7 @@ from link_bench import AMPLE_S, Bench, Host, LocalHost, bench
 from firmware_protocol.host import Described, Frame, HostSession, Pong
 from firmware_protocol.messages import Configuration, Description
 from firmware_protocol.states import BoardState, HostState
-from resonator_daemon.links.link import Link, LinkLostError, LinkUnavailableError
+from resonator_daemon.board.links.link import Link, LinkLostError, LinkUnavailableError
 
 EMULATED = ("serial", "tcp", "usb")
 RECORDS = bytes(range(176))

@@ -7,7 +7,7 @@ import pytest
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
-from resonator_daemon.links.port_identity import PortIdentity, find_port, port_identity, serial_ports
+from resonator_daemon.board.links.port_identity import PortIdentity, find_port, port_identity, serial_ports
 
 BOARD = PortIdentity(0x1209, 0x0002, "0042", "1.0")
 

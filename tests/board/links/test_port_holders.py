@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon.links.port_holders import Holder, Holders, is_pseudo_terminal, port_holders
+from resonator_daemon.board.links.port_holders import Holder, Holders, is_pseudo_terminal, port_holders
 
 OWN_NAME = Path("/proc/self/comm").read_text().strip()
 

@@ -13,8 +13,8 @@ import usb.core
 
 from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.reasons import ReasonCode
-from resonator_daemon.links.carriers.usb import UsbTarget
-from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.board.links.carriers.usb import UsbTarget
+from resonator_daemon.board.links.link import LinkUnavailableError
 
 INTERFACE = (0xFF, 0x52, 0x01)  # class, subclass, protocol; PROTOCOL.md, section USB
 

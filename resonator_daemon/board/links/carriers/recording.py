@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Self
 
 from resonator_daemon.base.reasons import ReasonCode
-from resonator_daemon.links.link import Link, LinkUnavailableError
-from resonator_daemon.links.target import LinkTarget
+from resonator_daemon.board.links.link import Link, LinkUnavailableError
+from resonator_daemon.board.links.target import LinkTarget
 
 
 @dataclass(frozen=True)

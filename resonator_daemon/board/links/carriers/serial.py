@@ -19,11 +19,11 @@ from serial.tools.list_ports_common import ListPortInfo
 from resonator_daemon.base.host.documentation import page
 from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.links.link import FileDescriptorLink, LinkUnavailableError
-from resonator_daemon.links.port_holders import is_pseudo_terminal, port_holders
-from resonator_daemon.links.port_identity import PortIdentity, find_port, port_identity, serial_ports
-from resonator_daemon.links.target import FoundPort, LinkTarget, options_of
-from resonator_daemon.links.tty_settings import configure_tty, overrun_count, shorten_latency_timer
+from resonator_daemon.board.links.link import FileDescriptorLink, LinkUnavailableError
+from resonator_daemon.board.links.port_holders import is_pseudo_terminal, port_holders
+from resonator_daemon.board.links.port_identity import PortIdentity, find_port, port_identity, serial_ports
+from resonator_daemon.board.links.target import FoundPort, LinkTarget, options_of
+from resonator_daemon.board.links.tty_settings import configure_tty, overrun_count, shorten_latency_timer
 
 _LAST_BYTES_S = 0.05
 BY_ID = Path("/dev/serial/by-id")

@@ -6,8 +6,8 @@ from importlib import import_module
 from typing import Final
 
 from resonator_daemon.base.toml.reading import nearest
-from resonator_daemon.links import carriers
-from resonator_daemon.links.target import LinkTarget
+from resonator_daemon.board.links import carriers
+from resonator_daemon.board.links.target import LinkTarget
 
 
 def _targets() -> list[type[LinkTarget]]:

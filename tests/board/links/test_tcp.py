@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import pytest
 
-from resonator_daemon.links.carriers import tcp as tcp_link
-from resonator_daemon.links.carriers.tcp import TcpTarget, open_tcp
-from resonator_daemon.links.link import FileDescriptorLink, LinkLostError, LinkUnavailableError
+from resonator_daemon.board.links.carriers import tcp as tcp_link
+from resonator_daemon.board.links.carriers.tcp import TcpTarget, open_tcp
+from resonator_daemon.board.links.link import FileDescriptorLink, LinkLostError, LinkUnavailableError
 
 AMPLE_S = 30.0
 SO_ATTACH_FILTER = 26

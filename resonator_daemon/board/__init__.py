@@ -1,0 +1,1 @@
+"""A counter board: links, the session on them, recordings, configuration."""
