@@ -16,8 +16,8 @@ from qemu_board import QemuBoard, build
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.links.carriers.serial import SerialTarget
 from resonator_daemon.board.links.carriers.tcp import TcpTarget
-from resonator_daemon.session.board_reader import BoardReader
-from resonator_daemon.session.frames import SingleToneFrame
+from resonator_daemon.board.session.board_reader import BoardReader
+from resonator_daemon.board.session.frames import SingleToneFrame
 
 
 def run(board: QemuBoard, link: SerialTarget | TcpTarget, seconds: float) -> tuple[bool, str]:

@@ -13,6 +13,11 @@ from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.links.link import LinkLostError
+from resonator_daemon.board.session import link_events as wire
+from resonator_daemon.board.session.frame_queue import FrameQueue
+from resonator_daemon.board.session.frames import in_blocks
+from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.link_state_machine import LinkStateMachine
 from resonator_daemon.config import Config
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.publishing.broker_connection import MQTT_5, InFlight
@@ -23,11 +28,6 @@ from resonator_daemon.publishing.outbox import Outbox, Packet
 from resonator_daemon.publishing.packed_properties import properties_of
 from resonator_daemon.publishing.payloads import ContactEvent, Message
 from resonator_daemon.publishing.topics import CONTACT_EVENT, STATE_LINK, STATE_SENSOR, Topic
-from resonator_daemon.session import link_events as wire
-from resonator_daemon.session.frame_queue import FrameQueue
-from resonator_daemon.session.frames import in_blocks
-from resonator_daemon.session.host_time import HostTime
-from resonator_daemon.session.link_state_machine import LinkStateMachine
 from simulators.emulator import _emulated_board
 from simulators.faults.misbehaviour import Misbehaviour
 from simulators.scenario import load_scenario

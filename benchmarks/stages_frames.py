@@ -27,6 +27,8 @@ from firmware_protocol.layouts import CHANNEL_COUNT, SINGLE_TONE_STRUCT
 from firmware_protocol.messages import CounterKind, Description, Identity
 from firmware_protocol.packets import PacketDecoder
 from resonator_daemon.base.plate import load_plate
+from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.link_events import Received
 from resonator_daemon.config import Mqtt
 from resonator_daemon.estimate.forces.site_identification import Matcher
 from resonator_daemon.estimate.tones.tone_detector import capture_band_hz
@@ -42,8 +44,6 @@ from resonator_daemon.recording.writer import RecordingWriter
 from resonator_daemon.replay.source import open_replay
 from resonator_daemon.sensors.plate_sites import force_sites
 from resonator_daemon.sensors.single_tone_processing import SingleToneProcessing
-from resonator_daemon.session.host_time import HostTime
-from resonator_daemon.session.link_events import Received
 from simulators.physics import Physics
 from simulators.quartz_plate import QuartzPlate
 from simulators.scenario import Scenario

@@ -16,13 +16,19 @@ from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.errors import ConfigurationError, IncompatibleBoardError
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
+from resonator_daemon.board.session.frames import (
+    BoardOnline,
+    BoardRefused,
+    ChannelisedFrame,
+    LinkChange,
+    SingleToneFrame,
+)
+from resonator_daemon.board.session.link_reasons import OPENING
 from resonator_daemon.calibration.steps import CalibrationRefusedError, LinkBusyError
 from resonator_daemon.config import Config
 from resonator_daemon.estimate.tones.tone_detector import PILOT_TOLERANCE, ToneReading
 from resonator_daemon.pipeline.tone_capture import ToneCapture
 from resonator_daemon.recording.event_replay import replay_of
-from resonator_daemon.session.frames import BoardOnline, BoardRefused, ChannelisedFrame, LinkChange, SingleToneFrame
-from resonator_daemon.session.link_reasons import OPENING
 
 
 class SiteCodes(NamedTuple):

@@ -16,7 +16,7 @@ from resonator_daemon.commands._output import print_json
 if TYPE_CHECKING:
     from resonator_daemon.base.reasons import ReasonCode
     from resonator_daemon.board.links.target import LinkTarget
-    from resonator_daemon.session.probe import ProbeResult
+    from resonator_daemon.board.session.probe import ProbeResult
 
 
 class NoAnswerError(UserError):
@@ -48,8 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     """Print what the board answers; IncompatibleBoardError where it cannot serve the configuration."""
+    from resonator_daemon.board.session.compatibility import incompatibilities
     from resonator_daemon.config import load_config
-    from resonator_daemon.session.compatibility import incompatibilities
     from resonator_daemon.view.board_identity import as_json, labelled_lines
 
     separate_config(arguments)
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 def _probe(target: "LinkTarget", *, blink: bool) -> "ProbeResult":
     from resonator_daemon.base.host.signals import interruptible
     from resonator_daemon.board.links.link import LinkUnavailableError
-    from resonator_daemon.session.probe import NoBoardError, probe
+    from resonator_daemon.board.session.probe import NoBoardError, probe
 
     try:
         with interruptible("the board was not identified"), closing(target.open()) as link:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from typing import Final
 
-from resonator_daemon.session.frames import Arrival, Frame, in_blocks
+from resonator_daemon.board.session.frames import Arrival, Frame, in_blocks
 
 PART_ARRIVALS: Final = 50
 

@@ -21,6 +21,19 @@ from resonator_daemon.base.host.state_log import StateLog
 from resonator_daemon.base.host.systemd import ServiceManager
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.board.session.board_reader import BoardReader
+from resonator_daemon.board.session.clock import Instant
+from resonator_daemon.board.session.counters import LinkCounters
+from resonator_daemon.board.session.frames import (
+    Arrival,
+    BoardOnline,
+    BoardRefused,
+    ControlRequest,
+    Frame,
+    LinkChange,
+    ReaderFailed,
+)
+from resonator_daemon.board.session.link_reasons import all_of
 from resonator_daemon.config import Config, plate_name
 from resonator_daemon.daemon.arrival_loop import ArrivalLoop
 from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts
@@ -44,19 +57,6 @@ from resonator_daemon.publishing.topics import HEALTH, STATE_DAEMON, STATE_LINK,
 from resonator_daemon.recording.event_replay import replay_of
 from resonator_daemon.recording.switch import RecordingSwitch
 from resonator_daemon.sensors.base import Sensor
-from resonator_daemon.session.board_reader import BoardReader
-from resonator_daemon.session.clock import Instant
-from resonator_daemon.session.counters import LinkCounters
-from resonator_daemon.session.frames import (
-    Arrival,
-    BoardOnline,
-    BoardRefused,
-    ControlRequest,
-    Frame,
-    LinkChange,
-    ReaderFailed,
-)
-from resonator_daemon.session.link_reasons import all_of
 
 if TYPE_CHECKING:
     from resonator_daemon.decoder_process.supervisor import DecoderSupervisor

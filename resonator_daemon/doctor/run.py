@@ -17,6 +17,7 @@ from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.links.port_holders import Holders, port_holders
 from resonator_daemon.board.links.target import LinkTarget
+from resonator_daemon.board.session.probe import NoBoardError, ProbeResult, probe
 from resonator_daemon.config import Config, Mqtt, load_config
 from resonator_daemon.doctor import link_checks, sensor_checks
 from resonator_daemon.doctor.broker_checks import check_broker
@@ -28,7 +29,6 @@ from resonator_daemon.doctor.host_checks import check_clock, check_disk, check_s
 from resonator_daemon.doctor.port_checks import HOLDER, check_holder, check_port
 from resonator_daemon.doctor.report import Report
 from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of, usb_node
-from resonator_daemon.session.probe import NoBoardError, ProbeResult, probe
 
 _BITS_PER_BYTE: Final = 8
 _DAEMON_HAS_IT: Final = "a daemon has the link; stop it to have the board itself looked at"

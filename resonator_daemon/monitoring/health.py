@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 import psutil
 
 from resonator_daemon.base.host.load import HostLoad
+from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.publishing.payloads import (
     BootInfo,
     DecoderProcessInfo,
@@ -19,7 +20,6 @@ from resonator_daemon.publishing.payloads import (
     MessageAccount,
     RecordingInfo,
 )
-from resonator_daemon.session.counters import LinkCounters
 
 _NOT_READY: Final = "not_ready"  # frames that came while the decoder was being set up: nothing is lost by them
 

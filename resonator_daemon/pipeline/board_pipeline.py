@@ -5,6 +5,20 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.board.session.clock import Instant
+from resonator_daemon.board.session.counters import FrameLoss
+from resonator_daemon.board.session.frames import (
+    Arrival,
+    BoardLogLine,
+    BoardOnline,
+    ChannelisedFrame,
+    ControlRequest,
+    Frame,
+    Gap,
+    LinkChange,
+    Outage,
+    SingleToneFrame,
+)
 from resonator_daemon.config import Config
 from resonator_daemon.estimate.forces.readings import Compensation, ForceReading, SkinReading
 from resonator_daemon.pipeline.control_requests import SetWindow, Tare, parse_request
@@ -17,20 +31,6 @@ from resonator_daemon.sensors.calendar import DAY_NS, utc_day
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.sensors.output import MessageOutput, Publish
 from resonator_daemon.sensors.sensor_state import SensorState
-from resonator_daemon.session.clock import Instant
-from resonator_daemon.session.counters import FrameLoss
-from resonator_daemon.session.frames import (
-    Arrival,
-    BoardLogLine,
-    BoardOnline,
-    ChannelisedFrame,
-    ControlRequest,
-    Frame,
-    Gap,
-    LinkChange,
-    Outage,
-    SingleToneFrame,
-)
 
 if TYPE_CHECKING:
     from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding

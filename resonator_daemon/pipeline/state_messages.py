@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.base.reasons import Reason
+from resonator_daemon.board.session.frames import BoardOnline, LinkChange, Outage
 from resonator_daemon.config import Config
 from resonator_daemon.estimate.forces.readings import Compensation as AppliedCompensation
 from resonator_daemon.monitoring.daemon_state import DaemonSnapshot
@@ -35,7 +36,6 @@ from resonator_daemon.publishing.topics import (
 from resonator_daemon.publishing.units import UNITS
 from resonator_daemon.publishing.verbs import permitted
 from resonator_daemon.sensors.base import Sensor
-from resonator_daemon.session.frames import BoardOnline, LinkChange, Outage
 
 _VERSION: Final = version("resonatord")  # of this process; an upgrade replaces the file that has it
 

@@ -5,11 +5,11 @@ from typing import Any
 
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.links.target import LinkTarget
+from resonator_daemon.board.session.blocking_reader import BlockingReader
+from resonator_daemon.board.session.compatibility import oscillator_hz
+from resonator_daemon.board.session.frames import Arrival, BoardOnline, ChannelisedFrame, ReaderFailed, SingleToneFrame
 from resonator_daemon.estimate.tones.tone_detector import ToneDetector, ToneReading, reading_frames
 from resonator_daemon.sensors.kinds import sensor_of
-from resonator_daemon.session.blocking_reader import BlockingReader
-from resonator_daemon.session.compatibility import oscillator_hz
-from resonator_daemon.session.frames import Arrival, BoardOnline, ChannelisedFrame, ReaderFailed, SingleToneFrame
 
 _TURN_S = 0.1
 

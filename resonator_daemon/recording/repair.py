@@ -22,6 +22,8 @@ from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.base.host.new_file import NewFile, check_new
 from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.board.links.link import LinkUnavailableError
+from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.link_events import Skipped, encode
 from resonator_daemon.recording.mcap_messages import (
     DAMAGE,
     MAX_RECORD_BYTES,
@@ -46,8 +48,6 @@ from resonator_daemon.recording.reader import (
     open_file,
 )
 from resonator_daemon.recording.writer import NUMBERS, McapFile, channel_metadata
-from resonator_daemon.session.host_time import HostTime
-from resonator_daemon.session.link_events import Skipped, encode
 
 _FOOTER: Final = struct.Struct("<BQQQI8s")  # opcode, length, where summary and its offsets begin, crc, magic
 _CRC_AND_MAGIC_BYTES: Final = 12  # what the summary's check sum leaves out

@@ -13,6 +13,7 @@ from typing import Any, Final
 from resonator_daemon.base.errors import ConfigurationError, InterruptedCommandError, UsageError
 from resonator_daemon.base.host.printable import printable
 from resonator_daemon.base.host.signals import on_signals
+from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.config import Config, Mqtt, plate_name
 from resonator_daemon.publishing.payloads import Info
 from resonator_daemon.publishing.topics import Topic
@@ -20,7 +21,6 @@ from resonator_daemon.replay.outputs import AtBroker, Lines
 from resonator_daemon.replay.recorded_pipeline import Moment, Published, RecordingReplay, what_is_wrong
 from resonator_daemon.replay.source import open_replay
 from resonator_daemon.replay.span import Progress, Span, find_span
-from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.view.watch import broker_at
 
 _AT_ONCE_S: Final = 1e-3  # a wait takes longer than this

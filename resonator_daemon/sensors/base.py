@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason
+from resonator_daemon.board.session.clock import Instant
+from resonator_daemon.board.session.frames import BoardOnline, Frame
 from resonator_daemon.config import Decoding, Measurement
 from resonator_daemon.estimate.forces.readings import ForceReading, SkinReading
 from resonator_daemon.estimate.tones.tone_detector import ToneDetector
@@ -14,8 +16,6 @@ from resonator_daemon.publishing.payloads import SiteCode
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.sensors.expected_tones import ExpectedTones
 from resonator_daemon.sensors.output import MessageOutput
-from resonator_daemon.session.clock import Instant
-from resonator_daemon.session.frames import BoardOnline, Frame
 
 if TYPE_CHECKING:
     from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding

@@ -4,6 +4,7 @@ import math
 from typing import Any, Final
 
 from resonator_daemon.base.plate import Plate
+from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.estimate.forces import contacts as measured
 from resonator_daemon.estimate.forces.readings import ForceReading
 from resonator_daemon.estimate.forces.site_identification import SiteForce as MeasuredForce
@@ -14,7 +15,6 @@ from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, FORCES
 from resonator_daemon.sensors.calendar import utc_day
 from resonator_daemon.sensors.output import MessageOutput
 from resonator_daemon.sensors.usual_reasons import reason_fields
-from resonator_daemon.session.clock import Instant
 
 _NS: Final = 1_000_000_000
 _STATUS = {str(word): word for word in Status}

@@ -6,6 +6,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason
+from resonator_daemon.board.session.clock import Instant
+from resonator_daemon.board.session.compatibility import oscillator_hz
+from resonator_daemon.board.session.frames import BoardOnline, Frame
 from resonator_daemon.config import Measurement
 from resonator_daemon.estimate.forces.contacts import ContactEvent
 from resonator_daemon.estimate.forces.readings import Compensation, ForceReading
@@ -14,9 +17,6 @@ from resonator_daemon.sensors.base import Sensor
 from resonator_daemon.sensors.force_messages import ForceMessages
 from resonator_daemon.sensors.output import MessageOutput
 from resonator_daemon.sensors.tone_messages import tones_message
-from resonator_daemon.session.clock import Instant
-from resonator_daemon.session.compatibility import oscillator_hz
-from resonator_daemon.session.frames import BoardOnline, Frame
 
 if TYPE_CHECKING:
     from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding

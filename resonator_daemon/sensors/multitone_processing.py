@@ -11,6 +11,7 @@ from scipy.spatial.distance import pdist, squareform
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.board.session.frames import ChannelisedFrame, Frame
 from resonator_daemon.estimate.forces.contacts import ONSET_NEWTON, ContactEvent, ContactTracker, Touch, touch_of
 from resonator_daemon.estimate.forces.force import cell_std_m
 from resonator_daemon.estimate.forces.force_sites import ForceSites
@@ -23,7 +24,6 @@ from resonator_daemon.estimate.forces.spread import TOUCHES_MAX, SpreadFit, Touc
 from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
 from resonator_daemon.estimate.tones.tone_merging import SIGMA_HZ, merge_tones
 from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED, NO_TONE
-from resonator_daemon.session.frames import ChannelisedFrame, Frame
 
 OFFSET_STD: Final = 2e-7  # of a site's f0 since calibration, relative: the ageing of weeks
 LOCAL_KELVIN_STD: Final = 0.01  # of a site's own thermometer

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any, Final
 
+from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.config import Config
 from resonator_daemon.estimate.forces.readings import ForceReading, SkinReading
 from resonator_daemon.monitoring.latency import Latencies
@@ -11,7 +12,6 @@ from resonator_daemon.publishing.headers import Headers, MeasuredFields
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.sensors.sensor_state import SensorState
-from resonator_daemon.session.clock import Instant
 
 Publish = Callable[[Topic[Any], Any], None]
 

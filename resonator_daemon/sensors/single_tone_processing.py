@@ -8,6 +8,7 @@ from typing import Final, Literal
 import numpy as np
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.board.session.frames import Frame, SingleToneFrame
 from resonator_daemon.estimate.forces.baseline import CommonMode
 from resonator_daemon.estimate.forces.contacts import ContactEvent, ContactTracker, Touch, touch_of
 from resonator_daemon.estimate.forces.force import cell_std_m, hidden_fraction
@@ -25,7 +26,6 @@ from resonator_daemon.estimate.tones.tone_windows import ToneWindows
 from resonator_daemon.sensors.corner_tones import CornerTones
 from resonator_daemon.sensors.counted_window import CountedWindow
 from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED, COMMON_MODE_PENDING
-from resonator_daemon.session.frames import Frame, SingleToneFrame
 
 BASELINE_READINGS: Final = 20  # untouched readings before the common mode counts as known
 UNKNOWN_CONTACT_S: Final = 0.5

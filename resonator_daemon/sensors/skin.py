@@ -5,6 +5,9 @@ from typing import Any, ClassVar, Final
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.board.session.clock import Instant
+from resonator_daemon.board.session.compatibility import oscillator_hz
+from resonator_daemon.board.session.frames import BoardOnline, ChannelisedFrame, Frame
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.forces.readings import SkinReading
 from resonator_daemon.estimate.surface.prior import Prior
@@ -21,9 +24,6 @@ from resonator_daemon.sensors.skin_processing import SkinProcessing
 from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding, SequentialDecoding, SurfaceDecoding
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED
-from resonator_daemon.session.clock import Instant
-from resonator_daemon.session.compatibility import oscillator_hz
-from resonator_daemon.session.frames import BoardOnline, ChannelisedFrame, Frame
 
 _SURFACE: Final = (DECODED, DECODED_SUMMARY, CONTACTS)
 _CONDITIONS: Final = {  # while nothing is decoded

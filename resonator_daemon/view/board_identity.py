@@ -8,7 +8,7 @@ from firmware_protocol.layouts import PROTOCOL_MAJOR, PROTOCOL_MINOR, Capability
 from firmware_protocol.messages import CounterKind, Description, ResetCause
 from resonator_daemon.base.reasons import Reason
 from resonator_daemon.board.links.target import LinkTarget
-from resonator_daemon.session.probe import ProbeResult, round_trip_s
+from resonator_daemon.board.session.probe import ProbeResult, round_trip_s
 
 _KINDS = {int(CounterKind.SINGLE_TONE): "single-tone", int(CounterKind.CHANNELISED): "channelised"}
 _CAPABILITIES = {Capability.TEMPERATURE: "temperature", Capability.LOCATE: "locate"}

@@ -68,7 +68,7 @@ LOST: Final = """
 0 resonator_daemon.monitoring.status_client status --watch --json
 1 argparse schema --help
 1 pydantic config explain --json
-1 resonator_daemon.session.probe identify tcp://127.0.0.1:9 --json
+1 resonator_daemon.board.session.probe identify tcp://127.0.0.1:9 --json
 1 resonator_daemon.replay.run replay CORPUS/touches/recording.mcap --to out.jsonl --json
 0 end config example
 """  # exit code, module that loads, command

@@ -14,8 +14,8 @@ from serial.tools.list_ports_common import ListPortInfo
 from resonator_daemon.board.links import usb_devices
 from resonator_daemon.board.links.carriers import serial as serial_carrier
 from resonator_daemon.board.links.port_holders import Holders
+from resonator_daemon.board.session import probe as port_inquiry
 from resonator_daemon.commands import main
-from resonator_daemon.session import probe as port_inquiry
 from simulators.emulator import EmulatorOptions
 
 

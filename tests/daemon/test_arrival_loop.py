@@ -6,8 +6,8 @@ from logging import INFO
 
 import pytest
 
+from resonator_daemon.board.session.frames import Arrival, BoardLogLine
 from resonator_daemon.daemon.arrival_loop import PART_ARRIVALS, ArrivalLoop
-from resonator_daemon.session.frames import Arrival, BoardLogLine
 
 
 def lines(first: int, count: int) -> list[Arrival]:

@@ -2,8 +2,8 @@
 
 import pytest
 
+from resonator_daemon.board.session import probe as port_inquiry
 from resonator_daemon.doctor import broker_checks
-from resonator_daemon.session import probe as port_inquiry
 
 
 @pytest.fixture(autouse=True)

@@ -117,7 +117,7 @@ def test_a_wrong_plate_is_the_sensors_and_is_not_listened_to(
 
 
 def test_what_is_no_board_is_the_wirings(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    from resonator_daemon.session import probe as port_inquiry
+    from resonator_daemon.board.session import probe as port_inquiry
 
     monkeypatch.setattr(port_inquiry, "ANSWER_S", 0.2)
     with socket.create_server(("127.0.0.1", 0)) as silent:

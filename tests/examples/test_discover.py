@@ -14,9 +14,9 @@ from report_makers import Messages, configured
 
 from firmware_protocol.messages import Configuration, Description, Identity
 from resonator_daemon.base.plate import Plate, load_plate
+from resonator_daemon.board.session.frames import BoardOnline
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.payloads import Info, State
-from resonator_daemon.session.frames import BoardOnline
 
 SHIPPED = ("quartz16", "skin32", "fingertip400")
 CIRCLE = "{http://www.w3.org/2000/svg}circle"

@@ -11,10 +11,10 @@ from export_bench import METADATA, played, points, write
 from jsonschema import Draft202012Validator
 from mcap.reader import make_reader
 
+from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.config.text import plate_text, settings_text
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.replay.recorded_pipeline import Moment
-from resonator_daemon.session.host_time import HostTime
 
 
 def written(case: str, path: Path, *more: Moment) -> dict[str, list[tuple[Any, Any]]]:

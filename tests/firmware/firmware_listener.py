@@ -2,7 +2,7 @@
 
 from listener import DEADLINE_S, Listener, check_bytes, check_indices
 
-from resonator_daemon.session.frames import BoardOnline, Gap, SingleToneFrame
+from resonator_daemon.board.session.frames import BoardOnline, Gap, SingleToneFrame
 
 __all__ = ["DEADLINE_S", "FirmwareListener"]
 

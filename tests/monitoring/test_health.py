@@ -10,10 +10,10 @@ from example_messages import header
 
 from resonator_daemon.base.host.load import HostLoad
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.monitoring import health
 from resonator_daemon.monitoring.health import HealthMonitor
 from resonator_daemon.publishing.payloads import Health, LatencyInfo, Lost
-from resonator_daemon.session.counters import LinkCounters
 
 MESSAGES = status_samples.health().messages
 LATENCY = {"forces": LatencyInfo(bounds_ms=(1.0, 2.0), counts=(7, 3, 1))}

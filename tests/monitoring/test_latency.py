@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.monitoring import latency
 from resonator_daemon.monitoring.latency import Latencies, LatencyHistogram
 from resonator_daemon.publishing.topics import DECODED, FORCES
-from resonator_daemon.session.clock import Instant
 
 
 def bins(histogram: LatencyHistogram) -> dict[float | None, int]:

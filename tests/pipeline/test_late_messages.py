@@ -6,14 +6,14 @@ from typing import Any
 
 import pytest
 
+from resonator_daemon.board.session.clock import Instant
+from resonator_daemon.board.session.frame_queue import FrameQueue
+from resonator_daemon.board.session.link_state_machine import LinkStateMachine
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.publishing.codec import decoded
 from resonator_daemon.recording.event_replay import Replay
 from resonator_daemon.recording.reader import Mark, open_recording
 from resonator_daemon.replay.source import open_replay
-from resonator_daemon.session.clock import Instant
-from resonator_daemon.session.frame_queue import FrameQueue
-from resonator_daemon.session.link_state_machine import LinkStateMachine
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 

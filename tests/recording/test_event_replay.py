@@ -13,12 +13,9 @@ from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.links.carriers.recording import RecordingTarget
 from resonator_daemon.board.links.carriers.serial import SerialTarget
-from resonator_daemon.recording.event_replay import replay_of
-from resonator_daemon.recording.reader import Origin, open_recording
-from resonator_daemon.recording.recorder import Recorder
-from resonator_daemon.session.board_reader import BoardReader
-from resonator_daemon.session.frames import Arrival, Gap, LinkChange, Outage, SingleToneFrame
-from resonator_daemon.session.link_events import (
+from resonator_daemon.board.session.board_reader import BoardReader
+from resonator_daemon.board.session.frames import Arrival, Gap, LinkChange, Outage, SingleToneFrame
+from resonator_daemon.board.session.link_events import (
     Closed,
     Lost,
     Opened,
@@ -30,6 +27,9 @@ from resonator_daemon.session.link_events import (
     TimersRun,
     WireEvent,
 )
+from resonator_daemon.recording.event_replay import replay_of
+from resonator_daemon.recording.reader import Origin, open_recording
+from resonator_daemon.recording.recorder import Recorder
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 

@@ -21,6 +21,15 @@ from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.links.carriers.serial import SerialTarget
 from resonator_daemon.board.links.target import LinkTarget
+from resonator_daemon.board.session.frames import Arrival, BoardOnline, LinkChange
+from resonator_daemon.board.session.link_events import (
+    Opened,
+    Received,
+    Skipped,
+    SnapshotTaken,
+    StateAnnounced,
+    TimersRun,
+)
 from resonator_daemon.recording import recorder as recording
 from resonator_daemon.recording import switch as recording_switch
 from resonator_daemon.recording.file_series import Series
@@ -28,8 +37,6 @@ from resonator_daemon.recording.reader import Origin
 from resonator_daemon.recording.recorder import Recorder
 from resonator_daemon.recording.switch import NothingRecordedError, RecordingRunningError, RecordingSwitch
 from resonator_daemon.recording.writer import Published
-from resonator_daemon.session.frames import Arrival, BoardOnline, LinkChange
-from resonator_daemon.session.link_events import Opened, Received, Skipped, SnapshotTaken, StateAnnounced, TimersRun
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 

@@ -7,6 +7,8 @@ from brokers import Mosquitto
 from observer import observe
 
 from resonator_daemon.base.plate import load_plate
+from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.link_events import Received
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing import outbox
 from resonator_daemon.recording.reader import Mark, Origin
@@ -16,8 +18,6 @@ from resonator_daemon.replay.recorded_pipeline import Moment
 from resonator_daemon.replay.run import AtSpeed
 from resonator_daemon.replay.source import open_replay
 from resonator_daemon.replay.span import Span, find_span
-from resonator_daemon.session.host_time import HostTime
-from resonator_daemon.session.link_events import Received
 
 TOUCHES = Path(__file__).parents[1] / "corpus" / "touches" / "recording.mcap"
 BEGUN = HostTime(10**9, 1_700_000_000 * 10**9, 0)

@@ -10,8 +10,8 @@ from single_tone_bench import CLOCK_ERROR, NO_SIGNAL, PLATE, UNTOUCHED, Bench, e
 
 from firmware_protocol.layouts import SingleToneRecord
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.session.clock import Line, TickScale
-from resonator_daemon.session.frames import SingleToneFrame
+from resonator_daemon.board.session.clock import Line, TickScale
+from resonator_daemon.board.session.frames import SingleToneFrame
 
 SCALE = TickScale(10**12, 0, Line(0, 0, 0.0, 0.0, 0.0), 0, 0)
 

@@ -9,6 +9,7 @@ import pytest
 from report_makers import LOST, NAN, Messages, configured, gate_middle, literal
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.config import Config
 from resonator_daemon.estimate.forces.readings import SkinReading
 from resonator_daemon.estimate.surface.decoded import Decoded as DecodedFrame
@@ -22,7 +23,6 @@ from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.topics import DECODED
 from resonator_daemon.sensors.surface_messages import SurfaceMessages
 from resonator_daemon.sensors.surface_stream import SurfaceFrame
-from resonator_daemon.session.clock import Instant
 
 LITTLE = Reason(ReasonCode.SLIPS_TOO_LITTLE, "hardly slips")
 GATE_MIDDLE = gate_middle(10_000_000)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from resonator_daemon.session.clock import BoardClock, Exchange, Instant
+from resonator_daemon.board.session.clock import BoardClock, Exchange, Instant
 
 NS = 1_000_000_000
 REFERENCE_MILLIHERTZ = 250_000_000_000

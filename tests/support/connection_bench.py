@@ -12,14 +12,14 @@ from firmware_protocol.messages import CounterKind, Description, Identity
 from firmware_protocol.states import BoardState
 from resonator_daemon.base.host.load import NO_LOAD
 from resonator_daemon.base.plate import Plate, load_plate
-from resonator_daemon.session.compatibility import gate_ticks
-from resonator_daemon.session.connection import Connection
-from resonator_daemon.session.counters import LinkCounters
-from resonator_daemon.session.frame_numbers import FrameNumbering
-from resonator_daemon.session.frame_queue import FrameQueue
-from resonator_daemon.session.frames import Arrival, Gap, LinkChange, SingleToneFrame
-from resonator_daemon.session.host_time import HostTime
-from resonator_daemon.session.link_state import LinkState
+from resonator_daemon.board.session.compatibility import gate_ticks
+from resonator_daemon.board.session.connection import Connection
+from resonator_daemon.board.session.counters import LinkCounters
+from resonator_daemon.board.session.frame_numbers import FrameNumbering
+from resonator_daemon.board.session.frame_queue import FrameQueue
+from resonator_daemon.board.session.frames import Arrival, Gap, LinkChange, SingleToneFrame
+from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.link_state import LinkState
 
 PLATE = load_plate("quartz16")
 GATE_TICKS = gate_ticks(PLATE)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from resonator_daemon.base.plate import Plate
+from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.config import Config
 from resonator_daemon.estimate.forces.readings import ForceReading
 from resonator_daemon.pipeline.state_messages import StateMessages
@@ -16,7 +17,6 @@ from resonator_daemon.sensors.force_messages import ForceMessages
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.sensors.output import MessageOutput
 from resonator_daemon.sensors.sensor_state import SensorState
-from resonator_daemon.session.clock import Instant
 
 MessageT = TypeVar("MessageT", bound=Message)
 

@@ -21,7 +21,7 @@ START = "import sys; from resonator_daemon.commands import main; sys.exit(main()
 HANG = """
 import threading
 from resonator_daemon.monitoring import liveness
-from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.board.session.board_reader import BoardReader
 liveness._FRAMES_S = 3.0
 read, left_bytes = BoardReader._read, [100_000]  # by then it measures
 

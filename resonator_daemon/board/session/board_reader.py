@@ -1,0 +1,366 @@
+"""Reader of one board on one link: identify, configure, run, reconnect, in a thread that nothing can slow."""
+
+import random
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+from resonator_daemon.base.conditions import Condition
+from resonator_daemon.base.host.load import HostLoad, LoadMeter
+from resonator_daemon.base.plate import Plate
+from resonator_daemon.board.links.hot_plug import PortWatch
+from resonator_daemon.board.links.link import Link, LinkLostError, LinkUnavailableError
+from resonator_daemon.board.links.target import LinkTarget
+from resonator_daemon.board.session.compatibility import BoardRefusedError
+from resonator_daemon.board.session.counters import FrameLoss, LinkCounters
+from resonator_daemon.board.session.frame_queue import FrameQueue
+from resonator_daemon.board.session.frames import (
+    Arrival,
+    BlinkAnswered,
+    ControlRequest,
+    LinkChange,
+    Outage,
+    ReaderFailed,
+)
+from resonator_daemon.board.session.host_time import HostTime, read_host_time
+from resonator_daemon.board.session.link_events import (
+    BlinkRequested,
+    Closed,
+    ControlRequested,
+    Lost,
+    Opened,
+    Overrun,
+    Received,
+    Refused,
+    Sent,
+    StateAnnounced,
+    StopRequested,
+    TimersRun,
+    WireEvent,
+)
+from resonator_daemon.board.session.link_reasons import OPENING
+from resonator_daemon.board.session.link_state import LinkLog
+from resonator_daemon.board.session.link_state_machine import LinkStateMachine
+from resonator_daemon.board.session.step_pacing import StepPacing
+
+FRAME_QUEUE_BYTES = 64 << 20
+
+_POLL_NS = 20_000_000  # the longest that `stop` waits for a read
+_BACKOFF_FIRST_S = 0.05
+_JITTER = (0.75, 1.25)  # so that several daemons do not open in step
+_REFUSED_S = 5.0
+_PIECES, _QUICK_S = 100, 50e-6  # read at most before they are looked at, where an answer may be among them
+_FEW_BYTES, _GATHER_S = 64, 250e-6
+_RESET_EVERY = 3  # openings in a row without a frame
+
+
+Replay = Callable[[LinkStateMachine, Callable[[float], object], Callable[[], bool]], None]
+"""Applies recorded events to a state machine; gets what waits for so many seconds, and what returns True to stop."""
+
+
+def _discard_event(_: WireEvent) -> None:
+    """Discard an event that is not recorded."""
+
+
+class BoardReader:
+    """Reads one board for as long as it is wanted, whatever happens to the cable.
+
+    Parameters
+    ----------
+    target
+        Where the board is.
+    plate
+        What the board must serve; decides the gate.
+    wake
+        Called from the reader's thread when there are arrivals.
+    step_frames
+        How many frames are of use together: `wake` waits until there are a multiple of any of these numbers.
+    frame_queue_bytes
+        Bound of the memory of frames that nobody takes.
+    on_event
+        Receives every event on the link, for a recorder; must not wait.
+
+    replay
+        Replays the recording that `target` names, from `recording.event_replay`; None where it names a board.
+    backoff_max_s
+        The longest pause between two attempts to open the link.
+
+    Attributes
+    ----------
+    turns
+        Number of turns of the reader's loop, which shows that it is alive.
+    """
+
+    def __init__(
+        self,
+        target: LinkTarget,
+        plate: Plate,
+        wake: Callable[[], None],
+        *,
+        step_frames: Sequence[int] = (1,),
+        frame_queue_bytes: int = FRAME_QUEUE_BYTES,
+        on_event: Callable[[WireEvent], None] = _discard_event,
+        replay: Replay | None = None,
+        backoff_max_s: float = 1.0,
+    ) -> None:
+        if (replay is None) != (target.recording_path is None):
+            raise ValueError(f"{target}: a recording needs what replays it, a board must not have it")
+        self._backoff_max_s = backoff_max_s
+        self._replay = replay
+        self._open = target.opener()
+        self._plate = plate
+        self._wake = wake
+        self._wake_due = False
+        self._queue = FrameQueue(frame_queue_bytes, self._wake_soon, step_frames)
+        self._machine = LinkStateMachine(plate, self._queue, on_event)
+        self._pacing = StepPacing(plate.frame_bytes, round(1e9 / plate.counter.frame_rate_hz))
+        self._log = LinkLog()
+        self._stopping = False
+        self._requests: deque[tuple[str, str]] = deque()
+        self.turns = 0
+        self._watch = PortWatch(target.appears_at)
+        self._thread = threading.Thread(target=self._run, name="board-reader", daemon=True)
+        self._blink_lock = threading.Lock()
+        self._on_blink_answer: list[Callable[[str | None], None]] = []  # waiting for an answer
+        self._blink_due = self._link_open = self._serving = False
+
+    def start(self) -> None:
+        if not self.replays:  # a recording has its own first state
+            self._machine.apply(StateAnnounced(read_host_time(), Condition.STARTING, OPENING))
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread, if it was started, and give the port back; returns when both are done."""
+        self._stopping = True
+        self._watch.wake()
+        if self._thread.ident is not None:
+            self._thread.join()
+        self._watch.close()
+
+    def pop_arrivals(self) -> list[Arrival]:
+        """Return what has arrived since the last call, in order."""
+        arrivals = self._queue.pop_all()
+        self._log.flush()
+        for arrival in arrivals:
+            if isinstance(arrival, LinkChange | Outage):
+                self._log.write(arrival)
+            elif isinstance(arrival, BlinkAnswered):
+                with self._blink_lock:
+                    waiting, self._on_blink_answer = self._on_blink_answer, []
+                for done in waiting:
+                    done(arrival.refused)
+        return arrivals
+
+    def flush_log(self) -> None:
+        """Write the sum of frequent changes of the link's state if it is due; `pop_arrivals` does so, too."""
+        self._log.flush()
+
+    def blink(self, done: Callable[[str | None], None]) -> None:
+        """Ask the board to blink while it counts on; from any thread.
+
+        `pop_arrivals` calls `done` with None, or with the reason why the board does not blink. It does so in any case,
+        unless the reader is stopped before.
+        """
+        with self._blink_lock:
+            self._on_blink_answer.append(done)
+            self._blink_due = self._link_open
+            if self._link_open:
+                return
+        self._queue.put(BlinkAnswered("a recording has no board" if self.replays else "no board is connected"))
+
+    def request_control(self, key: str, request: str) -> None:
+        """Pass a request on after all frames that have arrived; a recording holds it in the same place."""
+        if self.replays:  # what is recorded there was recorded before
+            self._queue.put(ControlRequest(key, request))
+        else:
+            self._requests.append((key, request))
+            self._watch.wake()
+
+    def counters(self) -> LinkCounters:
+        """Return where every byte and frame went, as of now."""
+        return self._machine.counters()
+
+    def set_step_frames(self, step_frames: Sequence[int]) -> None:
+        """Set the steps at whose ends `wake` is called."""
+        self._queue.step_frames = step_frames
+
+    @property
+    def replays(self) -> bool:
+        """Whether a recording is read: its frames have no age."""
+        return self._replay is not None
+
+    @property
+    def newest_monotonic_ns(self) -> int:
+        """Middle of the newest gate whose frame has arrived; 0 before the first."""
+        newest = self._queue.newest
+        return newest.gate_middle.monotonic_ns if newest is not None else 0
+
+    @property
+    def lost(self) -> FrameLoss:
+        """Frames lost since the start, by cause."""
+        return self._machine.lost
+
+    @property
+    def load(self) -> HostLoad:
+        """Load of the computer while a link is open."""
+        connection = self._machine.connection  # the reader's thread may close it meanwhile
+        return connection.load if connection else HostLoad()
+
+    @property
+    def clock_rate_ppm(self) -> float:
+        """How much slower than nominal the board's ticks run; NaN while no board is there."""
+        connection = self._machine.connection
+        clock = connection.clock if connection else None  # the reader's thread may close it meanwhile
+        return clock.rate_ppm if clock else float("nan")
+
+    def _wake_soon(self) -> None:
+        """Wake the consumer; from the reader's thread before it waits next, so that both do not compete till then."""
+        self._wake_due = True
+        if not self._serving or threading.get_ident() != self._thread.ident:
+            self._wake_now()
+
+    def _wake_now(self) -> None:
+        if self._wake_due:
+            self._wake_due = False
+            self._wake()
+
+    def _run(self) -> None:
+        try:
+            if self._replay is None:
+                self._keep_reading()
+            else:
+                self._run_replay(self._replay)
+        except Exception as error:  # noqa: BLE001 - it is passed on as ReaderFailed, else frames would be awaited for ever
+            self._queue.put(ReaderFailed(error))
+
+    def _keep_reading(self) -> None:
+        backoff_s = first_s = min(_BACKOFF_FIRST_S, self._backoff_max_s)
+        fruitless = 0
+        while not self._stopping:
+            self.turns += 1
+            self._apply_requests(read_host_time())
+            wait_s = 0.0
+            try:
+                link = self._open()
+            except LinkUnavailableError as error:
+                self._machine.apply(StateAnnounced(read_host_time(), Condition.WAITING, error.reason))
+            else:
+                try:
+                    counted = self._serve(link)
+                    fruitless = 0 if counted else fruitless + 1
+                    if counted:
+                        backoff_s = first_s
+                    elif fruitless % _RESET_EVERY == 0:
+                        with suppress(LinkLostError):  # it is gone already, or goes with the reset
+                            link.reset()
+                except BoardRefusedError:
+                    wait_s = _REFUSED_S
+                finally:
+                    link.close()
+            if not self._stopping and self._watch.wait(wait_s or backoff_s * random.uniform(*_JITTER)):
+                backoff_s = first_s
+            else:
+                backoff_s = min(2 * backoff_s, self._backoff_max_s)
+
+    def _serve(self, link: Link) -> bool:
+        """Serve the link until it is lost; return whether the board ever counted."""
+        machine = self._machine
+        now = read_host_time()
+        machine.apply(Opened(now))
+        connection, meter = machine.opened, LoadMeter()
+        overruns = 0
+        self._link_open = self._serving = True
+        try:
+            while not self._stopping:
+                self.turns += 1
+                self._apply_requests(now)
+                self._send(link, now)
+                if self._blink_due:
+                    self._blink_due = False
+                    machine.apply(BlinkRequested(now))
+                    self._send(link, now)  # apart from a ping, so that a recording that starts here has its number
+                due_ns = connection.due_ns()
+                pieces = self._read(link, due_ns, gather=connection.pings.await_answer)
+                if not pieces:
+                    now = read_host_time()  # silence ends before a thread that was kept waiting looks
+                    if data := link.read(0.0):
+                        pieces = [Received(read_host_time(), data)]
+                if link.overruns != overruns:
+                    overruns = link.overruns
+                    machine.apply(Overrun(read_host_time()))
+                for piece in pieces:
+                    machine.apply(piece)
+                if self._queue.newest is not None:
+                    self._pacing.has_read(self._queue.newest)
+                if pieces:
+                    now = read_host_time()
+                if not pieces or now.monotonic_ns >= due_ns:
+                    machine.apply(TimersRun(now, not pieces, meter.sample()))
+                if pieces and len(pieces[-1].data) < _FEW_BYTES and connection.within_packet:
+                    # A UART with a short queue hands on some bytes at a time, and each would cost a turn of all this.
+                    time.sleep(_GATHER_S)
+            self._request_stop(link)
+        except LinkLostError as error:
+            machine.apply(Lost(read_host_time(), error.reason))
+        except BoardRefusedError as error:
+            machine.apply(Refused(read_host_time(), error.refused.problems, error.refused.other_protocol))
+            with suppress(LinkLostError):  # a board that counts would fill a buffer that nobody empties
+                self._request_stop(link)
+            raise
+        finally:
+            self._serving = False
+            self._wake_now()
+            was_online = connection.was_online
+            with self._blink_lock:
+                self._link_open = False
+                unasked, self._blink_due = self._blink_due, False
+            machine.apply(Closed(read_host_time()))
+            if unasked:
+                self._queue.put(BlinkAnswered("the link was closed before the board was asked"))
+        return was_online
+
+    def _apply_requests(self, now: HostTime) -> None:
+        while self._requests:
+            self._machine.apply(ControlRequested(now, *self._requests.popleft()))
+
+    def _read(self, link: Link, due_ns: int, *, gather: bool) -> list[Received]:
+        """Read until a timer is due; `gather`: all that is there, each piece with its time."""
+        now_ns = time.monotonic_ns()
+        due_ns = min(due_ns, now_ns + _POLL_NS)
+        newest = self._queue.newest
+        sleep_ns = 0
+        if newest is not None and not gather:
+            sleep_ns = self._pacing.sleep_ns(now_ns, newest, self._queue.step_frames, due_ns)
+        self._wake_now()
+        if sleep_ns:
+            time.sleep(sleep_ns * 1e-9)
+            if data := link.read(0.0):
+                return [Received(read_host_time(), data)]
+            now_ns = time.monotonic_ns()
+        timeout_s = max(0, due_ns - now_ns) * 1e-9
+        pieces: list[Received] = []
+        while len(pieces) < _PIECES and (data := link.read(timeout_s)):
+            pieces.append(Received(read_host_time(), data))
+            if not gather or len(data) < _FEW_BYTES:
+                break  # so few are the last of what there was, or a line hands them on one by one
+            timeout_s = _QUICK_S
+        return pieces
+
+    def _request_stop(self, link: Link) -> None:
+        now = read_host_time()
+        self._machine.apply(StopRequested(now))
+        self._send(link, now)
+
+    def _send(self, link: Link, now: HostTime) -> None:
+        if data := self._machine.opened.data_to_send():
+            self._machine.apply(Sent(now, data))
+            link.write(data)
+
+    def _run_replay(self, replay: Replay) -> None:
+        try:
+            replay(self._machine, self._watch.wait, lambda: self._stopping)
+        except LinkUnavailableError as error:
+            # Another file does not come by waiting.
+            self._machine.apply(Refused(read_host_time(), (error.reason,), other_protocol=False))
