@@ -43,8 +43,8 @@ from plates import SMALL_SKIN
 
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.links.link import LinkUnavailableError
-from resonator_daemon.recording.reader import open_recording
-from resonator_daemon.recording.repair import RepairError, repair
+from resonator_daemon.board.recording.reader import open_recording
+from resonator_daemon.board.recording.repair import RepairError, repair
 
 CONVERGED_S = 60.0  # ends a run that never converges; the time that it takes is in the result
 FIRST_START_S = 120.0  # a decoder is set up once, and kept

@@ -27,6 +27,8 @@ from firmware_protocol.layouts import CHANNEL_COUNT, SINGLE_TONE_STRUCT
 from firmware_protocol.messages import CounterKind, Description, Identity
 from firmware_protocol.packets import PacketDecoder
 from resonator_daemon.base.plate import load_plate
+from resonator_daemon.board.recording.reader import Origin
+from resonator_daemon.board.recording.writer import RecordingWriter
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import Received
 from resonator_daemon.config import Mqtt
@@ -39,8 +41,6 @@ from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.payloads import Forces, Lost
 from resonator_daemon.publishing.publisher import Publisher
 from resonator_daemon.publishing.topics import Topic
-from resonator_daemon.recording.reader import Origin
-from resonator_daemon.recording.writer import RecordingWriter
 from resonator_daemon.replay.source import open_replay
 from resonator_daemon.sensors.plate_sites import force_sites
 from resonator_daemon.sensors.single_tone_processing import SingleToneProcessing

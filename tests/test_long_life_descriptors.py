@@ -26,7 +26,7 @@ DEADLINE_S = 60.0
 # A recording that failed is tried again every half second: after ten, as it is, the test only waits.
 RUN = "; ".join(
     (
-        "from resonator_daemon.recording import recorder",
+        "from resonator_daemon.board.recording import recorder",
         "recorder.TIMES = recorder.TIMES._replace(retry_s=0.5)",
         "from resonator_daemon.commands import main",
         "raise SystemExit(main())",

@@ -13,10 +13,10 @@ from observer import observe
 from service_bench import Bench
 from small_disk import small_disk
 
+from resonator_daemon.board.recording import recorder as recording
 from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.daemon.daemon import Service
 from resonator_daemon.publishing import event_queue
-from resonator_daemon.recording import recorder as recording
 
 MOUNT = shutil.which("mount") or "/bin/mount"
 

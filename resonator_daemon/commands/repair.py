@@ -14,7 +14,7 @@ from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.commands._output import print_json
 
 if TYPE_CHECKING:
-    from resonator_daemon.recording.repair import Repaired
+    from resonator_daemon.board.recording.repair import Repaired
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.base.host.signals import interruptible
-    from resonator_daemon.recording.repair import repair
+    from resonator_daemon.board.recording.repair import repair
 
     path: Path = arguments.file
     copy = arguments.output or path.parent / f"{path.stem}-repaired.mcap"

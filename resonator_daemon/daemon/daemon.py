@@ -21,6 +21,8 @@ from resonator_daemon.base.host.state_log import StateLog
 from resonator_daemon.base.host.systemd import ServiceManager
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.board.recording.event_replay import replay_of
+from resonator_daemon.board.recording.switch import RecordingSwitch
 from resonator_daemon.board.session.board_reader import BoardReader
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.counters import LinkCounters
@@ -54,8 +56,6 @@ from resonator_daemon.pipeline.control_requests import ControlRequests, SetWindo
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import Condition, Health, Message, MessageAccount, State
 from resonator_daemon.publishing.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
-from resonator_daemon.recording.event_replay import replay_of
-from resonator_daemon.recording.switch import RecordingSwitch
 from resonator_daemon.sensors.base import Sensor
 
 if TYPE_CHECKING:

@@ -19,6 +19,8 @@ from resonator_daemon.base.errors import (
     UserError,
 )
 from resonator_daemon.base.reasons import ReasonCode
+from resonator_daemon.board.recording.file_series import Series
+from resonator_daemon.board.recording.recorder import Recorder
 from resonator_daemon.board.session.blocking_reader import BlockingReader
 from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.board.session.frames import (
@@ -33,8 +35,6 @@ from resonator_daemon.board.session.frames import (
 )
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.daemon.recording_commands import origin
-from resonator_daemon.recording.file_series import Series
-from resonator_daemon.recording.recorder import Recorder
 
 if TYPE_CHECKING:
     from resonator_daemon.pipeline.board_pipeline import BoardPipeline

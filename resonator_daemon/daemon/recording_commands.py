@@ -6,6 +6,14 @@ from typing import Final
 
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.host.system_limits import reason_of
+from resonator_daemon.board.recording.file_series import Series
+from resonator_daemon.board.recording.reader import Origin
+from resonator_daemon.board.recording.switch import (
+    NothingRecordedError,
+    RecordingNow,
+    RecordingSummary,
+    RecordingSwitch,
+)
 from resonator_daemon.config import Config
 from resonator_daemon.config.text import plate_text, settings_text
 from resonator_daemon.publishing.commands import CommandRefusedError
@@ -18,14 +26,6 @@ from resonator_daemon.publishing.verbs import (
     StartRecordingAnswer,
     StopRecording,
     StopRecordingAnswer,
-)
-from resonator_daemon.recording.file_series import Series
-from resonator_daemon.recording.reader import Origin
-from resonator_daemon.recording.switch import (
-    NothingRecordedError,
-    RecordingNow,
-    RecordingSummary,
-    RecordingSwitch,
 )
 
 log = logging.getLogger(__name__)

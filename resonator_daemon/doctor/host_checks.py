@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.config import Recording
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding
 from resonator_daemon.doctor.host import Host
-from resonator_daemon.recording.file_series import Series
 
 SOURCE: Final = Check("clock.source", Area.SOFTWARE, "clock source")
 DATE: Final = Check("clock.date", Area.SOFTWARE, "date")

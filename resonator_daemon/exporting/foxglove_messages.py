@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from resonator_daemon.board.recording.reader import INFO_LEVEL, json_time, log_line
 from resonator_daemon.exporting.clouds import Clouds, Points, map_values, on_grid, packed
 from resonator_daemon.exporting.foxglove_schemas import (
     FRAME_TRANSFORMS,
@@ -31,7 +32,6 @@ from resonator_daemon.exporting.mcap_output import cloud_fields, severity, state
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import WITH_ARRAYS, Contacts, Decoded, Forces, Header, Message, Signals, State
 from resonator_daemon.publishing.topics import TOPICS
-from resonator_daemon.recording.reader import INFO_LEVEL, json_time, log_line
 
 Entity = dict[str, Any]
 

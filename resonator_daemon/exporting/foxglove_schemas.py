@@ -5,7 +5,7 @@ Viewers recognise a schema by its title.
 
 from typing import Any, Final
 
-from resonator_daemon.recording.reader import MARK_SCHEMA_DATA, TIME_SCHEMA
+from resonator_daemon.board.recording.reader import MARK_SCHEMA_DATA, TIME_SCHEMA
 
 Schema = dict[str, Any]
 

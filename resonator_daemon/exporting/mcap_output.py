@@ -5,10 +5,10 @@ from typing import Any, ClassVar, Final
 
 from mcap.writer import CompressionType, Writer
 
+from resonator_daemon.board.recording.mcap_messages import CHUNK_BYTES
 from resonator_daemon.exporting.clouds import Points
 from resonator_daemon.exporting.output import Output
 from resonator_daemon.publishing.payloads import Condition, State
-from resonator_daemon.recording.mcap_messages import CHUNK_BYTES
 
 METADATA: Final = "resonatord"
 

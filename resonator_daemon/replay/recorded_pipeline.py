@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from threadpoolctl import threadpool_limits
 
+from resonator_daemon.board.recording.event_replay import Replay
+from resonator_daemon.board.recording.reader import Mark, Recording, damage_in_words
 from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.frames import Arrival, BoardRefused, Frame, in_blocks
@@ -17,8 +19,6 @@ from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import Topic
-from resonator_daemon.recording.event_replay import Replay
-from resonator_daemon.recording.reader import Mark, Recording, damage_in_words
 
 if TYPE_CHECKING:
     from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding

@@ -14,14 +14,14 @@ from recording_bench import ONE_BATCH
 
 from resonator_daemon.base.host.new_file import NoNewFileError
 from resonator_daemon.base.plate import load_plate
+from resonator_daemon.board.recording import recorder as recording
+from resonator_daemon.board.recording.reader import DAMAGE, Mark, Origin, open_recording
+from resonator_daemon.board.recording.recorder import Recorder
+from resonator_daemon.board.recording.repair import RepairError, repair
+from resonator_daemon.board.recording.writer import Published, RecordingWriter
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import Closed, Received, Skipped, WireEvent
 from resonator_daemon.commands import main
-from resonator_daemon.recording import recorder as recording
-from resonator_daemon.recording.reader import DAMAGE, Mark, Origin, open_recording
-from resonator_daemon.recording.recorder import Recorder
-from resonator_daemon.recording.repair import RepairError, repair
-from resonator_daemon.recording.writer import Published, RecordingWriter
 
 ORIGIN = Origin(load_plate("quartz16"), "tcp://board:1", name="left", plate_text="a = 1\n", settings_text="b = 2\n")
 SKIPPED = 10  # kind of an event

@@ -6,9 +6,9 @@ import pytest
 from command_stand_ins import messages
 from jsonschema import validate
 
+from resonator_daemon.board.recording.writer import Published
 from resonator_daemon.daemon.recorded_messages import RecordedMessages
 from resonator_daemon.publishing.topics import TOPICS
-from resonator_daemon.recording.writer import Published
 
 
 @pytest.mark.parametrize("include_messages", [True, False])

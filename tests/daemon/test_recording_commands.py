@@ -9,14 +9,14 @@ import pytest
 from command_stand_ins import configured
 
 from resonator_daemon.board.links.carriers.recording import RecordingTarget
+from resonator_daemon.board.recording.file_series import Series
+from resonator_daemon.board.recording.reader import Origin, open_recording
+from resonator_daemon.board.recording.switch import RecordingSwitch
+from resonator_daemon.board.recording.writer import Published
 from resonator_daemon.config import Config
 from resonator_daemon.config.text import load_plate_text, load_settings_text
 from resonator_daemon.daemon.recording_commands import RecordingCommands, recording_info
 from resonator_daemon.publishing.verbs import StartRecording, StopRecording
-from resonator_daemon.recording.file_series import Series
-from resonator_daemon.recording.reader import Origin, open_recording
-from resonator_daemon.recording.switch import RecordingSwitch
-from resonator_daemon.recording.writer import Published
 
 
 def config(directory: Path, **recording: Any) -> Config:

@@ -9,12 +9,12 @@ import psutil
 from observer import until
 from page_client import browser, served
 
+from resonator_daemon.board.recording.reader import open_recording
 from resonator_daemon.live_page.hub import Sources
 from resonator_daemon.live_page.library import Library
 from resonator_daemon.live_page.outgoing import Outgoing
 from resonator_daemon.live_page.player import Player
 from resonator_daemon.live_page.recorded import Recorded
-from resonator_daemon.recording.reader import open_recording
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 WHOLE, CUT_OFF = CORPUS / "touches" / "recording.mcap", CORPUS / "cut-off" / "recording.mcap"

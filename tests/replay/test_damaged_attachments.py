@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from command_line import exit_code
 
-from resonator_daemon.recording.reader import open_recording
+from resonator_daemon.board.recording.reader import open_recording
 
 RECORDING = Path(__file__).parents[1] / "corpus" / "touches" / "recording.mcap"
 WHOLE = RECORDING.read_bytes()

@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from resonator_daemon.base.errors import UserError
+from resonator_daemon.board.recording.file_series import Series
+from resonator_daemon.board.recording.reader import Origin
+from resonator_daemon.board.recording.switch import NothingRecordedError, RecordingNow, RecordingSummary
 from resonator_daemon.config import Config, Measurement
 from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts
 from resonator_daemon.daemon.recording_commands import RecordingCommands
@@ -18,9 +21,6 @@ from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Health, Message
 from resonator_daemon.publishing.spool import SpoolError
 from resonator_daemon.publishing.topics import TOPICS
-from resonator_daemon.recording.file_series import Series
-from resonator_daemon.recording.reader import Origin
-from resonator_daemon.recording.switch import NothingRecordedError, RecordingNow, RecordingSummary
 
 BOOT_ID = "9f3c"
 RECORDING_NAME = re.compile(r"left-\d{8}T\d{6}\.\d{3}Z(-[A-Za-z0-9_-]{1,64})?\.mcap")

@@ -13,6 +13,10 @@ from mcap.reader import make_reader
 from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.board.recording.event_replay import replay
+from resonator_daemon.board.recording.file_series import Series
+from resonator_daemon.board.recording.reader import Origin, open_recording
+from resonator_daemon.board.recording.recorder import Recorder, RecorderTimes
 from resonator_daemon.board.session.board_reader import FRAME_QUEUE_BYTES
 from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.board.session.frame_queue import FrameQueue
@@ -20,10 +24,6 @@ from resonator_daemon.board.session.frames import Arrival
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import Received, SnapshotTaken, StateAnnounced, WireEvent
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
-from resonator_daemon.recording.event_replay import replay
-from resonator_daemon.recording.file_series import Series
-from resonator_daemon.recording.reader import Origin, open_recording
-from resonator_daemon.recording.recorder import Recorder, RecorderTimes
 
 PLATE = load_plate("quartz16")
 ONE_BATCH = RecorderTimes(batch_s=3600.0)

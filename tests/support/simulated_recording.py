@@ -8,6 +8,8 @@ from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.links.table import parse_link
+from resonator_daemon.board.recording.reader import Origin
+from resonator_daemon.board.recording.writer import RecordingWriter
 from resonator_daemon.board.session import link_events as wire
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.frames import BoardOnline
@@ -17,8 +19,6 @@ from resonator_daemon.config import Decoding, Measurement
 from resonator_daemon.config.text import config_of, plate_text, settings_text
 from resonator_daemon.daemon.recorded_messages import RecordedMessages
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
-from resonator_daemon.recording.reader import Origin
-from resonator_daemon.recording.writer import RecordingWriter
 from simulators.emulator import _emulated_board
 from simulators.faults.misbehaviour import Misbehaviour
 from simulators.scenario import load_scenario

@@ -3,6 +3,7 @@
 import json
 from typing import Any
 
+from resonator_daemon.board.recording.reader import MARKS, PLATE_FILE, SETTINGS_FILE, Mark, encode_mark
 from resonator_daemon.config.text import plate_text, settings_text
 from resonator_daemon.exporting.foxglove_messages import ChannelMessage, FoxgloveMessages
 from resonator_daemon.exporting.foxglove_schemas import LOG, Schema
@@ -11,7 +12,6 @@ from resonator_daemon.exporting.mcap_output import McapOutput
 from resonator_daemon.exporting.tables import WITH_TABLE
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import INFO, TONES, Topic
-from resonator_daemon.recording.reader import MARKS, PLATE_FILE, SETTINGS_FILE, Mark, encode_mark
 from resonator_daemon.replay.recorded_pipeline import Moment
 
 

@@ -10,6 +10,8 @@ from recording_bench import replayed, same
 from firmware_protocol.packets import Packet, PacketDecoder
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.links.table import parse_link
+from resonator_daemon.board.recording.reader import Origin
+from resonator_daemon.board.recording.switch import RecordingSwitch
 from resonator_daemon.board.session.connection import Connection
 from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.board.session.frame_numbers import FrameNumbering
@@ -17,8 +19,6 @@ from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.link_events import Received, SnapshotTaken, WireEvent
 from resonator_daemon.board.session.link_state import LinkState
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
-from resonator_daemon.recording.reader import Origin
-from resonator_daemon.recording.switch import RecordingSwitch
 from simulators.emulator import EmulatorOptions
 
 SKIN = load_plate("skin32")

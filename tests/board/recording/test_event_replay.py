@@ -13,6 +13,9 @@ from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.links.carriers.recording import RecordingTarget
 from resonator_daemon.board.links.carriers.serial import SerialTarget
+from resonator_daemon.board.recording.event_replay import replay_of
+from resonator_daemon.board.recording.reader import Origin, open_recording
+from resonator_daemon.board.recording.recorder import Recorder
 from resonator_daemon.board.session.board_reader import BoardReader
 from resonator_daemon.board.session.frames import Arrival, Gap, LinkChange, Outage, SingleToneFrame
 from resonator_daemon.board.session.link_events import (
@@ -27,13 +30,10 @@ from resonator_daemon.board.session.link_events import (
     TimersRun,
     WireEvent,
 )
-from resonator_daemon.recording.event_replay import replay_of
-from resonator_daemon.recording.reader import Origin, open_recording
-from resonator_daemon.recording.recorder import Recorder
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
-CORPUS = Path(__file__).parents[1] / "corpus"
+CORPUS = Path(__file__).parents[2] / "corpus"
 DEADLINE_S = 30.0  # far beyond what any of this takes: it ends a test that hangs
 
 

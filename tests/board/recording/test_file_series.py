@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import pytest
 from recording_bench import PLATE, made
 
-from resonator_daemon.recording import file_series as recording_budget
-from resonator_daemon.recording.file_series import DiskSpace, NoRoomError, Series
-from resonator_daemon.recording.reader import Origin
+from resonator_daemon.board.recording import file_series as recording_budget
+from resonator_daemon.board.recording.file_series import DiskSpace, NoRoomError, Series
+from resonator_daemon.board.recording.reader import Origin
 
 LEFT = Origin(PLATE, "tcp://board:1", name="left")
 

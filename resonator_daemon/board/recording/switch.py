@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.reasons import Reason
+from resonator_daemon.board.recording.file_series import Series
+from resonator_daemon.board.recording.reader import Mark, Origin
+from resonator_daemon.board.recording.recorder import Recorder, RecordingCounts, size_bytes
+from resonator_daemon.board.recording.writer import Published
 from resonator_daemon.board.session.frames import BoardOnline
 from resonator_daemon.board.session.host_time import HostTime, read_host_time
 from resonator_daemon.board.session.link_events import SnapshotTaken, WireEvent
-from resonator_daemon.recording.file_series import Series
-from resonator_daemon.recording.reader import Mark, Origin
-from resonator_daemon.recording.recorder import Recorder, RecordingCounts, size_bytes
-from resonator_daemon.recording.writer import Published
 
 log = logging.getLogger(__name__)
 

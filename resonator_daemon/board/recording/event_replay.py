@@ -10,13 +10,13 @@ from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.links.link import LinkLostError
 from resonator_daemon.board.links.target import LinkTarget
+from resonator_daemon.board.recording.reader import Recording, open_recording
 from resonator_daemon.board.session import board_reader
 from resonator_daemon.board.session import link_events as wire
 from resonator_daemon.board.session.compatibility import BoardRefusedError
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_reasons import all_of
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
-from resonator_daemon.recording.reader import Recording, open_recording
 
 log = logging.getLogger(__name__)
 

@@ -21,6 +21,13 @@ from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.links.carriers.serial import SerialTarget
 from resonator_daemon.board.links.target import LinkTarget
+from resonator_daemon.board.recording import recorder as recording
+from resonator_daemon.board.recording import switch as recording_switch
+from resonator_daemon.board.recording.file_series import Series
+from resonator_daemon.board.recording.reader import Origin
+from resonator_daemon.board.recording.recorder import Recorder
+from resonator_daemon.board.recording.switch import NothingRecordedError, RecordingRunningError, RecordingSwitch
+from resonator_daemon.board.recording.writer import Published
 from resonator_daemon.board.session.frames import Arrival, BoardOnline, LinkChange
 from resonator_daemon.board.session.link_events import (
     Opened,
@@ -30,13 +37,6 @@ from resonator_daemon.board.session.link_events import (
     StateAnnounced,
     TimersRun,
 )
-from resonator_daemon.recording import recorder as recording
-from resonator_daemon.recording import switch as recording_switch
-from resonator_daemon.recording.file_series import Series
-from resonator_daemon.recording.reader import Origin
-from resonator_daemon.recording.recorder import Recorder
-from resonator_daemon.recording.switch import NothingRecordedError, RecordingRunningError, RecordingSwitch
-from resonator_daemon.recording.writer import Published
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 

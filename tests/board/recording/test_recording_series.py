@@ -14,15 +14,15 @@ from types import SimpleNamespace
 import pytest
 from recording_bench import FLUSHING, NO_PAUSE, ONE_BATCH, PLATE, at, made, read, snapshot
 
+from resonator_daemon.board.recording import file_series as recording_budget
+from resonator_daemon.board.recording import recorder as recording
+from resonator_daemon.board.recording.file_series import Series
+from resonator_daemon.board.recording.outline import read_outline
+from resonator_daemon.board.recording.reader import Origin
+from resonator_daemon.board.recording.recorder import Recorder
+from resonator_daemon.board.recording.writer import Published, RecordingWriter
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import Opened, Received, SnapshotTaken, TimersRun, WireEvent
-from resonator_daemon.recording import file_series as recording_budget
-from resonator_daemon.recording import recorder as recording
-from resonator_daemon.recording.file_series import Series
-from resonator_daemon.recording.outline import read_outline
-from resonator_daemon.recording.reader import Origin
-from resonator_daemon.recording.recorder import Recorder
-from resonator_daemon.recording.writer import Published, RecordingWriter
 
 DEADLINE_S = 30.0
 LEFT = Origin(PLATE, "tcp://board:1", name="left")

@@ -12,9 +12,9 @@ from typing import IO, Final, NamedTuple
 from mcap.opcode import Opcode
 from mcap.records import Metadata
 
-from resonator_daemon.recording.mcap_messages import DAMAGE, MAX_RECORD_BYTES, read_records
-from resonator_daemon.recording.reader import CHANNEL, TOPIC, WIRE_CHANNEL
-from resonator_daemon.recording.repair import read_index
+from resonator_daemon.board.recording.mcap_messages import DAMAGE, MAX_RECORD_BYTES, read_records
+from resonator_daemon.board.recording.reader import CHANNEL, TOPIC, WIRE_CHANNEL
+from resonator_daemon.board.recording.repair import read_index
 
 _MAGIC_BYTES: Final = 8
 # Opcode and length; of a message index: channel, size of the entries, log time of the first one.

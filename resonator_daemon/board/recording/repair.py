@@ -22,9 +22,7 @@ from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.base.host.new_file import NewFile, check_new
 from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.board.links.link import LinkUnavailableError
-from resonator_daemon.board.session.host_time import HostTime
-from resonator_daemon.board.session.link_events import Skipped, encode
-from resonator_daemon.recording.mcap_messages import (
+from resonator_daemon.board.recording.mcap_messages import (
     DAMAGE,
     MAX_RECORD_BYTES,
     Damage,
@@ -32,7 +30,7 @@ from resonator_daemon.recording.mcap_messages import (
     IndexedMessages,
     read_records,
 )
-from resonator_daemon.recording.reader import (
+from resonator_daemon.board.recording.reader import (
     CHANNEL,
     DESCRIPTION_FILE,
     JSON_ENCODING,
@@ -47,7 +45,9 @@ from resonator_daemon.recording.reader import (
     no_recording,
     open_file,
 )
-from resonator_daemon.recording.writer import NUMBERS, McapFile, channel_metadata
+from resonator_daemon.board.recording.writer import NUMBERS, McapFile, channel_metadata
+from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.link_events import Skipped, encode
 
 _FOOTER: Final = struct.Struct("<BQQQI8s")  # opcode, length, where summary and its offsets begin, crc, magic
 _CRC_AND_MAGIC_BYTES: Final = 12  # what the summary's check sum leaves out

@@ -15,10 +15,8 @@ from mcap.writer import CompressionType, Writer
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.host.new_file import NoNewFileError, sync_directory
 from resonator_daemon.base.host.system_limits import meaning_of
-from resonator_daemon.board.session.frames import BoardOnline
-from resonator_daemon.board.session.link_events import Skipped, SnapshotTaken, WireEvent, encode
-from resonator_daemon.recording.mcap_messages import CHUNK_BYTES
-from resonator_daemon.recording.reader import (
+from resonator_daemon.board.recording.mcap_messages import CHUNK_BYTES
+from resonator_daemon.board.recording.reader import (
     BOARD,
     CHANNEL,
     DESCRIPTION_FILE,
@@ -36,6 +34,8 @@ from resonator_daemon.recording.reader import (
     Origin,
     encode_mark,
 )
+from resonator_daemon.board.session.frames import BoardOnline
+from resonator_daemon.board.session.link_events import Skipped, SnapshotTaken, WireEvent, encode
 
 _TOML: Final = "application/toml"
 _JSON: Final = "application/json"

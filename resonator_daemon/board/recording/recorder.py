@@ -12,12 +12,12 @@ from typing import Final, NamedTuple, Self
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.board.recording.file_series import DiskSpace, LogLine, NoRoomError, Series, discard_line
+from resonator_daemon.board.recording.reader import Mark, Origin
+from resonator_daemon.board.recording.writer import Contents, Published, RecordingWriter
 from resonator_daemon.board.session.frames import BoardOnline
 from resonator_daemon.board.session.host_time import HostTime, read_host_time
 from resonator_daemon.board.session.link_events import Received, Sent, Skipped, SnapshotTaken, WireEvent
-from resonator_daemon.recording.file_series import DiskSpace, LogLine, NoRoomError, Series, discard_line
-from resonator_daemon.recording.reader import Mark, Origin
-from resonator_daemon.recording.writer import Contents, Published, RecordingWriter
 
 QUEUE_BYTES = 64 << 20  # 4 s of a plate with 3072 tones and 100 frames/s
 

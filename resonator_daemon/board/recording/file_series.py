@@ -16,9 +16,9 @@ from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.host.new_file import make_directory
 from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.board.links.link import LinkUnavailableError
-from resonator_daemon.recording.mcap_messages import read_records
-from resonator_daemon.recording.reader import Origin, read_header
-from resonator_daemon.recording.writer import RecordingWriter
+from resonator_daemon.board.recording.mcap_messages import read_records
+from resonator_daemon.board.recording.reader import Origin, read_header
+from resonator_daemon.board.recording.writer import RecordingWriter
 
 _MS_NS: Final = 1_000_000
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)

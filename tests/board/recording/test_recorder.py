@@ -17,6 +17,9 @@ from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.links.link import LinkUnavailableError
+from resonator_daemon.board.recording import writer as recording_writer
+from resonator_daemon.board.recording.reader import Origin, open_recording
+from resonator_daemon.board.recording.recorder import Recorder, RecorderTimes
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import (
     Closed,
@@ -33,9 +36,6 @@ from resonator_daemon.board.session.link_events import (
     WireEvent,
     encode,
 )
-from resonator_daemon.recording import writer as recording_writer
-from resonator_daemon.recording.reader import Origin, open_recording
-from resonator_daemon.recording.recorder import Recorder, RecorderTimes
 
 EVENTS: list[WireEvent] = [
     StateAnnounced(at(0), Condition.STARTING, Reason(ReasonCode.OPENING, "the link is being opened")),

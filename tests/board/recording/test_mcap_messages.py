@@ -8,7 +8,7 @@ from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
-from resonator_daemon.recording.mcap_messages import MAX_CHUNK_BYTES, Damage, Logged, messages, read_records
+from resonator_daemon.board.recording.mcap_messages import MAX_CHUNK_BYTES, Damage, Logged, messages, read_records
 
 TOPICS = ("wanted", "second")
 

@@ -19,9 +19,9 @@ from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.links.link import LinkUnavailableError
+from resonator_daemon.board.recording.mcap_messages import DAMAGE, Damage, DamagedAttachment, messages, read_records
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import SnapshotTaken, WireEvent, decode
-from resonator_daemon.recording.mcap_messages import DAMAGE, Damage, DamagedAttachment, messages, read_records
 
 log = logging.getLogger(__name__)
 
