@@ -22,7 +22,7 @@ import cbor2
 import numpy as np
 
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.config import Measurement
+from resonator_daemon.board.config import Measurement
 from resonator_daemon.demo.processes import local_broker, raise_if_ended, start_daemon, start_emulator
 from resonator_daemon.demo.subscription import Subscription
 from resonator_daemon.demo.truth import TruthTable

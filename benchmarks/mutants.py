@@ -35,7 +35,7 @@ MAPS: Final = ROOT / "build" / "mutants"
 ABOVE: Final = ("tests/replay", "tests/daemon", "tests/commands")  # whole paths through the product
 # The tests of a package, where they are not those in the folder of its name alone.
 FOLDERS: Final = {
-    "resonator_daemon": ("tests/test_plate.py", "tests/config"),
+    "resonator_daemon": ("tests/test_plate.py", "tests/board/config"),
     "simulators": ("tests/simulators", "tests/board/links"),
 }
 START_S, TIMES, MAP_S = 30.0, 4.0, 1800.0  # a run's limit: so long, and so many times what its tests take

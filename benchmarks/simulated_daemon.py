@@ -12,13 +12,13 @@ from typing import Any, Final
 from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.board.config import Config
 from resonator_daemon.board.links.link import LinkLostError
 from resonator_daemon.board.session import link_events as wire
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.frames import in_blocks
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
-from resonator_daemon.config import Config
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.publishing.broker_connection import MQTT_5, InFlight
 from resonator_daemon.publishing.broker_limits import BrokerLimits

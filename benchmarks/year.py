@@ -24,9 +24,9 @@ from long_run_judge import FLAT, FLAT_THOUSANDS, KEPT_MB, Row, print_rows, rises
 from simulated_daemon import STEP_NS, S, Seen, SimulatedBoard, SimulatedDaemon, SimulatedHost, World
 
 from resonator_daemon.base.plate import load_plate
+from resonator_daemon.board.config import Decoding, Measurement
+from resonator_daemon.board.config.text import config_of
 from resonator_daemon.board.links.table import parse_link
-from resonator_daemon.config import Decoding, Measurement
-from resonator_daemon.config.text import config_of
 
 _KEPT_THOUSANDS = 0.03  # a day: the samples and events of this benchmark
 _SLOPES = (("rss_mb", "MB", KEPT_MB), ("blocks_thousand", "thousand blocks", FLAT_THOUSANDS), ("descriptors", "", FLAT))

@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
-from resonator_daemon.config import example_config
-from resonator_daemon.config.help import config_keys
+from resonator_daemon.board.config import example_config
+from resonator_daemon.board.config.help import config_keys
 
 PAGE = Path(__file__).parents[1] / "reference" / "configuration.md"
 EXAMPLE = re.compile(r"(from:\n\n```toml\n).*?(```)", re.DOTALL)

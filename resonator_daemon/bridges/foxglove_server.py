@@ -14,7 +14,7 @@ from typing import Any, Final
 from resonator_daemon.base.errors import ListenError, MissingLibraryError
 from resonator_daemon.base.host.printable import how_to_install
 from resonator_daemon.base.host.signals import on_signals
-from resonator_daemon.config import Listen, Mqtt
+from resonator_daemon.board.config import Listen, Mqtt
 from resonator_daemon.exporting.foxglove_messages import ChannelMessage, FoxgloveMessages
 from resonator_daemon.exporting.geometry import Geometry
 from resonator_daemon.publishing.payloads import Condition, Info, Message, State

@@ -14,8 +14,8 @@ from contextlib import aclosing, suppress
 from typing import Any, Final
 
 from resonator_daemon.base.host.signals import on_signals
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.bridges.ros2_node import Ros2Node
-from resonator_daemon.config import Mqtt
 from resonator_daemon.exporting.geometry import Geometry
 from resonator_daemon.exporting.ros2_messages import DIAGNOSTICS_TOPIC, STALE, Diagnostics, Translation, diagnostics_of
 from resonator_daemon.exporting.ros2_types import DIAGNOSTICS, make_typestore

@@ -16,6 +16,7 @@ from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.errors import ConfigurationError, IncompatibleBoardError
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
+from resonator_daemon.board.config import Config
 from resonator_daemon.board.recording.event_replay import replay_of
 from resonator_daemon.board.session.frames import (
     BoardOnline,
@@ -26,7 +27,6 @@ from resonator_daemon.board.session.frames import (
 )
 from resonator_daemon.board.session.link_reasons import OPENING
 from resonator_daemon.calibration.steps import CalibrationRefusedError, LinkBusyError
-from resonator_daemon.config import Config
 from resonator_daemon.estimate.tones.tone_detector import PILOT_TOLERANCE, ToneReading
 from resonator_daemon.pipeline.tone_capture import ToneCapture
 

@@ -11,6 +11,7 @@ from resonator_daemon.base.errors import ConfigurationError, ExitCode, Interrupt
 from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.base.host.signals import interruptible
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
+from resonator_daemon.board.config import Config, load_config
 from resonator_daemon.board.session.frames import BoardOnline
 from resonator_daemon.calibration.console import aborted, confirmed, report, result, summary
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure, Prompt
@@ -29,7 +30,6 @@ from resonator_daemon.calibration.plate_file import (
     write_plate_file,
 )
 from resonator_daemon.calibration.steps import CalibrationRefusedError, LoadRequest, Step, plan_steps
-from resonator_daemon.config import Config, load_config
 from resonator_daemon.sensors.kinds import sensor_of
 
 _AS_BEFORE: Final = "the plate file is as before"

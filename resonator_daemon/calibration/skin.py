@@ -15,8 +15,8 @@ from resonator_daemon.base.errors import ConfigurationError, ExitCode
 from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import Skin
+from resonator_daemon.board.config import Config, load_config
 from resonator_daemon.calibration.steps import CalibrationRefusedError
-from resonator_daemon.config import Config, load_config
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface.open_plane.prior_fit import PriorFit, fit_prior, has_load
 from resonator_daemon.estimate.surface.prior import DEFAULT_PRIOR

@@ -10,7 +10,7 @@ from resonator_daemon.base.host.printable import printable
 from resonator_daemon.commands._output import print_json
 
 if TYPE_CHECKING:
-    from resonator_daemon.config import Client
+    from resonator_daemon.board.config import Client
 
 _AGAIN_S: Final = 0.5
 

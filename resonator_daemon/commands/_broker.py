@@ -8,7 +8,7 @@ from resonator_daemon.base.errors import UsageError
 from resonator_daemon.commands._argument_types import add_config_argument
 
 if TYPE_CHECKING:
-    from resonator_daemon.config import Client, Mqtt
+    from resonator_daemon.board.config import Client, Mqtt
 
 
 def add_broker(parser: argparse.ArgumentParser, *, config_is_argument: bool = False) -> None:
@@ -23,7 +23,7 @@ def add_broker(parser: argparse.ArgumentParser, *, config_is_argument: bool = Fa
 
 def broker_of(arguments: argparse.Namespace) -> "Mqtt":
     """Return the broker that is meant; UserError where it cannot be used."""
-    from resonator_daemon.config import Mqtt, load_client
+    from resonator_daemon.board.config import Mqtt, load_client
     from resonator_daemon.view.watch import broker_at
 
     if arguments.config is None:
@@ -52,7 +52,7 @@ def client_of(arguments: argparse.Namespace) -> "Client":
     UserError
         They name none, or contradict each other, or the configuration cannot be used.
     """
-    from resonator_daemon.config import Client, load_client, plate_name
+    from resonator_daemon.board.config import Client, load_client, plate_name
 
     name = arguments.name
     if name is None and arguments.config is None:

@@ -25,8 +25,8 @@ def made_files() -> dict[str, str]:
     """Return text by place of the files that the program makes itself: example, completion, manual."""
     from resonator_daemon.base.host.documentation import with_pages
     from resonator_daemon.base.host.install import EXAMPLE
+    from resonator_daemon.board.config import example_config
     from resonator_daemon.commands._installation import completions, manual
-    from resonator_daemon.config import example_config
 
     return {EXAMPLE: with_pages(example_config()), **dict(completions()), **dict(manual())}
 

@@ -47,8 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.base.host.new_file import takes_a_stream
     from resonator_daemon.base.host.signals import interruptible
+    from resonator_daemon.board.config import load_config
     from resonator_daemon.board.links.link import LinkUnavailableError
-    from resonator_daemon.config import load_config
     from resonator_daemon.exporting.run import export, make_target, recordings_in
 
     target = make_target(arguments.output, arguments.format, arguments.topics)

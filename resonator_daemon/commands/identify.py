@@ -48,8 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     """Print what the board answers; IncompatibleBoardError where it cannot serve the configuration."""
+    from resonator_daemon.board.config import load_config
     from resonator_daemon.board.session.compatibility import incompatibilities
-    from resonator_daemon.config import load_config
     from resonator_daemon.view.board_identity import as_json, labelled_lines
 
     separate_config(arguments)

@@ -48,7 +48,7 @@ def _of_the_daemon(config_path: Path) -> str:
     """Return how the daemon that has the link records it itself; empty where none is found."""
     import asyncio
 
-    from resonator_daemon.config import load_config
+    from resonator_daemon.board.config import load_config
     from resonator_daemon.doctor.daemon_checks import find_daemon
 
     answer = asyncio.run(find_daemon(load_config(config_path).link, config_path, ()))

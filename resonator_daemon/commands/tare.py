@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
 def _needed(config_path: Path) -> str:
     """Return how long a reading takes, by the daemon's configuration; empty for a file of the client alone."""
-    from resonator_daemon.config import load_config
+    from resonator_daemon.board.config import load_config
 
     try:
         window_ms = load_config(config_path).measurement.window_ms

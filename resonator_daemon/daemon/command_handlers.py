@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, get_args
 
-from resonator_daemon.config import Config, Measurement, timing_problems
+from resonator_daemon.board.config import Config, Measurement, timing_problems
 from resonator_daemon.daemon.rate_commands import PublishRates, RateCommands
 from resonator_daemon.daemon.recording_commands import RecordingCommands, as_json_text
 from resonator_daemon.pipeline import control_requests

@@ -21,6 +21,7 @@ from resonator_daemon.base.host.state_log import StateLog
 from resonator_daemon.base.host.systemd import ServiceManager
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.board.config import Config, plate_name
 from resonator_daemon.board.recording.event_replay import replay_of
 from resonator_daemon.board.recording.switch import RecordingSwitch
 from resonator_daemon.board.session.board_reader import BoardReader
@@ -36,7 +37,6 @@ from resonator_daemon.board.session.frames import (
     ReaderFailed,
 )
 from resonator_daemon.board.session.link_reasons import all_of
-from resonator_daemon.config import Config, plate_name
 from resonator_daemon.daemon.arrival_loop import ArrivalLoop
 from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts
 from resonator_daemon.daemon.config_in_use import ConfigInUse

@@ -19,6 +19,7 @@ from resonator_daemon.base.errors import (
     UserError,
 )
 from resonator_daemon.base.reasons import ReasonCode
+from resonator_daemon.board.config import Config, load_config
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.recorder import Recorder
 from resonator_daemon.board.session.blocking_reader import BlockingReader
@@ -33,7 +34,6 @@ from resonator_daemon.board.session.frames import (
     ReaderFailed,
     SingleToneFrame,
 )
-from resonator_daemon.config import Config, load_config
 from resonator_daemon.daemon.recording_commands import origin
 
 if TYPE_CHECKING:

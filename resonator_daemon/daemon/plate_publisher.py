@@ -7,7 +7,7 @@ from urllib.parse import quote
 
 from resonator_daemon.base.host.places import state_directory
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.config import Config
+from resonator_daemon.board.config import Config
 from resonator_daemon.monitoring.daemon_state import DaemonState
 from resonator_daemon.publishing import asyncapi
 from resonator_daemon.publishing.codec import Encoded, decoded, encode

@@ -6,6 +6,8 @@ from typing import Final
 
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.host.system_limits import reason_of
+from resonator_daemon.board.config import Config
+from resonator_daemon.board.config.text import plate_text, settings_text
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.switch import (
@@ -14,8 +16,6 @@ from resonator_daemon.board.recording.switch import (
     RecordingSummary,
     RecordingSwitch,
 )
-from resonator_daemon.config import Config
-from resonator_daemon.config.text import plate_text, settings_text
 from resonator_daemon.publishing.commands import CommandRefusedError
 from resonator_daemon.publishing.payloads import RecordingInfo
 from resonator_daemon.publishing.verbs import (

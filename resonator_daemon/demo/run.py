@@ -23,7 +23,7 @@ from resonator_daemon.base.errors import ExitCode, InterruptedCommandError, Loss
 from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.plate import Plate, load_plate
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.demo.processes import (
     BROKER_PART,
     Child,

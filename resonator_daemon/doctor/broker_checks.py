@@ -12,7 +12,7 @@ from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.base.host.documentation import page
 from resonator_daemon.base.host.system_limits import meaning_of, reason_of
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, excused, not_checked
 from resonator_daemon.doctor.host import Host, Load
 from resonator_daemon.publishing import connection_errors

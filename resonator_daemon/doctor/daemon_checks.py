@@ -13,9 +13,9 @@ from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.host.documentation import page
 from resonator_daemon.base.host.load import REMEDY
 from resonator_daemon.base.reasons import ReasonCode
+from resonator_daemon.board.config import Mqtt, load_config
 from resonator_daemon.board.links.table import parse_link
 from resonator_daemon.board.links.target import LinkTarget
-from resonator_daemon.config import Mqtt, load_config
 from resonator_daemon.doctor import link_checks, sensor_checks
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, excused, graded, not_checked
 from resonator_daemon.doctor.link_checks import ERRORS_FAULT

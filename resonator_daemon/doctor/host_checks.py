@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.board.config import Recording
 from resonator_daemon.board.recording.file_series import Series
-from resonator_daemon.config import Recording
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding
 from resonator_daemon.doctor.host import Host
 

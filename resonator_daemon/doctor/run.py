@@ -14,11 +14,11 @@ from resonator_daemon.base.host.places import state_directory
 from resonator_daemon.base.host.signals import interruptible
 from resonator_daemon.base.plate import Plate, load_plate, shipped_plates
 from resonator_daemon.base.reasons import ReasonCode
+from resonator_daemon.board.config import Config, Mqtt, load_config
 from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.links.port_holders import Holders, port_holders
 from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.board.session.probe import NoBoardError, ProbeResult, probe
-from resonator_daemon.config import Config, Mqtt, load_config
 from resonator_daemon.doctor import link_checks, sensor_checks
 from resonator_daemon.doctor.broker_checks import check_broker
 from resonator_daemon.doctor.capture import capture_board

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from resonator_daemon.base.host.new_file import NewFile
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.config import Config
+from resonator_daemon.board.config import Config
 from resonator_daemon.exporting.tables import WITH_TABLE
 from resonator_daemon.publishing.codec import decoded
 from resonator_daemon.publishing.payloads import Message

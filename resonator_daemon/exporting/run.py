@@ -13,7 +13,7 @@ from resonator_daemon.base.host.new_file import check_new, takes_a_stream
 from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml.reading import nearest
-from resonator_daemon.config import Config
+from resonator_daemon.board.config import Config
 from resonator_daemon.exporting.formats import FORMATS, ROS2, format_class
 from resonator_daemon.exporting.output import Output, Recorded
 from resonator_daemon.publishing.units import UNITS

@@ -12,7 +12,7 @@ from urllib.parse import parse_qs
 
 from aiohttp import hdrs, web
 
-from resonator_daemon.config.mqtt import is_this_computer
+from resonator_daemon.board.config.mqtt import is_this_computer
 
 COOKIE: Final = "resonatord_view_{}"  # with the port: browsers send the cookies of a host to all of its ports
 LOGIN: Final = "/login"

@@ -4,7 +4,7 @@ import ssl
 from pathlib import Path
 
 from resonator_daemon.base.errors import ConfigurationError
-from resonator_daemon.config.broker_files import (
+from resonator_daemon.board.config.broker_files import (
     BrokerFile,
     UnusableFileError,
     read_certificates,

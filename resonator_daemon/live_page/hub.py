@@ -13,7 +13,7 @@ from aiohttp import WSCloseCode, web
 
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.reasons import ReasonCode
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.live_page.broker_relay import CONNECTING, BrokerRelay
 from resonator_daemon.live_page.client import Client
 from resonator_daemon.live_page.frames import LIVE, payload_frame, text_frame

@@ -19,7 +19,7 @@ from resonator_daemon.base.errors import ListenError, UsageError
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.host.systemd import ServiceManager
-from resonator_daemon.config.mqtt import is_this_computer
+from resonator_daemon.board.config.mqtt import is_this_computer
 from resonator_daemon.live_page.access import Access
 from resonator_daemon.live_page.hub import Hub, Sources
 

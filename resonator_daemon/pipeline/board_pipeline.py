@@ -5,6 +5,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.counters import FrameLoss
 from resonator_daemon.board.session.frames import (
@@ -19,7 +20,6 @@ from resonator_daemon.board.session.frames import (
     Outage,
     SingleToneFrame,
 )
-from resonator_daemon.config import Config
 from resonator_daemon.estimate.forces.readings import Compensation, ForceReading, SkinReading
 from resonator_daemon.pipeline.control_requests import SetWindow, Tare, parse_request
 from resonator_daemon.pipeline.frame_timeout import CallLater, FrameTimeout

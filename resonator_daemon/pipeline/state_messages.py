@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.base.reasons import Reason
+from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.frames import BoardOnline, LinkChange, Outage
-from resonator_daemon.config import Config
 from resonator_daemon.estimate.forces.readings import Compensation as AppliedCompensation
 from resonator_daemon.monitoring.daemon_state import DaemonSnapshot
 from resonator_daemon.publishing.headers import Headers

@@ -13,7 +13,7 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.properties import Properties
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing import connection_errors
 from resonator_daemon.publishing.broker_limits import BrokerLimits, limits_of
 from resonator_daemon.publishing.connection_errors import BrokerError

@@ -8,8 +8,8 @@ from typing import Any, Final
 from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.base.host.system_limits import meaning_of, reason_of
-from resonator_daemon.config.broker_files import UnusableFileError
-from resonator_daemon.config.mqtt import Mqtt
+from resonator_daemon.board.config.broker_files import UnusableFileError
+from resonator_daemon.board.config.mqtt import Mqtt
 
 UNSUPPORTED_VERSION: Final = 132
 UNSPECIFIED: Final = 128  # the library's code for a connection that ended without a DISCONNECT packet

@@ -5,8 +5,8 @@ from contextlib import aclosing
 from typing import Final
 
 from resonator_daemon.base.errors import ConfigurationError, ExitCode, UserError
+from resonator_daemon.board.config import Client, Mqtt
 from resonator_daemon.board.links.table import parse_link
-from resonator_daemon.config import Client, Mqtt
 from resonator_daemon.publishing.payloads import Condition, Info, State
 from resonator_daemon.publishing.subscriber import subscribe
 from resonator_daemon.publishing.topics import INFO, STATE_DAEMON, TOPICS

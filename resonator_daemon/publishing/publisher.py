@@ -13,7 +13,7 @@ from paho.mqtt.client import topic_matches_sub
 from paho.mqtt.enums import MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing.bounded_queue import Pace
 from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes, Will
 from resonator_daemon.publishing.broker_limits import BrokerLimits

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import aiomqtt
 
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing import connection_errors
 from resonator_daemon.publishing.broker_connection import ConnectionTimes
 from resonator_daemon.publishing.connection_errors import BrokerError

@@ -9,7 +9,7 @@ from typing import Any
 from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.base.host.system_limits import reason_of
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing import connection_errors
 from resonator_daemon.publishing.backoff import Backoff
 from resonator_daemon.publishing.broker_connection import MQTT_3, MQTT_5, BrokerConnection, ConnectionTimes

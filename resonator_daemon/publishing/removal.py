@@ -9,7 +9,7 @@ from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.errors import ExitCode, UserError
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing.broker_connection import BrokerConnection
 from resonator_daemon.publishing.home_assistant import discovery_topic
 from resonator_daemon.publishing.mqtt_messages import Incoming

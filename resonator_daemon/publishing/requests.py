@@ -10,7 +10,7 @@ from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.base.host.system_limits import reason_of
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing.broker_connection import FAILURE, MQTT_5, BrokerConnection
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.reconnection import connection_session, keep_connected

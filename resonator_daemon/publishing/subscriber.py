@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from pydantic import ValidationError
 
 from resonator_daemon.base.host.printable import printable
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing.codec import decode
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.receiver import Arrival, Receiver

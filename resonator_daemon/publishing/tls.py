@@ -5,8 +5,8 @@ import selectors
 import ssl
 from typing import Final
 
-from resonator_daemon.config.broker_files import load_certificates
-from resonator_daemon.config.mqtt import Mqtt
+from resonator_daemon.board.config.broker_files import load_certificates
+from resonator_daemon.board.config.mqtt import Mqtt
 
 LEAST_VERSION: Final = ssl.TLSVersion.TLSv1_2
 ALERT_S: Final = 0.5

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic.fields import FieldInfo
 
 from resonator_daemon.base.reasons import ReasonCode
-from resonator_daemon.config.tables import ChangingVerb
+from resonator_daemon.board.config.tables import ChangingVerb
 from resonator_daemon.publishing.payload_types import optional
 from resonator_daemon.publishing.payloads import ContactEvent, Health, Int64, Message, PerChannel
 from resonator_daemon.publishing.topics import JSON, TOPICS

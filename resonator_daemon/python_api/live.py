@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from resonator_daemon.base.errors import UsageError
 from resonator_daemon.base.toml.reading import nearest, shown
-from resonator_daemon.config import Mqtt, plate_name
+from resonator_daemon.board.config import Mqtt, plate_name
 from resonator_daemon.publishing.daemon_search import find_online, find_plate
 from resonator_daemon.publishing.requests import ANSWER_S, execute, reach
 from resonator_daemon.publishing.subscriber import EVERY_PLATE, Received

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 from resonator_daemon.base.errors import UsageError
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml.reading import nearest
-from resonator_daemon.config import Config, load_config
+from resonator_daemon.board.config import Config, load_config
 from resonator_daemon.exporting.memory import MemoryOutput
 from resonator_daemon.exporting.output import Recorded
 from resonator_daemon.exporting.run import differences_in_words, file_metadata

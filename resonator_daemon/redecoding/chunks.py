@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 from resonator_daemon.base.errors import NoRecordingError
 from resonator_daemon.base.plate import Plate
+from resonator_daemon.board.config import Config, Decoding
+from resonator_daemon.board.config.text import Settings, load_plate_text, load_settings_text
 from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.recording.event_replay import Replay
 from resonator_daemon.board.recording.outline import PartStart, read_outline
@@ -15,8 +17,6 @@ from resonator_daemon.board.recording.reader import Recording, open_recording
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
-from resonator_daemon.config import Config, Decoding
-from resonator_daemon.config.text import Settings, load_plate_text, load_settings_text
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.replay.source import recorded_config
 from resonator_daemon.sensors.kinds import sensor_of

@@ -5,8 +5,8 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+from resonator_daemon.board.config import Config
 from resonator_daemon.board.recording.reader import STILL_WRITTEN, Recording, open_recording
-from resonator_daemon.config import Config
 from resonator_daemon.exporting.output import Recorded
 from resonator_daemon.exporting.run import table_metadata
 from resonator_daemon.publishing.topics import DECODED, FORCES

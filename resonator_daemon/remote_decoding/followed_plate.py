@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.config.decoder import DecoderConfig
+from resonator_daemon.board.config.decoder import DecoderConfig
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.monitoring.latency import LatencyHistogram

@@ -8,7 +8,7 @@ from typing import Final
 from threadpoolctl import threadpool_limits
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.config.decoder import DecoderConfig
+from resonator_daemon.board.config.decoder import DecoderConfig
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth, DecoderProcessInfo, Signals

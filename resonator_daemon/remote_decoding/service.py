@@ -17,8 +17,8 @@ from resonator_daemon.base.host.places import state_directory
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.systemd import ServiceManager
 from resonator_daemon.base.reasons import Reason, ReasonCode, joined
-from resonator_daemon.config import DECODER
-from resonator_daemon.config.decoder import DecoderConfig
+from resonator_daemon.board.config import DECODER
+from resonator_daemon.board.config.decoder import DecoderConfig
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.monitoring.health import ProcessUsage
 from resonator_daemon.monitoring.liveness import LivenessMonitor

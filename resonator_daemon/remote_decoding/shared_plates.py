@@ -15,8 +15,8 @@ from threadpoolctl import threadpool_limits
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.config import plate_name
-from resonator_daemon.config.decoder import DecoderConfig
+from resonator_daemon.board.config import plate_name
+from resonator_daemon.board.config.decoder import DecoderConfig
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 from resonator_daemon.estimate.surface.streaming import CANNOT_DECODE, failed, set_up

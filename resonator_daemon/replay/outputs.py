@@ -16,7 +16,7 @@ from resonator_daemon.base.host.new_file import NoNewFileError, check_new, takes
 from resonator_daemon.base.host.printable import printable
 from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.monitoring.daemon_state import DaemonSnapshot, DaemonState
 from resonator_daemon.publishing.codec import Encoded, encode
 from resonator_daemon.publishing.headers import Headers

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from threadpoolctl import threadpool_limits
 
+from resonator_daemon.board.config import Config
 from resonator_daemon.board.recording.event_replay import Replay
 from resonator_daemon.board.recording.reader import Mark, Recording, damage_in_words
 from resonator_daemon.board.session.counters import LinkCounters
@@ -14,7 +15,6 @@ from resonator_daemon.board.session.frames import Arrival, BoardRefused, Frame, 
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import WireEvent
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
-from resonator_daemon.config import Config
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import Message

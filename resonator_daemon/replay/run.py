@@ -13,8 +13,8 @@ from typing import Any, Final
 from resonator_daemon.base.errors import ConfigurationError, InterruptedCommandError, UsageError
 from resonator_daemon.base.host.printable import printable
 from resonator_daemon.base.host.signals import on_signals
+from resonator_daemon.board.config import Config, Mqtt, plate_name
 from resonator_daemon.board.session.host_time import HostTime
-from resonator_daemon.config import Config, Mqtt, plate_name
 from resonator_daemon.publishing.payloads import Info
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.replay.outputs import AtBroker, Lines

@@ -9,10 +9,10 @@ from typing import Final, TypeVar
 from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.base.host.printable import printable
 from resonator_daemon.base.plate import Plate
+from resonator_daemon.board.config import Config
+from resonator_daemon.board.config.text import Settings, config_of, load_plate_text, load_settings_text
 from resonator_daemon.board.links.table import parse_link
 from resonator_daemon.board.recording.reader import PLATE_FILE, SETTINGS_FILE, Recording, open_recording
-from resonator_daemon.config import Config
-from resonator_daemon.config.text import Settings, config_of, load_plate_text, load_settings_text
 from resonator_daemon.replay.recorded_pipeline import RecordingReplay
 
 _Loaded = TypeVar("_Loaded")

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason
+from resonator_daemon.board.config import Measurement
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.compatibility import oscillator_hz
 from resonator_daemon.board.session.frames import BoardOnline, Frame
-from resonator_daemon.config import Measurement
 from resonator_daemon.estimate.forces.contacts import ContactEvent
 from resonator_daemon.estimate.forces.readings import Compensation, ForceReading
 from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, FORCES, TONES, Topic

@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from typing import Any, Final
 
+from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.clock import Instant
-from resonator_daemon.config import Config
 from resonator_daemon.estimate.forces.readings import ForceReading, SkinReading
 from resonator_daemon.monitoring.latency import Latencies
 from resonator_daemon.publishing.codec import Encoded

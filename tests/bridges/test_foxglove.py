@@ -26,9 +26,9 @@ from scipy.spatial.transform import Rotation
 from websockets.asyncio.client import ClientConnection, connect
 
 from resonator_daemon.base.errors import ExitCode
+from resonator_daemon.board.config import Listen, Mqtt
 from resonator_daemon.bridges.foxglove_server import BACKLOG_MAX, FoxgloveServer
 from resonator_daemon.commands import main
-from resonator_daemon.config import Listen, Mqtt
 from resonator_daemon.exporting.foxglove_messages import FoxgloveMessages
 from resonator_daemon.exporting.geometry import Geometry
 from resonator_daemon.publishing.codec import encode

@@ -18,8 +18,8 @@ from emulated_loads import TRUE, Touches, nominal_text, true_text
 from emulation import emulated
 
 from resonator_daemon.base.plate import load_plate
+from resonator_daemon.board.config import load_config
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY
-from resonator_daemon.config import load_config
 from simulators.emulator import EmulatorOptions
 
 MASSES = (0.1, 0.3, 0.5)

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import pytest
 from command_line import exit_code
 
+from resonator_daemon.board.config import load_config
 from resonator_daemon.commands._command_line import command_names
-from resonator_daemon.config import load_config
 from resonator_daemon.demo.run import DemoOptions
 from resonator_daemon.publishing.asyncapi import document
 

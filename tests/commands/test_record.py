@@ -16,12 +16,12 @@ from jsonschema import validate
 from mcap.reader import make_reader
 
 from resonator_daemon.base.plate import load_plate
+from resonator_daemon.board.config import load_config
+from resonator_daemon.board.config.text import load_plate_text
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import open_recording
 from resonator_daemon.board.session.board_reader import BoardReader
 from resonator_daemon.board.session.link_events import Closed, Received, StateAnnounced, StopRequested
-from resonator_daemon.config import load_config
-from resonator_daemon.config.text import load_plate_text
 from resonator_daemon.daemon.link_recording import NoBoardError, PortInUseError, RecordOptions, record
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults

@@ -20,13 +20,13 @@ from typing import Final
 
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.plate import Plate, load_plate
+from resonator_daemon.board.config import Measurement
+from resonator_daemon.board.config.text import config_of, load_settings_text, plate_text, settings_text
 from resonator_daemon.board.links.table import parse_link
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.switch import RecordingSwitch
 from resonator_daemon.board.session.board_reader import BoardReader
 from resonator_daemon.board.session.frames import BoardOnline
-from resonator_daemon.config import Measurement
-from resonator_daemon.config.text import config_of, load_settings_text, plate_text, settings_text
 from resonator_daemon.pipeline.control_requests import Control, SetWindow, Tare
 from simulators.emulator import Emulator, EmulatorOptions
 from simulators.faults import parse_faults

@@ -12,7 +12,7 @@ from published_schema import ALWAYS, check_all
 from service_bench import Bench
 
 from resonator_daemon.base.host.places import state_directory
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing.requests import request
 from resonator_daemon.publishing.verbs import VERBS
 

@@ -11,7 +11,7 @@ from observer import Observer, observe
 from scenarios import IDEAL, touch_text
 from service_bench import Bench
 
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing.home_assistant import discovery_message, discovery_topic
 from resonator_daemon.publishing.payloads import Condition, CounterType
 from resonator_daemon.publishing.removal import remove_plate

@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 from command_stand_ins import configured
 
+from resonator_daemon.board.config import Config
+from resonator_daemon.board.config.text import load_plate_text, load_settings_text
 from resonator_daemon.board.links.carriers.recording import RecordingTarget
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import Origin, open_recording
 from resonator_daemon.board.recording.switch import RecordingSwitch
 from resonator_daemon.board.recording.writer import Published
-from resonator_daemon.config import Config
-from resonator_daemon.config.text import load_plate_text, load_settings_text
 from resonator_daemon.daemon.recording_commands import RecordingCommands, recording_info
 from resonator_daemon.publishing.verbs import StartRecording, StopRecording
 

@@ -17,7 +17,7 @@ import aiomqtt
 import pytest
 from brokers import Mosquitto, free_port
 
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Condition, Status
 

@@ -7,7 +7,7 @@ import aiomqtt
 import pytest
 
 from resonator_daemon.base.errors import UserError
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.demo.subscription import Subscription
 from resonator_daemon.publishing.receiver import Arrival
 

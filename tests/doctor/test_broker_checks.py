@@ -8,7 +8,7 @@ import pytest
 from brokers import Mosquitto
 from slow_gate import Gate
 
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.doctor import broker_checks
 from resonator_daemon.doctor.broker_checks import check_broker
 from resonator_daemon.doctor.finding import Finding, Outcome

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 from made_up_host import MadeUpHost
 
-from resonator_daemon.config import Recording
+from resonator_daemon.board.config import Recording
 from resonator_daemon.doctor.finding import Outcome
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.host_checks import check_clock, check_disk, check_service

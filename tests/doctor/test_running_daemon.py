@@ -11,13 +11,13 @@ from made_up_host import MadeUpHost
 from observer import Observer, observe
 from service_bench import Bench
 
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.board.links.carriers.serial import SerialTarget
 from resonator_daemon.board.links.carriers.tcp import TcpTarget
 from resonator_daemon.board.links.carriers.usb import UsbTarget
 from resonator_daemon.board.links.port_holders import Holder, Holders
 from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.commands import main
-from resonator_daemon.config import Mqtt
 from resonator_daemon.doctor import daemon_checks, run
 from resonator_daemon.doctor.daemon_checks import SENSOR, check_daemon, check_status, find_daemon, published_status
 from resonator_daemon.doctor.finding import Outcome

@@ -6,7 +6,7 @@ import aiomqtt
 import numpy as np
 from example_messages import example, header
 
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import ContactEvent, Decoded, Forces, Grid, Message, SiteForce
 

@@ -9,7 +9,7 @@ from brokers import Mosquitto
 from commanded import commanded, state
 from example_programs import DEADLINE_S, EXAMPLES
 
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing.topics import STATE_DAEMON
 from resonator_daemon.publishing.verbs import Ping, Pong
 

@@ -14,7 +14,7 @@ from example_programs import DEADLINE_S, EXAMPLES, next_line
 from published import event
 from relay import relay
 
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.commands import CommandRefusedError, Handler
 from resonator_daemon.publishing.payloads import ContactEvent

@@ -14,7 +14,7 @@ from example_programs import LANGUAGES, next_line, running
 from published import decoded, event, force, forces, publish
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import Grid
 

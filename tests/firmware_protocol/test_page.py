@@ -44,7 +44,7 @@ from firmware_protocol.messages import (
 )
 from firmware_protocol.packets import encode_packet
 from firmware_protocol.states import BOARD, HOST, BoardState, Cue, HostState
-from resonator_daemon.config.tables import plate_name
+from resonator_daemon.board.config.tables import plate_name
 
 PAGE = Path(messages.__file__).with_name("PROTOCOL.md").read_text()
 

@@ -18,8 +18,8 @@ from page_client import Browser, browser, served
 from wire_host import opened
 
 from resonator_daemon.base.errors import ExitCode
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.commands import main
-from resonator_daemon.config import Mqtt
 from resonator_daemon.live_page.hub import Sources
 from simulators.emulator import EmulatorOptions
 

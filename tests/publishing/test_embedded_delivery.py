@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing.embedded_broker import embedded_broker
 from resonator_daemon.publishing.embedded_delivery import UNREAD_BYTES_MAX, PacketReader
 

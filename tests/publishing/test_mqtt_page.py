@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from mqtt_helpers import LEFT, Messages, publishing
 
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing import asyncapi, payloads, topics
 from resonator_daemon.publishing.codec import decode, encode
 from resonator_daemon.publishing.message_examples import EXAMPLES

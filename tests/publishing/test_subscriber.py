@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from mqtt_helpers import LEFT, Messages, publishing
 
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing import subscriber, topics
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import Message

@@ -16,7 +16,7 @@ from mosquitto_passwords import password_line
 from mqtt_helpers import QUICK, said, until
 from paho.mqtt.enums import MQTTProtocolVersion
 
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing.broker_connection import BrokerConnection
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.packed_properties import pack

@@ -14,7 +14,7 @@ from brokers import Mosquitto
 from commanded import commanded, state
 from example_messages import example
 
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import Forces, SiteForce
 from resonator_daemon.publishing.topics import STATE_DAEMON

@@ -18,8 +18,8 @@ import pytest
 from simulated_recording import record
 from small_disk import small_disk
 
+from resonator_daemon.board.config.text import plate_text
 from resonator_daemon.commands import main
-from resonator_daemon.config.text import plate_text
 from resonator_daemon.redecoding.chunk_files import REPORTS
 from resonator_daemon.replay.source import open_replay
 

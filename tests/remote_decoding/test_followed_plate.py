@@ -11,8 +11,8 @@ import pytest
 from decoder_bench import NOISE, NU, SITES_M, E, incoming, info, pressed, signals, until
 from observer import running_task
 
-from resonator_daemon.config.decoder import DecoderConfig
-from resonator_daemon.config.tables import Decoding
+from resonator_daemon.board.config.decoder import DecoderConfig
+from resonator_daemon.board.config.tables import Decoding
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface import equal_skins

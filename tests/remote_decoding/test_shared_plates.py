@@ -12,8 +12,8 @@ from decoder_bench import incoming, info, signals, until
 from observer import running_task
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.config.decoder import DecoderConfig
-from resonator_daemon.config.tables import Decoding
+from resonator_daemon.board.config.decoder import DecoderConfig
+from resonator_daemon.board.config.tables import Decoding
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import GridInfo, Info, Message, Signals

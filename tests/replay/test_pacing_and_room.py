@@ -7,11 +7,11 @@ from brokers import Mosquitto
 from observer import observe
 
 from resonator_daemon.base.plate import load_plate
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.board.recording.reader import Mark, Origin
 from resonator_daemon.board.recording.recorder import Recorder
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import Received
-from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing import outbox
 from resonator_daemon.replay.outputs import AtBroker
 from resonator_daemon.replay.recorded_pipeline import Moment

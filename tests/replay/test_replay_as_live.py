@@ -10,7 +10,7 @@ from plates import SMALL_SKIN
 from scenarios import IDEAL, touch_text
 from service_bench import Bench, events
 
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.daemon.daemon import Service
 from resonator_daemon.publishing.codec import decode

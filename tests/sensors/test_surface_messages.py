@@ -9,8 +9,8 @@ import pytest
 from report_makers import LOST, NAN, Messages, configured, gate_middle, literal
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.clock import Instant
-from resonator_daemon.config import Config
 from resonator_daemon.estimate.forces.readings import SkinReading
 from resonator_daemon.estimate.surface.decoded import Decoded as DecodedFrame
 from resonator_daemon.estimate.surface.fitting.partial_slip import PartialSlip

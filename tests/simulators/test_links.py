@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.config import load_config
+from resonator_daemon.board.config import load_config
 from simulators.links import PtyLink, TcpLink
 
 WAIT_S = 5.0

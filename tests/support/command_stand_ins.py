@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from resonator_daemon.base.errors import UserError
+from resonator_daemon.board.config import Config, Measurement
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.switch import NothingRecordedError, RecordingNow, RecordingSummary
-from resonator_daemon.config import Config, Measurement
 from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts
 from resonator_daemon.daemon.recording_commands import RecordingCommands
 from resonator_daemon.pipeline.control_requests import Control, Tare

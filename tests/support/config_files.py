@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.base.errors import ConfigurationError
-from resonator_daemon.config import Config, load_config
+from resonator_daemon.board.config import Config, load_config
 
 
 def loaded(folder: Path, text: str) -> Config:

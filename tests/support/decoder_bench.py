@@ -13,7 +13,7 @@ import numpy as np
 from observer import until as until
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.config.decoder import load_decoder_config
+from resonator_daemon.board.config.decoder import load_decoder_config
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import CalibrationInfo, GridInfo, Info, Lost, Signals, SiteInfo, SkinInfo

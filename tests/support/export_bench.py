@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from resonator_daemon.config import Config
+from resonator_daemon.board.config import Config
 from resonator_daemon.exporting.formats import format_class
 from resonator_daemon.exporting.output import Output, Recorded
 from resonator_daemon.publishing.codec import decoded

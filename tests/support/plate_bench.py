@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, TONE_FIELDS, SingleToneRecord
 from resonator_daemon.base.plate import Plate
+from resonator_daemon.board.config import Measurement
 from resonator_daemon.board.session.compatibility import gate_ticks, oscillator_hz
-from resonator_daemon.config import Measurement
 from resonator_daemon.estimate.forces.readings import ForceReading
 from resonator_daemon.sensors.force_sensor import ForceSensor
 from resonator_daemon.sensors.kinds import sensor_of

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from resonator_daemon.base.plate import Plate
+from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.clock import Instant
-from resonator_daemon.config import Config
 from resonator_daemon.estimate.forces.readings import ForceReading
 from resonator_daemon.pipeline.state_messages import StateMessages
 from resonator_daemon.publishing.codec import Encoded, decoded, encode

@@ -7,6 +7,8 @@ from threadpoolctl import threadpool_limits
 from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.board.config import Decoding, Measurement
+from resonator_daemon.board.config.text import config_of, plate_text, settings_text
 from resonator_daemon.board.links.table import parse_link
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.writer import RecordingWriter
@@ -15,8 +17,6 @@ from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.frames import BoardOnline
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
-from resonator_daemon.config import Decoding, Measurement
-from resonator_daemon.config.text import config_of, plate_text, settings_text
 from resonator_daemon.daemon.recorded_messages import RecordedMessages
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from simulators.emulator import _emulated_board

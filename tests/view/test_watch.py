@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from view_messages import NOW_NS, S, decoded, forces, info, site_force, state
 
-from resonator_daemon.config import Mqtt
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.publishing import topics
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.mqtt_messages import Outgoing

@@ -37,8 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> ExitCode:
     import asyncio
 
+    from resonator_daemon.board.config import Listen, plate_name
     from resonator_daemon.bridges.foxglove_server import serve
-    from resonator_daemon.config import Listen, plate_name
 
     if arguments.plate is not None:
         try:

@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.base.host.documentation import with_pages
-    from resonator_daemon.config import example_config
+    from resonator_daemon.board.config import example_config
 
     text = with_pages(example_config())
     if arguments.json:

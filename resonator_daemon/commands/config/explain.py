@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.config.help import UnknownKeyError, explained, explanation, key_list
+    from resonator_daemon.board.config.help import UnknownKeyError, explained, explanation, key_list
 
     try:
         keys = explained(arguments.key)

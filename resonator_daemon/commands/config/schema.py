@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.config.help import config_schema
+    from resonator_daemon.board.config.help import config_schema
 
     sys.stdout.write(json.dumps(config_schema(), indent=None if arguments.json else 2) + "\n")
     return ExitCode.DONE

@@ -3,8 +3,8 @@
 import json
 from typing import Any
 
+from resonator_daemon.board.config.text import plate_text, settings_text
 from resonator_daemon.board.recording.reader import MARKS, PLATE_FILE, SETTINGS_FILE, Mark, encode_mark
-from resonator_daemon.config.text import plate_text, settings_text
 from resonator_daemon.exporting.foxglove_messages import ChannelMessage, FoxgloveMessages
 from resonator_daemon.exporting.foxglove_schemas import LOG, Schema
 from resonator_daemon.exporting.geometry import Geometry

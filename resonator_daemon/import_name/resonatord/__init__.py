@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from resonator_daemon.base.errors import UserError
-    from resonator_daemon.config import Mqtt
+    from resonator_daemon.board.config import Mqtt
     from resonator_daemon.publishing.daemon_search import NoDaemonError
     from resonator_daemon.publishing.payloads import (
         ContactEvent,
@@ -65,7 +65,7 @@ __all__ = [
 ]
 
 _MODULES: Final = {
-    "resonator_daemon.config": ("Mqtt",),
+    "resonator_daemon.board.config": ("Mqtt",),
     "resonator_daemon.base.errors": ("UserError",),
     "resonator_daemon.publishing.daemon_search": ("NoDaemonError",),
     "resonator_daemon.publishing.payloads": (

@@ -6,10 +6,10 @@ import tomlkit
 
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml.reading import Table, TomlFile, load_model, parse_toml
+from resonator_daemon.board.config.board import Config
+from resonator_daemon.board.config.mqtt import Mqtt
+from resonator_daemon.board.config.tables import Decoding, Measurement
 from resonator_daemon.board.links.target import LinkTarget
-from resonator_daemon.config.board import Config
-from resonator_daemon.config.mqtt import Mqtt
-from resonator_daemon.config.tables import Decoding, Measurement
 
 
 class Settings(Table):

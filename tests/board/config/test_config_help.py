@@ -8,9 +8,9 @@ import jsonschema
 import pytest
 
 from resonator_daemon.base.errors import ExitCode
+from resonator_daemon.board.config import example_config
+from resonator_daemon.board.config.help import config_keys, config_schema
 from resonator_daemon.commands import main
-from resonator_daemon.config import example_config
-from resonator_daemon.config.help import config_keys, config_schema
 
 SCHEMA = config_schema()
 MINIMAL = {"plate": "quartz16", "link": "tcp://127.0.0.1:1"}

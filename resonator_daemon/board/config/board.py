@@ -24,10 +24,10 @@ from pydantic_core import InitErrorDetails
 from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.base.toml.reading import Table, TomlFile, check_with, finding, load_model, read_toml
+from resonator_daemon.board.config.mqtt import Mqtt
+from resonator_daemon.board.config.tables import Commands, Decoding, Measurement, Metrics, Recording, plate_name
 from resonator_daemon.board.links.table import link_forms, parse_link
 from resonator_daemon.board.links.target import LinkTarget
-from resonator_daemon.config.mqtt import Mqtt
-from resonator_daemon.config.tables import Commands, Decoding, Measurement, Metrics, Recording, plate_name
 
 _EXAMPLE = """\
 name = "left-index"                      # topics: resonator/left-index/...; default: the board's serial number

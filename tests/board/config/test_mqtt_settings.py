@@ -7,8 +7,8 @@ import config_files
 import pytest
 import trustme
 
-from resonator_daemon.config import Config
-from resonator_daemon.config.broker_files import BrokerFile, UnusableFileError, read_password
+from resonator_daemon.board.config import Config
+from resonator_daemon.board.config.broker_files import BrokerFile, UnusableFileError, read_password
 
 BOARD = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n[mqtt]\n'
 FIRST = 4  # line of the first key

@@ -1,6 +1,6 @@
 """Models and checks of the configuration files: of a board, of a decoder, of a client."""
 
-from resonator_daemon.config.board import (
+from resonator_daemon.board.config.board import (
     Client,
     Config,
     config_from,
@@ -9,8 +9,16 @@ from resonator_daemon.config.board import (
     load_config,
     timing_problems,
 )
-from resonator_daemon.config.mqtt import Mqtt
-from resonator_daemon.config.tables import DECODER, Decoding, Listen, Measurement, Recording, parse_listen, plate_name
+from resonator_daemon.board.config.mqtt import Mqtt
+from resonator_daemon.board.config.tables import (
+    DECODER,
+    Decoding,
+    Listen,
+    Measurement,
+    Recording,
+    parse_listen,
+    plate_name,
+)
 
 __all__ = [
     "DECODER",

@@ -5,8 +5,8 @@ from typing import Final, NamedTuple
 
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml.reading import Table, shown
+from resonator_daemon.board.config.board import Config
 from resonator_daemon.board.links.target import LinkTarget
-from resonator_daemon.config.board import Config
 
 LIVE: Final = ("measurement", "commands", "recording")
 """Tables whose keys a running daemon applies; windows of a new plate wait for that plate."""

@@ -22,7 +22,7 @@ from pydantic_core import InitErrorDetails
 
 from resonator_daemon.base.toml.reading import Table, check_with, finding
 from resonator_daemon.base.toml.urls import split_url
-from resonator_daemon.config.broker_files import (
+from resonator_daemon.board.config.broker_files import (
     BrokerFile,
     UnusableFileError,
     broker_file,

@@ -4,7 +4,7 @@ import re
 
 import configuration_tables
 
-from resonator_daemon.config.help import config_keys
+from resonator_daemon.board.config.help import config_keys
 
 PAGE = configuration_tables.PAGE.read_text()
 

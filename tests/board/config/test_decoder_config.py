@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.base.errors import ConfigurationError
-from resonator_daemon.config import example_config
-from resonator_daemon.config.decoder import DecoderConfig, load_decoder_config
+from resonator_daemon.board.config import example_config
+from resonator_daemon.board.config.decoder import DecoderConfig, load_decoder_config
 
 
 def loaded(tmp_path: Path, text: str) -> DecoderConfig:
