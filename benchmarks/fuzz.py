@@ -41,16 +41,16 @@ from firmware_protocol.messages import (
 from firmware_protocol.packets import MAX_PACKET_BYTES, SYNC, Packet, PacketDecoder, encode_packet
 from firmware_protocol.states import HostState
 from resonator_daemon.daemon.command_handlers import SNAPSHOT_BYTES_MAX
-from resonator_daemon.publishing.commands import (
+from resonator_daemon.mqtt.commands import (
     AT_ONCE,
     CORRELATION_BYTES_MAX,
     RESPONSE_TOPIC_BYTES_MAX,
     WAITING_MAX,
     Commands,
 )
-from resonator_daemon.publishing.mqtt_messages import Incoming, Outgoing
-from resonator_daemon.publishing.strict_json import PAYLOAD_BYTES_MAX
-from resonator_daemon.publishing.verbs import ID_LENGTH_MAX, VERBS, ErrorCode
+from resonator_daemon.mqtt.mqtt_messages import Incoming, Outgoing
+from resonator_daemon.mqtt.strict_json import PAYLOAD_BYTES_MAX
+from resonator_daemon.mqtt.verbs import ID_LENGTH_MAX, VERBS, ErrorCode
 
 IDENTITY = Identity("fuzzed", "0042", "1.0", 0, credit_bytes=256)
 DESCRIPTION = Description(

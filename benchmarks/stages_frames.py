@@ -35,12 +35,12 @@ from resonator_daemon.board.session.link_events import Received
 from resonator_daemon.estimate.forces.site_identification import Matcher
 from resonator_daemon.estimate.tones.tone_detector import capture_band_hz
 from resonator_daemon.estimate.tones.tone_windows import ToneWindows
-from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.message_examples import EXAMPLES
-from resonator_daemon.publishing.mqtt_messages import Outgoing
-from resonator_daemon.publishing.payloads import Forces, Lost
-from resonator_daemon.publishing.publisher import Publisher
-from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.mqtt.codec import encode
+from resonator_daemon.mqtt.message_examples import EXAMPLES
+from resonator_daemon.mqtt.mqtt_messages import Outgoing
+from resonator_daemon.mqtt.payloads import Forces, Lost
+from resonator_daemon.mqtt.publisher import Publisher
+from resonator_daemon.mqtt.topics import Topic
 from resonator_daemon.replay.source import open_replay
 from resonator_daemon.sensors.plate_sites import force_sites
 from resonator_daemon.sensors.single_tone_processing import SingleToneProcessing

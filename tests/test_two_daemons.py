@@ -9,7 +9,7 @@ from brokers import Amqtt, Mosquitto
 from observer import Observer, observe
 from service_bench import Bench
 
-from resonator_daemon.publishing import asyncapi
+from resonator_daemon.mqtt import asyncapi
 
 STATE = "resonator/hand/state/daemon"
 OTHER = "another daemon (boot id {})"

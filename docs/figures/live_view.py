@@ -10,8 +10,8 @@ from typing import Final
 
 from rich.console import Console
 
-from resonator_daemon.publishing.subscriber import subscribe
-from resonator_daemon.publishing.topics import CONTACTS
+from resonator_daemon.mqtt.subscriber import subscribe
+from resonator_daemon.mqtt.topics import CONTACTS
 from resonator_daemon.view.plate_view import PlateView
 from resonator_daemon.view.terminal import render
 from resonator_daemon.view.watch import broker_at

@@ -13,10 +13,10 @@ from pathlib import Path
 from pydantic.fields import FieldInfo
 
 from resonator_daemon.base.errors import FAILURES
-from resonator_daemon.publishing import payloads
-from resonator_daemon.publishing.message_examples import EXAMPLES
-from resonator_daemon.publishing.units import unit_of
-from resonator_daemon.publishing.verbs import ERRORS
+from resonator_daemon.mqtt import payloads
+from resonator_daemon.mqtt.message_examples import EXAMPLES
+from resonator_daemon.mqtt.units import unit_of
+from resonator_daemon.mqtt.verbs import ERRORS
 
 PAGES = [
     Path(__file__).parents[1] / "reference" / f"{name}.md"

@@ -17,9 +17,9 @@ from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.board.config import Listen, Mqtt
 from resonator_daemon.exporting.foxglove_messages import ChannelMessage, FoxgloveMessages
 from resonator_daemon.exporting.geometry import Geometry
-from resonator_daemon.publishing.payloads import Condition, Info, Message, State
-from resonator_daemon.publishing.subscriber import EVERY_PLATE, subscribe
-from resonator_daemon.publishing.topics import INFO, TOPICS
+from resonator_daemon.mqtt.payloads import Condition, Info, Message, State
+from resonator_daemon.mqtt.subscriber import EVERY_PLATE, subscribe
+from resonator_daemon.mqtt.topics import INFO, TOPICS
 
 try:
     import foxglove

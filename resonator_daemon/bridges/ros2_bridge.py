@@ -19,9 +19,9 @@ from resonator_daemon.bridges.ros2_node import Ros2Node
 from resonator_daemon.exporting.geometry import Geometry
 from resonator_daemon.exporting.ros2_messages import DIAGNOSTICS_TOPIC, STALE, Diagnostics, Translation, diagnostics_of
 from resonator_daemon.exporting.ros2_types import DIAGNOSTICS, make_typestore
-from resonator_daemon.publishing.payloads import Condition, Health, Info, Message, State
-from resonator_daemon.publishing.subscriber import EVERY_PLATE, subscribe
-from resonator_daemon.publishing.topics import (
+from resonator_daemon.mqtt.payloads import Condition, Health, Info, Message, State
+from resonator_daemon.mqtt.subscriber import EVERY_PLATE, subscribe
+from resonator_daemon.mqtt.topics import (
     CONTACT_EVENT,
     CONTACTS,
     DECODED,

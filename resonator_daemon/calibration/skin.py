@@ -20,10 +20,10 @@ from resonator_daemon.calibration.steps import CalibrationRefusedError
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface.open_plane.prior_fit import PriorFit, fit_prior, has_load
 from resonator_daemon.estimate.surface.prior import DEFAULT_PRIOR
-from resonator_daemon.publishing.payloads import Signals
-from resonator_daemon.publishing.requests import reach
-from resonator_daemon.publishing.subscriber import subscribe
-from resonator_daemon.publishing.topics import SIGNALS, TOPICS
+from resonator_daemon.mqtt.payloads import Signals
+from resonator_daemon.mqtt.requests import reach
+from resonator_daemon.mqtt.subscriber import subscribe
+from resonator_daemon.mqtt.topics import SIGNALS, TOPICS
 
 FEWEST_FRAMES: Final = 5  # with load
 FIRST_FRAME_S: Final = 10.0

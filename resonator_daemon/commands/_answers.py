@@ -39,8 +39,8 @@ async def send_command(
     """
     import asyncio
 
-    from resonator_daemon.publishing.daemon_search import find_daemon
-    from resonator_daemon.publishing.requests import reach, request
+    from resonator_daemon.mqtt.daemon_search import find_daemon
+    from resonator_daemon.mqtt.requests import reach, request
 
     await reach(client.mqtt)
     name = await find_daemon(client)
@@ -58,7 +58,7 @@ async def send_command(
 
 def print_answer(answer: Mapping[str, Any], not_done: str, *, as_json: bool, only: str | None = None) -> ExitCode:
     """Print an answer, or its key `only`; raise a refusal with the words `not_done` before its reason."""
-    from resonator_daemon.publishing.requests import RefusedError
+    from resonator_daemon.mqtt.requests import RefusedError
 
     if answer.get("ok") is not True:
         reasons = refusal_of(answer)

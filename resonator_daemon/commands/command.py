@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     import asyncio
 
     from resonator_daemon.base.toml.reading import nearest
-    from resonator_daemon.publishing.verbs import VERBS
+    from resonator_daemon.mqtt.verbs import VERBS
 
     logging.getLogger().setLevel(logging.WARNING)  # connections are not logged here
     verb = VERBS.get(arguments.verb)

@@ -29,7 +29,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     """Print which topics were cleared."""
     import asyncio
 
-    from resonator_daemon.publishing.removal import remove_plate
+    from resonator_daemon.mqtt.removal import remove_plate
 
     client = client_of(arguments)
     if (name := client.name) is None:

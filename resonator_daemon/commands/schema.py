@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.publishing.asyncapi import document
+    from resonator_daemon.mqtt.asyncapi import document
 
     sys.stdout.write(json.dumps(document(), indent=None if arguments.json else 2, ensure_ascii=False) + "\n")
     return ExitCode.DONE

@@ -9,15 +9,13 @@ from typing import Any, Final, get_args
 from resonator_daemon.board.config import Config, Measurement, timing_problems
 from resonator_daemon.daemon.rate_commands import PublishRates, RateCommands
 from resonator_daemon.daemon.recording_commands import RecordingCommands, as_json_text
-from resonator_daemon.pipeline import control_requests
-from resonator_daemon.pipeline.control_requests import Control
-from resonator_daemon.publishing.codec import decode
-from resonator_daemon.publishing.commands import CommandRefusedError, Handler, NotAddressedError
-from resonator_daemon.publishing.event_history import HistoryPage, UnknownRunError
-from resonator_daemon.publishing.payloads import ContactEvent, Health, Message
-from resonator_daemon.publishing.spool import SpoolError
-from resonator_daemon.publishing.topics import CONTACTS
-from resonator_daemon.publishing.verbs import (
+from resonator_daemon.mqtt.codec import decode
+from resonator_daemon.mqtt.commands import CommandRefusedError, Handler, NotAddressedError
+from resonator_daemon.mqtt.event_history import HistoryPage, UnknownRunError
+from resonator_daemon.mqtt.payloads import ContactEvent, Health, Message
+from resonator_daemon.mqtt.spool import SpoolError
+from resonator_daemon.mqtt.topics import CONTACTS
+from resonator_daemon.mqtt.verbs import (
     Events,
     EventsAnswer,
     HealthAnswer,
@@ -34,6 +32,8 @@ from resonator_daemon.publishing.verbs import (
     Tare,
     TareAnswer,
 )
+from resonator_daemon.pipeline import control_requests
+from resonator_daemon.pipeline.control_requests import Control
 from resonator_daemon.sensors.base import Sensor
 
 SNAPSHOT_BYTES_MAX: Final = 128 * 1024

@@ -51,11 +51,11 @@ from resonator_daemon.monitoring.liveness import DECLARED_WAITING, LivenessMonit
 from resonator_daemon.monitoring.metrics_server import MetricsServer
 from resonator_daemon.monitoring.status import BrokerStatus, Status
 from resonator_daemon.monitoring.status_server import SOCKET_NAME, AlreadyRunningError, StatusServer
+from resonator_daemon.mqtt.codec import Encoded
+from resonator_daemon.mqtt.payloads import Condition, Health, Message, MessageAccount, State
+from resonator_daemon.mqtt.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.pipeline.control_requests import ControlRequests, SetWindow
-from resonator_daemon.publishing.codec import Encoded
-from resonator_daemon.publishing.payloads import Condition, Health, Message, MessageAccount, State
-from resonator_daemon.publishing.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
 from resonator_daemon.sensors.base import Sensor
 
 if TYPE_CHECKING:

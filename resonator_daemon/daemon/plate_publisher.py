@@ -9,15 +9,15 @@ from resonator_daemon.base.host.places import state_directory
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config import Config
 from resonator_daemon.monitoring.daemon_state import DaemonState
-from resonator_daemon.publishing import asyncapi
-from resonator_daemon.publishing.codec import Encoded, decoded, encode
-from resonator_daemon.publishing.commands import Commands, Handler
-from resonator_daemon.publishing.event_history import HistoryPage
-from resonator_daemon.publishing.home_assistant import discovery_message, discovery_topic
-from resonator_daemon.publishing.mqtt_messages import Outgoing
-from resonator_daemon.publishing.payloads import Info, Message, MessageAccount, State
-from resonator_daemon.publishing.publisher import FRESH_S, Publisher, Subscription
-from resonator_daemon.publishing.topics import (
+from resonator_daemon.mqtt import asyncapi
+from resonator_daemon.mqtt.codec import Encoded, decoded, encode
+from resonator_daemon.mqtt.commands import Commands, Handler
+from resonator_daemon.mqtt.event_history import HistoryPage
+from resonator_daemon.mqtt.home_assistant import discovery_message, discovery_topic
+from resonator_daemon.mqtt.mqtt_messages import Outgoing
+from resonator_daemon.mqtt.payloads import Info, Message, MessageAccount, State
+from resonator_daemon.mqtt.publisher import FRESH_S, Publisher, Subscription
+from resonator_daemon.mqtt.topics import (
     CONTACTS,
     INFO,
     JSON,

@@ -5,9 +5,9 @@ import time
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, Final, NamedTuple, Protocol
 
-from resonator_daemon.publishing.commands import CommandRefusedError
-from resonator_daemon.publishing.topics import TOPICS
-from resonator_daemon.publishing.verbs import SetRate, SetRateAnswer
+from resonator_daemon.mqtt.commands import CommandRefusedError
+from resonator_daemon.mqtt.topics import TOPICS
+from resonator_daemon.mqtt.verbs import SetRate, SetRateAnswer
 
 TOPICS_MAX: Final = 16
 

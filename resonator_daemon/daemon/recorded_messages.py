@@ -4,8 +4,8 @@ from collections.abc import Callable
 from typing import Any
 
 from resonator_daemon.board.recording.writer import Published
-from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.topics import JSON, Topic
+from resonator_daemon.mqtt.codec import encode
+from resonator_daemon.mqtt.topics import JSON, Topic
 
 
 class RecordedMessages:

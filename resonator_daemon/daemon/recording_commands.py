@@ -16,9 +16,9 @@ from resonator_daemon.board.recording.switch import (
     RecordingSummary,
     RecordingSwitch,
 )
-from resonator_daemon.publishing.commands import CommandRefusedError
-from resonator_daemon.publishing.payloads import RecordingInfo
-from resonator_daemon.publishing.verbs import (
+from resonator_daemon.mqtt.commands import CommandRefusedError
+from resonator_daemon.mqtt.payloads import RecordingInfo
+from resonator_daemon.mqtt.verbs import (
     Mark,
     MarkAnswer,
     RecordingSummaryInfo,

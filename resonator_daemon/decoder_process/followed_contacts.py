@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from typing import Final
 
 from resonator_daemon.base.reasons import Reason
-from resonator_daemon.publishing.codec import decode
-from resonator_daemon.publishing.headers import MeasuredFields
-from resonator_daemon.publishing.payloads import ContactEvent, Contacts, EventContact, Status
+from resonator_daemon.mqtt.codec import decode
+from resonator_daemon.mqtt.headers import MeasuredFields
+from resonator_daemon.mqtt.payloads import ContactEvent, Contacts, EventContact, Status
 
 _NS: Final = 1_000_000_000
 

@@ -21,10 +21,10 @@ from resonator_daemon.decoder_process.connection import WorkerConnection
 from resonator_daemon.decoder_process.followed_contacts import FollowedContacts, no_contacts
 from resonator_daemon.decoder_process.messages import EndContacts, Reply, Results, SetUpStep, Undecodable, Work
 from resonator_daemon.monitoring.health import ProcessUsage
-from resonator_daemon.publishing.backoff import Backoff
-from resonator_daemon.publishing.codec import Encoded
-from resonator_daemon.publishing.payloads import ContactEvent, DecoderProcessInfo
-from resonator_daemon.publishing.topics import CONTACTS, DECODED, TOPICS
+from resonator_daemon.mqtt.backoff import Backoff
+from resonator_daemon.mqtt.codec import Encoded
+from resonator_daemon.mqtt.payloads import ContactEvent, DecoderProcessInfo
+from resonator_daemon.mqtt.topics import CONTACTS, DECODED, TOPICS
 from resonator_daemon.sensors.surface_decoding import SurfaceClient
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 

@@ -277,7 +277,7 @@ async def local_broker(folder: Path) -> AsyncIterator[LocalBroker]:
 
 
 async def _start_amqtt(folder: Path) -> LocalBroker:
-    command = (*PYTHON, "resonator_daemon.publishing.embedded_broker")
+    command = (*PYTHON, "resonator_daemon.mqtt.embedded_broker")
     child = await start_child(BROKER_PART, folder, command, stdout=PIPE)
     async with stopped_on_error(child):
         return LocalBroker("amqtt", (await child.first_line()).decode().strip(), child)

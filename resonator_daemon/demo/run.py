@@ -40,9 +40,9 @@ from resonator_daemon.demo.results import cause, delays, failures, in_words, per
 from resonator_daemon.demo.score import SCORED, PlateScore
 from resonator_daemon.demo.subscription import Subscription
 from resonator_daemon.demo.truth import TruthTable, site_traction, surface_traction
-from resonator_daemon.publishing.receiver import Arrival
-from resonator_daemon.publishing.subscriber import read_message, topic_filters
-from resonator_daemon.publishing.topics import SIGNALS, TOPICS, full_topic, split_topic
+from resonator_daemon.mqtt.receiver import Arrival
+from resonator_daemon.mqtt.subscriber import read_message, topic_filters
+from resonator_daemon.mqtt.topics import SIGNALS, TOPICS, full_topic, split_topic
 from resonator_daemon.view.plate_view import PlateView, TrueContact, Truth
 from resonator_daemon.view.terminal import render
 

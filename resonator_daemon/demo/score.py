@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.demo.truth import TruthLine, TruthTable, site_traction, surface_traction
-from resonator_daemon.publishing.codec import read_arrays
-from resonator_daemon.publishing.payloads import Lost
-from resonator_daemon.publishing.topics import (
+from resonator_daemon.mqtt.codec import read_arrays
+from resonator_daemon.mqtt.payloads import Lost
+from resonator_daemon.mqtt.topics import (
     CONTACT_EVENT,
     CONTACTS,
     DECODED,

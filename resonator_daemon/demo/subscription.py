@@ -14,8 +14,8 @@ from urllib.parse import urlsplit
 
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.host.system_limits import reason_of
-from resonator_daemon.publishing.embedded_delivery import packet_ends
-from resonator_daemon.publishing.receiver import Arrival
+from resonator_daemon.mqtt.embedded_delivery import packet_ends
+from resonator_daemon.mqtt.receiver import Arrival
 
 _CONNECT, _PUBLISH, _PUBACK, _SUBSCRIBE = b"\x10", 3, b"\x40\x02", b"\x82"
 _CONNACK: Final = b"\x20\x02\x00\x00"

@@ -6,8 +6,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.publishing.payloads import Decoded, Forces, Message, Signals
-from resonator_daemon.publishing.units import AXES, with_axis
+from resonator_daemon.mqtt.payloads import Decoded, Forces, Message, Signals
+from resonator_daemon.mqtt.units import AXES, with_axis
 
 Points = NDArray[np.void]
 """Structured, (n,): x, y and z in metres as float32, and values named with their units; z points into the plate."""

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pydantic import PlainSerializer
 from pydantic.fields import FieldInfo
 
-from resonator_daemon.publishing.payloads import Message
-from resonator_daemon.publishing.units import AXES, unit_of, with_axis
+from resonator_daemon.mqtt.payloads import Message
+from resonator_daemon.mqtt.units import AXES, unit_of, with_axis
 
 DataType = Literal["int64", "uint64", "float64", "bool", "text", "float32 array"]
 Value = int | float | bool | str | NDArray[np.float32] | None

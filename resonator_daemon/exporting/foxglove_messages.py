@@ -29,9 +29,9 @@ from resonator_daemon.exporting.foxglove_schemas import (
 )
 from resonator_daemon.exporting.geometry import Geometry, about_origin
 from resonator_daemon.exporting.mcap_output import cloud_fields, severity, state_text
-from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.payloads import WITH_ARRAYS, Contacts, Decoded, Forces, Header, Message, Signals, State
-from resonator_daemon.publishing.topics import TOPICS
+from resonator_daemon.mqtt.codec import encode
+from resonator_daemon.mqtt.payloads import WITH_ARRAYS, Contacts, Decoded, Forces, Header, Message, Signals, State
+from resonator_daemon.mqtt.topics import TOPICS
 
 Entity = dict[str, Any]
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.publishing.payloads import Contact, Info
+from resonator_daemon.mqtt.payloads import Contact, Info
 
 
 def about_origin(contact: Contact) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from resonator_daemon.exporting.columns import Column, ColumnEncoder, Value
 from resonator_daemon.exporting.output import Recorded
 from resonator_daemon.exporting.table_output import Batch, TableOutput
 from resonator_daemon.exporting.tables import WITH_ARRAYS, make_table
-from resonator_daemon.publishing.topics import TOPICS
+from resonator_daemon.mqtt.topics import TOPICS
 
 
 class MemoryOutput(TableOutput):

@@ -11,9 +11,9 @@ from resonator_daemon.base.host.new_file import NewFile
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.config import Config
 from resonator_daemon.exporting.tables import WITH_TABLE
-from resonator_daemon.publishing.codec import decoded
-from resonator_daemon.publishing.payloads import Message
-from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.mqtt.codec import decoded
+from resonator_daemon.mqtt.payloads import Message
+from resonator_daemon.mqtt.topics import Topic
 from resonator_daemon.replay.recorded_pipeline import Moment
 
 

@@ -27,7 +27,7 @@ from resonator_daemon.exporting.ros2_types import (
     make_typestore,
     ros_name,
 )
-from resonator_daemon.publishing.payloads import (
+from resonator_daemon.mqtt.payloads import (
     Contact,
     ContactEvent,
     Contacts,
@@ -39,7 +39,7 @@ from resonator_daemon.publishing.payloads import (
     Signals,
     State,
 )
-from resonator_daemon.publishing.topics import HEALTH
+from resonator_daemon.mqtt.topics import HEALTH
 
 DIAGNOSTICS_TOPIC: Final = "/diagnostics"
 

@@ -8,8 +8,8 @@ from typing import Any, Final, Protocol
 from resonator_daemon.exporting.columns import Column, Value
 from resonator_daemon.exporting.output import Output
 from resonator_daemon.exporting.tables import Table, make_table
-from resonator_daemon.publishing.payloads import Message
-from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.mqtt.payloads import Message
+from resonator_daemon.mqtt.topics import Topic
 
 BATCH_BYTES: Final = 8 << 20  # of numbers; Python holds them in about four times as much
 _SCALAR_BYTES: Final = 8

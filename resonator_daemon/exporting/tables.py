@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.exporting.columns import Column, Source, Value, array_sources, sources
-from resonator_daemon.publishing.payloads import (
+from resonator_daemon.mqtt.payloads import (
     Compensation,
     Contact,
     ContactEvent,
@@ -21,7 +21,7 @@ from resonator_daemon.publishing.payloads import (
     SiteForce,
     State,
 )
-from resonator_daemon.publishing.topics import (
+from resonator_daemon.mqtt.topics import (
     CONTACT_EVENT,
     CONTACTS,
     DECODED,
@@ -32,7 +32,7 @@ from resonator_daemon.publishing.topics import (
     STATE_SENSOR,
     Topic,
 )
-from resonator_daemon.publishing.units import NO_UNIT
+from resonator_daemon.mqtt.units import NO_UNIT
 
 _NOTHING_PRESSES: Final = "; missing where nothing presses on the site"
 

@@ -8,12 +8,12 @@ from typing import Any, Final
 from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.publishing.broker_connection import MQTT_3, BrokerConnection
-from resonator_daemon.publishing.connection_errors import UNSUPPORTED_VERSION, RefusalError, code_of
-from resonator_daemon.publishing.mqtt_messages import Incoming
-from resonator_daemon.publishing.reconnection import connection_session, keep_connected
-from resonator_daemon.publishing.subscriber import EVERY_PLATE, topic_filters
-from resonator_daemon.publishing.topics import TOPICS, full_topic, split_topic
+from resonator_daemon.mqtt.broker_connection import MQTT_3, BrokerConnection
+from resonator_daemon.mqtt.connection_errors import UNSUPPORTED_VERSION, RefusalError, code_of
+from resonator_daemon.mqtt.mqtt_messages import Incoming
+from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
+from resonator_daemon.mqtt.subscriber import EVERY_PLATE, topic_filters
+from resonator_daemon.mqtt.topics import TOPICS, full_topic, split_topic
 
 CONNECTING, CONNECTED, DENIED = "connecting", "connected", "denied"
 NO_BROKER, REFUSED, LOST = "no_broker", "broker_refuses", "connection_lost"

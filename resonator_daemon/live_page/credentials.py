@@ -12,7 +12,7 @@ from resonator_daemon.board.config.broker_files import (
     read_password,
 )
 from resonator_daemon.live_page.access import TOKEN_CHARACTERS_MIN
-from resonator_daemon.publishing.tls import LEAST_VERSION
+from resonator_daemon.mqtt.tls import LEAST_VERSION
 
 
 def read_token(path: Path) -> str:

@@ -33,9 +33,9 @@ from resonator_daemon.live_page.requests import (
     Seek,
     Watch,
 )
-from resonator_daemon.publishing.payloads import Condition
-from resonator_daemon.publishing.requests import request as send_command
-from resonator_daemon.publishing.topics import INFO, STATE_DAEMON, TOPICS
+from resonator_daemon.mqtt.payloads import Condition
+from resonator_daemon.mqtt.requests import request as send_command
+from resonator_daemon.mqtt.topics import INFO, STATE_DAEMON, TOPICS
 
 COMMANDS: Final = ("tare", "mark", "start_recording", "stop_recording")
 

@@ -7,7 +7,7 @@ from typing import Any, Final
 from resonator_daemon.live_page.frames import payload_frame, text_frame
 from resonator_daemon.live_page.outgoing import Outgoing
 from resonator_daemon.live_page.recorded import Recorded
-from resonator_daemon.publishing.topics import TOPICS
+from resonator_daemon.mqtt.topics import TOPICS
 
 TURN_S: Final = 1 / 60
 POSITION_S: Final = 0.1

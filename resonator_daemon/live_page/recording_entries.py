@@ -3,7 +3,7 @@
 import struct
 from typing import Final
 
-from resonator_daemon.publishing.topics import TOPICS
+from resonator_daemon.mqtt.topics import TOPICS
 
 PATHS: Final = tuple(TOPICS)
 ENTRY: Final = struct.Struct("<Bqqi")  # index of the path, time since the beginning in ns, offset and length

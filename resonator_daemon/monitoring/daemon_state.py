@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.publishing.headers import BoardFields
-from resonator_daemon.publishing.mqtt_messages import Incoming
-from resonator_daemon.publishing.payloads import Condition, State
-from resonator_daemon.publishing.token_bucket import TokenBucket
+from resonator_daemon.mqtt.headers import BoardFields
+from resonator_daemon.mqtt.mqtt_messages import Incoming
+from resonator_daemon.mqtt.payloads import Condition, State
+from resonator_daemon.mqtt.token_bucket import TokenBucket
 
 SILENT_S: Final = 90.0  # then another daemon is gone; while it runs, it restores its state at least once a minute
 _PROMPT_AT_ONCE: Final = 2  # announcements that a conflict has begun or ended; more of them wait for the restoration

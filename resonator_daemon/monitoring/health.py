@@ -12,7 +12,7 @@ import psutil
 
 from resonator_daemon.base.host.load import HostLoad
 from resonator_daemon.board.session.counters import LinkCounters
-from resonator_daemon.publishing.payloads import (
+from resonator_daemon.mqtt.payloads import (
     BootInfo,
     DecoderProcessInfo,
     Health,

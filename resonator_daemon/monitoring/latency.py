@@ -5,8 +5,8 @@ from time import monotonic_ns
 from typing import Any, Final
 
 from resonator_daemon.board.session.clock import Instant
-from resonator_daemon.publishing.payloads import LatencyInfo
-from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.mqtt.payloads import LatencyInfo
+from resonator_daemon.mqtt.topics import Topic
 
 # About three to an octave where a machine that keeps up is; each limit of docs/explanation/latency.md is one of them.
 BOUNDS_MS: Final = (

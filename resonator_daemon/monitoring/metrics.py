@@ -10,7 +10,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Histo
 from prometheus_client.registry import Collector
 
 from resonator_daemon.monitoring.status import Status
-from resonator_daemon.publishing.payloads import Condition, Health, LatencyInfo, State
+from resonator_daemon.mqtt.payloads import Condition, Health, LatencyInfo, State
 
 _WAITING: Final = "waiting"  # of bytes_by_outcome: goes up and down
 

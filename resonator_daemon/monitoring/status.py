@@ -5,7 +5,7 @@ from typing import Literal
 from pydantic import Field
 
 from resonator_daemon.base.reasons import ReasonCode
-from resonator_daemon.publishing.payloads import Health, Int64, Message, RecordingInfo, State
+from resonator_daemon.mqtt.payloads import Health, Int64, Message, RecordingInfo, State
 
 
 class ConfigChange(Message):

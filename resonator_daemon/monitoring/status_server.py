@@ -15,7 +15,7 @@ from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.base.host.places import make_private
 from resonator_daemon.base.host.system_limits import reason_of
 from resonator_daemon.monitoring.status import Status
-from resonator_daemon.publishing.codec import encode
+from resonator_daemon.mqtt.codec import encode
 
 SOCKET_NAME: Final = "status.sock"
 PATH_BYTES_MAX: Final = 107  # sun_path of sockaddr_un has room for so many and a zero

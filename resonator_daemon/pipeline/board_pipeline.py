@@ -21,12 +21,12 @@ from resonator_daemon.board.session.frames import (
     SingleToneFrame,
 )
 from resonator_daemon.estimate.forces.readings import Compensation, ForceReading, SkinReading
+from resonator_daemon.mqtt.headers import Headers
+from resonator_daemon.mqtt.payloads import Condition, Lost
+from resonator_daemon.mqtt.topics import INFO, STATE_LINK, STATE_SENSOR
 from resonator_daemon.pipeline.control_requests import SetWindow, Tare, parse_request
 from resonator_daemon.pipeline.frame_timeout import CallLater, FrameTimeout
 from resonator_daemon.pipeline.state_messages import StateMessages
-from resonator_daemon.publishing.headers import Headers
-from resonator_daemon.publishing.payloads import Condition, Lost
-from resonator_daemon.publishing.topics import INFO, STATE_LINK, STATE_SENSOR
 from resonator_daemon.sensors.calendar import DAY_NS, utc_day
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.sensors.output import MessageOutput, Publish

@@ -13,8 +13,8 @@ from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.frames import BoardOnline, LinkChange, Outage
 from resonator_daemon.estimate.forces.readings import Compensation as AppliedCompensation
 from resonator_daemon.monitoring.daemon_state import DaemonSnapshot
-from resonator_daemon.publishing.headers import Headers
-from resonator_daemon.publishing.payloads import (
+from resonator_daemon.mqtt.headers import Headers
+from resonator_daemon.mqtt.payloads import (
     CalibrationInfo,
     Compensation,
     Condition,
@@ -25,7 +25,7 @@ from resonator_daemon.publishing.payloads import (
     SkinInfo,
     State,
 )
-from resonator_daemon.publishing.topics import (
+from resonator_daemon.mqtt.topics import (
     INFO,
     SCHEMA_VERSION,
     STATE_DAEMON,
@@ -33,8 +33,8 @@ from resonator_daemon.publishing.topics import (
     STATE_SENSOR,
     Topic,
 )
-from resonator_daemon.publishing.units import UNITS
-from resonator_daemon.publishing.verbs import permitted
+from resonator_daemon.mqtt.units import UNITS
+from resonator_daemon.mqtt.verbs import permitted
 from resonator_daemon.sensors.base import Sensor
 
 _VERSION: Final = version("resonatord")  # of this process; an upgrade replaces the file that has it

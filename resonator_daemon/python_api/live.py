@@ -9,12 +9,12 @@ from pydantic import ValidationError
 from resonator_daemon.base.errors import UsageError
 from resonator_daemon.base.toml.reading import nearest, shown
 from resonator_daemon.board.config import Mqtt, plate_name
-from resonator_daemon.publishing.daemon_search import find_online, find_plate
-from resonator_daemon.publishing.requests import ANSWER_S, execute, reach
-from resonator_daemon.publishing.subscriber import EVERY_PLATE, Received
-from resonator_daemon.publishing.subscriber import subscribe as subscribe_at
-from resonator_daemon.publishing.topics import TOPICS
-from resonator_daemon.publishing.verbs import Answer
+from resonator_daemon.mqtt.daemon_search import find_online, find_plate
+from resonator_daemon.mqtt.requests import ANSWER_S, execute, reach
+from resonator_daemon.mqtt.subscriber import EVERY_PLATE, Received
+from resonator_daemon.mqtt.subscriber import subscribe as subscribe_at
+from resonator_daemon.mqtt.topics import TOPICS
+from resonator_daemon.mqtt.verbs import Answer
 from resonator_daemon.python_api.errors import readable_errors
 
 

@@ -12,8 +12,8 @@ from resonator_daemon.base.errors import ExitCode, MissingLibraryError, UserErro
 from resonator_daemon.base.host.printable import how_to_install
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.exporting.columns import Column
-from resonator_daemon.publishing.topics import CONTACTS, DECODED_SUMMARY
-from resonator_daemon.publishing.units import AXES
+from resonator_daemon.mqtt.topics import CONTACTS, DECODED_SUMMARY
+from resonator_daemon.mqtt.units import AXES
 
 if TYPE_CHECKING:
     import pandas as pd

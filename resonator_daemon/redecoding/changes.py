@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.publishing.payloads import ContactEvent, Contacts, Message
-from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS
+from resonator_daemon.mqtt.payloads import ContactEvent, Contacts, Message
+from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS
 
 STORED_TOPICS: Final = (CONTACTS.path, CONTACT_EVENT.path)
 SAME_EVENT_NS: Final = 50_000_000  # an event this near, of the same kind and site, is the same

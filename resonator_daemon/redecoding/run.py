@@ -17,7 +17,7 @@ from resonator_daemon.base.host.new_file import replace_file
 from resonator_daemon.base.toml.reading import nearest
 from resonator_daemon.board.recording.reader import damage_in_words
 from resonator_daemon.exporting.tables import WITH_TABLE
-from resonator_daemon.publishing.topics import SIGNALS, STATE_LINK, STATE_SENSOR
+from resonator_daemon.mqtt.topics import SIGNALS, STATE_LINK, STATE_SENSOR
 from resonator_daemon.redecoding import changes
 from resonator_daemon.redecoding.chunk_files import REPORTS, cannot_write, has_results
 from resonator_daemon.redecoding.chunks import Chunk, Job, plan

@@ -9,7 +9,7 @@ from resonator_daemon.board.config import Config
 from resonator_daemon.board.recording.reader import STILL_WRITTEN, Recording, open_recording
 from resonator_daemon.exporting.output import Recorded
 from resonator_daemon.exporting.run import table_metadata
-from resonator_daemon.publishing.topics import DECODED, FORCES
+from resonator_daemon.mqtt.topics import DECODED, FORCES
 from resonator_daemon.redecoding.changes import STORED_TOPICS, Changes
 from resonator_daemon.redecoding.chunk_files import ChunkFiles, cannot_write, read_report
 from resonator_daemon.redecoding.chunks import Chunk, Job, Span, span_of

@@ -12,11 +12,10 @@ from resonator_daemon.board.config.decoder import DecoderConfig
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.monitoring.latency import LatencyHistogram
-from resonator_daemon.pipeline.frame_timeout import CONTACTS_END_S
-from resonator_daemon.publishing.codec import Encoded
-from resonator_daemon.publishing.headers import MeasuredFields
-from resonator_daemon.publishing.mqtt_messages import Incoming
-from resonator_daemon.publishing.payloads import (
+from resonator_daemon.mqtt.codec import Encoded
+from resonator_daemon.mqtt.headers import MeasuredFields
+from resonator_daemon.mqtt.mqtt_messages import Incoming
+from resonator_daemon.mqtt.payloads import (
     Condition,
     ContactEvent,
     DecoderPlateHealth,
@@ -25,8 +24,9 @@ from resonator_daemon.publishing.payloads import (
     Message,
     Signals,
 )
-from resonator_daemon.publishing.publisher import Subscription
-from resonator_daemon.publishing.topics import CONTACT_EVENT, DECODED, INFO, SIGNALS, Topic, full_topic
+from resonator_daemon.mqtt.publisher import Subscription
+from resonator_daemon.mqtt.topics import CONTACT_EVENT, DECODED, INFO, SIGNALS, Topic, full_topic
+from resonator_daemon.pipeline.frame_timeout import CONTACTS_END_S
 from resonator_daemon.remote_decoding.plate import NO_SIGNALS, WAITS_AFTER_S, Publish, RemotePlate, SkinPlate, header_of
 from resonator_daemon.remote_decoding.thread_decoding import ThreadDecoding
 from resonator_daemon.sensors.surface_decoding import SurfaceClient

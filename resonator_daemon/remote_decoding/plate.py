@@ -14,10 +14,10 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface.prior import Prior
 from resonator_daemon.estimate.surface.skin import Skin
-from resonator_daemon.publishing.codec import Encoded, decode
-from resonator_daemon.publishing.headers import MeasuredFields
-from resonator_daemon.publishing.payloads import DecoderPlateHealth, GridInfo, Info, Signals, Status
-from resonator_daemon.publishing.topics import DECODED, SCHEMA_VERSION, MessageT, Topic
+from resonator_daemon.mqtt.codec import Encoded, decode
+from resonator_daemon.mqtt.headers import MeasuredFields
+from resonator_daemon.mqtt.payloads import DecoderPlateHealth, GridInfo, Info, Signals, Status
+from resonator_daemon.mqtt.topics import DECODED, SCHEMA_VERSION, MessageT, Topic
 
 NO_INFO = Reason(ReasonCode.NO_INFO, "no info yet: no daemon has published under this name")
 DECODED_BY_DAEMON = Reason(

@@ -4,9 +4,9 @@ import json
 from typing import Final
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.publishing.mqtt_messages import Incoming
-from resonator_daemon.publishing.payloads import Condition
-from resonator_daemon.publishing.topics import DECODER_EXPIRY_S
+from resonator_daemon.mqtt.mqtt_messages import Incoming
+from resonator_daemon.mqtt.payloads import Condition
+from resonator_daemon.mqtt.topics import DECODER_EXPIRY_S
 
 _ID_LENGTH_MAX: Final = 120
 _NAMED_MAX: Final = 4  # any client can publish states of more

@@ -22,11 +22,11 @@ from resonator_daemon.board.config.decoder import DecoderConfig
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.monitoring.health import ProcessUsage
 from resonator_daemon.monitoring.liveness import LivenessMonitor
-from resonator_daemon.publishing.codec import Encoded, encode
-from resonator_daemon.publishing.mqtt_messages import Outgoing
-from resonator_daemon.publishing.payloads import Condition, DecoderHealth, DecoderState
-from resonator_daemon.publishing.publisher import FRESH_S, Publisher, Subscription
-from resonator_daemon.publishing.topics import (
+from resonator_daemon.mqtt.codec import Encoded, encode
+from resonator_daemon.mqtt.mqtt_messages import Outgoing
+from resonator_daemon.mqtt.payloads import Condition, DecoderHealth, DecoderState
+from resonator_daemon.mqtt.publisher import FRESH_S, Publisher, Subscription
+from resonator_daemon.mqtt.topics import (
     DECODED,
     DECODER_EXPIRY_S,
     DECODER_HEALTH,

@@ -21,10 +21,10 @@ from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 from resonator_daemon.estimate.surface.streaming import CANNOT_DECODE, failed, set_up
 from resonator_daemon.monitoring.latency import LatencyHistogram
-from resonator_daemon.publishing.mqtt_messages import Incoming
-from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth, DecoderProcessInfo, Signals
-from resonator_daemon.publishing.publisher import Subscription
-from resonator_daemon.publishing.topics import (
+from resonator_daemon.mqtt.mqtt_messages import Incoming
+from resonator_daemon.mqtt.payloads import Condition, DecoderPlateHealth, DecoderProcessInfo, Signals
+from resonator_daemon.mqtt.publisher import Subscription
+from resonator_daemon.mqtt.topics import (
     CONTACTS,
     DECODED,
     DECODED_SUMMARY,

@@ -14,9 +14,9 @@ from resonator_daemon.decoder_process.supervisor import WAIT_MAX_NS
 from resonator_daemon.decoder_process.worker import AGE_MAX_NS
 from resonator_daemon.estimate.surface.equal_skins import EqualSkins
 from resonator_daemon.estimate.surface.streaming import UndecodableError
-from resonator_daemon.publishing.codec import Encoded, encode
-from resonator_daemon.publishing.payloads import ContactEvent, DecoderProcessInfo, Header, Message
-from resonator_daemon.publishing.topics import DECODED, Topic
+from resonator_daemon.mqtt.codec import Encoded, encode
+from resonator_daemon.mqtt.payloads import ContactEvent, DecoderProcessInfo, Header, Message
+from resonator_daemon.mqtt.topics import DECODED, Topic
 from resonator_daemon.sensors.surface_decoding import SurfaceClient
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
 

@@ -18,15 +18,15 @@ from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config import Mqtt
 from resonator_daemon.monitoring.daemon_state import DaemonSnapshot, DaemonState
-from resonator_daemon.publishing.codec import Encoded, encode
-from resonator_daemon.publishing.headers import Headers
-from resonator_daemon.publishing.message_account import Cause
-from resonator_daemon.publishing.mqtt_messages import Outgoing
-from resonator_daemon.publishing.payloads import Condition, Lost, Message, State
-from resonator_daemon.publishing.publisher import Publisher, Subscription
-from resonator_daemon.publishing.requests import BrokerUnreachableError, reach
-from resonator_daemon.publishing.subscriber import subscribe
-from resonator_daemon.publishing.topics import STATE_DAEMON, TOPICS, full_topic
+from resonator_daemon.mqtt.codec import Encoded, encode
+from resonator_daemon.mqtt.headers import Headers
+from resonator_daemon.mqtt.message_account import Cause
+from resonator_daemon.mqtt.mqtt_messages import Outgoing
+from resonator_daemon.mqtt.payloads import Condition, Lost, Message, State
+from resonator_daemon.mqtt.publisher import Publisher, Subscription
+from resonator_daemon.mqtt.requests import BrokerUnreachableError, reach
+from resonator_daemon.mqtt.subscriber import subscribe
+from resonator_daemon.mqtt.topics import STATE_DAEMON, TOPICS, full_topic
 from resonator_daemon.replay.recorded_pipeline import Published
 
 

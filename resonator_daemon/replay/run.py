@@ -15,8 +15,8 @@ from resonator_daemon.base.host.printable import printable
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.board.config import Config, Mqtt, plate_name
 from resonator_daemon.board.session.host_time import HostTime
-from resonator_daemon.publishing.payloads import Info
-from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.mqtt.payloads import Info
+from resonator_daemon.mqtt.topics import Topic
 from resonator_daemon.replay.outputs import AtBroker, Lines
 from resonator_daemon.replay.recorded_pipeline import Moment, Published, RecordingReplay, what_is_wrong
 from resonator_daemon.replay.source import open_replay

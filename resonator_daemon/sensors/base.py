@@ -12,8 +12,8 @@ from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.frames import BoardOnline, Frame
 from resonator_daemon.estimate.forces.readings import ForceReading, SkinReading
 from resonator_daemon.estimate.tones.tone_detector import ToneDetector
-from resonator_daemon.publishing.payloads import SiteCode
-from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.mqtt.payloads import SiteCode
+from resonator_daemon.mqtt.topics import Topic
 from resonator_daemon.sensors.expected_tones import ExpectedTones
 from resonator_daemon.sensors.output import MessageOutput
 

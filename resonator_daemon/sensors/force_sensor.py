@@ -12,7 +12,7 @@ from resonator_daemon.board.session.compatibility import oscillator_hz
 from resonator_daemon.board.session.frames import BoardOnline, Frame
 from resonator_daemon.estimate.forces.contacts import ContactEvent
 from resonator_daemon.estimate.forces.readings import Compensation, ForceReading
-from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, FORCES, TONES, Topic
+from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, FORCES, TONES, Topic
 from resonator_daemon.sensors.base import Sensor
 from resonator_daemon.sensors.force_messages import ForceMessages
 from resonator_daemon.sensors.output import MessageOutput

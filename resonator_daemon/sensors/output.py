@@ -7,10 +7,10 @@ from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.estimate.forces.readings import ForceReading, SkinReading
 from resonator_daemon.monitoring.latency import Latencies
-from resonator_daemon.publishing.codec import Encoded
-from resonator_daemon.publishing.headers import Headers, MeasuredFields
-from resonator_daemon.publishing.payloads import Message
-from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.mqtt.codec import Encoded
+from resonator_daemon.mqtt.headers import Headers, MeasuredFields
+from resonator_daemon.mqtt.payloads import Message
+from resonator_daemon.mqtt.topics import Topic
 from resonator_daemon.sensors.sensor_state import SensorState
 
 Publish = Callable[[Topic[Any], Any], None]

@@ -5,8 +5,8 @@ from typing import Any, Final
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.estimate.tones.tone_detector import CapturedToneDetector, ToneDetector, capture_band_hz
-from resonator_daemon.publishing.payloads import SiteCode
-from resonator_daemon.publishing.topics import TONES, Topic
+from resonator_daemon.mqtt.payloads import SiteCode
+from resonator_daemon.mqtt.topics import TONES, Topic
 from resonator_daemon.sensors.code_check import findings
 from resonator_daemon.sensors.expected_tones import ExpectedTones, captured_tones
 from resonator_daemon.sensors.force_sensor import ForceSensor

@@ -13,10 +13,10 @@ from resonator_daemon.estimate.forces.readings import SkinReading
 from resonator_daemon.estimate.surface.prior import Prior
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin, refuse_undecodable
 from resonator_daemon.estimate.tones.tone_detector import MultitoneDetector, ToneDetector
-from resonator_daemon.publishing.codec import Encoded
-from resonator_daemon.publishing.headers import MeasuredFields
-from resonator_daemon.publishing.payloads import Condition, ContactEvent, Lost, Message, Signals, Status
-from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, SIGNALS, Topic
+from resonator_daemon.mqtt.codec import Encoded
+from resonator_daemon.mqtt.headers import MeasuredFields
+from resonator_daemon.mqtt.payloads import Condition, ContactEvent, Lost, Message, Signals, Status
+from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, SIGNALS, Topic
 from resonator_daemon.sensors.base import Sensor
 from resonator_daemon.sensors.expected_tones import ExpectedTones, all_tones
 from resonator_daemon.sensors.output import MessageOutput

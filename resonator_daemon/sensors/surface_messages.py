@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import ReasonCode
-from resonator_daemon.publishing.headers import MeasuredFields
-from resonator_daemon.publishing.payloads import (
+from resonator_daemon.mqtt.headers import MeasuredFields
+from resonator_daemon.mqtt.payloads import (
     Contact,
     ContactEvent,
     Contacts,
@@ -20,7 +20,7 @@ from resonator_daemon.publishing.payloads import (
     Patch,
     Status,
 )
-from resonator_daemon.publishing.rounding import rounded, rounded_std
+from resonator_daemon.mqtt.rounding import rounded, rounded_std
 from resonator_daemon.sensors.usual_reasons import reason_fields
 
 if TYPE_CHECKING:

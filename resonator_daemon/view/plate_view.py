@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.publishing.payloads import ContactEvent, Contacts, Header, Lost, Message
-from resonator_daemon.publishing.topics import HEALTH, INFO, TOPICS, MessageT, Topic
+from resonator_daemon.mqtt.payloads import ContactEvent, Contacts, Header, Lost, Message
+from resonator_daemon.mqtt.topics import HEALTH, INFO, TOPICS, MessageT, Topic
 
 _RATE_NS: Final = 1_000_000_000
 _HEALTH_PERIOD_S: Final = 1.0

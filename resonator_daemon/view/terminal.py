@@ -11,8 +11,8 @@ from rich.segment import Segment
 from rich.text import Text
 
 from resonator_daemon.base.reasons import ReasonCode
-from resonator_daemon.publishing.payloads import Condition, State
-from resonator_daemon.publishing.topics import (
+from resonator_daemon.mqtt.payloads import Condition, State
+from resonator_daemon.mqtt.topics import (
     DECODED,
     DECODED_SUMMARY,
     FORCES,

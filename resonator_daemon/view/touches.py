@@ -11,8 +11,8 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from resonator_daemon.publishing.payloads import Contact, SiteForce, Status
-from resonator_daemon.publishing.topics import CONTACTS, DECODED, DECODED_SUMMARY, FORCES, INFO
+from resonator_daemon.mqtt.payloads import Contact, SiteForce, Status
+from resonator_daemon.mqtt.topics import CONTACTS, DECODED, DECODED_SUMMARY, FORCES, INFO
 from resonator_daemon.view.maps import (
     Line,
     SiteMark,

@@ -19,8 +19,8 @@ from resonator_daemon.base.errors import UsageError
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.toml.reading import shown
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.publishing.payloads import Message
-from resonator_daemon.publishing.subscriber import subscribe
+from resonator_daemon.mqtt.payloads import Message
+from resonator_daemon.mqtt.subscriber import subscribe
 from resonator_daemon.view.plate_view import PlateView
 from resonator_daemon.view.terminal import render, summary_line
 

@@ -31,9 +31,9 @@ from resonator_daemon.bridges.foxglove_server import BACKLOG_MAX, FoxgloveServer
 from resonator_daemon.commands import main
 from resonator_daemon.exporting.foxglove_messages import FoxgloveMessages
 from resonator_daemon.exporting.geometry import Geometry
-from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.payloads import Contact, Contacts, Decoded, Forces, Grid, Info, Message, State
-from resonator_daemon.publishing.topics import TOPICS
+from resonator_daemon.mqtt.codec import encode
+from resonator_daemon.mqtt.payloads import Contact, Contacts, Decoded, Forces, Grid, Info, Message, State
+from resonator_daemon.mqtt.topics import TOPICS
 
 LAYOUT = Path(__file__).parents[2] / "docs" / "examples" / "foxglove" / "resonatord.json"
 HEADER = struct.Struct("<BIQ")  # of message data: opcode 1, subscription, log time

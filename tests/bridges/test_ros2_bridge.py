@@ -16,8 +16,8 @@ import pytest
 from brokers import Mosquitto
 from example_messages import NOW_NS, example, header
 
-from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.payloads import Contacts, Decoded, Grid, Health, Info, Message, SiteInfo, State
+from resonator_daemon.mqtt.codec import encode
+from resonator_daemon.mqtt.payloads import Contacts, Decoded, Grid, Health, Info, Message, SiteInfo, State
 
 pytest.importorskip("cyclonedds", reason="cyclonedds has wheels for x86-64 and Python up to 3.13 only")
 LOOPBACK = (

@@ -16,10 +16,10 @@ from plates import plate_head, skin_grid, skin_table
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.publishing.mqtt_messages import Outgoing
-from resonator_daemon.publishing.payloads import Lost, Signals
-from resonator_daemon.publishing.publisher import Publisher
-from resonator_daemon.publishing.topics import SIGNALS
+from resonator_daemon.mqtt.mqtt_messages import Outgoing
+from resonator_daemon.mqtt.payloads import Lost, Signals
+from resonator_daemon.mqtt.publisher import Publisher
+from resonator_daemon.mqtt.topics import SIGNALS
 from simulators.half_space_fields import hertz_fields
 
 Printed = tuple[int | None, str, str]  # exit code, stdout and stderr

@@ -15,7 +15,7 @@ from command_line import exit_code
 from resonator_daemon.board.config import load_config
 from resonator_daemon.commands._command_line import command_names
 from resonator_daemon.demo.run import DemoOptions
-from resonator_daemon.publishing.asyncapi import document
+from resonator_daemon.mqtt.asyncapi import document
 
 COMMAND = (sys.executable, "-m", "resonator_daemon.commands")
 ALL = tuple(command_names())

@@ -22,7 +22,7 @@ from resonator_daemon.commands import main
 from resonator_daemon.monitoring import status_client
 from resonator_daemon.monitoring.status import BrokerStatus, ConfigStatus, Status
 from resonator_daemon.monitoring.status_server import SOCKET_NAME, StatusServer
-from resonator_daemon.publishing.payloads import Condition
+from resonator_daemon.mqtt.payloads import Condition
 
 DEADLINE_S = 20.0
 

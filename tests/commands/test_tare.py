@@ -13,12 +13,12 @@ from command_line import exit_code
 from commanded import commanded, state
 
 from resonator_daemon.commands import main
-from resonator_daemon.publishing import daemon_search
-from resonator_daemon.publishing.commands import CommandRefusedError, Handler
-from resonator_daemon.publishing.message_examples import EXAMPLES
-from resonator_daemon.publishing.payloads import Info
-from resonator_daemon.publishing.topics import INFO, STATE_DAEMON
-from resonator_daemon.publishing.verbs import Mark, MarkAnswer, SetRate, SetRateAnswer, Tare, TareAnswer
+from resonator_daemon.mqtt import daemon_search
+from resonator_daemon.mqtt.commands import CommandRefusedError, Handler
+from resonator_daemon.mqtt.message_examples import EXAMPLES
+from resonator_daemon.mqtt.payloads import Info
+from resonator_daemon.mqtt.topics import INFO, STATE_DAEMON
+from resonator_daemon.mqtt.verbs import Mark, MarkAnswer, SetRate, SetRateAnswer, Tare, TareAnswer
 
 LINK = "tcp://127.0.0.1:9"
 

@@ -11,8 +11,8 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.recording.switch import RecordingNow
 from resonator_daemon.daemon import command_handlers
 from resonator_daemon.daemon.command_handlers import CommandHandlers
-from resonator_daemon.publishing.commands import CommandRefusedError
-from resonator_daemon.publishing.verbs import VERBS, Answer
+from resonator_daemon.mqtt.commands import CommandRefusedError
+from resonator_daemon.mqtt.verbs import VERBS, Answer
 
 
 class Bench:

@@ -13,8 +13,8 @@ from service_bench import Bench
 
 from resonator_daemon.base.host.places import state_directory
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.publishing.requests import request
-from resonator_daemon.publishing.verbs import VERBS
+from resonator_daemon.mqtt.requests import request
+from resonator_daemon.mqtt.verbs import VERBS
 
 FORCES = "resonator/hand/forces"
 INFO = "resonator/hand/info"

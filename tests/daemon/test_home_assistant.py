@@ -12,9 +12,9 @@ from scenarios import IDEAL, touch_text
 from service_bench import Bench
 
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.publishing.home_assistant import discovery_message, discovery_topic
-from resonator_daemon.publishing.payloads import Condition, CounterType
-from resonator_daemon.publishing.removal import remove_plate
+from resonator_daemon.mqtt.home_assistant import discovery_message, discovery_topic
+from resonator_daemon.mqtt.payloads import Condition, CounterType
+from resonator_daemon.mqtt.removal import remove_plate
 
 TOPIC = "homeassistant/device/resonator/hand/config"
 PREFIX = 'home_assistant_discovery = "homeassistant"'

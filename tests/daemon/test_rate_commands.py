@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from resonator_daemon.daemon.rate_commands import TOPICS_MAX, RateCommands
-from resonator_daemon.publishing.commands import CommandRefusedError
-from resonator_daemon.publishing.verbs import SetRate, SetRateAnswer
+from resonator_daemon.mqtt.commands import CommandRefusedError
+from resonator_daemon.mqtt.verbs import SetRate, SetRateAnswer
 
 
 class Clock:

@@ -8,7 +8,7 @@ from jsonschema import validate
 
 from resonator_daemon.board.recording.writer import Published
 from resonator_daemon.daemon.recorded_messages import RecordedMessages
-from resonator_daemon.publishing.topics import TOPICS
+from resonator_daemon.mqtt.topics import TOPICS
 
 
 @pytest.mark.parametrize("include_messages", [True, False])

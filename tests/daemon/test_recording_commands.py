@@ -16,7 +16,7 @@ from resonator_daemon.board.recording.reader import Origin, open_recording
 from resonator_daemon.board.recording.switch import RecordingSwitch
 from resonator_daemon.board.recording.writer import Published
 from resonator_daemon.daemon.recording_commands import RecordingCommands, recording_info
-from resonator_daemon.publishing.verbs import StartRecording, StopRecording
+from resonator_daemon.mqtt.verbs import StartRecording, StopRecording
 
 
 def config(directory: Path, **recording: Any) -> Config:

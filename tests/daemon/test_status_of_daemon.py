@@ -16,7 +16,7 @@ from resonator_daemon.base.host.places import runtime_directory
 from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.daemon.daemon import Service
 from resonator_daemon.monitoring.status import Status
-from resonator_daemon.publishing.payloads import Condition
+from resonator_daemon.mqtt.payloads import Condition
 from simulators.faults import parse_faults
 
 DEADLINE_S = 30.0

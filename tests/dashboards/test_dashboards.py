@@ -18,8 +18,8 @@ import pytest
 from brokers import Mosquitto, free_port
 
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.publishing.message_examples import EXAMPLES
-from resonator_daemon.publishing.payloads import Condition, Status
+from resonator_daemon.mqtt.message_examples import EXAMPLES
+from resonator_daemon.mqtt.payloads import Condition, Status
 
 HERE = Path(__file__).parent
 TOOLS = HERE.parents[1] / "build" / "dashboards"

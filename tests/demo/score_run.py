@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from resonator_daemon.demo.score import Accuracy, PlateScore
 from resonator_daemon.demo.truth import TruthTable
-from resonator_daemon.publishing import topics
-from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.payloads import (
+from resonator_daemon.mqtt import topics
+from resonator_daemon.mqtt.codec import encode
+from resonator_daemon.mqtt.payloads import (
     Contact,
     ContactEvent,
     Contacts,
@@ -23,7 +23,7 @@ from resonator_daemon.publishing.payloads import (
     Message,
     SiteForce,
 )
-from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.mqtt.topics import Topic
 
 T0_NS = 1_789_000_000_000_000_000
 MS = 1_000_000

@@ -9,7 +9,7 @@ import pytest
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.board.config import Mqtt
 from resonator_daemon.demo.subscription import Subscription
-from resonator_daemon.publishing.receiver import Arrival
+from resonator_daemon.mqtt.receiver import Arrival
 
 
 async def test_messages_of_all_sizes_arrive_whole_and_in_order(broker) -> None:

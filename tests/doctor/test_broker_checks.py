@@ -13,7 +13,7 @@ from resonator_daemon.doctor import broker_checks
 from resonator_daemon.doctor.broker_checks import check_broker
 from resonator_daemon.doctor.finding import Finding, Outcome
 from resonator_daemon.doctor.host import Host
-from resonator_daemon.publishing.broker_connection import ConnectionTimes
+from resonator_daemon.mqtt.broker_connection import ConnectionTimes
 
 HOST = Host(Path("/none"))  # which tells of no load
 HALTED = "this computer is busy"

@@ -7,8 +7,8 @@ import numpy as np
 from example_messages import example, header
 
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.payloads import ContactEvent, Decoded, Forces, Grid, Message, SiteForce
+from resonator_daemon.mqtt.codec import encode
+from resonator_daemon.mqtt.payloads import ContactEvent, Decoded, Forces, Grid, Message, SiteForce
 
 HEADER: dict[str, Any] = header(t_ns=1789000000000000123)
 

@@ -10,8 +10,8 @@ from commanded import commanded, state
 from example_programs import DEADLINE_S, EXAMPLES
 
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.publishing.topics import STATE_DAEMON
-from resonator_daemon.publishing.verbs import Ping, Pong
+from resonator_daemon.mqtt.topics import STATE_DAEMON
+from resonator_daemon.mqtt.verbs import Ping, Pong
 
 
 async def run(broker_url: str, *arguments: str) -> tuple[int | None, str, str]:

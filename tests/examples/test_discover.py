@@ -16,7 +16,7 @@ from firmware_protocol.messages import Configuration, Description, Identity
 from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.board.config import Mqtt
 from resonator_daemon.board.session.frames import BoardOnline
-from resonator_daemon.publishing.payloads import Info, State
+from resonator_daemon.mqtt.payloads import Info, State
 
 SHIPPED = ("quartz16", "skin32", "fingertip400")
 CIRCLE = "{http://www.w3.org/2000/svg}circle"

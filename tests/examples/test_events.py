@@ -15,11 +15,11 @@ from published import event
 from relay import relay
 
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.commands import CommandRefusedError, Handler
-from resonator_daemon.publishing.payloads import ContactEvent
-from resonator_daemon.publishing.topics import STATE_DAEMON
-from resonator_daemon.publishing.verbs import Events, EventsAnswer
+from resonator_daemon.mqtt.codec import encode
+from resonator_daemon.mqtt.commands import CommandRefusedError, Handler
+from resonator_daemon.mqtt.payloads import ContactEvent
+from resonator_daemon.mqtt.topics import STATE_DAEMON
+from resonator_daemon.mqtt.verbs import Events, EventsAnswer
 
 PAGE = 3  # events in an answer
 

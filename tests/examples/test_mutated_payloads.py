@@ -11,8 +11,8 @@ from cbor2 import CBORTag
 from example_programs import EXAMPLES, run
 from published import decoded, event, force, forces
 
-from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.payloads import Grid
+from resonator_daemon.mqtt.codec import encode
+from resonator_daemon.mqtt.payloads import Grid
 
 SANITIZERS = ("-std=c99", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 # Damaged sizes make libcbor ask for gigabytes; it lives with a refusal.

@@ -15,8 +15,8 @@ from published import decoded, event, force, forces, publish
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.payloads import Grid
+from resonator_daemon.mqtt.codec import encode
+from resonator_daemon.mqtt.payloads import Grid
 
 BEHIND_MESSAGES = 3000  # beyond what sockets hold and the broker keeps
 

@@ -3,7 +3,7 @@
 import pytest
 
 from resonator_daemon.exporting.columns import sources
-from resonator_daemon.publishing.payloads import Contact, Contacts, Health
+from resonator_daemon.mqtt.payloads import Contact, Contacts, Health
 
 
 def test_what_has_no_fixed_length_is_no_column() -> None:

@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 
 from resonator_daemon.board.config.text import plate_text, settings_text
 from resonator_daemon.board.session.host_time import HostTime
-from resonator_daemon.publishing.codec import encode
+from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.replay.recorded_pipeline import Moment
 
 

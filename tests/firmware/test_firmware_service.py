@@ -12,7 +12,7 @@ from firmware_listener import DEADLINE_S
 from switch import Switch
 
 from resonator_daemon.board.links.carriers.tcp import TcpTarget
-from resonator_daemon.publishing.embedded_broker import embedded_broker
+from resonator_daemon.mqtt.embedded_broker import embedded_broker
 
 pytestmark = pytest.mark.firmware
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from resonator_daemon.publishing import asyncapi
+from resonator_daemon.mqtt import asyncapi
 
 pytestmark = pytest.mark.generators
 

@@ -8,7 +8,7 @@ import status_samples
 
 from resonator_daemon.monitoring.ages import Ages
 from resonator_daemon.monitoring.status import Status
-from resonator_daemon.publishing.payloads import Condition
+from resonator_daemon.mqtt.payloads import Condition
 
 S = 1_000_000_000
 IN_1970_NS = 60 * S

@@ -13,7 +13,7 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.monitoring import health
 from resonator_daemon.monitoring.health import HealthMonitor
-from resonator_daemon.publishing.payloads import Health, LatencyInfo, Lost
+from resonator_daemon.mqtt.payloads import Health, LatencyInfo, Lost
 
 MESSAGES = status_samples.health().messages
 LATENCY = {"forces": LatencyInfo(bounds_ms=(1.0, 2.0), counts=(7, 3, 1))}

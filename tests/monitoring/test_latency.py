@@ -7,7 +7,7 @@ import pytest
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.monitoring import latency
 from resonator_daemon.monitoring.latency import Latencies, LatencyHistogram
-from resonator_daemon.publishing.topics import DECODED, FORCES
+from resonator_daemon.mqtt.topics import DECODED, FORCES
 
 
 def bins(histogram: LatencyHistogram) -> dict[float | None, int]:

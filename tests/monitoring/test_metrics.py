@@ -13,7 +13,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from resonator_daemon.monitoring.metrics import StatusCollector
 from resonator_daemon.monitoring.status import BrokerStatus, Status
-from resonator_daemon.publishing.payloads import Condition, MessageAccount
+from resonator_daemon.mqtt.payloads import Condition, MessageAccount
 
 Key = tuple[str, frozenset[tuple[str, str]]]
 DOCS = Path(__file__).parents[2] / "docs"

@@ -14,7 +14,7 @@ from resonator_daemon.board.session.frames import BoardOnline, LinkChange
 from resonator_daemon.estimate.forces.contacts import Contact, ContactEvent, Touch
 from resonator_daemon.estimate.forces.readings import Compensation, ForceReading, SensorStatus
 from resonator_daemon.estimate.forces.site_identification import SiteForce
-from resonator_daemon.publishing.payloads import Condition, Lost
+from resonator_daemon.mqtt.payloads import Condition, Lost
 
 # Ids that are no indices, and ticks that are no nanoseconds.
 FORCE_PLATE = plate_head("three", (0, 0), (20, 10), reference_hz=250e6, frame_rate_hz=1000) + "".join(

@@ -10,10 +10,10 @@ from brokers import Mosquitto
 from commanded import Commanded, commanded, state
 from example_messages import example
 
-from resonator_daemon.publishing import daemon_search
-from resonator_daemon.publishing.commands import CommandRefusedError
-from resonator_daemon.publishing.topics import FORCES, STATE_DAEMON, STATE_LINK
-from resonator_daemon.publishing.verbs import Mark, Ping, Pong
+from resonator_daemon.mqtt import daemon_search
+from resonator_daemon.mqtt.commands import CommandRefusedError
+from resonator_daemon.mqtt.topics import FORCES, STATE_DAEMON, STATE_LINK
+from resonator_daemon.mqtt.verbs import Mark, Ping, Pong
 
 NOWHERE = "mqtt://127.0.0.1:9"
 

@@ -15,10 +15,10 @@ from commanded import commanded, state
 from example_messages import example
 
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.payloads import Forces, SiteForce
-from resonator_daemon.publishing.topics import STATE_DAEMON
-from resonator_daemon.publishing.verbs import Ping, Pong
+from resonator_daemon.mqtt.codec import encode
+from resonator_daemon.mqtt.payloads import Forces, SiteForce
+from resonator_daemon.mqtt.topics import STATE_DAEMON
+from resonator_daemon.mqtt.verbs import Ping, Pong
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "how-to" / "use-from-python.md"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import resonatord
 
-from resonator_daemon.publishing.codec import decoded
+from resonator_daemon.mqtt.codec import decoded
 from resonator_daemon.replay.source import open_replay
 
 CORPUS = Path(__file__).parents[1] / "corpus"

@@ -17,9 +17,9 @@ from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface import equal_skins
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
-from resonator_daemon.publishing.codec import Encoded, decode, encode
-from resonator_daemon.publishing.payloads import ContactEvent, Info, Message, Signals
-from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.mqtt.codec import Encoded, decode, encode
+from resonator_daemon.mqtt.payloads import ContactEvent, Info, Message, Signals
+from resonator_daemon.mqtt.topics import Topic
 from resonator_daemon.remote_decoding import followed_plate, thread_decoding
 from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
 from resonator_daemon.remote_decoding.followed_plates import FollowedPlates

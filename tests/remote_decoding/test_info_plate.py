@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from decoder_bench import info, signals
 
-from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.payloads import SiteInfo
+from resonator_daemon.mqtt.codec import encode
+from resonator_daemon.mqtt.payloads import SiteInfo
 from resonator_daemon.remote_decoding import plate as plate_module
 from resonator_daemon.remote_decoding.plate import RemotePlate
 

@@ -12,7 +12,7 @@ from resonator_daemon.board.recording.reader import Mark, Origin
 from resonator_daemon.board.recording.recorder import Recorder
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import Received
-from resonator_daemon.publishing import outbox
+from resonator_daemon.mqtt import outbox
 from resonator_daemon.replay.outputs import AtBroker
 from resonator_daemon.replay.recorded_pipeline import Moment
 from resonator_daemon.replay.run import AtSpeed

@@ -13,9 +13,9 @@ from service_bench import Bench, events
 from resonator_daemon.board.config import Mqtt
 from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.daemon.daemon import Service
-from resonator_daemon.publishing.codec import decode
-from resonator_daemon.publishing.requests import request
-from resonator_daemon.publishing.topics import TOPICS
+from resonator_daemon.mqtt.codec import decode
+from resonator_daemon.mqtt.requests import request
+from resonator_daemon.mqtt.topics import TOPICS
 from resonator_daemon.replay.outputs import payload_json
 from resonator_daemon.replay.source import open_replay
 from simulators.faults import parse_faults

@@ -17,7 +17,7 @@ from corpus_cases import CORPUS, read_expected
 from observer import Observer, observe
 
 from resonator_daemon.commands import main
-from resonator_daemon.publishing.topics import STATE_DAEMON
+from resonator_daemon.mqtt.topics import STATE_DAEMON
 
 TOUCHES = CORPUS / "touches" / "recording.mcap"
 COUNTS = read_expected(TOUCHES.parent).summary["messages"]

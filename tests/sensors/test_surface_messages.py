@@ -17,10 +17,10 @@ from resonator_daemon.estimate.surface.fitting.partial_slip import PartialSlip
 from resonator_daemon.estimate.surface.patches import Patch as FoundPatch
 from resonator_daemon.estimate.surface.skin_contacts import SkinContact, SkinEvent
 from resonator_daemon.estimate.surface.skin_decoder import SurfaceReading
-from resonator_daemon.publishing import payloads
-from resonator_daemon.publishing.codec import decode, encode
-from resonator_daemon.publishing.headers import MeasuredFields
-from resonator_daemon.publishing.topics import DECODED
+from resonator_daemon.mqtt import payloads
+from resonator_daemon.mqtt.codec import decode, encode
+from resonator_daemon.mqtt.headers import MeasuredFields
+from resonator_daemon.mqtt.topics import DECODED
 from resonator_daemon.sensors.surface_messages import SurfaceMessages
 from resonator_daemon.sensors.surface_stream import SurfaceFrame
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon.publishing.embedded_broker import embedded_broker
+from resonator_daemon.mqtt.embedded_broker import embedded_broker
 
 _given_ports: set[int] = set()
 

@@ -7,11 +7,11 @@ from contextlib import asynccontextmanager
 from example_messages import header
 
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.publishing.commands import Commands, Handler
-from resonator_daemon.publishing.mqtt_messages import Outgoing
-from resonator_daemon.publishing.payloads import State
-from resonator_daemon.publishing.publisher import Publisher, Subscription
-from resonator_daemon.publishing.topics import STATE_DAEMON
+from resonator_daemon.mqtt.commands import Commands, Handler
+from resonator_daemon.mqtt.mqtt_messages import Outgoing
+from resonator_daemon.mqtt.payloads import State
+from resonator_daemon.mqtt.publisher import Publisher, Subscription
+from resonator_daemon.mqtt.topics import STATE_DAEMON
 
 
 def state(condition: str, reason: str) -> State:

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from resonator_daemon.publishing.topics import DECODED
+from resonator_daemon.mqtt.topics import DECODED
 from resonator_daemon.replay.outputs import payload_json
 from resonator_daemon.replay.source import open_replay
 

@@ -14,10 +14,10 @@ from observer import until as until
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.board.config.decoder import load_decoder_config
-from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.mqtt_messages import Incoming
-from resonator_daemon.publishing.payloads import CalibrationInfo, GridInfo, Info, Lost, Signals, SiteInfo, SkinInfo
-from resonator_daemon.publishing.topics import SCHEMA_VERSION
+from resonator_daemon.mqtt.codec import encode
+from resonator_daemon.mqtt.mqtt_messages import Incoming
+from resonator_daemon.mqtt.payloads import CalibrationInfo, GridInfo, Info, Lost, Signals, SiteInfo, SkinInfo
+from resonator_daemon.mqtt.topics import SCHEMA_VERSION
 from resonator_daemon.remote_decoding.service import DecoderProcess
 from simulators.contact import hertz_parts
 from simulators.half_space_fields import hertz_fields

@@ -5,8 +5,8 @@ from typing import Any, TypeVar
 import cbor2
 import numpy as np
 
-from resonator_daemon.publishing.message_examples import EXAMPLES
-from resonator_daemon.publishing.payloads import Contact, Lost, Message, Patch, SiteForce
+from resonator_daemon.mqtt.message_examples import EXAMPLES
+from resonator_daemon.mqtt.payloads import Contact, Lost, Message, Patch, SiteForce
 
 M = TypeVar("M", bound=Message)
 

@@ -10,7 +10,7 @@ import numpy as np
 from resonator_daemon.board.config import Config
 from resonator_daemon.exporting.formats import format_class
 from resonator_daemon.exporting.output import Output, Recorded
-from resonator_daemon.publishing.codec import decoded
+from resonator_daemon.mqtt.codec import decoded
 from resonator_daemon.replay.recorded_pipeline import Moment
 from resonator_daemon.replay.source import open_replay
 

@@ -9,10 +9,10 @@ from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.estimate.forces.readings import ForceReading
+from resonator_daemon.mqtt.codec import Encoded, decoded, encode
+from resonator_daemon.mqtt.headers import Headers
+from resonator_daemon.mqtt.payloads import Contacts, Forces, Lost, Message
 from resonator_daemon.pipeline.state_messages import StateMessages
-from resonator_daemon.publishing.codec import Encoded, decoded, encode
-from resonator_daemon.publishing.headers import Headers
-from resonator_daemon.publishing.payloads import Contacts, Forces, Lost, Message
 from resonator_daemon.sensors.force_messages import ForceMessages
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.sensors.output import MessageOutput

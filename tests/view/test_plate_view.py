@@ -5,8 +5,8 @@ import math
 import pytest
 from view_messages import NOW_NS, S, forces, health, info, state
 
-from resonator_daemon.publishing.payloads import Lost
-from resonator_daemon.publishing.topics import FORCES, INFO, STATE_DAEMON, STATE_LINK
+from resonator_daemon.mqtt.payloads import Lost
+from resonator_daemon.mqtt.topics import FORCES, INFO, STATE_DAEMON, STATE_LINK
 from resonator_daemon.view.plate_view import PlateView
 
 

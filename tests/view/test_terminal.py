@@ -22,7 +22,7 @@ from view_messages import (
     summary,
 )
 
-from resonator_daemon.publishing.payloads import Message
+from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.view.plate_view import PlateView, TrueContact, Truth
 from resonator_daemon.view.terminal import render, summary_line
 from resonator_daemon.view.words import losses_in_words

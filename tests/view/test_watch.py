@@ -16,11 +16,11 @@ import pytest
 from view_messages import NOW_NS, S, decoded, forces, info, site_force, state
 
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.publishing import topics
-from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.mqtt_messages import Outgoing
-from resonator_daemon.publishing.payloads import Signals
-from resonator_daemon.publishing.publisher import Publisher
+from resonator_daemon.mqtt import topics
+from resonator_daemon.mqtt.codec import encode
+from resonator_daemon.mqtt.mqtt_messages import Outgoing
+from resonator_daemon.mqtt.payloads import Signals
+from resonator_daemon.mqtt.publisher import Publisher
 from resonator_daemon.view.watch import json_line
 
 LEFT = "resonator/left"

@@ -8,7 +8,7 @@ import status_samples
 from example_messages import NOW_NS, example, header
 from numpy.typing import NDArray
 
-from resonator_daemon.publishing.payloads import (
+from resonator_daemon.mqtt.payloads import (
     Contact,
     ContactEvent,
     Contacts,

@@ -10,8 +10,8 @@ from resonator_daemon.exporting.foxglove_schemas import LOG, Schema
 from resonator_daemon.exporting.geometry import Geometry
 from resonator_daemon.exporting.mcap_output import McapOutput
 from resonator_daemon.exporting.tables import WITH_TABLE
-from resonator_daemon.publishing.payloads import Message
-from resonator_daemon.publishing.topics import INFO, TONES, Topic
+from resonator_daemon.mqtt.payloads import Message
+from resonator_daemon.mqtt.topics import INFO, TONES, Topic
 from resonator_daemon.replay.recorded_pipeline import Moment
 
 

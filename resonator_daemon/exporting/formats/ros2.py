@@ -5,7 +5,7 @@ from typing import Any
 
 from resonator_daemon.exporting.mcap_output import McapOutput
 from resonator_daemon.exporting.ros2_messages import Translation
-from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.mqtt.topics import Topic
 
 
 class Format(McapOutput):

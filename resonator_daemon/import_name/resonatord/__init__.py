@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Final
 if TYPE_CHECKING:
     from resonator_daemon.base.errors import UserError
     from resonator_daemon.board.config import Mqtt
-    from resonator_daemon.publishing.daemon_search import NoDaemonError
-    from resonator_daemon.publishing.payloads import (
+    from resonator_daemon.mqtt.daemon_search import NoDaemonError
+    from resonator_daemon.mqtt.payloads import (
         ContactEvent,
         Contacts,
         Decoded,
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
         Signals,
         State,
     )
-    from resonator_daemon.publishing.requests import BrokerUnreachableError, NoAnswerError, RefusedError
-    from resonator_daemon.publishing.subscriber import Received
+    from resonator_daemon.mqtt.requests import BrokerUnreachableError, NoAnswerError, RefusedError
+    from resonator_daemon.mqtt.subscriber import Received
     from resonator_daemon.python_api.errors import RecordingError, RecordingWarning
     from resonator_daemon.python_api.live import command, subscribe
     from resonator_daemon.python_api.recordings import LoadedRecording, Mark, load_recording
@@ -67,12 +67,12 @@ __all__ = [
 _MODULES: Final = {
     "resonator_daemon.board.config": ("Mqtt",),
     "resonator_daemon.base.errors": ("UserError",),
-    "resonator_daemon.publishing.daemon_search": ("NoDaemonError",),
-    "resonator_daemon.publishing.payloads": (
+    "resonator_daemon.mqtt.daemon_search": ("NoDaemonError",),
+    "resonator_daemon.mqtt.payloads": (
         *("ContactEvent", "Contacts", "Decoded", "DecodedSummary", "Forces", "Health", "Info", "Signals", "State"),
     ),
-    "resonator_daemon.publishing.requests": ("BrokerUnreachableError", "NoAnswerError", "RefusedError"),
-    "resonator_daemon.publishing.subscriber": ("Received",),
+    "resonator_daemon.mqtt.requests": ("BrokerUnreachableError", "NoAnswerError", "RefusedError"),
+    "resonator_daemon.mqtt.subscriber": ("Received",),
     "resonator_daemon.python_api.errors": ("RecordingError", "RecordingWarning"),
     "resonator_daemon.python_api.live": ("command", "subscribe"),
     "resonator_daemon.python_api.recordings": ("LoadedRecording", "Mark", "load_recording"),

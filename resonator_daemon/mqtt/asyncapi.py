@@ -1,0 +1,285 @@
+"""The AsyncAPI 3 document of all topics, made from the models of their payloads: what `schema` and the shell show."""
+
+import json
+from functools import cache
+from typing import Any, Final
+
+from resonator_daemon.board.config import DECODER
+from resonator_daemon.mqtt.json_schemas import REF, schemas_of_cbor, schemas_of_json, schemas_of_requests
+from resonator_daemon.mqtt.message_examples import (
+    ANSWER_EXAMPLES,
+    ARRAY_EXAMPLES,
+    EXAMPLES,
+    FURTHER_EXAMPLES,
+    REQUEST_EXAMPLES,
+)
+from resonator_daemon.mqtt.payloads import WITH_ARRAYS, Message
+from resonator_daemon.mqtt.topics import (
+    CBOR,
+    DECODER_HEALTH,
+    DECODER_STATE,
+    JSON,
+    SCHEMA_PATH,
+    SCHEMA_VERSION,
+    TOPICS,
+    Topic,
+)
+from resonator_daemon.mqtt.verbs import UNKNOWN, VERBS, Refusal, Verb
+
+Object = dict[str, Any]
+
+_BINDING: Final[Object] = {"bindingVersion": "0.2.0"}
+_PLATE: Final = "{prefix}/{name}/"
+_DECODER: Final = f"{{prefix}}/{DECODER}/{{id}}/"
+_OF_DECODERS: Final[tuple[Topic[Any], ...]] = (DECODER_STATE, DECODER_HEALTH)
+_PARAMETERS: Final = {
+    "prefix": {"description": "`mqtt.prefix` of the configuration; may have several levels", "default": "resonator"},
+    "name": {"description": "`name` of the configuration, by default the board's serial number"},
+    "id": {"description": "of a decoder process"},
+    "rate_hz": {"description": "messages a second, at most; an integer from 1 to 1000"},
+}
+_NO_BRACES: Final = str.maketrans("", "", "{}")
+_DOCUMENT: Final = "AsyncApiDocument"
+_REPLY: Final = "reply"
+_UNKNOWN: Final = f"rsp_{UNKNOWN}"
+_CORRELATION: Final = "command"
+_VERSION: Final = {"type": "string", "const": SCHEMA_VERSION, "description": "user property of MQTT 5"}
+_PROPERTIES: Final[dict[str, Object]] = {
+    "RequestProperties": {
+        "type": "object",
+        "title": "RequestProperties",
+        "description": "Properties of MQTT 5 of a command; each may be left out.",
+        "properties": {
+            "response_topic": {"type": "string", "maxLength": 1024, "description": "where the answer is published to"},
+            "correlation_data": {
+                "type": "string",
+                "description": "up to 1024 bytes, which the answer repeats",
+            },
+        },
+    },
+    "AnswerProperties": {
+        "type": "object",
+        "title": "AnswerProperties",
+        "description": "Properties of MQTT 5 of an answer.",
+        "properties": {
+            "schema_version": _VERSION,
+            "correlation_data": {"type": "string", "description": "that of the command, if it had any"},
+        },
+    },
+}
+_ABOUT: Final = (
+    "Topics of a tactile plate, as the daemon and its decoders publish them. On MQTT 5 and 3.1.1 topics and payloads "
+    "are the same; content type, message expiry, `schema_version` and correlation data come with MQTT 5 alone.\n\n"
+    "Readers ignore unknown keys: with a new minor version keys are added, anything else makes a new "
+    "major version. A number that is not known is null in JSON and NaN in CBOR. `x-unit` is a key's unit in UCUM's "
+    "notation. An array with `x-rfc8746` is a CBOR typed array: tag 40 of [shape, tag 85 of its little-endian bytes], "
+    "row-major; its schema is that of the same numbers as nested rows."
+)
+
+
+@cache
+def encoded() -> bytes:
+    """Return the document as published, JSON without white space."""
+    return json.dumps(document(), separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode()
+
+
+def document() -> Object:
+    """Return the document, the same for each daemon of this version; AsyncAPI 3.0.0."""
+    topics: dict[str, tuple[Topic[Any], ...]] = {_PLATE: (*TOPICS.values(),), _DECODER: _OF_DECODERS}
+    channels: Object = {}
+    operations: Object = {}
+    for base, those in topics.items():
+        for topic in those:
+            _add_topic(channels, operations, base, topic.path, topic, topic.payload.__doc__)
+            if topic.slow_hz is not None:
+                copied = f"The messages of `{topic.path}`, at most {topic.slow_hz} a second; for display."
+                _add_topic(channels, operations, base, topic.slow_path, topic, copied)
+                further = f"The messages of `{topic.path}` at a rate that `set_rate` asked for, while its lease lasts."
+                _add_topic(channels, operations, base, topic.path_at("{rate_hz}"), topic, further)
+    _add_document(channels, operations)
+    channels[_REPLY] = _channel(
+        None,
+        "The response topic that a command names.",
+        *(verb.answer.__name__ for verb in VERBS.values()),
+        Refusal.__name__,
+    )
+    for verb in VERBS.values():
+        _add_verb(channels, operations, verb)
+    _add_unknown(channels, operations)
+    return {
+        "asyncapi": "3.0.0",
+        "info": {
+            "title": "resonatord",
+            "version": SCHEMA_VERSION,
+            "description": _ABOUT,
+            "license": {"name": "BSD-3-Clause"},
+        },
+        "defaultContentType": JSON,
+        "channels": channels,
+        "operations": operations,
+        "components": {"messages": _messages(), "schemas": _schemas(), "correlationIds": _correlation_ids()},
+    }
+
+
+def _add_topic(
+    channels: Object, operations: Object, base: str, path: str, topic: Topic[Any], about: str | None
+) -> None:
+    key = _key(base, path)
+    channels[key] = _channel(base + path, about, topic.payload.__name__)
+    delivery: Object = _BINDING | {"qos": topic.qos, "retain": topic.retained}
+    if topic.expiry_s is not None:
+        delivery["messageExpiryInterval"] = topic.expiry_s
+    operations[f"publish_{key}"] = _operation("send", key, delivery, topic.payload.__name__)
+
+
+def _add_document(channels: Object, operations: Object) -> None:
+    about = "This document, made from the models of the payloads."
+    channels[SCHEMA_PATH] = _channel(_PLATE + SCHEMA_PATH, about, _DOCUMENT)
+    delivery = _BINDING | {"qos": 1, "retain": True}
+    operations[f"publish_{SCHEMA_PATH}"] = _operation("send", SCHEMA_PATH, delivery, _DOCUMENT)
+
+
+def _add_verb(channels: Object, operations: Object, verb: Verb) -> None:
+    request, answers = verb.request.__name__, (verb.answer.__name__, Refusal.__name__)
+    command, response = f"cmd_{verb.name}", f"rsp_{verb.name}"
+    delivery = _BINDING | {"qos": 1, "retain": False}
+    channels[command] = _channel(f"{_PLATE}cmd/{verb.name}", f"A command: {verb.summary}.", request)
+    channels[response] = _channel(
+        f"{_PLATE}rsp/{verb.name}", "Its answer, where no response topic was named.", *answers
+    )
+    operations[command] = _operation("receive", command, delivery, request) | {
+        "summary": f"{verb.summary[0].upper()}{verb.summary[1:]}.",
+        "description": f"Answered on the response topic, where the command names one (MQTT 5), else on `{response}`.",
+        "reply": {
+            "address": {
+                "location": "$message.header#/response_topic",
+                "description": "the property Response Topic of MQTT 5",
+            },
+            "channel": _channel_ref(_REPLY),
+            "messages": [_message_of(_REPLY, answer) for answer in answers],
+        },
+        "x-changes": verb.changes,
+        "x-idempotent": verb.idempotent,
+    }
+    operations[response] = _operation("send", response, delivery, *answers) | {
+        "summary": f"Answers `{verb.name}`, where the command names no response topic."
+    }
+
+
+def _add_unknown(channels: Object, operations: Object) -> None:
+    about = "The refusal of an unknown command, with the `verb` `unknown` and the code `unknown_verb`."
+    channels[_UNKNOWN] = _channel(f"{_PLATE}rsp/{UNKNOWN}", about, Refusal.__name__)
+    delivery = _BINDING | {"qos": 1, "retain": False}
+    operations[_UNKNOWN] = _operation("send", _UNKNOWN, delivery, Refusal.__name__) | {
+        "summary": "Refuses an unknown command that has no response topic."
+    }
+
+
+def _correlation_ids() -> Object:
+    about = "A text that the answer repeats, over MQTT 3.1.1, too; the correlation data of MQTT 5 are repeated, too."
+    return {_CORRELATION: {"description": about, "location": "$message.payload#/id"}}
+
+
+def _key(base: str, path: str) -> str:
+    return ("" if base == _PLATE else f"{DECODER}_") + path.replace("/", "_").translate(_NO_BRACES)
+
+
+def _channel(address: str | None, about: str | None, *messages: str) -> Object:
+    channel: Object = {
+        "address": address,
+        "description": about,
+        "messages": {message: {"$ref": f"#/components/messages/{message}"} for message in messages},
+    }
+    if address is not None:
+        channel["parameters"] = {name: about for name, about in _PARAMETERS.items() if f"{{{name}}}" in address}
+    return channel
+
+
+def _operation(action: str, channel: str, delivery: Object, *messages: str) -> Object:
+    return {
+        "action": action,
+        "channel": _channel_ref(channel),
+        "messages": [_message_of(channel, message) for message in messages],
+        "bindings": {"mqtt": delivery},
+    }
+
+
+def _channel_ref(channel: str) -> Object:
+    return {"$ref": f"#/channels/{channel}"}
+
+
+def _message_of(channel: str, message: str) -> Object:
+    return {"$ref": f"#/channels/{channel}/messages/{message}"}
+
+
+def _published() -> list[type[Message]]:
+    return list(dict.fromkeys(topic.payload for topic in (*TOPICS.values(), *_OF_DECODERS)))
+
+
+def _messages() -> Object:
+    messages = {
+        kind.__name__: _versioned(kind.__name__, CBOR if kind in WITH_ARRAYS else JSON) for kind in _published()
+    }
+    messages[_DOCUMENT] = _versioned(_DOCUMENT, JSON)
+    for verb in VERBS.values():
+        request = verb.request.__name__
+        messages[request] = _of_command(request, "RequestProperties", REQUEST_EXAMPLES[request])
+        messages[request]["bindings"] = {"mqtt": _BINDING | _request_properties()}
+    for answer, example in ANSWER_EXAMPLES.items():
+        messages[answer] = _of_command(answer, "AnswerProperties", example)
+        correlation = _PROPERTIES["AnswerProperties"]["properties"]["correlation_data"]
+        messages[answer]["bindings"] = {"mqtt": _format(JSON) | {"correlationData": correlation}}
+    return messages
+
+
+def _versioned(name: str, content_type: str) -> Object:
+    message = _message(name, content_type) | {
+        "bindings": {"mqtt": _format(content_type)},
+        "headers": {"type": "object", "properties": {"schema_version": _VERSION}},
+    }
+    if example := EXAMPLES.get(name) or ARRAY_EXAMPLES.get(name):
+        further = FURTHER_EXAMPLES.get(name, {})
+        message["examples"] = [
+            {"payload": example},
+            *({"name": title, "payload": other} for title, other in further.items()),
+        ]
+    return message
+
+
+def _of_command(name: str, properties: str, example: Object) -> Object:
+    return _message(name, JSON) | {
+        "correlationId": {"$ref": f"#/components/correlationIds/{_CORRELATION}"},
+        "headers": {"$ref": REF.format(model=properties)},
+        "examples": [{"payload": example}],
+    }
+
+
+def _format(content_type: str) -> Object:
+    return _BINDING | {"contentType": content_type, "payloadFormatIndicator": int(content_type == JSON)}
+
+
+def _request_properties() -> Object:
+    properties = _PROPERTIES["RequestProperties"]["properties"]
+    return {"responseTopic": properties["response_topic"], "correlationData": properties["correlation_data"]}
+
+
+def _message(name: str, content_type: str) -> Object:
+    return {"name": name, "contentType": content_type, "payload": {"$ref": REF.format(model=name)}}
+
+
+def _schemas() -> Object:
+    verbs = VERBS.values()
+    in_json = [kind for kind in _published() if kind not in WITH_ARRAYS]
+    of_document = {
+        "type": "object",
+        "description": "This document.",
+        "required": ["asyncapi", "info", "channels"],
+        "properties": {"asyncapi": {"type": "string", "const": "3.0.0"}},
+    }
+    return {
+        **schemas_of_json([*in_json, *(verb.answer for verb in verbs), Refusal]),
+        **schemas_of_cbor(WITH_ARRAYS),
+        **schemas_of_requests(verb.request for verb in verbs),
+        **_PROPERTIES,
+        _DOCUMENT: of_document,
+    }

@@ -1,0 +1,317 @@
+"""What waits for the broker, in the order of its worth: states, events, answers, streams."""
+
+import asyncio
+import logging
+from collections.abc import Collection, KeysView
+from itertools import chain
+from pathlib import Path
+from time import monotonic
+from typing import Final, NamedTuple, TypeVar
+
+from resonator_daemon.mqtt.bounded_queue import BoundedQueue
+from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, NO_SUBSCRIBERS, BrokerConnection, InFlight
+from resonator_daemon.mqtt.broker_limits import LargestMessages, packet_bytes
+from resonator_daemon.mqtt.event_queue import Event, EventQueue
+from resonator_daemon.mqtt.message_account import Account, Cause
+from resonator_daemon.mqtt.packed_properties import PackedProperties, properties_of
+from resonator_daemon.mqtt.payloads import Message
+from resonator_daemon.mqtt.stream_packets import StreamPackets
+from resonator_daemon.mqtt.topics import CONTACT_EVENT
+
+STREAMS_WAITING_MAX: Final = 4096
+STREAM_BYTES_WAITING_MAX: Final = 32 * 2**20
+ANSWERS_WAITING_MAX: Final = 32
+ANSWER_BYTES_WAITING_MAX: Final = 4 * 2**20
+UNACKNOWLEDGED_MAX: Final = 10  # below every broker's usual limit of 20
+
+_TOGETHER: Final = 32  # writes before other tasks of the event loop run
+_SEND_BYTES: Final = 64 * 1024  # of streams in one write
+
+log = logging.getLogger(__name__)
+
+
+class Packet(NamedTuple):
+    """A message as it goes to the broker."""
+
+    topic: str
+    payload: bytes
+    properties: PackedProperties
+
+    @property
+    def size_bytes(self) -> int:
+        return len(self.payload)
+
+
+class _Stream(NamedTuple):
+    """A message of QoS 0, packed for the wire."""
+
+    topic: str
+    packet: bytes
+    size_bytes: int
+    since_s: float
+
+
+WaitingT = TypeVar("WaitingT", Packet, _Stream)
+
+
+class Outbox:
+    """Sends while the socket takes it, and keeps what it does not take, by the rules of each kind.
+
+    Messages come in counted as made; from then on each is in one term of the account, or in `waiting`. As a context
+    manager it sends what is put within the context at its end, not in the next iteration of the event loop.
+
+    Parameters
+    ----------
+    account
+        Takes what becomes of each message.
+    spool_directory
+        Where events wait; None: in memory alone.
+    boot_id
+        Of this run of the daemon, whose events are stored; None: they are not.
+
+    Attributes
+    ----------
+    stream_wait_max_s
+        How long a perishable stream may wait for the socket, in seconds; older ones are skipped.
+    """
+
+    def __init__(
+        self, account: Account, spool_directory: Path | None, stream_wait_max_s: float, *, boot_id: str | None = None
+    ) -> None:
+        self._account = account
+        self._client: BrokerConnection | None = None
+        self._retained: dict[str, Packet] = {}  # last message by topic
+        self._states: dict[str, Packet] = {}  # those of them that wait
+        self.events = EventQueue(account, spool_directory, self.pump_soon, boot_id=boot_id)
+        self._answers: BoundedQueue[Packet] = BoundedQueue(ANSWERS_WAITING_MAX, ANSWER_BYTES_WAITING_MAX)
+        self._streams: BoundedQueue[_Stream] = BoundedQueue(STREAMS_WAITING_MAX, STREAM_BYTES_WAITING_MAX)
+        self._reports: BoundedQueue[_Stream] = BoundedQueue(STREAMS_WAITING_MAX, STREAM_BYTES_WAITING_MAX)
+        self.stream_wait_max_s = stream_wait_max_s
+        self._largest = LargestMessages()
+        self._too_large: set[str] = set()  # topics of which it was logged
+        self._pumping = False
+        self._moved = asyncio.Event()
+
+    @property
+    def queued(self) -> int:
+        streams = len(self._reports) + len(self._streams)
+        return len(self._states) + self.events.waiting + len(self._answers) + streams
+
+    @property
+    def waiting(self) -> int:
+        return self.queued + (self._client.messages_in_flight if self._client is not None else 0)
+
+    async def all_sent(self) -> None:
+        while self.waiting:
+            self._moved.clear()
+            await self._moved.wait()
+
+    def put_state(self, packet: Packet) -> None:
+        if packet.topic in self._states:
+            self._account.drop(Cause.SUPERSEDED, packet.topic)
+        self._retained[packet.topic] = self._states[packet.topic] = packet
+        self.pump_soon()
+
+    def put_event(self, topic: str, message: Message) -> None:
+        self.events.put(topic, message)
+        self.pump_soon()
+
+    def put_answer(self, packet: Packet) -> None:
+        self._put(self._answers, packet)
+
+    def put_stream(self, packets: StreamPackets, payload: bytes) -> None:
+        """Queue a message of QoS 0; a perishable one is skipped if it has waited too long."""
+        client = self._client
+        if client is None:
+            self._account.drop(Cause.NO_CONNECTION, packets.topic)
+            return
+        packet, now_s = packets.packet(payload, is_mqtt_5=client.version is MQTT_5), monotonic()
+        stream = _Stream(packets.topic, packet, len(packet), now_s)
+        if stream.size_bytes > self._size_max(client, now_s):
+            self._drop_too_large(packets.topic, stream.size_bytes, client.limits.packet_bytes_max)
+        elif packets.perishable:
+            self._put(self._streams, stream)
+        else:
+            self._put(self._reports, stream)
+
+    def connected(self, client: BrokerConnection, *, at_once: bool) -> None:
+        self._client = client
+        self._largest.connected(at_once=at_once)
+        if not client.limits.retains:
+            log.warning("broker keeps no retained messages: who subscribes later sees no states")
+        self.events.connected()
+
+    @property
+    def retained_topics(self) -> KeysView[str]:
+        return self._retained.keys()
+
+    def republish(self, topics: Collection[str]) -> None:
+        """Send the last message of retained topics again."""
+        again = {topic: self._retained[topic] for topic in topics if topic not in self._states}
+        self._account.enqueued += len(again)
+        self._account.republished += len(again)
+        self._states.update(again)
+        self.pump_soon()
+
+    def disconnected(self) -> None:
+        """Account for what was on its way, and drop what is of no use to a later connection."""
+        client, self._client = self._client, None
+        if client is None:
+            return
+        self._account.unknown_at_disconnect += client.messages_in_flight
+        unknown = [message.token for message in client.in_flight.values()]
+        client.in_flight.clear()
+        self.events.disconnected([event for event in unknown if isinstance(event, Event)])
+        self._drop(self._reports, Cause.NO_CONNECTION)
+        self._drop(self._streams, Cause.NO_CONNECTION)
+        self._drop(self._answers, Cause.WITHDRAWN)
+        self._moved.set()
+        if (found := self._largest.ended(monotonic())) is not None:
+            topic, size_bytes = found
+            log.warning(
+                "broker ends the connection upon %s with %d bytes: messages of that size are dropped;"
+                " raise the broker's limit",
+                topic,
+                size_bytes,
+            )
+
+    def close(self) -> None:
+        """Drop the states that nobody was there to take."""
+        for topic in self._states:
+            self._account.drop(Cause.CLOSED, topic)
+        self._states.clear()
+
+    def published(self, sent: InFlight, reason_code: int) -> None:
+        """Count messages that were written (QoS 0), acknowledged (QoS 1) or refused."""
+        token = sent.token
+        if sent.qos:
+            self._largest.acknowledged()
+        if reason_code >= FAILURE:
+            self._account.drop(Cause.REFUSED, token.topic if isinstance(token, Packet | Event) else "")
+        elif sent.qos:
+            self._account.acknowledged += 1
+        else:
+            self._account.written += sent.messages
+        if isinstance(token, Event):
+            self.events.answered(token, has_subscribers=reason_code != NO_SUBSCRIBERS)
+        self._moved.set()
+        if self.queued:
+            self.pump_soon()
+
+    def __enter__(self) -> None:
+        self._pumping = True
+
+    def __exit__(self, *_: object) -> None:
+        self._pump()
+
+    def pump_soon(self) -> None:
+        if not self._pumping and self._client is not None:
+            self._pumping = True
+            asyncio.get_running_loop().call_soon(self._pump)
+
+    def _pump(self) -> None:
+        """Send while the socket takes it; acknowledged messages first, as they are few, but only some at a time."""
+        self._drop_late(monotonic())
+        try:
+            for _ in range(_TOGETHER):
+                client = self._client
+                if client is None or not client.writable:
+                    return
+                if not self._send_next(client) and not self._send_streams(client):
+                    return
+            asyncio.get_running_loop().call_soon(self.pump_soon)
+        finally:
+            self._pumping = False
+
+    def _send_next(self, client: BrokerConnection) -> bool:
+        """Send one message that is acknowledged, or drop it as too large; False: none can be sent now."""
+        if client.unacknowledged >= min(UNACKNOWLEDGED_MAX, client.limits.receive_maximum):
+            return False
+        if self._states:
+            packet = self._states.pop(next(iter(self._states)))
+            self._send(client, packet, 1, packet, retain=client.limits.retains)
+            return True
+        if (event := self.events.pop()) is not None:
+            packet = Packet(event.topic, event.payload(late=event.late), properties_of(CONTACT_EVENT))
+            if not self._send(client, packet, 1, event):
+                self.events.done(event)
+            return True
+        if self._answers:
+            packet = self._answers.pop()
+            self._send(client, packet, 1, packet)
+            return True
+        return False
+
+    def _send_streams(self, client: BrokerConnection) -> bool:
+        """Send the streams that wait, as many as one write should hold; return whether more can be sent now."""
+        now_s = monotonic()
+        packets: list[bytes] = []
+        size_bytes = 0
+        for stream in chain(self._reports, self._streams):
+            packets.append(stream.packet)
+            size_bytes += stream.size_bytes
+            if size_bytes >= _SEND_BYTES:
+                break
+        if not packets:
+            return False
+        begun, complete = client.send_streams(packets)
+        for _ in range(begun):
+            stream = (self._reports or self._streams).pop()
+            self._largest.sent(stream.size_bytes, stream.topic, now_s, awaited=False)
+        self._account.written += complete
+        self._moved.set()
+        return complete == len(packets) and bool(self._reports or self._streams)
+
+    def _send(self, client: BrokerConnection, packet: Packet, qos: int, token: object, *, retain: bool = False) -> bool:
+        """Write a message to the socket; False: the broker would not take one of this size."""
+        properties = packet.properties if client.version is MQTT_5 else None
+        size_bytes = packet_bytes(
+            packet.topic, len(packet.payload), qos, len(properties.pack()) if properties is not None else 0
+        )
+        now_s = monotonic()
+        if size_bytes > self._size_max(client, now_s):
+            self._drop_too_large(packet.topic, size_bytes, client.limits.packet_bytes_max)
+            return False
+        qos = min(qos, client.limits.qos_max)
+        try:
+            client.send(packet.topic, packet.payload, qos=qos, retain=retain, properties=properties, token=token)
+        except ValueError:  # not a topic that can be published to: of an answer, whose topic others choose
+            self._account.drop(Cause.REFUSED, packet.topic)
+            return False
+        self._largest.sent(size_bytes, packet.topic, now_s, awaited=qos > 0)
+        return True
+
+    def _drop_too_large(self, topic: str, size_bytes: int, limit_bytes: int) -> None:
+        self._account.drop(Cause.TOO_LARGE, topic)
+        self._moved.set()
+        if topic not in self._too_large and size_bytes > limit_bytes:
+            self._too_large.add(topic)
+            log.warning(
+                "%s: messages of %d bytes are dropped, the broker takes %d; raise its limit",
+                topic,
+                size_bytes,
+                limit_bytes,
+            )
+
+    def _drop_late(self, now_s: float) -> None:
+        """Drop the streams that have waited too long to be of use."""
+        if not self._streams:
+            return
+        oldest_s = now_s - self.stream_wait_max_s
+        while self._streams and next(iter(self._streams)).since_s < oldest_s:
+            self._account.drop(Cause.LATE, self._streams.pop().topic)
+            self._moved.set()
+
+    def _size_max(self, client: BrokerConnection, now_s: float) -> int:
+        """Return the size of the largest packet that the broker takes."""
+        return min(client.limits.packet_bytes_max, self._largest.bytes_max(now_s))
+
+    def _put(self, queue: BoundedQueue[WaitingT], packet: WaitingT) -> None:
+        for pushed_out in queue.put(packet):
+            self._account.drop(Cause.QUEUE_FULL, pushed_out.topic)
+        if not self._pumping:
+            self.pump_soon()
+
+    def _drop(self, queue: BoundedQueue[WaitingT], cause: Cause) -> None:
+        for packet in queue.clear():
+            self._account.drop(cause, packet.topic)

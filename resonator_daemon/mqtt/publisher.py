@@ -1,0 +1,400 @@
+"""Publishes messages without ever waiting for the broker, and accounts for each of them."""
+
+import asyncio
+import contextlib
+import logging
+import math
+from collections.abc import Callable, Collection, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
+
+from paho.mqtt.client import topic_matches_sub
+from paho.mqtt.enums import MQTTProtocolVersion
+from paho.mqtt.packettypes import PacketTypes
+
+from resonator_daemon.board.config import Mqtt
+from resonator_daemon.mqtt.bounded_queue import Pace
+from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes, Will
+from resonator_daemon.mqtt.broker_limits import BrokerLimits
+from resonator_daemon.mqtt.codec import Encoded, encode
+from resonator_daemon.mqtt.event_history import HistoryPage
+from resonator_daemon.mqtt.message_account import Account, Cause
+from resonator_daemon.mqtt.mqtt_messages import Incoming, Outgoing
+from resonator_daemon.mqtt.outbox import Outbox, Packet
+from resonator_daemon.mqtt.packed_properties import pack, properties_of
+from resonator_daemon.mqtt.payloads import Header, Message, MessageAccount
+from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
+from resonator_daemon.mqtt.retained_topics import RetainedTopics
+from resonator_daemon.mqtt.stream_packets import StreamPackets
+from resonator_daemon.mqtt.topics import JSON, MessageT, Topic
+
+FRESH_S: Final = 0.25  # streams of a live sensor that have waited longer are dropped
+
+log = logging.getLogger(__name__)
+
+
+class Subscription(NamedTuple):
+    """Topic filter and handler of its messages; of a shared one, `$share/group/filter`, the filter alone is matched."""
+
+    topic_filter: str
+    qos: int
+    handle: Callable[[Incoming], None]
+    retain_as_published: bool = False  # with MQTT 5: `Incoming.retained` is that of the sender
+
+    def matches(self, topic: str) -> bool:
+        shared = self.topic_filter.startswith("$share/")
+        own = self.topic_filter.split("/", 2)[2] if shared else self.topic_filter
+        return topic_matches_sub(own, topic)
+
+
+def ignore(*_: object) -> None:
+    pass
+
+
+class _Stream:
+    """Packets of a stream, and those of its decimated topics with their paces."""
+
+    def __init__(self, base: str, topic: Topic[Any]) -> None:
+        self._base, self._topic = base, topic
+        self._by_rate: dict[int, tuple[Pace, StreamPackets]] = {}
+        self.packets = self._packets(topic.path)
+        self.set_rates(())
+
+    def set_rates(self, rates_hz: Collection[int]) -> None:
+        """Set the rates that are published in addition to the fixed ones; a rate that goes on keeps its pace."""
+        fixed = () if self._topic.slow_hz is None else (self._topic.slow_hz,)
+        self._by_rate = {
+            rate_hz: self._by_rate.get(rate_hz) or (Pace(rate_hz), self._packets(self._topic.path_at(rate_hz)))
+            for rate_hz in (*fixed, *rates_hz)
+        }
+        self.decimated = tuple(self._by_rate.values())
+
+    def _packets(self, path: str) -> StreamPackets:
+        return StreamPackets(f"{self._base}/{path}", properties_of(self._topic), perishable=self._topic.perishable)
+
+
+class Publisher:
+    """Sends messages to one broker, whether it is there or not; to be used from the event loop's thread only.
+
+    Streams (QoS 0) are dropped while there is no connection, and the oldest first when the broker does not keep up.
+    Events (QoS 1) wait for a connection, on disk where there is a spool. Of a retained topic the last message is kept,
+    and sent again with each new connection. Each message is in exactly one term of `account`.
+
+    Parameters
+    ----------
+    broker
+        Address and credentials.
+    identifier
+        Of the client: of two connections with one identifier the broker ends the older one.
+    make_will
+        Makes the last will of each connection.
+    subscriptions
+        Renewed with each connection. What `handle` raises is logged once, and costs nothing but that message.
+    spool_directory
+        Where events wait; None: in memory alone.
+    boot_id
+        Of this run of the daemon, whose events are stored next to those that wait; None: they are not.
+    on_connected
+        Called with the number of each connection, before the retained messages are sent again.
+    on_denied
+        Called with filter and reason when the broker refuses a subscription.
+    announce
+        Publishes a new message on the topic of the last will, if that is overwritten; None: its last one is sent again.
+    stream_wait_max_s
+        How long a measured message may wait for the socket, in seconds; older ones are skipped.
+    times
+        Of the connections.
+    """
+
+    def __init__(
+        self,
+        broker: Mqtt,
+        *,
+        identifier: str,
+        make_will: Callable[[], Outgoing],
+        subscriptions: Sequence[Subscription] = (),
+        spool_directory: Path | None = None,
+        boot_id: str | None = None,
+        on_connected: Callable[[int], None] = ignore,
+        on_denied: Callable[[str, str], None] = ignore,
+        announce: Callable[[], None] | None = None,
+        stream_wait_max_s: float = math.inf,
+        times: ConnectionTimes | None = None,
+    ) -> None:
+        self._broker = broker
+        self._times = times or ConnectionTimes()
+        self._identifier = identifier
+        self._make_will = make_will
+        self._will_topic = ""  # of the latest attempt
+        self._subscriptions = subscriptions
+        self._on_connected = on_connected
+        self._on_denied = on_denied
+        self._client: BrokerConnection | None = None
+        self._attempt: BrokerConnection | None = None  # to connect, the last one
+        self._limits = BrokerLimits()  # that attempts have shown since the last connection, for the next last will
+        self._connections = 0
+        self._account = Account()
+        self._outbox = Outbox(self._account, spool_directory, stream_wait_max_s, boot_id=boot_id)
+        self._announce = announce
+        self._retained = RetainedTopics(self._restore)
+        self._streams: dict[tuple[str, str], _Stream] = {}  # by base and path
+        self._denied: set[str] = set()  # filters whose refusal was logged
+        self._defects: set[tuple[str, type[Exception]]] = set()  # filters, and kinds of errors that were logged
+        self._closed = False
+        self._closing: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._ended = asyncio.Event()
+        self._ended.set()
+
+    @property
+    def connected(self) -> bool:
+        return self._client is not None
+
+    @property
+    def protocol(self) -> Literal["5", "3.1.1"] | None:
+        """Version of MQTT of the present connection; None where there is none."""
+        if self._client is None:
+            return None
+        return "5" if self._client.version is MQTT_5 else "3.1.1"
+
+    @property
+    def dropped(self) -> int:
+        """Number of messages that subscribers miss; `lost.publish_dropped` of the messages to come.
+
+        Streams before the first connection, states that a newer one replaced before they were sent, and late messages
+        count in `account.dropped` only.
+        """
+        return self._account.missed
+
+    @property
+    def skipped_late(self) -> int:
+        """Number of messages that waited too long for the socket; part of `lost.skipped_late` of those to come."""
+        return self._account.late
+
+    @property
+    def account(self) -> MessageAccount:
+        account = self._account
+        return MessageAccount(
+            enqueued=account.enqueued,
+            republished=account.republished,
+            resent=account.resent,
+            recovered=account.recovered,
+            acknowledged=account.acknowledged,
+            written=account.written,
+            dropped=dict(account.dropped),
+            unknown_at_disconnect=account.unknown_at_disconnect,
+            waiting=self._outbox.waiting,
+            spooled=self._outbox.events.spooled,
+        )
+
+    def publish(self, base: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
+        """Send a message below `base` as soon as may be, or drop it by the rules of its topic; returns at once.
+
+        Messages of streams (QoS 0) may be encoded already.
+        """
+        if topic.qos == 0 and isinstance(message, (topic.payload, Encoded)):
+            self._publish_stream(base, topic, message)
+            return
+        if not isinstance(message, topic.payload):
+            raise ValueError(f"{topic.path} carries {topic.payload.__name__}, not {type(message).__name__}")
+        name = f"{base}/{topic.path}"
+        if self._make(name, Cause.CLOSED if self._closed else None):
+            if topic.retained:
+                self._put_retained(Packet(name, encode(message), properties_of(topic)))
+            else:
+                self._outbox.put_event(name, message)
+
+    def together(self) -> AbstractContextManager[None]:
+        """Send what is published within this context together, at its end."""
+        return self._outbox
+
+    def retain(self, full_topic: str, payload: bytes, content_type: str) -> None:
+        """Publish a document that is no message, to be kept by the broker."""
+        if self._make(full_topic, Cause.CLOSED if self._closed else None):
+            self._put_retained(Packet(full_topic, payload, pack(content_type=content_type)))
+
+    def restore_now(self) -> None:
+        """Restore at once the retained topics that another publisher overwrote last."""
+        self._retained.restore_now()
+        if self.protocol == "3.1.1":  # what others send is not received there
+            self._outbox.republish(self._outbox.retained_topics)
+
+    def answer(self, outgoing: Outgoing) -> None:
+        """Send an answer to a command, after all events: a flood of commands costs nobody an event."""
+        if self._make(outgoing.topic, Cause.WITHDRAWN if self._closed or not self.connected else None):
+            properties = pack(content_type=JSON, expiry_s=outgoing.expiry_s, correlation=outgoing.correlation)
+            self._outbox.put_answer(Packet(outgoing.topic, outgoing.payload, properties))
+
+    def set_rates(self, base: str, topic: Topic[Any], rates_hz: Collection[int]) -> None:
+        """Set the rates, each above 0, at which a stream is published on topics of their own, besides its fixed one."""
+        self._stream(base, topic).set_rates(rates_hz)
+
+    async def stored_events(self, boot_id: str | None, after_seq: int, bytes_max: int) -> HistoryPage:
+        """Return stored events, as of `EventHistory.page`; only where the publisher stores them."""
+        if (history := self._outbox.events.history) is None:
+            raise ValueError("events are stored under a boot_id only")
+        return await history.page(boot_id, after_seq, bytes_max)
+
+    async def run(self) -> None:
+        """Keep connected until `close`; when cancelled instead, the broker publishes the last will."""
+        self._ended.clear()
+        self._outbox.events.start(self._end)
+        try:
+            session = connection_session(self._make_connection, self._serve, self._closing)
+            await keep_connected(self._broker, session, self._closing, times=self._times)
+        finally:
+            self._closed = True
+            self._retained.close()
+            self._outbox.close()
+            try:
+                await self._outbox.events.close()
+            finally:
+                self._account.close()
+                self._ended.set()
+
+    async def close(
+        self, farewell: tuple[str, Topic[Any], Message] | None = None, *, wait_for_broker: bool = False
+    ) -> None:
+        """Publish a last message after all others, wait up to 2 s until all are sent, and end `run`.
+
+        Parameters
+        ----------
+        farewell
+            Base, topic and message of the last word.
+        wait_for_broker
+            Also where there is no connection yet, because why the daemon ends is worth the time.
+        """
+        end_s = asyncio.get_running_loop().time() + self._times.close_s
+        if farewell is not None:
+            if self.connected:  # else events would be sent after it
+                await self._all_sent(end_s - self._times.close_s / 2)
+            self.publish(*farewell)
+        self._closed = True
+        if self.connected or wait_for_broker:
+            await self._all_sent(end_s)
+        self._end()
+        await self._ended.wait()
+
+    async def _all_sent(self, end_s: float) -> None:
+        """Wait until all messages are sent, at most until this time of the event loop."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout_at(end_s):
+                await self._outbox.all_sent()
+
+    def _end(self) -> None:
+        if not self._closing.done():
+            self._closing.set_result(None)
+
+    def _make(self, topic: str, refused: Cause | None) -> bool:
+        """Count a message; return whether it may be queued."""
+        self._account.enqueued += 1
+        if refused is not None:
+            self._account.drop(refused, topic)
+        return refused is None
+
+    def _put_retained(self, packet: Packet) -> None:
+        if packet.topic not in self._outbox.retained_topics and self._client is not None:
+            self._watch_retained(self._client, packet.topic)
+        self._retained.published(packet.topic, packet.payload)
+        self._outbox.put_state(packet)
+
+    def _watch_retained(self, client: BrokerConnection, topic: str) -> None:
+        """Subscribe to what others send to a retained topic; before MQTT 5 every own message would come back, too."""
+        if client.version is MQTT_5:
+            client.subscribe(topic, no_local=topic != self._will_topic)  # brokers regard a last will as the client's
+
+    def _restore(self, topic: str) -> None:
+        if topic == self._will_topic and self._announce is not None:
+            self._announce()
+        else:
+            self._outbox.republish((topic,))
+
+    def _publish_stream(self, base: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
+        """Queue the message, and the same bytes on each decimated topic whose pace lets it pass."""
+        t_ns = message.t_ns if isinstance(message, (Encoded, Header)) else 0
+        stream = self._stream(base, topic)
+        wanted = [stream.packets]
+        for pace, packets in stream.decimated:
+            if pace.lets_pass(t_ns):
+                wanted.append(packets)
+        self._account.enqueued += len(wanted)
+        if self._closed or self._client is None:
+            absent = Cause.NO_CONNECTION if self._connections else Cause.NOT_CONNECTED_YET
+            for packets in wanted:
+                self._account.drop(Cause.CLOSED if self._closed else absent, packets.topic)
+            return
+        payload = encode(message)
+        for packets in wanted:
+            self._outbox.put_stream(packets, payload)
+
+    def _stream(self, base: str, topic: Topic[Any]) -> _Stream:
+        stream = self._streams.get((base, topic.path))
+        if stream is None:
+            stream = self._streams[base, topic.path] = _Stream(base, topic)
+        return stream
+
+    def _make_connection(self, version: MQTTProtocolVersion) -> BrokerConnection:
+        will = self._make_will()
+        self._will_topic = will.topic
+        if self._attempt is not None:
+            self._limits = self._limits.within(self._attempt.limits)
+        properties = None
+        if version is MQTT_5:
+            properties = pack(content_type=JSON, expiry_s=will.expiry_s, packet_type=PacketTypes.WILLMESSAGE)
+        self._attempt = BrokerConnection(
+            self._broker,
+            version,
+            identifier=self._identifier,
+            will=Will(
+                will.topic,
+                will.payload,
+                qos=min(1, self._limits.qos_max),
+                retain=will.retained and self._limits.retains,
+                properties=properties,
+            ),
+            on_completed=self._outbox.published,
+            on_writable=self._outbox.pump_soon,
+            on_message=self._received,
+            on_denied=self._denied_by_broker,
+            times=self._times,
+        )
+        return self._attempt
+
+    async def _serve(self, client: BrokerConnection, at_once: bool) -> None:
+        self._client = client
+        self._limits = client.limits
+        self._connections += 1
+        self._outbox.connected(client, at_once=at_once)
+        for subscription in self._subscriptions:
+            client.subscribe(
+                subscription.topic_filter, subscription.qos, retain_as_published=subscription.retain_as_published
+            )
+        subscribed = {subscription.topic_filter for subscription in self._subscriptions}
+        for topic in self._outbox.retained_topics - subscribed:
+            self._watch_retained(client, topic)
+        self._on_connected(self._connections)
+        self._outbox.republish(self._outbox.retained_topics)
+        try:
+            await asyncio.wait([client.lost])
+        finally:
+            self._client = None
+            self._outbox.disconnected()
+
+    def _received(self, message: Incoming) -> None:
+        self._retained.receive(message)
+        for subscription in self._subscriptions:
+            if subscription.matches(message.topic):
+                try:
+                    subscription.handle(message)
+                except Exception as error:  # a message of any sender must not end the process
+                    kind = (subscription.topic_filter, type(error))
+                    if kind not in self._defects:
+                        self._defects.add(kind)
+                        log.exception("a message on %s failed; further such failures are not logged", message.topic)
+
+    def _denied_by_broker(self, topic_filter: str, reason: str) -> None:
+        """Log a denied subscription once, not with each new connection."""
+        if topic_filter not in self._denied:
+            self._denied.add(topic_filter)
+            log.warning("broker denies %s (%s): no messages are received there", topic_filter, reason)
+        self._on_denied(topic_filter, reason)

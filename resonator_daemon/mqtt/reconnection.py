@@ -1,0 +1,200 @@
+"""Keeps one connection to a broker: MQTT 5 or else 3.1.1, new attempts with back-off, one log line per change."""
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Any
+
+from paho.mqtt.enums import MQTTProtocolVersion
+
+from resonator_daemon.base.host.system_limits import reason_of
+from resonator_daemon.board.config import Mqtt
+from resonator_daemon.mqtt import connection_errors
+from resonator_daemon.mqtt.backoff import Backoff
+from resonator_daemon.mqtt.broker_connection import MQTT_3, MQTT_5, BrokerConnection, ConnectionTimes
+from resonator_daemon.mqtt.connection_errors import BrokerError
+
+log = logging.getLogger(__name__)
+
+Report = Callable[[int, str], None]
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One attempt to connect.
+
+    Attributes
+    ----------
+    version
+        Of MQTT, which the broker supports.
+    at_once
+        Whether it is the first attempt since the last connection ended.
+    accepted
+        To be called when the broker has accepted the connection.
+    """
+
+    version: MQTTProtocolVersion
+    at_once: bool
+    accepted: Callable[[], None]
+
+
+def _log_line(level: int, text: str) -> None:
+    log.log(level, "%s", text)
+
+
+async def keep_connected(
+    broker: Mqtt,
+    session: Callable[[Attempt], Awaitable[None]],
+    closing: asyncio.Future[None],
+    *,
+    report: Report = _log_line,
+    on_failure: Callable[[Exception], None] = lambda _: None,
+    times: ConnectionTimes | None = None,
+) -> None:
+    """Run one session after the other until `closing` is done.
+
+    Parameters
+    ----------
+    broker
+    session
+        Connects, calls `Attempt.accepted`, and returns when `closing` is done. Raises BrokerError or OSError if it
+        cannot connect, and when the connection is lost.
+    closing
+    report
+        Called with level and text of a log line when the connection changes, once per change.
+    on_failure
+        Called with the error of each attempt that fails, and of each connection that is lost.
+    times
+    """
+    loop = asyncio.get_running_loop()
+    times = times or ConnectionTimes()
+    pauses = Backoff(times.first_pause_s)
+    version: MQTTProtocolVersion | None = None
+    attempts = 0
+    accepted_s: float | None = None
+    reported: str | None = None
+
+    def report_change(level: int, text: str) -> None:
+        nonlocal reported
+        if text != reported:
+            report(level, f"broker {broker.host}:{broker.port}: {text}")
+        reported = text
+
+    def accepted() -> None:
+        nonlocal accepted_s, attempts
+        accepted_s, attempts = loop.time(), 0
+        report_change(logging.INFO, f"connected, MQTT {'5' if version is MQTT_5 else '3.1.1'}")
+
+    while not closing.done():
+        attempts += 1
+        longest_pause_s = times.longest_pause_s
+        accepted_s = None
+        try:
+            version = version or await find_version(broker, closing, times)
+            if version is None:
+                return
+            await session(Attempt(version, attempts == 1, accepted))
+        except (BrokerError, OSError) as caught:
+            error = connection_errors.of_answer(caught, broker)
+            on_failure(error)
+            refused = isinstance(error, connection_errors.RefusalError)
+            if refused:
+                longest_pause_s = times.refused_pause_s
+            if broker.username is None or version is MQTT_3 or not (accepted_s is not None or refused):
+                version = None  # another broker may answer next time; else one attempt without a user name is spared
+            answered = connection_errors.code_of(error) != connection_errors.UNSPECIFIED
+            reason = reason_of(error) if isinstance(error, OSError) else error
+            report_change(logging.WARNING, f"{reason if answered else 'connection lost'}; trying again")
+        if accepted_s is not None and loop.time() - accepted_s > times.stable_s:
+            pauses.reset()
+        await asyncio.wait([closing], timeout=pauses.next_s(longest_pause_s))
+
+
+def connection_session(
+    make_connection: Callable[[MQTTProtocolVersion], BrokerConnection],
+    serve: Callable[[BrokerConnection, bool], Awaitable[None]],
+    closing: asyncio.Future[None],
+) -> Callable[[Attempt], Awaitable[None]]:
+    """Return a session that serves a BrokerConnection.
+
+    `serve(connection, at_once)` is cancelled when the connection is over, and may raise BrokerError to give it up.
+    The connection is closed with DISCONNECT if `closing` is done; else the broker publishes the will.
+    """
+
+    async def session(attempt: Attempt) -> None:
+        connection = make_connection(attempt.version)
+        if not await _connect(connection, closing):
+            return
+        try:
+            attempt.accepted()
+            await _serve_until_over(serve(connection, attempt.at_once), connection, closing)
+            if connection.writable:
+                await connection.disconnect()
+        finally:
+            connection.abort()
+
+    return session
+
+
+async def find_version(
+    broker: Mqtt, closing: asyncio.Future[None], times: ConnectionTimes
+) -> MQTTProtocolVersion | None:
+    """Return the version of MQTT that a broker supports, by the simplest connection; None if closing comes first.
+
+    A broker without version 5 may misread a will, a name or a password in a connection of that version, and wait for
+    the rest of it without end, instead of refusing (amqtt 0.12 does). Any answer but "unsupported version" is one of
+    MQTT 5, "not authorised" too.
+
+    Raises
+    ------
+    BrokerError
+        The broker cannot be reached or does not answer.
+    """
+    probe = BrokerConnection(broker.anonymous(), MQTT_5, times=times)
+    try:
+        if not await _connect(probe, closing):
+            return None
+    except connection_errors.RefusalError:
+        raise
+    except connection_errors.NoAnswerError:
+        if broker.username is None:
+            raise
+    except BrokerError as error:
+        if error.code is None:
+            raise
+        return MQTT_3 if error.code == connection_errors.UNSUPPORTED_VERSION else MQTT_5
+    else:
+        await probe.disconnect()
+    return MQTT_5
+
+
+async def _connect(connection: BrokerConnection, closing: asyncio.Future[None]) -> bool:
+    """Connect; return False if closing comes first."""
+    connecting = asyncio.ensure_future(connection.connect())
+    ends: list[asyncio.Future[Any]] = [connecting, closing]
+    try:
+        await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        if not connecting.done():
+            connecting.cancel()
+            await asyncio.wait([connecting])
+    if connecting.cancelled():
+        return False
+    connecting.result()
+    return True
+
+
+async def _serve_until_over(work: Awaitable[None], connection: BrokerConnection, closing: asyncio.Future[None]) -> None:
+    serving = asyncio.ensure_future(work)
+    ends: list[asyncio.Future[Any]] = [serving, connection.lost, closing]
+    try:
+        await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        serving.cancel()
+        await asyncio.wait([serving])
+    if not serving.cancelled():
+        serving.result()
+    if not closing.done():
+        connection.lost.result()
+        raise BrokerError("connection lost")

@@ -1,0 +1,161 @@
+"""The other side of commands: sends one to a running daemon and waits for its answer."""
+
+import asyncio
+import json
+import secrets
+from collections.abc import Mapping
+from typing import Any, Final
+
+from paho.mqtt.enums import MQTTProtocolVersion
+
+from resonator_daemon.base.errors import ExitCode, UserError
+from resonator_daemon.base.host.system_limits import reason_of
+from resonator_daemon.board.config import Mqtt
+from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, BrokerConnection
+from resonator_daemon.mqtt.mqtt_messages import Incoming
+from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
+from resonator_daemon.mqtt.topics import full_topic
+from resonator_daemon.mqtt.verbs import UNKNOWN, VERBS, Answer, Refusal
+
+REACH_S: Final = 5.0
+ANSWER_S: Final = 10.0
+
+
+class BrokerUnreachableError(UserError):
+    """No broker listens at the address of the configuration or the command line."""
+
+    exit_code = ExitCode.UNAVAILABLE
+    code = "no_broker"
+
+
+class NoAnswerError(UserError):
+    """The daemon does not answer."""
+
+    exit_code = ExitCode.FAILED
+    code = "no_answer"
+
+
+class RefusedError(UserError):
+    """The daemon refused the command; `code` is one of `verbs.ERRORS`."""
+
+    exit_code = ExitCode.FAILED
+    code = "refused"
+
+    def __init__(self, code: str, message: str, so_far: Mapping[str, Any] | None = None) -> None:
+        super().__init__(message, so_far=so_far)
+        self.code = code
+
+
+class DeniedError(UserError):
+    """The broker's access rules do not let this user send the command, or receive the answer."""
+
+    exit_code = ExitCode.FAILED
+    code = "denied"
+
+
+async def reach(broker: Mqtt) -> None:
+    """Open a connection once: other clients would wait for a broker for ever.
+
+    Raises
+    ------
+    BrokerUnreachableError
+        Nobody listens there.
+    """
+    try:
+        async with asyncio.timeout(REACH_S):
+            _, writer = await asyncio.open_connection(broker.host, broker.port)
+    except (OSError, TimeoutError) as error:
+        where = f"{broker.host}:{broker.port}"
+        raise BrokerUnreachableError(f"no broker at {where} ({reason_of(error)}); see {broker.named_by}") from None
+    writer.close()
+
+
+async def execute(
+    broker: Mqtt, name: str, verb: str, arguments: Mapping[str, Any], *, answer_s: float = ANSWER_S
+) -> Answer:
+    """Send a command as `request` does; return its answer as a model.
+
+    Raises
+    ------
+    RefusedError
+        The daemon did not do it.
+    """
+    content = await request(broker, name, verb, dict(arguments), answer_s=answer_s)
+    if content.get("ok") is not True:
+        problem = Refusal.model_validate(content).error
+        hint = f"; {problem.hint}" if problem.hint else ""
+        raise RefusedError(problem.code, f"{name} refused {verb}: {problem.message}{hint} ({problem.code})")
+    return (VERBS[verb].answer if verb in VERBS else Answer).model_validate(content)
+
+
+async def request(
+    broker: Mqtt, name: str, verb: str, payload: dict[str, Any], *, answer_s: float = ANSWER_S
+) -> dict[str, Any]:
+    """Send a command to the daemon of this name; return its answer.
+
+    A connection that ends meanwhile is made again and the command sent again: the daemon may get it twice. The answer
+    is recognised by its `id`, that of the payload, or else a random one.
+
+    Raises
+    ------
+    BrokerUnreachableError
+        Nobody listens at the broker's address.
+    DeniedError
+        The broker refuses this to the user; without MQTT 5 it does not report that of the command.
+    NoAnswerError
+        No answer came in time.
+    """
+    await reach(broker)
+    loop = asyncio.get_running_loop()
+    closing: asyncio.Future[None] = loop.create_future()
+    answer: asyncio.Future[dict[str, Any]] = loop.create_future()
+    number = secrets.token_hex(8)
+    command_topic = full_topic(broker.prefix, name, f"cmd/{verb}")
+    common_topic = full_topic(broker.prefix, name, f"rsp/{verb if verb in VERBS else UNKNOWN}")
+    own_topic = f"{common_topic}/{number}"
+    payload = {"id": number, **payload}
+
+    def receive(message: Incoming) -> None:
+        try:
+            content = json.loads(message.payload)
+        except (ValueError, RecursionError):
+            return
+        if message.retained or answer.done() or not isinstance(content, dict):
+            return
+        if content.get("verb") not in (verb, UNKNOWN):
+            return
+        if content.get("id") == payload["id"] or message.topic == own_topic:  # a payload that cannot be read has no id
+            answer.set_result(content)
+
+    def denied(topic: str) -> None:
+        if not answer.done():
+            answer.set_exception(DeniedError(f"the broker denies {topic}; see its access rules for this user"))
+
+    async def serve(client: BrokerConnection, _at_once: bool) -> None:
+        client.subscribe(own_topic if client.version is MQTT_5 else common_topic)
+        client.send(
+            command_topic, json.dumps(payload).encode(), qos=1, correlation=number.encode(), response_topic=own_topic
+        )
+        await asyncio.wait([client.lost, closing], return_when=asyncio.FIRST_COMPLETED)
+
+    def make_connection(version: MQTTProtocolVersion) -> BrokerConnection:
+        return BrokerConnection(
+            broker,
+            version,
+            on_completed=lambda _sent, reason_code: denied(command_topic) if reason_code >= FAILURE else None,
+            on_message=receive,
+            on_denied=lambda topic_filter, _reason: denied(topic_filter),
+        )
+
+    session = connection_session(make_connection, serve, closing)
+    connection = asyncio.create_task(keep_connected(broker, session, closing))
+    try:
+        async with asyncio.timeout(answer_s):
+            return await answer
+    except TimeoutError:
+        raise NoAnswerError(
+            f"no answer to {command_topic} within {answer_s:g} s; is `resonatord run` running?"
+        ) from None
+    finally:
+        closing.set_result(None)
+        await connection

@@ -1,0 +1,362 @@
+"""The commands on `cmd/<verb>`: what each takes and what it answers. A request with a key too many is refused."""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, SerializeAsAny
+from pydantic.fields import FieldInfo
+
+from resonator_daemon.base.reasons import ReasonCode
+from resonator_daemon.board.config.tables import ChangingVerb
+from resonator_daemon.mqtt.payload_types import optional
+from resonator_daemon.mqtt.payloads import ContactEvent, Health, Int64, Message, PerChannel
+from resonator_daemon.mqtt.topics import JSON, TOPICS
+
+LABEL_PATTERN: Final = "^[A-Za-z0-9_-]{1,64}$"
+ID_LENGTH_MAX: Final = 64
+UNKNOWN: Final = "unknown"  # `verb` of the refusal of any other command, and the last level of its topic
+
+
+def _named(name: str, about: str, meanings: Mapping[Any, str | None]) -> FieldInfo:
+    """Return what gives a set of words its name, and each word its meaning, in a JSON schema."""
+
+    def describe(schema: dict[str, Any]) -> None:
+        lines = [about, *(f"- `{word}`: {meanings[word]}" for word in schema["enum"])]
+        schema["description"] = "\n".join(lines)
+        schema["x-enum-descriptions"] = [meanings[word] for word in schema["enum"]]
+
+    field: FieldInfo = Field(title=name, json_schema_extra=describe)
+    return field
+
+
+if TYPE_CHECKING:
+    JsonTopic = str
+    StreamTopic = str
+    NamedJsonTopic = str
+    NamedStreamTopic = str
+else:
+    JsonTopic = Literal[tuple(path for path, topic in TOPICS.items() if topic.content_type == JSON)]
+    StreamTopic = Literal[tuple(path for path, topic in TOPICS.items() if topic.slow_hz is not None)]
+    _ABOUT = {path: topic.payload.__doc__ for path, topic in TOPICS.items()}
+    NamedJsonTopic = Annotated[JsonTopic, _named("JsonTopic", "Topics with JSON.", _ABOUT)]
+    NamedStreamTopic = Annotated[StreamTopic, _named("StreamTopic", "Topics that are published at rates.", _ABOUT)]
+ErrorCode = Literal[
+    "unknown_verb",
+    "not_permitted",
+    "payload",
+    "response_topic",
+    "correlation",
+    "too_many",
+    "busy",
+    "timeout",
+    "failed",
+    "not_ready",
+    "not_untouched",
+    "recording",
+    "not_recording",
+    "recording_failed",
+    "window",
+    "not_published",
+    "too_many_rates",
+    "unknown_boot",
+    "storage_failed",
+    "not_located",
+]
+ERRORS: Final[dict[ErrorCode, str]] = {
+    "unknown_verb": "there is no such command",
+    "not_permitted": "it changes something, and the configuration does not allow it",
+    "payload": "not a JSON object of this command, an empty payload, or more than 16 KiB",
+    "response_topic": "a topic with wildcards, or a daemon's own outside `rsp/`: answers would pass for its messages",
+    "correlation": "correlation data of more than 1024 bytes, which the answer does not repeat",
+    "too_many": "more than 20 at once, or 10 a second; most of those get no answer at all",
+    "busy": "32 commands wait already",
+    "timeout": "not done within 8 s; it may still be done",
+    "failed": "an error of the daemon; its log has more",
+    "not_ready": "no force sites are being measured: no board, or a plate with a skin; or the link is a recording",
+    "not_untouched": "the plate is touched, or not all of it is detected",
+    "recording": "another recording runs",
+    "not_recording": "nothing is being recorded",
+    "recording_failed": "the file cannot be made, or takes nothing more",
+    "window": "window and step do not fit each other, or the frames",
+    "not_published": "the daemon does not publish this stream",
+    "too_many_rates": "16 further rates are published already",
+    "unknown_boot": "no run with this `daemon_boot_id` is on record",
+    "storage_failed": "stored events of an earlier run cannot be read: the disk failed, or another process holds it",
+    "not_located": "the board did not answer, or cannot blink",
+}
+
+
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("must be printable characters, without line breaks and control characters")
+    return text
+
+
+RequestId = Annotated[str, Field(min_length=1, max_length=ID_LENGTH_MAX), AfterValidator(_printable)]
+
+
+def _whole(value: object) -> object:
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+WholeNumber = Annotated[int, BeforeValidator(_whole)]
+"""An integer as JSON Schema has it: 8.0 is one."""
+
+
+class Request(BaseModel):
+    """Base of the commands; `{}` for one without fields."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    id: RequestId | None = Field(None, description="1 to 64 printable characters, repeated in the answer")
+
+
+class Answer(Message):
+    """Base of the answers to what was done."""
+
+    verb: str
+    ok: Literal[True] = True
+    id: RequestId | None = Field(None, description="that of the request; null where it had none")
+
+
+class Problem(Message):
+    """Why a command was refused."""
+
+    code: Annotated[ErrorCode, _named("ErrorCode", "Why a command was refused.", ERRORS)]
+    message: str = Field(description="sentence for display: what is wrong")
+    hint: str = Field(description="what to do about it; may be empty")
+
+
+class Refusal(Message):
+    """The answer to what was not done."""
+
+    verb: str
+    ok: Literal[False] = False
+    id: RequestId | None = Field(None, description="that of the request; null where it had none that could be read")
+    error: Problem
+
+
+class Ping(Request):
+    """Ask whether the daemon is there."""
+
+
+class Pong(Answer):
+    """The daemon is there."""
+
+    verb: Literal["ping"] = "ping"
+    t_ns: Int64 = Field(description="UTC, when the answer was made")
+    daemon_boot_id: str
+    uptime_s: float
+
+
+class HealthRequest(Request):
+    """Ask for a message of `health` at once; it is published, too."""
+
+
+class HealthAnswer(Answer):
+    """How the daemon fares now."""
+
+    verb: Literal["health"] = "health"
+    health: Health
+
+
+class Snapshot(Request):
+    """Ask for the last messages on the JSON topics."""
+
+    topics: Annotated[tuple[NamedJsonTopic, ...], Field(strict=False, max_length=16)] | None = Field(
+        None, description="those wanted; all where not given"
+    )
+
+
+class SnapshotAnswer(Answer):
+    """The last messages, as they were published."""
+
+    verb: Literal["snapshot"] = "snapshot"
+    messages: dict[str, SerializeAsAny[Message]] = Field(description="by topic; none of those that had no message yet")
+    omitted: tuple[str, ...] = Field(description="topics whose messages would make the answer too long: request fewer")
+
+
+class Events(Request):
+    """Ask for the stored events of a run of the daemon; the next page is asked for with the last `seq` of this one."""
+
+    after_seq: WholeNumber = Field(-1, ge=-1, le=2**53 - 1, description="`seq` of the last event that the client has")
+    daemon_boot_id: Annotated[str, Field(min_length=1, max_length=64)] | None = Field(
+        None, description="of an earlier run; the present one where not given"
+    )
+
+
+class EventsAnswer(Answer):
+    """Stored events, in order; there are more where the last one is older than `newest_seq`."""
+
+    verb: Literal["events"] = "events"
+    daemon_boot_id: str = Field(description="of the run that the events are of")
+    events: tuple[ContactEvent, ...] = Field(description="those after `after_seq`, with `replayed` true")
+    complete: bool = Field(description="false: some of those after `after_seq` are no longer stored")
+    oldest_seq: int | None = Field(description="of the oldest that is stored of this run; null where none is")
+    newest_seq: int | None = Field(description="of the newest that happened in this run; null where none did")
+    next_daemon_boot_id: str | None = Field(description="of the next run that is stored; null for the present run")
+
+
+class Tare(Request):
+    """Request to take the present readings as those of the untouched plate."""
+
+
+class TareAnswer(Answer):
+    """What was taken for untouched."""
+
+    verb: Literal["tare"] = "tare"
+    message: str = Field(description="sentence for display, always the same: programs read `ok`")
+    common_mode: PerChannel = Field(description="relative frequency error by channel")
+
+
+class StartRecording(Request):
+    """Record the link to a file; the daemon chooses its name, and where."""
+
+    label: Annotated[str, Field(pattern=LABEL_PATTERN)] | None = Field(None, description="becomes part of the name")
+
+
+class StartRecordingAnswer(Answer):
+    """The recording that runs."""
+
+    verb: Literal["start_recording"] = "start_recording"
+    file: str = Field(description="on the daemon's machine")
+    since_t_ns: Int64 = Field(description="UTC")
+    was_active: bool = Field(description="it ran before this command came")
+
+
+class StopRecording(Request):
+    """End the recording."""
+
+
+class RecordingSummaryInfo(Message):
+    """What a recording that has ended holds."""
+
+    file: str = Field(description="the last of its files, on the daemon's machine")
+    files: int
+    all_bytes: int = Field(description="of all its files")
+    events: int = Field(description="pieces of the link's traffic that are in its files")
+    events_missing: int = Field(description="those that are in none: the disk was too slow or failed")
+    duration_s: float
+    failure_code: ReasonCode | None = optional(
+        "why nothing more was written, for programs; left out where all was well"
+    )
+    failure: str | None = Field(description="the same as a sentence; null where all was well")
+
+
+class StopRecordingAnswer(Answer):
+    """No recording runs any more."""
+
+    verb: Literal["stop_recording"] = "stop_recording"
+    recording: RecordingSummaryInfo | None = Field(description="the last one; null where none ran yet")
+    was_active: bool = Field(description="a recording ran when this command came")
+
+
+class Mark(Request):
+    """Write a remark into the recording."""
+
+    text: Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)] = Field(
+        description="printable characters"
+    )
+
+
+class MarkAnswer(Answer):
+    """Where the remark stands."""
+
+    verb: Literal["mark"] = "mark"
+    t_ns: Int64 = Field(description="UTC")
+
+
+class SetWindow(Request):
+    """Set how long is counted for one force and how often one is published; until the daemon ends."""
+
+    window_ms: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)] | None = Field(
+        None, description="as it was where not given"
+    )
+    step_ms: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)] | None = Field(
+        None, description="as it was where not given"
+    )
+
+
+class SetWindowAnswer(Answer):
+    """What holds from the next message on."""
+
+    verb: Literal["set_window"] = "set_window"
+    window_s: float
+    step_s: float
+
+
+class SetRate(Request):
+    """Publish a stream at a further rate, too, on a topic of its own, for a time that asking again extends."""
+
+    topic: NamedStreamTopic
+    rate_hz: WholeNumber = Field(ge=1, le=1000, description="at most so many messages a second")
+    lease_s: WholeNumber = Field(60, ge=1, le=3600, description="how long from now")
+
+
+class SetRateAnswer(Answer):
+    """The topic that has this rate."""
+
+    verb: Literal["set_rate"] = "set_rate"
+    topic: str = Field(description="below prefix and name")
+    rate_hz: int = Field(description="at most so many messages a second")
+    until_t_ns: Int64 | None = Field(description="UTC, when it ends; null: it is always published")
+
+
+class Identify(Request):
+    """Request to make the board blink."""
+
+
+class IdentifyAnswer(Answer):
+    """The board has answered that it blinks."""
+
+    verb: Literal["identify"] = "identify"
+
+
+@dataclass(frozen=True)
+class Verb:
+    """One command.
+
+    Attributes
+    ----------
+    idempotent
+        Whether it may be sent again without doing more.
+    """
+
+    request: type[Request]
+    answer: type[Answer]
+    summary: str
+    idempotent: bool = True
+
+    @property
+    def name(self) -> str:
+        name: str = self.answer.model_fields["verb"].default
+        return name
+
+    @property
+    def changes(self) -> bool:
+        """Whether it changes anything, and therefore has to be permitted by the configuration."""
+        return self.name in get_args(ChangingVerb)
+
+
+VERBS: Final[dict[str, Verb]] = {
+    verb.name: verb
+    for verb in (
+        Verb(Ping, Pong, "confirms that the daemon runs"),
+        Verb(HealthRequest, HealthAnswer, "answers with the health of the daemon"),
+        Verb(Snapshot, SnapshotAnswer, "repeats the last message of each JSON topic"),
+        Verb(Events, EventsAnswer, "answers with stored events"),
+        Verb(Tare, TareAnswer, "takes the present readings as those of the untouched plate"),
+        Verb(StartRecording, StartRecordingAnswer, "records the link to a file"),
+        Verb(StopRecording, StopRecordingAnswer, "ends the recording"),
+        Verb(Mark, MarkAnswer, "writes a remark into the recording", idempotent=False),
+        Verb(SetWindow, SetWindowAnswer, "sets window and step of the forces"),
+        Verb(SetRate, SetRateAnswer, "publishes a stream at a further rate on a topic of its own"),
+        Verb(Identify, IdentifyAnswer, "makes the board blink"),
+    )
+}
+
+
+def permitted(allowed: Collection[str]) -> tuple[str, ...]:
+    """Return the verbs that a daemon executes: those that change nothing, and those that its configuration allows."""
+    return tuple(verb.name for verb in VERBS.values() if not verb.changes or verb.name in allowed)
