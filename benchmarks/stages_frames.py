@@ -35,6 +35,8 @@ from resonator_daemon.board.session.link_events import Received
 from resonator_daemon.estimate.forces.site_identification import Matcher
 from resonator_daemon.estimate.tones.tone_detector import capture_band_hz
 from resonator_daemon.estimate.tones.tone_windows import ToneWindows
+from resonator_daemon.measure.sensors.plate_sites import force_sites
+from resonator_daemon.measure.sensors.single_tone_processing import SingleToneProcessing
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.message_examples import EXAMPLES
 from resonator_daemon.mqtt.mqtt_messages import Outgoing
@@ -42,8 +44,6 @@ from resonator_daemon.mqtt.payloads import Forces, Lost
 from resonator_daemon.mqtt.publisher import Publisher
 from resonator_daemon.mqtt.topics import Topic
 from resonator_daemon.replay.source import open_replay
-from resonator_daemon.sensors.plate_sites import force_sites
-from resonator_daemon.sensors.single_tone_processing import SingleToneProcessing
 from simulators.physics import Physics
 from simulators.quartz_plate import QuartzPlate
 from simulators.scenario import Scenario

@@ -30,7 +30,7 @@ from resonator_daemon.calibration.plate_file import (
     write_plate_file,
 )
 from resonator_daemon.calibration.steps import CalibrationRefusedError, LoadRequest, Step, plan_steps
-from resonator_daemon.sensors.kinds import sensor_of
+from resonator_daemon.measure.sensors.kinds import sensor_of
 
 _AS_BEFORE: Final = "the plate file is as before"
 

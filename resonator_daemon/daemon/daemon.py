@@ -44,6 +44,7 @@ from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.daemon.plate_publisher import PlatePublisher
 from resonator_daemon.daemon.recorded_messages import RecordedMessages
 from resonator_daemon.daemon.recording_commands import RecordingCommands, as_json_text, recording_info
+from resonator_daemon.measure.sensors.base import Sensor
 from resonator_daemon.monitoring.ages import Ages
 from resonator_daemon.monitoring.daemon_state import DaemonSnapshot, DaemonState
 from resonator_daemon.monitoring.health import HealthMonitor
@@ -56,12 +57,11 @@ from resonator_daemon.mqtt.payloads import Condition, Health, Message, MessageAc
 from resonator_daemon.mqtt.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.pipeline.control_requests import ControlRequests, SetWindow
-from resonator_daemon.sensors.base import Sensor
 
 if TYPE_CHECKING:
     from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
-    from resonator_daemon.sensors.surface_decoding import SurfaceClient
-    from resonator_daemon.sensors.surface_stream import SurfaceSettings
+    from resonator_daemon.measure.sensors.surface_decoding import SurfaceClient
+    from resonator_daemon.measure.sensors.surface_stream import SurfaceSettings
 
 log = logging.getLogger(__name__)
 

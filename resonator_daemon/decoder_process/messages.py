@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from resonator_daemon.base.reasons import Reason
+from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 from resonator_daemon.mqtt.headers import MeasuredFields
 from resonator_daemon.mqtt.payloads import ContactEvent
-from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 
 Outcome = Literal["ready", "decoded", "too_old", "no_noise"]
 

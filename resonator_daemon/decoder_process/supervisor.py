@@ -20,13 +20,13 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.decoder_process.connection import WorkerConnection
 from resonator_daemon.decoder_process.followed_contacts import FollowedContacts, no_contacts
 from resonator_daemon.decoder_process.messages import EndContacts, Reply, Results, SetUpStep, Undecodable, Work
+from resonator_daemon.measure.sensors.surface_decoding import SurfaceClient
+from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 from resonator_daemon.monitoring.health import ProcessUsage
 from resonator_daemon.mqtt.backoff import Backoff
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.payloads import ContactEvent, DecoderProcessInfo
 from resonator_daemon.mqtt.topics import CONTACTS, DECODED, TOPICS
-from resonator_daemon.sensors.surface_decoding import SurfaceClient
-from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 
 HUNG_S: Final = 5.0  # without a reply about a frame, which takes some ms
 SET_UP_MAX_S: Final = 600.0  # of a start, or of one step of a set-up

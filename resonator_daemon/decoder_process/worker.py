@@ -20,11 +20,11 @@ from resonator_daemon.decoder_process.messages import (
     packed,
 )
 from resonator_daemon.estimate.surface.streaming import UndecodableError
+from resonator_daemon.measure.sensors.surface_stream import SurfaceSettings, SurfaceStream
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.headers import MeasuredFields
 from resonator_daemon.mqtt.payloads import ContactEvent, Header, Message
 from resonator_daemon.mqtt.topics import DECODED, Topic
-from resonator_daemon.sensors.surface_stream import SurfaceSettings, SurfaceStream
 
 AGE_MAX_NS: Final = 100_000_000  # of a frame that is decoded, since it was offered
 _PAUSE: Final = 2.4  # between rebuilds, times as long as one took: rebuilds take at most 30 % of a core

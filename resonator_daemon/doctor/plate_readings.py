@@ -10,7 +10,7 @@ import numpy as np
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.estimate.tones.tone_detector import ToneReading
-from resonator_daemon.sensors.expected_tones import ExpectedTones
+from resonator_daemon.measure.sensors.expected_tones import ExpectedTones
 
 FEWEST_FRAMES: Final = 3  # of a reading
 PAIRS: Final = tuple(combinations(range(CHANNEL_COUNT), 2))

@@ -14,7 +14,7 @@ from resonator_daemon.base.plate_tables import SKIN_SIGNALS
 from resonator_daemon.doctor.capture import Capture
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, Outcome, graded, not_checked
 from resonator_daemon.doctor.plate_readings import PAIRS, known_mean
-from resonator_daemon.sensors.expected_tones import ExpectedTones
+from resonator_daemon.measure.sensors.expected_tones import ExpectedTones
 
 CHANNELS: Final = Check("sensor.channels", Area.SENSOR, "channels")
 STAMPS: Final = Check("board.stamps", Area.SENSOR, "stamps from gate to gate")

@@ -12,6 +12,7 @@ from resonator_daemon.base.reasons import Reason
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.frames import BoardOnline, LinkChange, Outage
 from resonator_daemon.estimate.forces.readings import Compensation as AppliedCompensation
+from resonator_daemon.measure.sensors.base import Sensor
 from resonator_daemon.monitoring.daemon_state import DaemonSnapshot
 from resonator_daemon.mqtt.headers import Headers
 from resonator_daemon.mqtt.payloads import (
@@ -35,7 +36,6 @@ from resonator_daemon.mqtt.topics import (
 )
 from resonator_daemon.mqtt.units import UNITS
 from resonator_daemon.mqtt.verbs import permitted
-from resonator_daemon.sensors.base import Sensor
 
 _VERSION: Final = version("resonatord")  # of this process; an upgrade replaces the file that has it
 

@@ -17,10 +17,10 @@ from resonator_daemon.base.host.new_file import replace_file
 from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.exporting.formats import parquet
 from resonator_daemon.exporting.output import Recorded
+from resonator_daemon.measure.sensors.calendar import utc_day
 from resonator_daemon.mqtt.codec import decoded
 from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.replay.recorded_pipeline import Moment
-from resonator_daemon.sensors.calendar import utc_day
 
 REPORTS = "chunks"  # directory of the reports
 _PARTS = ".parts"  # directory of incomplete files

@@ -20,6 +20,7 @@ from resonator_daemon.board.config.decoder import DecoderConfig
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 from resonator_daemon.estimate.surface.streaming import CANNOT_DECODE, failed, set_up
+from resonator_daemon.measure.sensors.surface_messages import SurfaceMessages
 from resonator_daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.mqtt.mqtt_messages import Incoming
 from resonator_daemon.mqtt.payloads import Condition, DecoderPlateHealth, DecoderProcessInfo, Signals
@@ -42,7 +43,6 @@ from resonator_daemon.remote_decoding.plate import (
     error_text,
     header_of,
 )
-from resonator_daemon.sensors.surface_messages import SurfaceMessages
 
 PLATES_MAX: Final = 1000
 PROBLEMS_MAX: Final = 100  # of plates that are not in the table

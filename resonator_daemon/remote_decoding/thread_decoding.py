@@ -14,11 +14,11 @@ from resonator_daemon.decoder_process.supervisor import WAIT_MAX_NS
 from resonator_daemon.decoder_process.worker import AGE_MAX_NS
 from resonator_daemon.estimate.surface.equal_skins import EqualSkins
 from resonator_daemon.estimate.surface.streaming import UndecodableError
+from resonator_daemon.measure.sensors.surface_decoding import SurfaceClient
+from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
 from resonator_daemon.mqtt.codec import Encoded, encode
 from resonator_daemon.mqtt.payloads import ContactEvent, DecoderProcessInfo, Header, Message
 from resonator_daemon.mqtt.topics import DECODED, Topic
-from resonator_daemon.sensors.surface_decoding import SurfaceClient
-from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
 
 Skipped = Literal["newer_frame", "too_old", "no_noise", "decoder_ended", "undecodable"]
 Origin = TypeVar("Origin")

@@ -21,7 +21,7 @@ from resonator_daemon.mqtt.topics import Topic
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 
 if TYPE_CHECKING:
-    from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding
+    from resonator_daemon.measure.sensors.surface_decoding import MakeSurfaceDecoding
 
 _FRAME_QUEUE_BYTES: Final = 1 << 30  # what one event brings is taken at once
 _BLOCK_EVENTS: Final = 128  # whose frames are measured together

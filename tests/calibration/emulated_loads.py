@@ -19,7 +19,7 @@ from resonator_daemon.calibration.multitone_loads import MultitoneLoads
 from resonator_daemon.calibration.outcome import Outcome, fit_loadings
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY, LoadRequest, Step
 from resonator_daemon.estimate.tones.tone_detector import reading_frames
-from resonator_daemon.sensors.kinds import sensor_of
+from resonator_daemon.measure.sensors.kinds import sensor_of
 from simulators.comb_plate import CombPlate
 from simulators.plate import record_type
 from simulators.quartz_plate import QuartzPlate

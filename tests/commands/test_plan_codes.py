@@ -11,7 +11,7 @@ from plates import plate_head, site
 
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.commands import main
-from resonator_daemon.sensors import code_check
+from resonator_daemon.measure.sensors import code_check
 
 GRID = ("--grid", "4x4", "--pitch-mm", "5")
 FEW = ("--touches", "500")

@@ -13,11 +13,11 @@ from resonator_daemon.base.reasons import Reason
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
+from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 from resonator_daemon.mqtt.codec import decode, encode
 from resonator_daemon.mqtt.headers import MeasuredFields
 from resonator_daemon.mqtt.payloads import ContactEvent, Lost, Message
 from resonator_daemon.mqtt.topics import Topic
-from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 
 NOTHING = np.zeros((3, SITES))
 SKIN = Skin(HalfSpace(E, NU), SITES_M, 1e-3)

@@ -17,6 +17,7 @@ from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface import equal_skins
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
+from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
 from resonator_daemon.mqtt.codec import Encoded, decode, encode
 from resonator_daemon.mqtt.payloads import ContactEvent, Info, Message, Signals
 from resonator_daemon.mqtt.topics import Topic
@@ -24,7 +25,6 @@ from resonator_daemon.remote_decoding import followed_plate, thread_decoding
 from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
 from resonator_daemon.remote_decoding.followed_plates import FollowedPlates
 from resonator_daemon.remote_decoding.plate import header_of
-from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
 
 SKIN = Skin(HalfSpace(E, NU), SITES_M, 1e-3)
 LINEAR = DecodingOptions(contact_physics=False)

@@ -9,14 +9,14 @@ from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.estimate.forces.readings import ForceReading
+from resonator_daemon.measure.sensors.force_messages import ForceMessages
+from resonator_daemon.measure.sensors.kinds import sensor_of
+from resonator_daemon.measure.sensors.output import MessageOutput
+from resonator_daemon.measure.sensors.sensor_state import SensorState
 from resonator_daemon.mqtt.codec import Encoded, decoded, encode
 from resonator_daemon.mqtt.headers import Headers
 from resonator_daemon.mqtt.payloads import Contacts, Forces, Lost, Message
 from resonator_daemon.pipeline.state_messages import StateMessages
-from resonator_daemon.sensors.force_messages import ForceMessages
-from resonator_daemon.sensors.kinds import sensor_of
-from resonator_daemon.sensors.output import MessageOutput
-from resonator_daemon.sensors.sensor_state import SensorState
 
 MessageT = TypeVar("MessageT", bound=Message)
 

@@ -5,7 +5,7 @@ from brute_force_board import GATE_TICKS, PILOT_HZ, REFERENCE_HZ, Board, Ladder,
 
 from firmware_protocol.layouts import RecordFlag
 from resonator_daemon.estimate.forces.force_sites import ForceSites, Warmth
-from resonator_daemon.sensors.single_tone_processing import SingleToneProcessing
+from resonator_daemon.measure.sensors.single_tone_processing import SingleToneProcessing
 
 NO_SIGNAL = int(RecordFlag.NO_SIGNAL)
 PLATE = Ladder()

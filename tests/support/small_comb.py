@@ -7,7 +7,7 @@ from brute_force_board import Ladder
 
 from resonator_daemon.estimate.forces.force_sites import ForceSites, Warmth
 from resonator_daemon.estimate.forces.force_tones import ForceTones
-from resonator_daemon.sensors.multitone_processing import MultitoneProcessing
+from resonator_daemon.measure.sensors.multitone_processing import MultitoneProcessing
 
 REFERENCE_HZ = 250e6
 GATE_TICKS = 1_250_000

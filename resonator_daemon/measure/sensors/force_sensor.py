@@ -12,14 +12,14 @@ from resonator_daemon.board.session.compatibility import oscillator_hz
 from resonator_daemon.board.session.frames import BoardOnline, Frame
 from resonator_daemon.estimate.forces.contacts import ContactEvent
 from resonator_daemon.estimate.forces.readings import Compensation, ForceReading
+from resonator_daemon.measure.sensors.base import Sensor
+from resonator_daemon.measure.sensors.force_messages import ForceMessages
+from resonator_daemon.measure.sensors.output import MessageOutput
+from resonator_daemon.measure.sensors.tone_messages import tones_message
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, FORCES, TONES, Topic
-from resonator_daemon.sensors.base import Sensor
-from resonator_daemon.sensors.force_messages import ForceMessages
-from resonator_daemon.sensors.output import MessageOutput
-from resonator_daemon.sensors.tone_messages import tones_message
 
 if TYPE_CHECKING:
-    from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding
+    from resonator_daemon.measure.sensors.surface_decoding import MakeSurfaceDecoding
 
 
 class ForceProcessing(Protocol):

@@ -13,17 +13,17 @@ from resonator_daemon.estimate.forces.readings import SkinReading
 from resonator_daemon.estimate.surface.prior import Prior
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin, refuse_undecodable
 from resonator_daemon.estimate.tones.tone_detector import MultitoneDetector, ToneDetector
+from resonator_daemon.measure.sensors.base import Sensor
+from resonator_daemon.measure.sensors.expected_tones import ExpectedTones, all_tones
+from resonator_daemon.measure.sensors.output import MessageOutput
+from resonator_daemon.measure.sensors.skin_processing import SkinProcessing
+from resonator_daemon.measure.sensors.surface_decoding import MakeSurfaceDecoding, SequentialDecoding, SurfaceDecoding
+from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings
+from resonator_daemon.measure.sensors.usual_reasons import BOARD_RESTARTED
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.headers import MeasuredFields
 from resonator_daemon.mqtt.payloads import Condition, ContactEvent, Lost, Message, Signals, Status
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, SIGNALS, Topic
-from resonator_daemon.sensors.base import Sensor
-from resonator_daemon.sensors.expected_tones import ExpectedTones, all_tones
-from resonator_daemon.sensors.output import MessageOutput
-from resonator_daemon.sensors.skin_processing import SkinProcessing
-from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding, SequentialDecoding, SurfaceDecoding
-from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
-from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED
 
 _SURFACE: Final = (DECODED, DECODED_SUMMARY, CONTACTS)
 _CONDITIONS: Final = {  # while nothing is decoded

@@ -11,10 +11,10 @@ from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.surface.streaming import SetUp, StreamingDecoder
+from resonator_daemon.measure.sensors.surface_messages import SurfaceMessages
 from resonator_daemon.mqtt.headers import MeasuredFields
 from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, Topic
-from resonator_daemon.sensors.surface_messages import SurfaceMessages
 
 Publish = Callable[[Topic[Any], Message], None]
 

@@ -23,9 +23,9 @@ from resonator_daemon.estimate.tones.record_checks import CAPTURE_SWITCH, FAULTS
 from resonator_daemon.estimate.tones.tone_count import NO_TONE, ToneCount, count_tone
 from resonator_daemon.estimate.tones.tone_detector import PILOT_TOLERANCE, capture_band_hz
 from resonator_daemon.estimate.tones.tone_windows import ToneWindows
-from resonator_daemon.sensors.corner_tones import CornerTones
-from resonator_daemon.sensors.counted_window import CountedWindow
-from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED, COMMON_MODE_PENDING
+from resonator_daemon.measure.sensors.corner_tones import CornerTones
+from resonator_daemon.measure.sensors.counted_window import CountedWindow
+from resonator_daemon.measure.sensors.usual_reasons import BOARD_RESTARTED, COMMON_MODE_PENDING
 
 BASELINE_READINGS: Final = 20  # untouched readings before the common mode counts as known
 UNKNOWN_CONTACT_S: Final = 0.5

@@ -17,12 +17,12 @@ from resonator_daemon.estimate.surface.fitting.partial_slip import PartialSlip
 from resonator_daemon.estimate.surface.patches import Patch as FoundPatch
 from resonator_daemon.estimate.surface.skin_contacts import SkinContact, SkinEvent
 from resonator_daemon.estimate.surface.skin_decoder import SurfaceReading
+from resonator_daemon.measure.sensors.surface_messages import SurfaceMessages
+from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame
 from resonator_daemon.mqtt import payloads
 from resonator_daemon.mqtt.codec import decode, encode
 from resonator_daemon.mqtt.headers import MeasuredFields
 from resonator_daemon.mqtt.topics import DECODED
-from resonator_daemon.sensors.surface_messages import SurfaceMessages
-from resonator_daemon.sensors.surface_stream import SurfaceFrame
 
 LITTLE = Reason(ReasonCode.SLIPS_TOO_LITTLE, "hardly slips")
 GATE_MIDDLE = gate_middle(10_000_000)

@@ -5,7 +5,7 @@ from typing import Any
 
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.config import Decoding, Measurement
-from resonator_daemon.sensors.base import Sensor
+from resonator_daemon.measure.sensors.base import Sensor
 
 
 def sensor_of(plate: Plate, measurement: Measurement | None = None, decoding: Decoding | None = None) -> Sensor[Any]:
@@ -13,6 +13,6 @@ def sensor_of(plate: Plate, measurement: Measurement | None = None, decoding: De
 
     Modules are imported when needed: decoding a skin loads much of scipy, for 0.5 s.
     """
-    module = import_module(f"resonator_daemon.sensors.{plate.sensor_kind.replace('-', '_')}")
+    module = import_module(f"resonator_daemon.measure.sensors.{plate.sensor_kind.replace('-', '_')}")
     kind: type[Sensor[Any]] = module.SENSOR
     return kind(plate, measurement or Measurement(), decoding or Decoding())

@@ -7,7 +7,7 @@ import numpy as np
 
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.estimate.forces.codes import CodeOverlap, code_overlaps
-from resonator_daemon.sensors.plate_sites import force_sites
+from resonator_daemon.measure.sensors.plate_sites import force_sites
 
 AGEING: Final = 2e-6  # of one site against another, relative: a year or two
 NOISE: Final = 1e-8  # of a reading

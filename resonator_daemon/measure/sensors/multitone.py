@@ -5,10 +5,10 @@ from typing import Final
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.estimate.forces.force_tones import ForceTones
 from resonator_daemon.estimate.tones.tone_detector import MultitoneDetector, ToneDetector
-from resonator_daemon.sensors.expected_tones import ExpectedTones, force_tones
-from resonator_daemon.sensors.force_sensor import ForceSensor
-from resonator_daemon.sensors.multitone_processing import MultitoneProcessing
-from resonator_daemon.sensors.plate_sites import force_sites
+from resonator_daemon.measure.sensors.expected_tones import ExpectedTones, force_tones
+from resonator_daemon.measure.sensors.force_sensor import ForceSensor
+from resonator_daemon.measure.sensors.multitone_processing import MultitoneProcessing
+from resonator_daemon.measure.sensors.plate_sites import force_sites
 
 
 class MultitoneSensor(ForceSensor):

@@ -12,13 +12,13 @@ from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.frames import BoardOnline, Frame
 from resonator_daemon.estimate.forces.readings import ForceReading, SkinReading
 from resonator_daemon.estimate.tones.tone_detector import ToneDetector
+from resonator_daemon.measure.sensors.expected_tones import ExpectedTones
+from resonator_daemon.measure.sensors.output import MessageOutput
 from resonator_daemon.mqtt.payloads import SiteCode
 from resonator_daemon.mqtt.topics import Topic
-from resonator_daemon.sensors.expected_tones import ExpectedTones
-from resonator_daemon.sensors.output import MessageOutput
 
 if TYPE_CHECKING:
-    from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding
+    from resonator_daemon.measure.sensors.surface_decoding import MakeSurfaceDecoding
 
 Reading = TypeVar("Reading", ForceReading, SkinReading)
 

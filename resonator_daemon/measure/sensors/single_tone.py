@@ -5,14 +5,14 @@ from typing import Any, Final
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.estimate.tones.tone_detector import CapturedToneDetector, ToneDetector, capture_band_hz
+from resonator_daemon.measure.sensors.code_check import findings
+from resonator_daemon.measure.sensors.expected_tones import ExpectedTones, captured_tones
+from resonator_daemon.measure.sensors.force_sensor import ForceSensor
+from resonator_daemon.measure.sensors.plate_sites import force_sites
+from resonator_daemon.measure.sensors.single_tone_processing import SingleToneProcessing
+from resonator_daemon.measure.sensors.tone_messages import site_codes
 from resonator_daemon.mqtt.payloads import SiteCode
 from resonator_daemon.mqtt.topics import TONES, Topic
-from resonator_daemon.sensors.code_check import findings
-from resonator_daemon.sensors.expected_tones import ExpectedTones, captured_tones
-from resonator_daemon.sensors.force_sensor import ForceSensor
-from resonator_daemon.sensors.plate_sites import force_sites
-from resonator_daemon.sensors.single_tone_processing import SingleToneProcessing
-from resonator_daemon.sensors.tone_messages import site_codes
 
 _ONSET_S: Final = 0.005  # an onset waits no longer for the frames after it
 

@@ -6,12 +6,12 @@ from typing import Any, Final
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.estimate.forces.readings import ForceReading, SkinReading
+from resonator_daemon.measure.sensors.sensor_state import SensorState
 from resonator_daemon.monitoring.latency import Latencies
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.headers import Headers, MeasuredFields
 from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.topics import Topic
-from resonator_daemon.sensors.sensor_state import SensorState
 
 Publish = Callable[[Topic[Any], Any], None]
 

@@ -7,11 +7,11 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.surface.streaming import UndecodableError
+from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.headers import MeasuredFields
 from resonator_daemon.mqtt.payloads import ContactEvent, Lost, Message
 from resonator_daemon.mqtt.topics import Topic
-from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
 
 log = logging.getLogger(__name__)
 

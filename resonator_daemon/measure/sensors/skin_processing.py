@@ -10,8 +10,8 @@ from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.forces.baseline import CommonMode
 from resonator_daemon.estimate.forces.readings import SensorStatus, SkinReading
-from resonator_daemon.sensors.skin_signals import TONES_MIN, ToneArray
-from resonator_daemon.sensors.usual_reasons import COMMON_MODE_PENDING, NO_TONE
+from resonator_daemon.measure.sensors.skin_signals import TONES_MIN, ToneArray
+from resonator_daemon.measure.sensors.usual_reasons import COMMON_MODE_PENDING, NO_TONE
 
 BASELINE_READINGS: Final = 20  # untouched readings before the common mode counts as known
 # Untouched readings in a row after which the common mode is that of any earlier beginning, to the last bit: with the

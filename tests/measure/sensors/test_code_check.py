@@ -9,7 +9,7 @@ import pytest
 from plates import plate_head, site
 
 from resonator_daemon.base.plate import Plate, load_plate, shipped_plates
-from resonator_daemon.sensors import code_check
+from resonator_daemon.measure.sensors import code_check
 
 QUARTZ = load_plate("quartz16")
 

@@ -7,8 +7,8 @@ from resonator_daemon.base.reasons import Reason, ReasonCode, joined
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.estimate.forces.drift_watch import DriftWatch
 from resonator_daemon.estimate.forces.readings import Compensation
+from resonator_daemon.measure.sensors.usual_reasons import COMMON_MODE_PENDING, NO_TONE
 from resonator_daemon.mqtt.payloads import Condition
-from resonator_daemon.sensors.usual_reasons import COMMON_MODE_PENDING, NO_TONE
 
 _LASTS_NS = 250_000_000  # a touch changes the captured tone and has no reading for one window
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from small_skin import SITES, TONES, YOUNGS_MODULUS_PASCAL, Comb, dimensionless, some_signals
 
-from resonator_daemon.sensors.skin_processing import SkinProcessing
+from resonator_daemon.measure.sensors.skin_processing import SkinProcessing
 
 KNOWN = np.ones((4, TONES), dtype=bool)
 VARIANCE_HZ2 = np.full((4, TONES), 2.0**-10)

@@ -23,7 +23,7 @@ from resonator_daemon.estimate.forces.site_identification import SiteForce, over
 from resonator_daemon.estimate.forces.spread import TOUCHES_MAX, SpreadFit, Touches
 from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
 from resonator_daemon.estimate.tones.tone_merging import SIGMA_HZ, merge_tones
-from resonator_daemon.sensors.usual_reasons import BOARD_RESTARTED, NO_TONE
+from resonator_daemon.measure.sensors.usual_reasons import BOARD_RESTARTED, NO_TONE
 
 OFFSET_STD: Final = 2e-7  # of a site's f0 since calibration, relative: the ageing of weeks
 LOCAL_KELVIN_STD: Final = 0.01  # of a site's own thermometer

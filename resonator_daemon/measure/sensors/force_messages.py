@@ -8,13 +8,13 @@ from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.estimate.forces import contacts as measured
 from resonator_daemon.estimate.forces.readings import ForceReading
 from resonator_daemon.estimate.forces.site_identification import SiteForce as MeasuredForce
+from resonator_daemon.measure.sensors.calendar import utc_day
+from resonator_daemon.measure.sensors.output import MessageOutput
+from resonator_daemon.measure.sensors.usual_reasons import reason_fields
 from resonator_daemon.mqtt.codec import Encoded, encode_fields
 from resonator_daemon.mqtt.payloads import ContactEvent, Contacts, EventContact, Forces, Lost, Status
 from resonator_daemon.mqtt.rounding import rounded, rounded_std
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, FORCES
-from resonator_daemon.sensors.calendar import utc_day
-from resonator_daemon.sensors.output import MessageOutput
-from resonator_daemon.sensors.usual_reasons import reason_fields
 
 _NS: Final = 1_000_000_000
 _STATUS = {str(word): word for word in Status}

@@ -1,0 +1,1 @@
+"""Frames of a board to readings and messages: sensors, the pipeline, the decoder process."""
