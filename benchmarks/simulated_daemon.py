@@ -19,6 +19,7 @@ from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.frames import in_blocks
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
+from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.mqtt.broker_connection import MQTT_5, InFlight
 from resonator_daemon.mqtt.broker_limits import BrokerLimits
 from resonator_daemon.mqtt.codec import decode, decoded, encode
@@ -27,7 +28,6 @@ from resonator_daemon.mqtt.outbox import Outbox, Packet
 from resonator_daemon.mqtt.packed_properties import properties_of
 from resonator_daemon.mqtt.payloads import ContactEvent, Message
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, STATE_LINK, STATE_SENSOR, Topic
-from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from simulators.emulator import _emulated_board
 from simulators.faults.misbehaviour import Misbehaviour
 from simulators.scenario import load_scenario

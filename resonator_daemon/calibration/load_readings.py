@@ -28,7 +28,7 @@ from resonator_daemon.board.session.frames import (
 from resonator_daemon.board.session.link_reasons import OPENING
 from resonator_daemon.calibration.steps import CalibrationRefusedError, LinkBusyError
 from resonator_daemon.estimate.tones.tone_detector import PILOT_TOLERANCE, ToneReading
-from resonator_daemon.pipeline.tone_capture import ToneCapture
+from resonator_daemon.measure.pipeline.tone_capture import ToneCapture
 
 
 class SiteCodes(NamedTuple):

@@ -9,6 +9,8 @@ from typing import Any, Final, get_args
 from resonator_daemon.board.config import Config, Measurement, timing_problems
 from resonator_daemon.daemon.rate_commands import PublishRates, RateCommands
 from resonator_daemon.daemon.recording_commands import RecordingCommands, as_json_text
+from resonator_daemon.measure.pipeline import control_requests
+from resonator_daemon.measure.pipeline.control_requests import Control
 from resonator_daemon.measure.sensors.base import Sensor
 from resonator_daemon.mqtt.codec import decode
 from resonator_daemon.mqtt.commands import CommandRefusedError, Handler, NotAddressedError
@@ -33,8 +35,6 @@ from resonator_daemon.mqtt.verbs import (
     Tare,
     TareAnswer,
 )
-from resonator_daemon.pipeline import control_requests
-from resonator_daemon.pipeline.control_requests import Control
 
 SNAPSHOT_BYTES_MAX: Final = 128 * 1024
 EVENTS_BYTES_MAX: Final = 128 * 1024

@@ -44,6 +44,8 @@ from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.daemon.plate_publisher import PlatePublisher
 from resonator_daemon.daemon.recorded_messages import RecordedMessages
 from resonator_daemon.daemon.recording_commands import RecordingCommands, as_json_text, recording_info
+from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
+from resonator_daemon.measure.pipeline.control_requests import ControlRequests, SetWindow
 from resonator_daemon.measure.sensors.base import Sensor
 from resonator_daemon.monitoring.ages import Ages
 from resonator_daemon.monitoring.daemon_state import DaemonSnapshot, DaemonState
@@ -55,8 +57,6 @@ from resonator_daemon.monitoring.status_server import SOCKET_NAME, AlreadyRunnin
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.payloads import Condition, Health, Message, MessageAccount, State
 from resonator_daemon.mqtt.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
-from resonator_daemon.pipeline.board_pipeline import BoardPipeline
-from resonator_daemon.pipeline.control_requests import ControlRequests, SetWindow
 
 if TYPE_CHECKING:
     from resonator_daemon.decoder_process.supervisor import DecoderSupervisor

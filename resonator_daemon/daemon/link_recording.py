@@ -37,7 +37,7 @@ from resonator_daemon.board.session.frames import (
 from resonator_daemon.daemon.recording_commands import origin
 
 if TYPE_CHECKING:
-    from resonator_daemon.pipeline.board_pipeline import BoardPipeline
+    from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 
 _TURN_S: Final = 0.2
 
@@ -248,7 +248,7 @@ class _LinkRecording:
 def _pipeline(config: Config, boot_id: str, recorder: Recorder) -> "BoardPipeline":
     """Return what measures, and has it recorded; what that imports takes half a second."""
     from resonator_daemon.daemon.recorded_messages import RecordedMessages
-    from resonator_daemon.pipeline.board_pipeline import BoardPipeline
+    from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 
     messages = RecordedMessages(recorder.publish, include_messages=True)
     return BoardPipeline(config, boot_id, messages.record)

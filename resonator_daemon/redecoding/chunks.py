@@ -17,8 +17,8 @@ from resonator_daemon.board.recording.reader import Recording, open_recording
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
+from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.measure.sensors.kinds import sensor_of
-from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.replay.source import recorded_config
 
 

@@ -11,6 +11,7 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.decoder import DecoderConfig
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.estimate.surface.skin import DecodingOptions
+from resonator_daemon.measure.pipeline.frame_timeout import CONTACTS_END_S
 from resonator_daemon.measure.sensors.surface_decoding import SurfaceClient
 from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 from resonator_daemon.monitoring.latency import LatencyHistogram
@@ -28,7 +29,6 @@ from resonator_daemon.mqtt.payloads import (
 )
 from resonator_daemon.mqtt.publisher import Subscription
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, DECODED, INFO, SIGNALS, Topic, full_topic
-from resonator_daemon.pipeline.frame_timeout import CONTACTS_END_S
 from resonator_daemon.remote_decoding.plate import NO_SIGNALS, WAITS_AFTER_S, Publish, RemotePlate, SkinPlate, header_of
 from resonator_daemon.remote_decoding.thread_decoding import ThreadDecoding
 

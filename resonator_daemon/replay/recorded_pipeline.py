@@ -15,10 +15,10 @@ from resonator_daemon.board.session.frames import Arrival, BoardRefused, Frame, 
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import WireEvent
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
+from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.topics import Topic
-from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 
 if TYPE_CHECKING:
     from resonator_daemon.measure.sensors.surface_decoding import MakeSurfaceDecoding

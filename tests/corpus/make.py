@@ -27,7 +27,7 @@ from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.switch import RecordingSwitch
 from resonator_daemon.board.session.board_reader import BoardReader
 from resonator_daemon.board.session.frames import BoardOnline
-from resonator_daemon.pipeline.control_requests import Control, SetWindow, Tare
+from resonator_daemon.measure.pipeline.control_requests import Control, SetWindow, Tare
 from simulators.emulator import Emulator, EmulatorOptions
 from simulators.faults import parse_faults
 

@@ -14,13 +14,13 @@ from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.switch import NothingRecordedError, RecordingNow, RecordingSummary
 from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts
 from resonator_daemon.daemon.recording_commands import RecordingCommands
+from resonator_daemon.measure.pipeline.control_requests import Control, Tare
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.event_history import HistoryPage, UnknownRunError
 from resonator_daemon.mqtt.message_examples import EXAMPLES
 from resonator_daemon.mqtt.payloads import Health, Message
 from resonator_daemon.mqtt.spool import SpoolError
 from resonator_daemon.mqtt.topics import TOPICS
-from resonator_daemon.pipeline.control_requests import Control, Tare
 
 BOOT_ID = "9f3c"
 RECORDING_NAME = re.compile(r"left-\d{8}T\d{6}\.\d{3}Z(-[A-Za-z0-9_-]{1,64})?\.mcap")

@@ -9,6 +9,7 @@ from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.estimate.forces.readings import ForceReading
+from resonator_daemon.measure.pipeline.state_messages import StateMessages
 from resonator_daemon.measure.sensors.force_messages import ForceMessages
 from resonator_daemon.measure.sensors.kinds import sensor_of
 from resonator_daemon.measure.sensors.output import MessageOutput
@@ -16,7 +17,6 @@ from resonator_daemon.measure.sensors.sensor_state import SensorState
 from resonator_daemon.mqtt.codec import Encoded, decoded, encode
 from resonator_daemon.mqtt.headers import Headers
 from resonator_daemon.mqtt.payloads import Contacts, Forces, Lost, Message
-from resonator_daemon.pipeline.state_messages import StateMessages
 
 MessageT = TypeVar("MessageT", bound=Message)
 

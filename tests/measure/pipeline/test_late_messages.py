@@ -11,11 +11,11 @@ from resonator_daemon.board.recording.reader import Mark, open_recording
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
+from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.mqtt.codec import decoded
-from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.replay.source import open_replay
 
-CORPUS = Path(__file__).parents[1] / "corpus"
+CORPUS = Path(__file__).parents[2] / "corpus"
 
 
 class CountedDecoding:

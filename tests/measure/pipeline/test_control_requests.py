@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from resonator_daemon.board.config import Measurement
-from resonator_daemon.pipeline.control_requests import ControlRequests, SetWindow, Tare, parse_request
+from resonator_daemon.measure.pipeline.control_requests import ControlRequests, SetWindow, Tare, parse_request
 
 
 async def test_each_request_gets_its_own_answer_whatever_comes_between() -> None:

@@ -21,6 +21,9 @@ from resonator_daemon.board.session.frames import (
     SingleToneFrame,
 )
 from resonator_daemon.estimate.forces.readings import Compensation, ForceReading, SkinReading
+from resonator_daemon.measure.pipeline.control_requests import SetWindow, Tare, parse_request
+from resonator_daemon.measure.pipeline.frame_timeout import CallLater, FrameTimeout
+from resonator_daemon.measure.pipeline.state_messages import StateMessages
 from resonator_daemon.measure.sensors.calendar import DAY_NS, utc_day
 from resonator_daemon.measure.sensors.kinds import sensor_of
 from resonator_daemon.measure.sensors.output import MessageOutput, Publish
@@ -28,9 +31,6 @@ from resonator_daemon.measure.sensors.sensor_state import SensorState
 from resonator_daemon.mqtt.headers import Headers
 from resonator_daemon.mqtt.payloads import Condition, Lost
 from resonator_daemon.mqtt.topics import INFO, STATE_LINK, STATE_SENSOR
-from resonator_daemon.pipeline.control_requests import SetWindow, Tare, parse_request
-from resonator_daemon.pipeline.frame_timeout import CallLater, FrameTimeout
-from resonator_daemon.pipeline.state_messages import StateMessages
 
 if TYPE_CHECKING:
     from resonator_daemon.measure.sensors.surface_decoding import MakeSurfaceDecoding

@@ -12,9 +12,9 @@ from resonator_daemon.board.config import Measurement
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.counters import FrameLoss
 from resonator_daemon.board.session.frames import Arrival, Gap, LinkChange, Outage
+from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
+from resonator_daemon.measure.pipeline.control_requests import SetWindow, Tare
 from resonator_daemon.mqtt.topics import Topic
-from resonator_daemon.pipeline.board_pipeline import BoardPipeline
-from resonator_daemon.pipeline.control_requests import SetWindow, Tare
 
 T0_NS = 1_789_000_000_000_000_000
 S = 10**9
