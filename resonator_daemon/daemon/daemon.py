@@ -59,7 +59,7 @@ from resonator_daemon.mqtt.payloads import Condition, Health, Message, MessageAc
 from resonator_daemon.mqtt.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
 
 if TYPE_CHECKING:
-    from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
+    from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
     from resonator_daemon.measure.sensors.surface_decoding import SurfaceClient
     from resonator_daemon.measure.sensors.surface_stream import SurfaceSettings
 
@@ -342,7 +342,7 @@ class Service:
         self._daemon.become(Condition.REFUSED, all_of(refused.problems), time.time_ns())
 
     def _make_decoder(self, settings: "SurfaceSettings", client: "SurfaceClient[Any]") -> "DecoderSupervisor[Any]":
-        from resonator_daemon.decoder_process.supervisor import DecoderSupervisor  # here: only a skin needs it
+        from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor  # here: only a skin needs it
 
         self._decoder = DecoderSupervisor(self._in_use.config.name or self._file_stem, settings, client)
         return self._decoder

@@ -10,10 +10,10 @@ from functools import partial
 from typing import Any, Generic, Literal, TypeVar
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.decoder_process.supervisor import WAIT_MAX_NS
-from resonator_daemon.decoder_process.worker import AGE_MAX_NS
 from resonator_daemon.estimate.surface.equal_skins import EqualSkins
 from resonator_daemon.estimate.surface.streaming import UndecodableError
+from resonator_daemon.measure.decoder_process.supervisor import WAIT_MAX_NS
+from resonator_daemon.measure.decoder_process.worker import AGE_MAX_NS
 from resonator_daemon.measure.sensors.surface_decoding import SurfaceClient
 from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
 from resonator_daemon.mqtt.codec import Encoded, encode

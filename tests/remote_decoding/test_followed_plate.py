@@ -13,10 +13,10 @@ from observer import running_task
 
 from resonator_daemon.board.config.decoder import DecoderConfig
 from resonator_daemon.board.config.tables import Decoding
-from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface import equal_skins
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
+from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
 from resonator_daemon.mqtt.codec import Encoded, decode, encode
 from resonator_daemon.mqtt.payloads import ContactEvent, Info, Message, Signals

@@ -4,7 +4,7 @@ import asyncio
 import pickle
 from collections.abc import Callable
 
-from resonator_daemon.decoder_process.messages import LENGTH, Reply, Request, packed
+from resonator_daemon.measure.decoder_process.messages import LENGTH, Reply, Request, packed
 
 
 class WorkerConnection(asyncio.Protocol):

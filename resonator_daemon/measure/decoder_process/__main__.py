@@ -1,4 +1,4 @@
-"""Decoder process, started by a daemon: `python -m resonator_daemon.decoder_process NAME DESCRIPTOR`."""
+"""Decoder process, started by a daemon: `python -m resonator_daemon.measure.decoder_process NAME DESCRIPTOR`."""
 
 import contextlib
 import ctypes
@@ -22,7 +22,7 @@ def main() -> None:
     set_up_logging()
     tag_log(name)
     connection = socket.socket(fileno=int(descriptor))
-    from resonator_daemon.decoder_process.worker import work  # a slow import: signals are ignored by now
+    from resonator_daemon.measure.decoder_process.worker import work  # a slow import: signals are ignored by now
 
     with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # the daemon has gone
         work(connection)

@@ -13,8 +13,8 @@ from decoder_bench import SITES, until
 from surface_bench import NOTHING, SKIN, Client, frame
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.decoder_process import supervisor
 from resonator_daemon.estimate.surface.skin import Skin
+from resonator_daemon.measure.decoder_process import supervisor
 
 
 async def test_frames_become_messages_of_their_topics_under_their_own_numbers() -> None:

@@ -6,7 +6,8 @@ import socket
 import time
 from typing import Any, Final
 
-from resonator_daemon.decoder_process.messages import (
+from resonator_daemon.estimate.surface.streaming import UndecodableError
+from resonator_daemon.measure.decoder_process.messages import (
     LENGTH,
     EndContacts,
     Outcome,
@@ -19,7 +20,6 @@ from resonator_daemon.decoder_process.messages import (
     Work,
     packed,
 )
-from resonator_daemon.estimate.surface.streaming import UndecodableError
 from resonator_daemon.measure.sensors.surface_stream import SurfaceSettings, SurfaceStream
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.headers import MeasuredFields

@@ -13,10 +13,10 @@ import pytest
 from decoder_bench import NOISE
 from surface_bench import NOTHING, frame, header, settings
 
-from resonator_daemon.decoder_process.connection import WorkerConnection
-from resonator_daemon.decoder_process.messages import Reply, Request, Results, SetUpStep, Work, packed
-from resonator_daemon.decoder_process.worker import AGE_MAX_NS, work
 from resonator_daemon.estimate.surface.streaming import StreamingDecoder
+from resonator_daemon.measure.decoder_process.connection import WorkerConnection
+from resonator_daemon.measure.decoder_process.messages import Reply, Request, Results, SetUpStep, Work, packed
+from resonator_daemon.measure.decoder_process.worker import AGE_MAX_NS, work
 
 
 class Bench:
