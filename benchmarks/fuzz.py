@@ -40,7 +40,7 @@ from firmware_protocol.messages import (
 )
 from firmware_protocol.packets import MAX_PACKET_BYTES, SYNC, Packet, PacketDecoder, encode_packet
 from firmware_protocol.states import HostState
-from resonator_daemon.daemon.command_handlers import SNAPSHOT_BYTES_MAX
+from resonator_daemon.daemon.service.command_handlers import SNAPSHOT_BYTES_MAX
 from resonator_daemon.mqtt.commands import (
     AT_ONCE,
     CORRELATION_BYTES_MAX,

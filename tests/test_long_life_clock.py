@@ -13,8 +13,8 @@ from service_bench import Bench
 
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.recording.reader import open_recording
-from resonator_daemon.daemon.config_store import ConfigStore
-from resonator_daemon.daemon.daemon import Service
+from resonator_daemon.daemon.service.config_store import ConfigStore
+from resonator_daemon.daemon.service.daemon import Service
 
 S = 1_000_000_000
 DAY_NS = 86_400 * S

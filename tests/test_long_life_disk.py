@@ -14,8 +14,8 @@ from service_bench import Bench
 from small_disk import small_disk
 
 from resonator_daemon.board.recording import recorder as recording
-from resonator_daemon.daemon.config_store import ConfigStore
-from resonator_daemon.daemon.daemon import Service
+from resonator_daemon.daemon.service.config_store import ConfigStore
+from resonator_daemon.daemon.service.daemon import Service
 from resonator_daemon.mqtt import event_queue
 
 MOUNT = shutil.which("mount") or "/bin/mount"

@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.daemon.link_recording import PortInUseError, RecordOptions, record
+    from resonator_daemon.daemon.service.link_recording import PortInUseError, RecordOptions, record
 
     try:
         result = record(arguments.config, options_of(RecordOptions, arguments))

@@ -19,8 +19,8 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     import asyncio
 
     from resonator_daemon.base.host.places import state_directory
-    from resonator_daemon.daemon.config_store import ConfigStore
-    from resonator_daemon.daemon.daemon import serve
+    from resonator_daemon.daemon.service.config_store import ConfigStore
+    from resonator_daemon.daemon.service.daemon import serve
 
     asyncio.run(serve(ConfigStore(arguments.config, state_directory() / "last-good")))
     return ExitCode.DONE

@@ -1,1 +1,1 @@
-"""The running daemon: wiring, configuration store, commands, recordings."""
+"""The daemon as it runs, its monitoring, and decoding on another computer."""

@@ -16,8 +16,8 @@ from resonator_daemon.base.errors import ConfigurationError, ExitCode
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.config.text import plate_text
 from resonator_daemon.commands import main
-from resonator_daemon.daemon.config_store import ConfigStore
-from resonator_daemon.daemon.daemon import Service
+from resonator_daemon.daemon.service.config_store import ConfigStore
+from resonator_daemon.daemon.service.daemon import Service
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.measure.sensors.surface_stream import SurfaceSettings

@@ -22,7 +22,7 @@ from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import open_recording
 from resonator_daemon.board.session.board_reader import BoardReader
 from resonator_daemon.board.session.link_events import Closed, Received, StateAnnounced, StopRequested
-from resonator_daemon.daemon.link_recording import NoBoardError, PortInUseError, RecordOptions, record
+from resonator_daemon.daemon.service.link_recording import NoBoardError, PortInUseError, RecordOptions, record
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 

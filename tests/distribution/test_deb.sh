@@ -25,7 +25,7 @@ cp "$package" "$place/out/old.deb"
 cp "$here/commands.sh" "$here/deb_life.sh" "$place/out"
 dpkg-deb -R "$package" "$place/tree"
 sed -i 's/^Version: .*/Version: 0.1.1/' "$place/tree/DEBIAN/control"
-sed -i 's#frames/s, {lost} lost#frames/s, {lost} lost, next#' "$place/tree/$site/resonator_daemon/daemon/daemon.py"
+sed -i 's#frames/s, {lost} lost#frames/s, {lost} lost, next#' "$place/tree/$site/resonator_daemon/daemon/service/daemon.py"
 printf '# next\n' >>"$place/tree/etc/resonatord/example.toml"
 dpkg-deb --root-owner-group -Zgzip -z1 -b "$place/tree" "$place/out/new.deb" >/dev/null
 cp -a "$root/build/debian" "$place/root"

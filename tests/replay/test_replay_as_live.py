@@ -11,8 +11,8 @@ from scenarios import IDEAL, touch_text
 from service_bench import Bench, events
 
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.daemon.config_store import ConfigStore
-from resonator_daemon.daemon.daemon import Service
+from resonator_daemon.daemon.service.config_store import ConfigStore
+from resonator_daemon.daemon.service.daemon import Service
 from resonator_daemon.mqtt.codec import decode
 from resonator_daemon.mqtt.requests import request
 from resonator_daemon.mqtt.topics import TOPICS

@@ -12,8 +12,8 @@ from resonator_daemon.board.config import Config, Measurement
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.switch import NothingRecordedError, RecordingNow, RecordingSummary
-from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts
-from resonator_daemon.daemon.recording_commands import RecordingCommands
+from resonator_daemon.daemon.service.command_handlers import CommandHandlers, DaemonParts
+from resonator_daemon.daemon.service.recording_commands import RecordingCommands
 from resonator_daemon.measure.pipeline.control_requests import Control, Tare
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.event_history import HistoryPage, UnknownRunError

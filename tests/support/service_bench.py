@@ -10,8 +10,8 @@ from typing import Any
 
 from observer import Observer
 
-from resonator_daemon.daemon.config_store import ConfigStore
-from resonator_daemon.daemon.daemon import Service
+from resonator_daemon.daemon.service.config_store import ConfigStore
+from resonator_daemon.daemon.service.daemon import Service
 from simulators.emulator import Emulator, EmulatorOptions
 
 

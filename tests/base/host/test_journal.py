@@ -55,7 +55,7 @@ def journal_socket(tmp_path: Path) -> Iterator[socket.socket]:
 
 
 def line(message: str, level: int = logging.INFO) -> logging.LogRecord:
-    name = "resonator_daemon.daemon.daemon"
+    name = "resonator_daemon.daemon.service.daemon"
     return logging.LogRecord(name, level, "/x/service.py", 7, message, (), None, "run")
 
 
@@ -78,7 +78,7 @@ def test_a_line_has_its_fields(handler: JournalHandler, journal_socket: socket.s
     handler.handle(line("frames flow"))
     assert fields(journal_socket.recv(1 << 20)) == {
         "MESSAGE": "frames flow", "PRIORITY": "6", "SYSLOG_IDENTIFIER": "resonatord", "CODE_FILE": "/x/service.py",
-        "CODE_LINE": "7", "CODE_FUNC": "run", "RESONATORD_MODULE": "resonator_daemon.daemon.daemon",
+        "CODE_LINE": "7", "CODE_FUNC": "run", "RESONATORD_MODULE": "resonator_daemon.daemon.service.daemon",
         "RESONATORD_THREAD": "MainThread"
     }  # fmt: skip
 

@@ -17,7 +17,7 @@ QUARTZ, COMB = load_plate("quartz16"), load_plate("comb16")
 
 def test_a_daemon_of_captured_tones_loads_no_scipy() -> None:
     code = (
-        "import sys, resonator_daemon.daemon.daemon; from resonator_daemon.base.plate import load_plate;"
+        "import sys, resonator_daemon.daemon.service.daemon; from resonator_daemon.base.plate import load_plate;"
         "from resonator_daemon.measure.sensors.kinds import sensor_of; sensor_of(load_plate('quartz16'));"
         "sys.exit('scipy' in sys.modules)"
     )

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.daemon.config_in_use import ConfigInUse
-from resonator_daemon.daemon.config_store import ConfigStore
+from resonator_daemon.daemon.service.config_in_use import ConfigInUse
+from resonator_daemon.daemon.service.config_store import ConfigStore
 
 GOOD = 'name = "left"\nplate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
 

@@ -11,7 +11,7 @@ import pytest
 from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.config.text import plate_text
-from resonator_daemon.daemon.config_store import ConfigStore
+from resonator_daemon.daemon.service.config_store import ConfigStore
 
 GOOD = (
     'name = "left"\nplate = "own.toml"\nlink = "tcp://127.0.0.1:5000"\n[mqtt]\nusername = "a"\npassword_file = "pw"\n'

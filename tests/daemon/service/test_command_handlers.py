@@ -9,8 +9,8 @@ from command_stand_ins import StandIn, configured, handlers_on, messages
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.recording.switch import RecordingNow
-from resonator_daemon.daemon import command_handlers
-from resonator_daemon.daemon.command_handlers import CommandHandlers
+from resonator_daemon.daemon.service import command_handlers
+from resonator_daemon.daemon.service.command_handlers import CommandHandlers
 from resonator_daemon.mqtt.commands import CommandRefusedError
 from resonator_daemon.mqtt.verbs import VERBS, Answer
 

@@ -7,7 +7,7 @@ from logging import INFO
 import pytest
 
 from resonator_daemon.board.session.frames import Arrival, BoardLogLine
-from resonator_daemon.daemon.arrival_loop import PART_ARRIVALS, ArrivalLoop
+from resonator_daemon.daemon.service.arrival_loop import PART_ARRIVALS, ArrivalLoop
 
 
 def lines(first: int, count: int) -> list[Arrival]:

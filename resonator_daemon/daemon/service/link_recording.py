@@ -34,7 +34,7 @@ from resonator_daemon.board.session.frames import (
     ReaderFailed,
     SingleToneFrame,
 )
-from resonator_daemon.daemon.recording_commands import origin
+from resonator_daemon.daemon.service.recording_commands import origin
 
 if TYPE_CHECKING:
     from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
@@ -247,7 +247,7 @@ class _LinkRecording:
 
 def _pipeline(config: Config, boot_id: str, recorder: Recorder) -> "BoardPipeline":
     """Return what measures, and has it recorded; what that imports takes half a second."""
-    from resonator_daemon.daemon.recorded_messages import RecordedMessages
+    from resonator_daemon.daemon.service.recorded_messages import RecordedMessages
     from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 
     messages = RecordedMessages(recorder.publish, include_messages=True)

@@ -37,13 +37,13 @@ from resonator_daemon.board.session.frames import (
     ReaderFailed,
 )
 from resonator_daemon.board.session.link_reasons import all_of
-from resonator_daemon.daemon.arrival_loop import ArrivalLoop
-from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts
-from resonator_daemon.daemon.config_in_use import ConfigInUse
-from resonator_daemon.daemon.config_store import ConfigStore
-from resonator_daemon.daemon.plate_publisher import PlatePublisher
-from resonator_daemon.daemon.recorded_messages import RecordedMessages
-from resonator_daemon.daemon.recording_commands import RecordingCommands, as_json_text, recording_info
+from resonator_daemon.daemon.service.arrival_loop import ArrivalLoop
+from resonator_daemon.daemon.service.command_handlers import CommandHandlers, DaemonParts
+from resonator_daemon.daemon.service.config_in_use import ConfigInUse
+from resonator_daemon.daemon.service.config_store import ConfigStore
+from resonator_daemon.daemon.service.plate_publisher import PlatePublisher
+from resonator_daemon.daemon.service.recorded_messages import RecordedMessages
+from resonator_daemon.daemon.service.recording_commands import RecordingCommands, as_json_text, recording_info
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.measure.pipeline.control_requests import ControlRequests, SetWindow
 from resonator_daemon.measure.sensors.base import Sensor

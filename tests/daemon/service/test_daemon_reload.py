@@ -15,8 +15,8 @@ from observer import DEADLINE_S, observe
 from service_bench import Bench
 
 from resonator_daemon.board.recording.reader import open_recording
-from resonator_daemon.daemon.config_store import ConfigStore
-from resonator_daemon.daemon.daemon import Service
+from resonator_daemon.daemon.service.config_store import ConfigStore
+from resonator_daemon.daemon.service.daemon import Service
 
 RESONATORD = Path(sys.executable).with_name("resonatord")
 

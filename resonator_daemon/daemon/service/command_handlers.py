@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any, Final, get_args
 
 from resonator_daemon.board.config import Config, Measurement, timing_problems
-from resonator_daemon.daemon.rate_commands import PublishRates, RateCommands
-from resonator_daemon.daemon.recording_commands import RecordingCommands, as_json_text
+from resonator_daemon.daemon.service.rate_commands import PublishRates, RateCommands
+from resonator_daemon.daemon.service.recording_commands import RecordingCommands, as_json_text
 from resonator_daemon.measure.pipeline import control_requests
 from resonator_daemon.measure.pipeline.control_requests import Control
 from resonator_daemon.measure.sensors.base import Sensor

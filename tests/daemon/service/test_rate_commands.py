@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from resonator_daemon.daemon.rate_commands import TOPICS_MAX, RateCommands
+from resonator_daemon.daemon.service.rate_commands import TOPICS_MAX, RateCommands
 from resonator_daemon.mqtt.commands import CommandRefusedError
 from resonator_daemon.mqtt.verbs import SetRate, SetRateAnswer
 
