@@ -17,7 +17,7 @@ from resonator_daemon.base.host.printable import printable
 from resonator_daemon.commands._output import print_json
 
 if TYPE_CHECKING:
-    from resonator_daemon.monitoring.status_client import Answer
+    from resonator_daemon.daemon.monitoring.status_client import Answer
 
 _LOOK_AGAIN_S: Final = 0.2  # an answer is at most 0.1 s old
 _LIMIT_S: Final = 10.0
@@ -97,7 +97,7 @@ async def _reload(name: str) -> dict[str, Any]:
 
 
 async def _ask(name: str) -> dict[str, Any]:
-    from resonator_daemon.monitoring.status_client import ask_all
+    from resonator_daemon.daemon.monitoring.status_client import ask_all
 
     answers: list[Answer] = await ask_all(name)
     if len(answers) != 1:

@@ -14,7 +14,7 @@ from resonator_daemon.base.host.printable import printable
 from resonator_daemon.commands._output import print_failure, print_json
 
 if TYPE_CHECKING:
-    from resonator_daemon.monitoring.status_client import Answer
+    from resonator_daemon.daemon.monitoring.status_client import Answer
 
 _PERIOD_S: Final = 1.0
 
@@ -106,7 +106,7 @@ async def _watch(name: str | None, *, as_json: bool) -> None:
 
 
 async def _ask(name: str | None) -> "list[Answer]":
-    from resonator_daemon.monitoring.status_client import ask_all
+    from resonator_daemon.daemon.monitoring.status_client import ask_all
 
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal that is not of UTF-8

@@ -16,10 +16,10 @@ from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.config import Mqtt, load_config
 from resonator_daemon.board.links.table import parse_link
 from resonator_daemon.board.links.target import LinkTarget
+from resonator_daemon.daemon.monitoring.status_client import Answer, ask_all
 from resonator_daemon.doctor import link_checks, sensor_checks
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, excused, graded, not_checked
 from resonator_daemon.doctor.link_checks import ERRORS_FAULT
-from resonator_daemon.monitoring.status_client import Answer, ask_all
 from resonator_daemon.mqtt.payloads import Condition, Info
 from resonator_daemon.mqtt.subscriber import subscribe
 from resonator_daemon.mqtt.topics import TOPICS

@@ -9,12 +9,12 @@ import numpy as np
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.decoder import DecoderConfig
+from resonator_daemon.daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.measure.pipeline.frame_timeout import CONTACTS_END_S
 from resonator_daemon.measure.sensors.surface_decoding import SurfaceClient
 from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings
-from resonator_daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.headers import MeasuredFields
 from resonator_daemon.mqtt.mqtt_messages import Incoming

@@ -19,9 +19,9 @@ from resonator_daemon.base.host.systemd import ServiceManager
 from resonator_daemon.base.reasons import Reason, ReasonCode, joined
 from resonator_daemon.board.config import DECODER
 from resonator_daemon.board.config.decoder import DecoderConfig
+from resonator_daemon.daemon.monitoring.health import ProcessUsage
+from resonator_daemon.daemon.monitoring.liveness import LivenessMonitor
 from resonator_daemon.estimate.surface.skin import DecodingOptions
-from resonator_daemon.monitoring.health import ProcessUsage
-from resonator_daemon.monitoring.liveness import LivenessMonitor
 from resonator_daemon.mqtt.codec import Encoded, encode
 from resonator_daemon.mqtt.mqtt_messages import Outgoing
 from resonator_daemon.mqtt.payloads import Condition, DecoderHealth, DecoderState

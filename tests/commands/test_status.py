@@ -19,9 +19,9 @@ from status_samples import listens
 from resonator_daemon.base.host import places
 from resonator_daemon.base.host.places import runtime_directory
 from resonator_daemon.commands import main
-from resonator_daemon.monitoring import status_client
-from resonator_daemon.monitoring.status import BrokerStatus, ConfigStatus, Status
-from resonator_daemon.monitoring.status_server import SOCKET_NAME, StatusServer
+from resonator_daemon.daemon.monitoring import status_client
+from resonator_daemon.daemon.monitoring.status import BrokerStatus, ConfigStatus, Status
+from resonator_daemon.daemon.monitoring.status_server import SOCKET_NAME, StatusServer
 from resonator_daemon.mqtt.payloads import Condition
 
 DEADLINE_S = 20.0

@@ -6,7 +6,7 @@ from typing import Any
 
 from example_messages import NOW_NS, header
 
-from resonator_daemon.monitoring.status import BrokerStatus, ConfigStatus, Status
+from resonator_daemon.daemon.monitoring.status import BrokerStatus, ConfigStatus, Status
 from resonator_daemon.mqtt.payloads import (
     BootInfo,
     Condition,

@@ -20,7 +20,7 @@ START = "import sys; from resonator_daemon.commands import main; sys.exit(main()
 # computer makes it wait for less.
 HANG = """
 import threading
-from resonator_daemon.monitoring import liveness
+from resonator_daemon.daemon.monitoring import liveness
 from resonator_daemon.board.session.board_reader import BoardReader
 liveness._FRAMES_S = 3.0
 read, left_bytes = BoardReader._read, [100_000]  # by then it measures

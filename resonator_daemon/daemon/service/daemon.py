@@ -37,6 +37,13 @@ from resonator_daemon.board.session.frames import (
     ReaderFailed,
 )
 from resonator_daemon.board.session.link_reasons import all_of
+from resonator_daemon.daemon.monitoring.ages import Ages
+from resonator_daemon.daemon.monitoring.daemon_state import DaemonSnapshot, DaemonState
+from resonator_daemon.daemon.monitoring.health import HealthMonitor
+from resonator_daemon.daemon.monitoring.liveness import DECLARED_WAITING, LivenessMonitor
+from resonator_daemon.daemon.monitoring.metrics_server import MetricsServer
+from resonator_daemon.daemon.monitoring.status import BrokerStatus, Status
+from resonator_daemon.daemon.monitoring.status_server import SOCKET_NAME, AlreadyRunningError, StatusServer
 from resonator_daemon.daemon.service.arrival_loop import ArrivalLoop
 from resonator_daemon.daemon.service.command_handlers import CommandHandlers, DaemonParts
 from resonator_daemon.daemon.service.config_in_use import ConfigInUse
@@ -47,13 +54,6 @@ from resonator_daemon.daemon.service.recording_commands import RecordingCommands
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.measure.pipeline.control_requests import ControlRequests, SetWindow
 from resonator_daemon.measure.sensors.base import Sensor
-from resonator_daemon.monitoring.ages import Ages
-from resonator_daemon.monitoring.daemon_state import DaemonSnapshot, DaemonState
-from resonator_daemon.monitoring.health import HealthMonitor
-from resonator_daemon.monitoring.liveness import DECLARED_WAITING, LivenessMonitor
-from resonator_daemon.monitoring.metrics_server import MetricsServer
-from resonator_daemon.monitoring.status import BrokerStatus, Status
-from resonator_daemon.monitoring.status_server import SOCKET_NAME, AlreadyRunningError, StatusServer
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.payloads import Condition, Health, Message, MessageAccount, State
 from resonator_daemon.mqtt.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic

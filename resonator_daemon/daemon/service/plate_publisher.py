@@ -8,7 +8,7 @@ from urllib.parse import quote
 from resonator_daemon.base.host.places import state_directory
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config import Config
-from resonator_daemon.monitoring.daemon_state import DaemonState
+from resonator_daemon.daemon.monitoring.daemon_state import DaemonState
 from resonator_daemon.mqtt import asyncapi
 from resonator_daemon.mqtt.codec import Encoded, decoded, encode
 from resonator_daemon.mqtt.commands import Commands, Handler

@@ -17,12 +17,12 @@ import psutil
 
 from resonator_daemon.base.host.system_limits import reason_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.daemon.monitoring.health import ProcessUsage
 from resonator_daemon.measure.decoder_process.connection import WorkerConnection
 from resonator_daemon.measure.decoder_process.followed_contacts import FollowedContacts, no_contacts
 from resonator_daemon.measure.decoder_process.messages import EndContacts, Reply, Results, SetUpStep, Undecodable, Work
 from resonator_daemon.measure.sensors.surface_decoding import SurfaceClient
 from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings
-from resonator_daemon.monitoring.health import ProcessUsage
 from resonator_daemon.mqtt.backoff import Backoff
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.payloads import ContactEvent, DecoderProcessInfo

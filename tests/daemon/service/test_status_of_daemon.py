@@ -13,9 +13,9 @@ from prometheus_client.parser import text_string_to_metric_families
 from service_bench import Bench
 
 from resonator_daemon.base.host.places import runtime_directory
+from resonator_daemon.daemon.monitoring.status import Status
 from resonator_daemon.daemon.service.config_store import ConfigStore
 from resonator_daemon.daemon.service.daemon import Service
-from resonator_daemon.monitoring.status import Status
 from resonator_daemon.mqtt.payloads import Condition
 from simulators.faults import parse_faults
 

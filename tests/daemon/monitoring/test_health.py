@@ -11,8 +11,8 @@ from example_messages import header
 from resonator_daemon.base.host.load import HostLoad
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.session.counters import LinkCounters
-from resonator_daemon.monitoring import health
-from resonator_daemon.monitoring.health import HealthMonitor
+from resonator_daemon.daemon.monitoring import health
+from resonator_daemon.daemon.monitoring.health import HealthMonitor
 from resonator_daemon.mqtt.payloads import Health, LatencyInfo, Lost
 
 MESSAGES = status_samples.health().messages

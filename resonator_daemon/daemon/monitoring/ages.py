@@ -3,7 +3,7 @@
 import time
 from typing import Final
 
-from resonator_daemon.monitoring.status import Status
+from resonator_daemon.daemon.monitoring.status import Status
 
 _DELAY_MAX_S: Final = 10.0  # at most, if the wall clock was not set meanwhile
 

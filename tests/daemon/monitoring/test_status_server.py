@@ -15,8 +15,13 @@ import status_samples
 from observer import running_task, until
 from status_samples import listens
 
-from resonator_daemon.monitoring.status import Status
-from resonator_daemon.monitoring.status_server import PATH_BYTES_MAX, AlreadyRunningError, StatusServer, StatusTimes
+from resonator_daemon.daemon.monitoring.status import Status
+from resonator_daemon.daemon.monitoring.status_server import (
+    PATH_BYTES_MAX,
+    AlreadyRunningError,
+    StatusServer,
+    StatusTimes,
+)
 
 DEADLINE_S = 20.0
 CONFIG = Path("hand.toml")
@@ -59,7 +64,7 @@ import asyncio, sys
 sys.path.insert(0, sys.argv[2])
 import status_samples
 from pathlib import Path
-from resonator_daemon.monitoring.status_server import StatusServer
+from resonator_daemon.daemon.monitoring.status_server import StatusServer
 path, config = map(Path, (sys.argv[1], sys.argv[3]))
 asyncio.run(StatusServer(path, config, lambda: status_samples.status(instance="other")).run())
 """
@@ -68,7 +73,7 @@ asyncio.run(StatusServer(path, config, lambda: status_samples.status(instance="o
 async def test_a_living_daemons_socket_is_not_taken_and_becomes_free_when_it_ends(
     path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    tests, config = Path(__file__).parents[1] / "support", Path("other/hand.toml")
+    tests, config = Path(__file__).parents[2] / "support", Path("other/hand.toml")
     with subprocess.Popen([sys.executable, "-c", OTHER_DAEMON, str(path), str(tests), str(config)]) as other:
         try:
             await until(lambda: path.exists() and listens(path))

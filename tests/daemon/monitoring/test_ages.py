@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 import status_samples
 
-from resonator_daemon.monitoring.ages import Ages
-from resonator_daemon.monitoring.status import Status
+from resonator_daemon.daemon.monitoring.ages import Ages
+from resonator_daemon.daemon.monitoring.status import Status
 from resonator_daemon.mqtt.payloads import Condition
 
 S = 1_000_000_000

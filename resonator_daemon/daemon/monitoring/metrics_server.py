@@ -12,8 +12,8 @@ from prometheus_client import CollectorRegistry, make_wsgi_app
 
 from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.board.config import Listen
-from resonator_daemon.monitoring.metrics import StatusCollector
-from resonator_daemon.monitoring.status import Status
+from resonator_daemon.daemon.monitoring.metrics import StatusCollector
+from resonator_daemon.daemon.monitoring.status import Status
 
 TOGETHER: Final = 8  # connections; further ones are closed
 _BACKLOG: Final = 100

@@ -9,7 +9,7 @@ from typing import Final
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from resonator_daemon.monitoring.status import Status
+from resonator_daemon.daemon.monitoring.status import Status
 from resonator_daemon.mqtt.payloads import Condition, Health, LatencyInfo, State
 
 _WAITING: Final = "waiting"  # of bytes_by_outcome: goes up and down

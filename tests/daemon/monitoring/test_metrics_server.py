@@ -15,8 +15,8 @@ from brokers import free_port
 from observer import running_task
 
 from resonator_daemon.board.config import Listen
-from resonator_daemon.monitoring.metrics_server import TOGETHER, MetricsServer, MetricsTimes
-from resonator_daemon.monitoring.status import Status
+from resonator_daemon.daemon.monitoring.metrics_server import TOGETHER, MetricsServer, MetricsTimes
+from resonator_daemon.daemon.monitoring.status import Status
 
 DEADLINE_S = 20.0
 

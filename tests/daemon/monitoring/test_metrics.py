@@ -11,12 +11,12 @@ from prometheus_client.openmetrics.exposition import generate_latest as generate
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
 from prometheus_client.parser import text_string_to_metric_families
 
-from resonator_daemon.monitoring.metrics import StatusCollector
-from resonator_daemon.monitoring.status import BrokerStatus, Status
+from resonator_daemon.daemon.monitoring.metrics import StatusCollector
+from resonator_daemon.daemon.monitoring.status import BrokerStatus, Status
 from resonator_daemon.mqtt.payloads import Condition, MessageAccount
 
 Key = tuple[str, frozenset[tuple[str, str]]]
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[3] / "docs"
 
 
 def text_of(status: Status | None) -> str:

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from resonator_daemon.base.host.places import runtime_directories
 from resonator_daemon.base.host.system_limits import meaning_of
-from resonator_daemon.monitoring.status_server import SOCKET_NAME
+from resonator_daemon.daemon.monitoring.status_server import SOCKET_NAME
 
 ANSWER_S: Final = 2.0
 _QUEUE_S: Final = 0.01
