@@ -14,11 +14,11 @@ from observer import until as until
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.board.config.decoder import load_decoder_config
+from resonator_daemon.daemon.remote_decoding.service import DecoderProcess
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.mqtt_messages import Incoming
 from resonator_daemon.mqtt.payloads import CalibrationInfo, GridInfo, Info, Lost, Signals, SiteInfo, SkinInfo
 from resonator_daemon.mqtt.topics import SCHEMA_VERSION
-from resonator_daemon.remote_decoding.service import DecoderProcess
 from simulators.contact import hertz_parts
 from simulators.half_space_fields import hertz_fields
 

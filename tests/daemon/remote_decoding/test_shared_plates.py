@@ -14,11 +14,11 @@ from observer import running_task
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.decoder import DecoderConfig
 from resonator_daemon.board.config.tables import Decoding
+from resonator_daemon.daemon.remote_decoding import shared_plates
+from resonator_daemon.daemon.remote_decoding.shared_plates import SharedPlates
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import GridInfo, Info, Message, Signals
-from resonator_daemon.remote_decoding import shared_plates
-from resonator_daemon.remote_decoding.shared_plates import SharedPlates
 
 CONFIG = DecoderConfig(decoding=Decoding(plates=("+",), group="touch"))
 LINEAR = DecodingOptions(contact_physics=False, background=False)

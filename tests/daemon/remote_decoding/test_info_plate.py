@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from decoder_bench import info, signals
 
+from resonator_daemon.daemon.remote_decoding import plate as plate_module
+from resonator_daemon.daemon.remote_decoding.plate import RemotePlate
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import SiteInfo
-from resonator_daemon.remote_decoding import plate as plate_module
-from resonator_daemon.remote_decoding.plate import RemotePlate
 
 SKIN = info().skin
 assert SKIN is not None

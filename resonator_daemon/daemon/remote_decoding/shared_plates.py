@@ -18,6 +18,15 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config import plate_name
 from resonator_daemon.board.config.decoder import DecoderConfig
 from resonator_daemon.daemon.monitoring.latency import LatencyHistogram
+from resonator_daemon.daemon.remote_decoding.plate import (
+    NO_SIGNALS,
+    WAITS_AFTER_S,
+    Publish,
+    RemotePlate,
+    SkinPlate,
+    error_text,
+    header_of,
+)
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 from resonator_daemon.estimate.surface.streaming import CANNOT_DECODE, failed, set_up
@@ -33,15 +42,6 @@ from resonator_daemon.mqtt.topics import (
     SIGNALS,
     full_topic,
     split_topic,
-)
-from resonator_daemon.remote_decoding.plate import (
-    NO_SIGNALS,
-    WAITS_AFTER_S,
-    Publish,
-    RemotePlate,
-    SkinPlate,
-    error_text,
-    header_of,
 )
 
 PLATES_MAX: Final = 1000

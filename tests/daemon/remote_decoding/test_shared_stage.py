@@ -10,13 +10,13 @@ from decoder_bench import NOISE, NU, SITES_M, E, Floats, info, pressed, until
 from observer import running_task
 
 from resonator_daemon.base.reasons import Reason
+from resonator_daemon.daemon.remote_decoding import shared_plates
+from resonator_daemon.daemon.remote_decoding.plate import SkinPlate
+from resonator_daemon.daemon.remote_decoding.shared_plates import DECODERS_MAX, SharedStage
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface.decoded import Decoded
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.surface.skin_decoder import SurfaceReading
-from resonator_daemon.remote_decoding import shared_plates
-from resonator_daemon.remote_decoding.plate import SkinPlate
-from resonator_daemon.remote_decoding.shared_plates import DECODERS_MAX, SharedStage
 
 LINEAR = DecodingOptions(contact_physics=False, background=False)
 

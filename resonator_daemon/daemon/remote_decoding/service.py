@@ -21,6 +21,10 @@ from resonator_daemon.board.config import DECODER
 from resonator_daemon.board.config.decoder import DecoderConfig
 from resonator_daemon.daemon.monitoring.health import ProcessUsage
 from resonator_daemon.daemon.monitoring.liveness import LivenessMonitor
+from resonator_daemon.daemon.remote_decoding.followed_plate import FollowedPlate
+from resonator_daemon.daemon.remote_decoding.followed_plates import FollowedPlates
+from resonator_daemon.daemon.remote_decoding.rival_decoders import RivalDecoders
+from resonator_daemon.daemon.remote_decoding.shared_plates import SharedPlates
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.mqtt.codec import Encoded, encode
 from resonator_daemon.mqtt.mqtt_messages import Outgoing
@@ -35,10 +39,6 @@ from resonator_daemon.mqtt.topics import (
     Topic,
     full_topic,
 )
-from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
-from resonator_daemon.remote_decoding.followed_plates import FollowedPlates
-from resonator_daemon.remote_decoding.rival_decoders import RivalDecoders
-from resonator_daemon.remote_decoding.shared_plates import SharedPlates
 
 log = logging.getLogger(__name__)
 

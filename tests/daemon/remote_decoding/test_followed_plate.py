@@ -13,6 +13,10 @@ from observer import running_task
 
 from resonator_daemon.board.config.decoder import DecoderConfig
 from resonator_daemon.board.config.tables import Decoding
+from resonator_daemon.daemon.remote_decoding import followed_plate, thread_decoding
+from resonator_daemon.daemon.remote_decoding.followed_plate import FollowedPlate
+from resonator_daemon.daemon.remote_decoding.followed_plates import FollowedPlates
+from resonator_daemon.daemon.remote_decoding.plate import header_of
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface import equal_skins
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
@@ -21,10 +25,6 @@ from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, Surfac
 from resonator_daemon.mqtt.codec import Encoded, decode, encode
 from resonator_daemon.mqtt.payloads import ContactEvent, Info, Message, Signals
 from resonator_daemon.mqtt.topics import Topic
-from resonator_daemon.remote_decoding import followed_plate, thread_decoding
-from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
-from resonator_daemon.remote_decoding.followed_plates import FollowedPlates
-from resonator_daemon.remote_decoding.plate import header_of
 
 SKIN = Skin(HalfSpace(E, NU), SITES_M, 1e-3)
 LINEAR = DecodingOptions(contact_physics=False)

@@ -10,6 +10,15 @@ import numpy as np
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.decoder import DecoderConfig
 from resonator_daemon.daemon.monitoring.latency import LatencyHistogram
+from resonator_daemon.daemon.remote_decoding.plate import (
+    NO_SIGNALS,
+    WAITS_AFTER_S,
+    Publish,
+    RemotePlate,
+    SkinPlate,
+    header_of,
+)
+from resonator_daemon.daemon.remote_decoding.thread_decoding import ThreadDecoding
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.measure.pipeline.frame_timeout import CONTACTS_END_S
@@ -29,8 +38,6 @@ from resonator_daemon.mqtt.payloads import (
 )
 from resonator_daemon.mqtt.publisher import Subscription
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, DECODED, INFO, SIGNALS, Topic, full_topic
-from resonator_daemon.remote_decoding.plate import NO_SIGNALS, WAITS_AFTER_S, Publish, RemotePlate, SkinPlate, header_of
-from resonator_daemon.remote_decoding.thread_decoding import ThreadDecoding
 
 LOOK_S = 0.1
 
