@@ -31,9 +31,9 @@ from parts import COMMAND, child, emulated_board
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.config.text import plate_text
 from resonator_daemon.board.recording.reader import RecordingUnusableError, open_recording
-from resonator_daemon.calibration.plate_file import Session, write_plate_file
-from resonator_daemon.calibration.run import abort_staged, accept_staged
 from resonator_daemon.mqtt.spool import FILE, Progress, Spool
+from resonator_daemon.tools.calibration.plate_file import Session, write_plate_file
+from resonator_daemon.tools.calibration.run import abort_staged, accept_staged
 
 LOSS_AT_MOST_S: Final = 1.0
 PLATE_TEXT: Final = plate_text(load_plate("quartz16"))

@@ -7,8 +7,8 @@ import pytest
 
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.config.text import plate_text
-from resonator_daemon.calibration.plate_file import Session
-from resonator_daemon.calibration.run import accept_staged
+from resonator_daemon.tools.calibration.plate_file import Session
+from resonator_daemon.tools.calibration.run import accept_staged
 
 
 def test_a_calibration_that_was_interrupted_while_it_was_accepted_is_accepted_again(

@@ -86,11 +86,11 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         raise UsageError(f"--{name.replace('_', '-')} does not belong to: calibrate {quantity}")
     as_json = "json" in arguments
     if quantity == "skin":
-        from resonator_daemon.calibration.skin import calibrate_skin
+        from resonator_daemon.tools.calibration.skin import calibrate_skin
 
         return calibrate_skin(config, getattr(arguments, "seconds", 20.0), as_json=as_json)
-    from resonator_daemon.calibration.run import Ending, abort_staged, accept_staged, calibrate
-    from resonator_daemon.calibration.steps import LoadRequest
+    from resonator_daemon.tools.calibration.run import Ending, abort_staged, accept_staged, calibrate
+    from resonator_daemon.tools.calibration.steps import LoadRequest
 
     if "accept_staged" in arguments:
         return accept_staged(config, as_json=as_json, apply="apply" in arguments)

@@ -10,8 +10,8 @@ from scipy.special import chdtri
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.calibration.outcome import BAD_NEWTON, Outcome
-from resonator_daemon.calibration.steps import SENSITIVITY_STD_MAX, CalibrationRefusedError, Step
+from resonator_daemon.tools.calibration.outcome import BAD_NEWTON, Outcome
+from resonator_daemon.tools.calibration.steps import SENSITIVITY_STD_MAX, CalibrationRefusedError, Step
 
 SCATTERS: Final = 5.0  # that a site's residual may be: far beyond chance, even of three loads with one to spare
 FEWEST_OTHERS: Final = 3  # sites, of which the middle one shows how touches scatter

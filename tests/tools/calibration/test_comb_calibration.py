@@ -13,10 +13,10 @@ from emulated_loads import COMB_NOMINAL, COMB_TRUE, IDEAL, Loads, Touches, comb_
 
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import Coupling
-from resonator_daemon.calibration.load_procedure import LoadProcedure, Prompt
-from resonator_daemon.calibration.outcome import make_record, notes
-from resonator_daemon.calibration.plate_file import Record, with_record
-from resonator_daemon.calibration.steps import CalibrationRefusedError, LoadRequest, plan_steps
+from resonator_daemon.tools.calibration.load_procedure import LoadProcedure, Prompt
+from resonator_daemon.tools.calibration.outcome import make_record, notes
+from resonator_daemon.tools.calibration.plate_file import Record, with_record
+from resonator_daemon.tools.calibration.steps import CalibrationRefusedError, LoadRequest, plan_steps
 
 REFERENCE_ERROR = 1.5e-6  # of the emulated board's clock, by which all of its frequencies are low
 WANTED = LoadRequest(sites=(1, 7, 12), hold_s=1.5)

@@ -16,7 +16,6 @@ from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import Skin
 from resonator_daemon.board.config import Config, load_config
-from resonator_daemon.calibration.steps import CalibrationRefusedError
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface.open_plane.prior_fit import PriorFit, fit_prior, has_load
 from resonator_daemon.estimate.surface.prior import DEFAULT_PRIOR
@@ -24,6 +23,7 @@ from resonator_daemon.mqtt.payloads import Signals
 from resonator_daemon.mqtt.requests import reach
 from resonator_daemon.mqtt.subscriber import subscribe
 from resonator_daemon.mqtt.topics import SIGNALS, TOPICS
+from resonator_daemon.tools.calibration.steps import CalibrationRefusedError
 
 FEWEST_FRAMES: Final = 5  # with load
 FIRST_FRAME_S: Final = 10.0

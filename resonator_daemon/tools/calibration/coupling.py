@@ -9,7 +9,7 @@ from scipy.optimize import minimize_scalar
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import Coupling
-from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
+from resonator_daemon.tools.calibration.load_procedure import Loading, LoadProcedure
 
 SIGMAS: Final = 3.0
 OSCILLATOR_STD: Final = 1e-9  # of the mean of a hold against the untouched plate some seconds before

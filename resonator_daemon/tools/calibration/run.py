@@ -13,13 +13,14 @@ from resonator_daemon.base.host.signals import interruptible
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
 from resonator_daemon.board.config import Config, load_config
 from resonator_daemon.board.session.frames import BoardOnline
-from resonator_daemon.calibration.console import aborted, confirmed, report, result, summary
-from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure, Prompt
-from resonator_daemon.calibration.load_readings import CapturedLoads, board_readings
-from resonator_daemon.calibration.multitone_loads import MultitoneLoads
-from resonator_daemon.calibration.outcome import Outcome, fit_loadings, make_record, notes
-from resonator_daemon.calibration.outliers import OutlierSite, find_outliers, refuse_unknown_sensitivity
-from resonator_daemon.calibration.plate_file import (
+from resonator_daemon.measure.sensors.kinds import sensor_of
+from resonator_daemon.tools.calibration.console import aborted, confirmed, report, result, summary
+from resonator_daemon.tools.calibration.load_procedure import Loading, LoadProcedure, Prompt
+from resonator_daemon.tools.calibration.load_readings import CapturedLoads, board_readings
+from resonator_daemon.tools.calibration.multitone_loads import MultitoneLoads
+from resonator_daemon.tools.calibration.outcome import Outcome, fit_loadings, make_record, notes
+from resonator_daemon.tools.calibration.outliers import OutlierSite, find_outliers, refuse_unknown_sensitivity
+from resonator_daemon.tools.calibration.plate_file import (
     PlateFile,
     Record,
     Session,
@@ -29,8 +30,7 @@ from resonator_daemon.calibration.plate_file import (
     with_record,
     write_plate_file,
 )
-from resonator_daemon.calibration.steps import CalibrationRefusedError, LoadRequest, Step, plan_steps
-from resonator_daemon.measure.sensors.kinds import sensor_of
+from resonator_daemon.tools.calibration.steps import CalibrationRefusedError, LoadRequest, Step, plan_steps
 
 _AS_BEFORE: Final = "the plate file is as before"
 

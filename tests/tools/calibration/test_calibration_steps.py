@@ -6,7 +6,7 @@ import pytest
 from emulated_loads import NOMINAL
 
 from resonator_daemon.base.errors import UsageError
-from resonator_daemon.calibration.steps import LoadRequest, plan_steps
+from resonator_daemon.tools.calibration.steps import LoadRequest, plan_steps
 
 USUAL = LoadRequest(sites=(7, 1))
 

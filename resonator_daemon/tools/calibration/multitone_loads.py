@@ -8,10 +8,10 @@ import numpy as np
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.calibration.load_readings import NOTHING, PILOT, LoadReading, site_codes
-from resonator_daemon.calibration.steps import CalibrationRefusedError
 from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
 from resonator_daemon.estimate.tones.tone_detector import READING_S, ToneReading
+from resonator_daemon.tools.calibration.load_readings import NOTHING, PILOT, LoadReading, site_codes
+from resonator_daemon.tools.calibration.steps import CalibrationRefusedError
 
 REST_READINGS: Final = 10  # whose mean is f0
 TOUCH_SHARE: Final = 0.01  # of the plate's largest force: below it is what an earlier touch has left

@@ -30,7 +30,7 @@ from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.plate import load_plate, shipped_plates
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL, Coupling
 from resonator_daemon.base.toml.reading import read_toml
-from resonator_daemon.calibration.steps import CalibrationRefusedError
+from resonator_daemon.tools.calibration.steps import CalibrationRefusedError
 
 
 @dataclass(frozen=True)

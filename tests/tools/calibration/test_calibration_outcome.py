@@ -10,10 +10,10 @@ import pytest
 from emulated_loads import IDEAL, NOMINAL, TRUE, Touches, fitted, frames, lead, true_text
 
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.calibration.load_procedure import LoadProcedure
-from resonator_daemon.calibration.outcome import Outcome, make_record, notes
-from resonator_daemon.calibration.plate_file import Record
-from resonator_daemon.calibration.steps import LoadRequest, plan_steps
+from resonator_daemon.tools.calibration.load_procedure import LoadProcedure
+from resonator_daemon.tools.calibration.outcome import Outcome, make_record, notes
+from resonator_daemon.tools.calibration.plate_file import Record
+from resonator_daemon.tools.calibration.steps import LoadRequest, plan_steps
 
 WANTED = LoadRequest(sites=(7, 12), masses_kg=(0.05, 0.2, 0.5), hold_s=1.5)
 TODAY = date(2026, 11, 21)

@@ -8,8 +8,8 @@ from typing import Any
 from resonator_daemon.base.errors import InterruptedCommandError
 from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.base.host.signals import interruptible
-from resonator_daemon.calibration.outcome import Outcome
-from resonator_daemon.calibration.plate_file import Record
+from resonator_daemon.tools.calibration.outcome import Outcome
+from resonator_daemon.tools.calibration.plate_file import Record
 
 
 def report(value: dict[str, Any], line: str, *, as_json: bool) -> None:

@@ -26,9 +26,9 @@ from resonator_daemon.board.session.frames import (
     SingleToneFrame,
 )
 from resonator_daemon.board.session.link_reasons import OPENING
-from resonator_daemon.calibration.steps import CalibrationRefusedError, LinkBusyError
 from resonator_daemon.estimate.tones.tone_detector import PILOT_TOLERANCE, ToneReading
 from resonator_daemon.measure.pipeline.tone_capture import ToneCapture
+from resonator_daemon.tools.calibration.steps import CalibrationRefusedError, LinkBusyError
 
 
 class SiteCodes(NamedTuple):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from emulated_loads import NOMINAL, TRUE, Touches, frames, lead
 
-from resonator_daemon.calibration.load_procedure import LoadProcedure, Prompt
-from resonator_daemon.calibration.steps import CalibrationRefusedError, LoadRequest, plan_steps
+from resonator_daemon.tools.calibration.load_procedure import LoadProcedure, Prompt
+from resonator_daemon.tools.calibration.steps import CalibrationRefusedError, LoadRequest, plan_steps
 
 WANTED = LoadRequest(sites=(7,), masses_kg=(0.1, 0.3), hold_s=1.0)
 

@@ -19,7 +19,7 @@ from emulation import emulated
 
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.config import load_config
-from resonator_daemon.calibration.steps import STANDARD_GRAVITY
+from resonator_daemon.tools.calibration.steps import STANDARD_GRAVITY
 from simulators.emulator import EmulatorOptions
 
 MASSES = (0.1, 0.3, 0.5)

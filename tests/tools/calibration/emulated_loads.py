@@ -13,20 +13,20 @@ import numpy as np
 from firmware_protocol.layouts import CHANNEL_COUNT, TONE_FIELDS, single_tone_records
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.calibration.load_procedure import LoadProcedure, Prompt
-from resonator_daemon.calibration.load_readings import CapturedLoads, LoadReading
-from resonator_daemon.calibration.multitone_loads import MultitoneLoads
-from resonator_daemon.calibration.outcome import Outcome, fit_loadings
-from resonator_daemon.calibration.steps import STANDARD_GRAVITY, LoadRequest, Step
 from resonator_daemon.estimate.tones.tone_detector import reading_frames
 from resonator_daemon.measure.sensors.kinds import sensor_of
+from resonator_daemon.tools.calibration.load_procedure import LoadProcedure, Prompt
+from resonator_daemon.tools.calibration.load_readings import CapturedLoads, LoadReading
+from resonator_daemon.tools.calibration.multitone_loads import MultitoneLoads
+from resonator_daemon.tools.calibration.outcome import Outcome, fit_loadings
+from resonator_daemon.tools.calibration.steps import STANDARD_GRAVITY, LoadRequest, Step
 from simulators.comb_plate import CombPlate
 from simulators.plate import record_type
 from simulators.quartz_plate import QuartzPlate
 from simulators.scenario import load_scenario
 from simulators.tone_records import even_oscillators
 
-PLATES = Path(__file__).parents[2] / "resonator_daemon/base/plates"
+PLATES = Path(__file__).parents[3] / "resonator_daemon/base/plates"
 SHIPPED, COMB = PLATES / "quartz16.toml", PLATES / "comb16.toml"
 TONE = record_type(TONE_FIELDS)
 BASELINE_S = 3.0

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from emulated_loads import NOMINAL, fitted
 
-from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
-from resonator_daemon.calibration.outcome import Outcome
-from resonator_daemon.calibration.outliers import OutlierSite, find_outliers, refuse_unknown_sensitivity
-from resonator_daemon.calibration.steps import STANDARD_GRAVITY, CalibrationRefusedError, LoadRequest, plan_steps
+from resonator_daemon.tools.calibration.load_procedure import Loading, LoadProcedure
+from resonator_daemon.tools.calibration.outcome import Outcome
+from resonator_daemon.tools.calibration.outliers import OutlierSite, find_outliers, refuse_unknown_sensitivity
+from resonator_daemon.tools.calibration.steps import STANDARD_GRAVITY, CalibrationRefusedError, LoadRequest, plan_steps
 
 ONE = LoadRequest(sites=(1,))
 NOISE = 1e-9

@@ -11,9 +11,9 @@ import numpy as np
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.calibration.load_readings import NOTHING, PILOT, LoadReading, site_codes
-from resonator_daemon.calibration.steps import CalibrationRefusedError, Step
 from resonator_daemon.estimate.tones.tone_detector import READING_S
+from resonator_daemon.tools.calibration.load_readings import NOTHING, PILOT, LoadReading, site_codes
+from resonator_daemon.tools.calibration.steps import CalibrationRefusedError, Step
 
 BASELINE_S: Final = 2.0
 STEADY_READINGS: Final = 5
