@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     separate_config(arguments)
     if arguments.link is None and arguments.config is None and not arguments.broker:
         raise UsageError("name a --config FILE, a LINK (see: resonatord ports) or a --broker URL")
-    from resonator_daemon.doctor.run import DoctorOptions, doctor
+    from resonator_daemon.tools.doctor.run import DoctorOptions, doctor
 
     logging.getLogger().setLevel(logging.ERROR)  # the report has the rest
     brokers = tuple(arguments.broker)

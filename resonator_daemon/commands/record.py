@@ -49,7 +49,7 @@ def _of_the_daemon(config_path: Path) -> str:
     import asyncio
 
     from resonator_daemon.board.config import load_config
-    from resonator_daemon.doctor.daemon_checks import find_daemon
+    from resonator_daemon.tools.doctor.daemon_checks import find_daemon
 
     answer = asyncio.run(find_daemon(load_config(config_path).link, config_path, ()))
     if answer is None or answer.status is None:

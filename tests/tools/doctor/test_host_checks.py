@@ -8,9 +8,9 @@ import pytest
 from made_up_host import MadeUpHost
 
 from resonator_daemon.board.config import Recording
-from resonator_daemon.doctor.finding import Outcome
-from resonator_daemon.doctor.host import Host
-from resonator_daemon.doctor.host_checks import check_clock, check_disk, check_service
+from resonator_daemon.tools.doctor.finding import Outcome
+from resonator_daemon.tools.doctor.host import Host
+from resonator_daemon.tools.doctor.host_checks import check_clock, check_disk, check_service
 
 NOW_S = 1.78e9
 SOURCE = "sys/devices/system/clocksource/clocksource0/current_clocksource"

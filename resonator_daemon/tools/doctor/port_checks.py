@@ -9,9 +9,9 @@ from typing import Final
 
 from resonator_daemon.base.host.documentation import page
 from resonator_daemon.board.links.port_holders import Holder, Holders, is_pseudo_terminal
-from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, not_checked
-from resonator_daemon.doctor.host import Host
-from resonator_daemon.doctor.usb_checks import usb_device_of
+from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, not_checked
+from resonator_daemon.tools.doctor.host import Host
+from resonator_daemon.tools.doctor.usb_checks import usb_device_of
 
 EXISTS: Final = Check("port.exists", Area.WIRING, "port")
 PERMISSION: Final = Check("port.permission", Area.WIRING, "permission on the port")

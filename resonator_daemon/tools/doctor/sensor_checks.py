@@ -11,10 +11,10 @@ from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import SKIN_SIGNALS
-from resonator_daemon.doctor.capture import Capture
-from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, Outcome, graded, not_checked
-from resonator_daemon.doctor.plate_readings import PAIRS, known_mean
 from resonator_daemon.measure.sensors.expected_tones import ExpectedTones
+from resonator_daemon.tools.doctor.capture import Capture
+from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, Outcome, graded, not_checked
+from resonator_daemon.tools.doctor.plate_readings import PAIRS, known_mean
 
 CHANNELS: Final = Check("sensor.channels", Area.SENSOR, "channels")
 STAMPS: Final = Check("board.stamps", Area.SENSOR, "stamps from gate to gate")

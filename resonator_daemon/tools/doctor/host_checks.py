@@ -13,8 +13,8 @@ from typing import Final, NamedTuple
 from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.board.config import Recording
 from resonator_daemon.board.recording.file_series import Series
-from resonator_daemon.doctor.finding import Amount, Area, Check, Finding
-from resonator_daemon.doctor.host import Host
+from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding
+from resonator_daemon.tools.doctor.host import Host
 
 SOURCE: Final = Check("clock.source", Area.SOFTWARE, "clock source")
 DATE: Final = Check("clock.date", Area.SOFTWARE, "date")

@@ -7,8 +7,8 @@ from typing import Final
 
 from resonator_daemon.base.host.documentation import page
 from resonator_daemon.board.links.target import UsbId
-from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, not_checked
-from resonator_daemon.doctor.host import Host
+from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, not_checked
+from resonator_daemon.tools.doctor.host import Host
 
 DEVICE: Final = Check("usb.device", Area.WIRING, "USB device")
 AUTOSUSPEND: Final = Check("usb.autosuspend", Area.SOFTWARE, "USB autosuspend")

@@ -13,8 +13,8 @@ from resonator_daemon.board.session.clock import TOLERANCE_PPM
 from resonator_daemon.board.session.compatibility import first_of, incompatibilities
 from resonator_daemon.board.session.link_reasons import all_of
 from resonator_daemon.board.session.probe import ProbeResult, round_trip_s
-from resonator_daemon.doctor.capture import OPEN_S, Capture
-from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, Outcome, excused, graded, not_checked
+from resonator_daemon.tools.doctor.capture import OPEN_S, Capture
+from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, Outcome, excused, graded, not_checked
 
 OPENS: Final = Check("link.opens", Area.WIRING, "link")
 ANSWERS: Final = Check("board.answers", Area.WIRING, "board answers")

@@ -8,9 +8,9 @@ import pytest
 from made_up_host import USB, MadeUpHost
 
 from resonator_daemon.board.links.port_holders import Holder, Holders
-from resonator_daemon.doctor.finding import Finding, Outcome
-from resonator_daemon.doctor.host import Host
-from resonator_daemon.doctor.port_checks import check_port
+from resonator_daemon.tools.doctor.finding import Finding, Outcome
+from resonator_daemon.tools.doctor.host import Host
+from resonator_daemon.tools.doctor.port_checks import check_port
 
 PORT = "/dev/ttyUSB0"
 NOBODY = Holders((), True)

@@ -13,13 +13,13 @@ from paho.mqtt.enums import MQTTProtocolVersion
 from resonator_daemon.base.host.documentation import page
 from resonator_daemon.base.host.system_limits import meaning_of, reason_of
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, excused, not_checked
-from resonator_daemon.doctor.host import Host, Load
 from resonator_daemon.mqtt import connection_errors
 from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes
 from resonator_daemon.mqtt.mqtt_messages import Incoming
 from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
 from resonator_daemon.mqtt.topics import full_topic
+from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, excused, not_checked
+from resonator_daemon.tools.doctor.host import Host, Load
 
 RESOLVES: Final = Check("broker.name", Area.SOFTWARE, "name of the broker")
 LISTENS: Final = Check("broker.listens", Area.SOFTWARE, "broker listens")

@@ -14,11 +14,11 @@ from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.board.session.frames import BoardRefused, ChannelisedFrame, LinkChange, SingleToneFrame
 from resonator_daemon.board.session.link_events import Received, WireEvent
-from resonator_daemon.doctor.host import Host, Load
-from resonator_daemon.doctor.plate_readings import FEWEST_FRAMES, PlateReading, plate_reading
 from resonator_daemon.measure.pipeline.tone_capture import ToneCapture
 from resonator_daemon.measure.sensors.expected_tones import ExpectedTones
 from resonator_daemon.measure.sensors.kinds import sensor_of
+from resonator_daemon.tools.doctor.host import Host, Load
+from resonator_daemon.tools.doctor.plate_readings import FEWEST_FRAMES, PlateReading, plate_reading
 
 OPEN_S: Final = 6.0  # in which a board must count
 

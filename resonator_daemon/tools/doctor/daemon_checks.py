@@ -17,12 +17,12 @@ from resonator_daemon.board.config import Mqtt, load_config
 from resonator_daemon.board.links.table import parse_link
 from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.daemon.monitoring.status_client import Answer, ask_all
-from resonator_daemon.doctor import link_checks, sensor_checks
-from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, excused, graded, not_checked
-from resonator_daemon.doctor.link_checks import ERRORS_FAULT
 from resonator_daemon.mqtt.payloads import Condition, Info
 from resonator_daemon.mqtt.subscriber import subscribe
 from resonator_daemon.mqtt.topics import TOPICS
+from resonator_daemon.tools.doctor import link_checks, sensor_checks
+from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, excused, graded, not_checked
+from resonator_daemon.tools.doctor.link_checks import ERRORS_FAULT
 
 RUNS: Final = Check("daemon.runs", Area.SOFTWARE, "running daemon")
 CONFIG: Final = Check("daemon.config", Area.SOFTWARE, "configuration in use")

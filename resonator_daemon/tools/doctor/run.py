@@ -19,16 +19,22 @@ from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.links.port_holders import Holders, port_holders
 from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.board.session.probe import NoBoardError, ProbeResult, probe
-from resonator_daemon.doctor import link_checks, sensor_checks
-from resonator_daemon.doctor.broker_checks import check_broker
-from resonator_daemon.doctor.capture import capture_board
-from resonator_daemon.doctor.daemon_checks import check_daemon, check_status, find_daemon, published_status, works_by
-from resonator_daemon.doctor.finding import Area, Finding, Outcome, not_checked
-from resonator_daemon.doctor.host import Host, Load
-from resonator_daemon.doctor.host_checks import check_clock, check_disk, check_service
-from resonator_daemon.doctor.port_checks import HOLDER, check_holder, check_port
-from resonator_daemon.doctor.report import Report
-from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of, usb_node
+from resonator_daemon.tools.doctor import link_checks, sensor_checks
+from resonator_daemon.tools.doctor.broker_checks import check_broker
+from resonator_daemon.tools.doctor.capture import capture_board
+from resonator_daemon.tools.doctor.daemon_checks import (
+    check_daemon,
+    check_status,
+    find_daemon,
+    published_status,
+    works_by,
+)
+from resonator_daemon.tools.doctor.finding import Area, Finding, Outcome, not_checked
+from resonator_daemon.tools.doctor.host import Host, Load
+from resonator_daemon.tools.doctor.host_checks import check_clock, check_disk, check_service
+from resonator_daemon.tools.doctor.port_checks import HOLDER, check_holder, check_port
+from resonator_daemon.tools.doctor.report import Report
+from resonator_daemon.tools.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of, usb_node
 
 _BITS_PER_BYTE: Final = 8
 _DAEMON_HAS_IT: Final = "a daemon has the link; stop it to have the board itself looked at"

@@ -9,11 +9,11 @@ from brokers import Mosquitto
 from slow_gate import Gate
 
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.doctor import broker_checks
-from resonator_daemon.doctor.broker_checks import check_broker
-from resonator_daemon.doctor.finding import Finding, Outcome
-from resonator_daemon.doctor.host import Host
 from resonator_daemon.mqtt.broker_connection import ConnectionTimes
+from resonator_daemon.tools.doctor import broker_checks
+from resonator_daemon.tools.doctor.broker_checks import check_broker
+from resonator_daemon.tools.doctor.finding import Finding, Outcome
+from resonator_daemon.tools.doctor.host import Host
 
 HOST = Host(Path("/none"))  # which tells of no load
 HALTED = "this computer is busy"

@@ -8,7 +8,7 @@ import pytest
 from made_up_host import MadeUpHost
 
 from resonator_daemon.base.host import load
-from resonator_daemon.doctor.host import Load
+from resonator_daemon.tools.doctor.host import Load
 
 
 @pytest.mark.parametrize(("waited_ns", "busy"), [(64_000, False), (66_000, True)])

@@ -9,8 +9,8 @@ from firmware_protocol.messages import Description, Identity, ResetCause
 from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.board.links.carriers.serial import SerialTarget
 from resonator_daemon.board.session.probe import ProbeResult, TickRate, probe
-from resonator_daemon.doctor.finding import Finding, Outcome
-from resonator_daemon.doctor.link_checks import check_probe
+from resonator_daemon.tools.doctor.finding import Finding, Outcome
+from resonator_daemon.tools.doctor.link_checks import check_probe
 from simulators.emulator import EmulatorOptions
 
 UNCALIBRATED = {"board.unit"}  # what a plate file without a calibration leaves unchecked

@@ -19,10 +19,16 @@ from resonator_daemon.board.links.port_holders import Holder, Holders
 from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.commands import main
 from resonator_daemon.daemon.monitoring.status_client import Answer, ask_all
-from resonator_daemon.doctor import daemon_checks, run
-from resonator_daemon.doctor.daemon_checks import SENSOR, check_daemon, check_status, find_daemon, published_status
-from resonator_daemon.doctor.finding import Outcome
-from resonator_daemon.doctor.run import DoctorOptions, doctor
+from resonator_daemon.tools.doctor import daemon_checks, run
+from resonator_daemon.tools.doctor.daemon_checks import (
+    SENSOR,
+    check_daemon,
+    check_status,
+    find_daemon,
+    published_status,
+)
+from resonator_daemon.tools.doctor.finding import Outcome
+from resonator_daemon.tools.doctor.run import DoctorOptions, doctor
 
 STATUS: dict[str, Any] = {
     "pid": 77,

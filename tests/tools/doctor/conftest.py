@@ -3,7 +3,7 @@
 import pytest
 
 from resonator_daemon.board.session import probe as port_inquiry
-from resonator_daemon.doctor import broker_checks
+from resonator_daemon.tools.doctor import broker_checks
 
 
 @pytest.fixture(autouse=True)

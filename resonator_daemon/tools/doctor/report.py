@@ -8,7 +8,7 @@ from typing import Any, Final, TextIO
 
 from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.base.host.printable import Colour, coloured, printable
-from resonator_daemon.doctor.finding import FINE, Area, Finding, Outcome, Stage
+from resonator_daemon.tools.doctor.finding import FINE, Area, Finding, Outcome, Stage
 
 WIDTH: Final = 80
 _MARKS: Final = {Outcome.OK: "ok", Outcome.WARNING: "WARNING", Outcome.FAULT: "FAULT", Outcome.NOT_CHECKED: "-"}
