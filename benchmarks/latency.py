@@ -23,11 +23,11 @@ import numpy as np
 
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.config import Measurement
-from resonator_daemon.demo.processes import local_broker, raise_if_ended, start_daemon, start_emulator
-from resonator_daemon.demo.subscription import Subscription
-from resonator_daemon.demo.truth import TruthTable
 from resonator_daemon.mqtt.receiver import Arrival
 from resonator_daemon.mqtt.topics import DECODED, FORCES, full_topic
+from resonator_daemon.tools.demo.processes import local_broker, raise_if_ended, start_daemon, start_emulator
+from resonator_daemon.tools.demo.subscription import Subscription
+from resonator_daemon.tools.demo.truth import TruthTable
 
 LATE_MS = 20.0
 HEAD_BYTES = 512  # of a message with arrays: `seq` and `board_ticks` are within

@@ -11,7 +11,7 @@ from typing import Final
 from PIL import Image
 from playwright.async_api import Browser, Page, TimeoutError, async_playwright
 
-from resonator_daemon.demo.processes import local_broker
+from resonator_daemon.tools.demo.processes import local_broker
 
 FOLDER: Final = Path(__file__).parent
 CHROMIUM: Final = "/usr/bin/chromium"

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.demo.run import DemoOptions, run_demo
+    from resonator_daemon.tools.demo.run import DemoOptions, run_demo
 
     logging.getLogger().setLevel(logging.ERROR)  # view and result show the rest
     plates = tuple(arguments.plate or ("quartz16", "skin32"))

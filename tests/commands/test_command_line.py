@@ -14,8 +14,8 @@ from command_line import exit_code
 
 from resonator_daemon.board.config import load_config
 from resonator_daemon.commands._command_line import command_names
-from resonator_daemon.demo.run import DemoOptions
 from resonator_daemon.mqtt.asyncapi import document
+from resonator_daemon.tools.demo.run import DemoOptions
 
 COMMAND = (sys.executable, "-m", "resonator_daemon.commands")
 ALL = tuple(command_names())
@@ -148,7 +148,7 @@ def test_the_demo_has_a_view_in_a_terminal_alone(
     arguments: tuple[str, ...], terminal: bool, headless: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[DemoOptions] = []
-    monkeypatch.setattr("resonator_daemon.demo.run.run_demo", lambda options: seen.append(options) or 0)
+    monkeypatch.setattr("resonator_daemon.tools.demo.run.run_demo", lambda options: seen.append(options) or 0)
     monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
     assert exit_code("demo", *arguments) == 0
     assert [(options.plates, options.headless) for options in seen] == [(("quartz16", "skin32"), headless)]

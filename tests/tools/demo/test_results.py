@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from resonator_daemon.demo.results import delays, failures
+from resonator_daemon.tools.demo.results import delays, failures
 
 LOST = dict.fromkeys(
     ("link_gap", "damaged", "board_overflow", "host_overrun", "queue_overflow", "publish_dropped", "skipped_late"), 0

@@ -24,7 +24,10 @@ from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.demo.processes import (
+from resonator_daemon.mqtt.receiver import Arrival
+from resonator_daemon.mqtt.subscriber import read_message, topic_filters
+from resonator_daemon.mqtt.topics import SIGNALS, TOPICS, full_topic, split_topic
+from resonator_daemon.tools.demo.processes import (
     BROKER_PART,
     Child,
     Emulator,
@@ -36,13 +39,10 @@ from resonator_daemon.demo.processes import (
     start_emulator,
     start_live_page,
 )
-from resonator_daemon.demo.results import cause, delays, failures, in_words, percentiles, plate_result
-from resonator_daemon.demo.score import SCORED, PlateScore
-from resonator_daemon.demo.subscription import Subscription
-from resonator_daemon.demo.truth import TruthTable, site_traction, surface_traction
-from resonator_daemon.mqtt.receiver import Arrival
-from resonator_daemon.mqtt.subscriber import read_message, topic_filters
-from resonator_daemon.mqtt.topics import SIGNALS, TOPICS, full_topic, split_topic
+from resonator_daemon.tools.demo.results import cause, delays, failures, in_words, percentiles, plate_result
+from resonator_daemon.tools.demo.score import SCORED, PlateScore
+from resonator_daemon.tools.demo.subscription import Subscription
+from resonator_daemon.tools.demo.truth import TruthTable, site_traction, surface_traction
 from resonator_daemon.view.plate_view import PlateView, TrueContact, Truth
 from resonator_daemon.view.terminal import render
 

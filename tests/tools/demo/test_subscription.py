@@ -8,8 +8,8 @@ import pytest
 
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.demo.subscription import Subscription
 from resonator_daemon.mqtt.receiver import Arrival
+from resonator_daemon.tools.demo.subscription import Subscription
 
 
 async def test_messages_of_all_sizes_arrive_whole_and_in_order(broker) -> None:

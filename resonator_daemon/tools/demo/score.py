@@ -9,7 +9,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.demo.truth import TruthLine, TruthTable, site_traction, surface_traction
 from resonator_daemon.mqtt.codec import read_arrays
 from resonator_daemon.mqtt.payloads import Lost
 from resonator_daemon.mqtt.topics import (
@@ -21,6 +20,7 @@ from resonator_daemon.mqtt.topics import (
     STATE_DAEMON,
     TOPICS,
 )
+from resonator_daemon.tools.demo.truth import TruthLine, TruthTable, site_traction, surface_traction
 from simulators.presses import FIRST_ID
 
 ONSET_NEWTON = 0.020  # a touch counts from here

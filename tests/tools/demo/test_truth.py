@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from resonator_daemon.demo.truth import TruthLine, TruthTable, surface_traction
+from resonator_daemon.tools.demo.truth import TruthLine, TruthTable, surface_traction
 from simulators.contact import pixel_tractions
 
 T0_NS = 1_789_000_000_000_000_123

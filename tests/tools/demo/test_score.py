@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from score_run import MS, Run, frame_end_ns, touch
 
-from resonator_daemon.demo.score import Accuracy
+from resonator_daemon.tools.demo.score import Accuracy
 
 
 @pytest.fixture

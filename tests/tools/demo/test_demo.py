@@ -72,7 +72,7 @@ def test_without_mosquitto_amqtt_is_the_broker() -> None:
     """Mosquitto is hidden; the rest of the command line stays."""
     program = (
         "import os, sys; from resonator_daemon.commands import main\n"
-        "from resonator_daemon.demo import processes\n"
+        "from resonator_daemon.tools.demo import processes\n"
         "processes.MORE_PLACES, os.environ['PATH'] = '', ''; sys.exit(main())"
     )
     options = ("demo", "--plate", "quartz16", "--headless", "--seconds", "2", "--json")

@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-from resonator_daemon.demo.processes import ProcessorTimes
+from resonator_daemon.tools.demo.processes import ProcessorTimes
 
 CHILD = "sum(range(4 * 10**7))"  # a second
 PARENT = (

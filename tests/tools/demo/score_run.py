@@ -8,8 +8,6 @@ import numpy as np
 from example_messages import example, header
 from numpy.typing import NDArray
 
-from resonator_daemon.demo.score import Accuracy, PlateScore
-from resonator_daemon.demo.truth import TruthTable
 from resonator_daemon.mqtt import topics
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import (
@@ -24,6 +22,8 @@ from resonator_daemon.mqtt.payloads import (
     SiteForce,
 )
 from resonator_daemon.mqtt.topics import Topic
+from resonator_daemon.tools.demo.score import Accuracy, PlateScore
+from resonator_daemon.tools.demo.truth import TruthTable
 
 T0_NS = 1_789_000_000_000_000_000
 MS = 1_000_000
