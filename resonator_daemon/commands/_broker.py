@@ -24,7 +24,7 @@ def add_broker(parser: argparse.ArgumentParser, *, config_is_argument: bool = Fa
 def broker_of(arguments: argparse.Namespace) -> "Mqtt":
     """Return the broker that is meant; UserError where it cannot be used."""
     from resonator_daemon.board.config import Mqtt, load_client
-    from resonator_daemon.view.watch import broker_at
+    from resonator_daemon.tools.view.watch import broker_at
 
     if arguments.config is None:
         return broker_at(arguments.url or Mqtt().url, arguments.prefix or Mqtt().prefix)

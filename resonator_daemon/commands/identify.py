@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     """Print what the board answers; IncompatibleBoardError where it cannot serve the configuration."""
     from resonator_daemon.board.config import load_config
     from resonator_daemon.board.session.compatibility import incompatibilities
-    from resonator_daemon.view.board_identity import as_json, labelled_lines
+    from resonator_daemon.tools.view.board_identity import as_json, labelled_lines
 
     separate_config(arguments)
     config = load_config(arguments.config) if arguments.config is not None else None

@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         return ExitCode.DONE
     from rich.console import Console
 
-    from resonator_daemon.view.status_block import status_page
+    from resonator_daemon.tools.view.status_block import status_page
 
     answers = asyncio.run(_ask(arguments.name))
     if answers and not arguments.json:
@@ -76,7 +76,7 @@ async def _watch(name: str | None, *, as_json: bool) -> None:
     from rich.text import Text
 
     from resonator_daemon.base.host.signals import on_signals
-    from resonator_daemon.view.status_block import status_page
+    from resonator_daemon.tools.view.status_block import status_page
 
     console = Console(highlight=False)
     lines = as_json or not console.is_terminal or console.is_dumb_terminal

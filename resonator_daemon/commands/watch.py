@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> ExitCode:
     import asyncio
 
-    from resonator_daemon.view.watch import watch
+    from resonator_daemon.tools.view.watch import watch
 
     asyncio.run(watch(broker_of(arguments), as_json=arguments.json, full_rate=arguments.full_rate))
     return ExitCode.DONE

@@ -26,7 +26,7 @@ from resonator_daemon.planning.plate_file import (
     plate_layout,
 )
 from resonator_daemon.planning.request import JITTER_S, Request, make_request
-from resonator_daemon.view.code_plan import BITS_A_BYTE, CodePlan, Trials
+from resonator_daemon.tools.view.code_plan import BITS_A_BYTE, CodePlan, Trials
 
 COMMON_STD: Final = 2e-7  # of what is left of the common mode, estimated from a pilot
 PLATES: Final = 50  # drawn; one where the codes are those of a plate

@@ -21,7 +21,7 @@ from resonator_daemon.replay.outputs import AtBroker, Lines
 from resonator_daemon.replay.recorded_pipeline import Moment, Published, RecordingReplay, what_is_wrong
 from resonator_daemon.replay.source import open_replay
 from resonator_daemon.replay.span import Progress, Span, find_span
-from resonator_daemon.view.watch import broker_at
+from resonator_daemon.tools.view.watch import broker_at
 
 _AT_ONCE_S: Final = 1e-3  # a wait takes longer than this
 

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from resonator_daemon.tools.demo.score import FOUND_WITHIN_NS, PlateScore
-from resonator_daemon.view.words import losses_in_words
+from resonator_daemon.tools.view.words import losses_in_words
 
 _LATE_MS: Final = FOUND_WITHIN_NS * 1e-6
 _SKIPPED: Final = "skipped_late"  # results that newer ones replaced: no frame is lost

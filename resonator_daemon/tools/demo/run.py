@@ -43,8 +43,8 @@ from resonator_daemon.tools.demo.results import cause, delays, failures, in_word
 from resonator_daemon.tools.demo.score import SCORED, PlateScore
 from resonator_daemon.tools.demo.subscription import Subscription
 from resonator_daemon.tools.demo.truth import TruthTable, site_traction, surface_traction
-from resonator_daemon.view.plate_view import PlateView, TrueContact, Truth
-from resonator_daemon.view.terminal import render
+from resonator_daemon.tools.view.plate_view import PlateView, TrueContact, Truth
+from resonator_daemon.tools.view.terminal import render
 
 _START_S: Final = 120.0  # decoders of a skin are set up first
 _END_S: Final = 10.0  # for the last messages of the daemons

@@ -23,9 +23,9 @@ from view_messages import (
 )
 
 from resonator_daemon.mqtt.payloads import Message
-from resonator_daemon.view.plate_view import PlateView, TrueContact, Truth
-from resonator_daemon.view.terminal import render, summary_line
-from resonator_daemon.view.words import losses_in_words
+from resonator_daemon.tools.view.plate_view import PlateView, TrueContact, Truth
+from resonator_daemon.tools.view.terminal import render, summary_line
+from resonator_daemon.tools.view.words import losses_in_words
 
 SITES = {7: (-0.0005, 0.002), 13: (0.007, 0.0066)}
 PIXEL_M2 = 4e-4**2

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from resonator_daemon.view.maps import as_pixels
+from resonator_daemon.tools.view.maps import as_pixels
 
 OUTLINE_M = ((-4e-3, -8e-3), (4e-3, -8e-3), (4e-3, 3.9e-3), (0.0, 8e-3), (-4e-3, 3.9e-3))  # a house
 SITES_M = ((-2.03e-3, -6.01e-3), (3.04e-3, -5.1e-3), (0.5e-3, 5e-3))

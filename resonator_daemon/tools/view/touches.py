@@ -13,7 +13,7 @@ from rich.text import Text
 
 from resonator_daemon.mqtt.payloads import Contact, SiteForce, Status
 from resonator_daemon.mqtt.topics import CONTACTS, DECODED, DECODED_SUMMARY, FORCES, INFO
-from resonator_daemon.view.maps import (
+from resonator_daemon.tools.view.maps import (
     Line,
     SiteMark,
     as_pixels,
@@ -23,8 +23,8 @@ from resonator_daemon.view.maps import (
     site_map,
     traction_map,
 )
-from resonator_daemon.view.plate_view import PlateView, TrueContact, Truth
-from resonator_daemon.view.words import UNKNOWN, duration, millinewtons, newtons, pascals, quantity
+from resonator_daemon.tools.view.plate_view import PlateView, TrueContact, Truth
+from resonator_daemon.tools.view.words import UNKNOWN, duration, millinewtons, newtons, pascals, quantity
 
 _ROWS_MAX: Final = 16
 

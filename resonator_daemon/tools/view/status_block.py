@@ -13,7 +13,7 @@ from resonator_daemon.base.host.printable import printable
 from resonator_daemon.daemon.monitoring.status import Status
 from resonator_daemon.daemon.monitoring.status_client import Answer
 from resonator_daemon.mqtt.payloads import Condition, Health, State
-from resonator_daemon.view.words import UNKNOWN, duration, quantity
+from resonator_daemon.tools.view.words import UNKNOWN, duration, quantity
 
 _LABEL_WIDTH: Final = 11
 _ROOM_MIN: Final = 20  # columns for text: a terminal that is narrower wraps by itself

@@ -7,7 +7,7 @@ from view_messages import NOW_NS, S, forces, health, info, state
 
 from resonator_daemon.mqtt.payloads import Lost
 from resonator_daemon.mqtt.topics import FORCES, INFO, STATE_DAEMON, STATE_LINK
-from resonator_daemon.view.plate_view import PlateView
+from resonator_daemon.tools.view.plate_view import PlateView
 
 
 @pytest.fixture

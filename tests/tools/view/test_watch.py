@@ -21,7 +21,7 @@ from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.mqtt_messages import Outgoing
 from resonator_daemon.mqtt.payloads import Signals
 from resonator_daemon.mqtt.publisher import Publisher
-from resonator_daemon.view.watch import json_line
+from resonator_daemon.tools.view.watch import json_line
 
 LEFT = "resonator/left"
 NOBODY = "mqtt://127.0.0.1:9"

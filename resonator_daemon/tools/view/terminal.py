@@ -22,10 +22,10 @@ from resonator_daemon.mqtt.topics import (
     STATE_LINK,
     STATE_SENSOR,
 )
-from resonator_daemon.view.maps import side_by_side
-from resonator_daemon.view.plate_view import PlateView, Truth
-from resonator_daemon.view.touches import SurfacePanel, TouchesPanel
-from resonator_daemon.view.words import duration, losses_in_words, quantity
+from resonator_daemon.tools.view.maps import side_by_side
+from resonator_daemon.tools.view.plate_view import PlateView, Truth
+from resonator_daemon.tools.view.touches import SurfacePanel, TouchesPanel
+from resonator_daemon.tools.view.words import duration, losses_in_words, quantity
 
 _GAP: Final = 2
 _TEXT_COLUMNS_MIN: Final = 30

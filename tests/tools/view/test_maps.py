@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rich.segment import Segment
 
-from resonator_daemon.view.maps import SiteMark, pooling, round_scale, site_map, traction_map
+from resonator_daemon.tools.view.maps import SiteMark, pooling, round_scale, site_map, traction_map
 
 SQUARE_M = ((-0.01, -0.01), (0.01, -0.01), (0.01, 0.01), (-0.01, 0.01))
 DARK = (68, 1, 84)

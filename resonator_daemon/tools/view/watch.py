@@ -21,8 +21,8 @@ from resonator_daemon.base.toml.reading import shown
 from resonator_daemon.board.config import Mqtt
 from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.subscriber import subscribe
-from resonator_daemon.view.plate_view import PlateView
-from resonator_daemon.view.terminal import render, summary_line
+from resonator_daemon.tools.view.plate_view import PlateView
+from resonator_daemon.tools.view.terminal import render, summary_line
 
 _PAGE_S: Final = 1 / 8
 _LINES_S: Final = 1.0
