@@ -58,9 +58,9 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     import asyncio
 
     try:
-        from resonator_daemon.live_page.credentials import read_token, tls_of
-        from resonator_daemon.live_page.hub import Sources
-        from resonator_daemon.live_page.server import LivePageOptions, serve
+        from resonator_daemon.tools.live_page.credentials import read_token, tls_of
+        from resonator_daemon.tools.live_page.hub import Sources
+        from resonator_daemon.tools.live_page.server import LivePageOptions, serve
     except ModuleNotFoundError as error:
         raise MissingLibraryError(f"the live page needs {error.name}: {how_to_install('aiohttp')}") from error
 

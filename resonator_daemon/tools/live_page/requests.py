@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from resonator_daemon.base.toml.reading import shown
-from resonator_daemon.live_page.broker_relay import STREAMS
+from resonator_daemon.tools.live_page.broker_relay import STREAMS
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Source = Literal["live", "a", "b"]

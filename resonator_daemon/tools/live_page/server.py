@@ -20,8 +20,8 @@ from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.host.systemd import ServiceManager
 from resonator_daemon.board.config.mqtt import is_this_computer
-from resonator_daemon.live_page.access import Access
-from resonator_daemon.live_page.hub import Hub, Sources
+from resonator_daemon.tools.live_page.access import Access
+from resonator_daemon.tools.live_page.hub import Hub, Sources
 
 BROWSERS_MAX: Final = 32
 
@@ -128,7 +128,7 @@ class LivePage:
             task.result()
 
     def _make_app(self) -> web.Application:
-        page = Path(str(resources.files("resonator_daemon.live_page") / "page"))
+        page = Path(str(resources.files("resonator_daemon.tools.live_page") / "page"))
         files = {path.relative_to(page).as_posix(): path.read_bytes() for path in page.rglob("*.*")}
         app = web.Application()
         Access(self._options.host, self._options.token, tls=self._options.tls is not None).protect(app)

@@ -11,8 +11,8 @@ from resonator_daemon.board.config.broker_files import (
     read_key,
     read_password,
 )
-from resonator_daemon.live_page.access import TOKEN_CHARACTERS_MIN
 from resonator_daemon.mqtt.tls import LEAST_VERSION
+from resonator_daemon.tools.live_page.access import TOKEN_CHARACTERS_MIN
 
 
 def read_token(path: Path) -> str:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 collect_ignore = [] if find_spec("playwright") else ["test_panels.py"]  # `make test-browser` installs it
 CHROMIUM = "/usr/bin/chromium"
-AXE = Path(__file__).parents[3] / "build" / "browser" / "node_modules" / "axe-core" / "axe.min.js"
+AXE = Path(__file__).parents[4] / "build" / "browser" / "node_modules" / "axe-core" / "axe.min.js"
 
 
 @pytest_asyncio.fixture(scope="session", loop_scope="session")

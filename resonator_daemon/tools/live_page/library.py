@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from resonator_daemon.base.host.system_limits import meaning_of
-from resonator_daemon.live_page.recorded import Recorded
-from resonator_daemon.live_page.requests import RefusedRequest
+from resonator_daemon.tools.live_page.recorded import Recorded
+from resonator_daemon.tools.live_page.requests import RefusedRequest
 
 OPEN_MAX: Final = 4  # of all browsers together: each is decoded by a process into a temporary file
 LISTED_MAX: Final = 1000

@@ -8,9 +8,9 @@ from typing import Any, Final
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from resonator_daemon.live_page.frames import refusal, text_frame
-from resonator_daemon.live_page.outgoing import Outgoing
-from resonator_daemon.live_page.requests import (
+from resonator_daemon.tools.live_page.frames import refusal, text_frame
+from resonator_daemon.tools.live_page.outgoing import Outgoing
+from resonator_daemon.tools.live_page.requests import (
     RefusedRequest,
     Request,
     read_number,

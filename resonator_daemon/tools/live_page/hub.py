@@ -14,14 +14,17 @@ from aiohttp import WSCloseCode, web
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.live_page.broker_relay import CONNECTING, BrokerRelay
-from resonator_daemon.live_page.client import Client
-from resonator_daemon.live_page.frames import LIVE, payload_frame, text_frame
-from resonator_daemon.live_page.library import Library
-from resonator_daemon.live_page.player import Player, play
-from resonator_daemon.live_page.presses import Board, Emulators, Touches
-from resonator_daemon.live_page.recorded import Recorded
-from resonator_daemon.live_page.requests import (
+from resonator_daemon.mqtt.payloads import Condition
+from resonator_daemon.mqtt.requests import request as send_command
+from resonator_daemon.mqtt.topics import INFO, STATE_DAEMON, TOPICS
+from resonator_daemon.tools.live_page.broker_relay import CONNECTING, BrokerRelay
+from resonator_daemon.tools.live_page.client import Client
+from resonator_daemon.tools.live_page.frames import LIVE, payload_frame, text_frame
+from resonator_daemon.tools.live_page.library import Library
+from resonator_daemon.tools.live_page.player import Player, play
+from resonator_daemon.tools.live_page.presses import Board, Emulators, Touches
+from resonator_daemon.tools.live_page.recorded import Recorded
+from resonator_daemon.tools.live_page.requests import (
     Command,
     Open,
     Play,
@@ -33,9 +36,6 @@ from resonator_daemon.live_page.requests import (
     Seek,
     Watch,
 )
-from resonator_daemon.mqtt.payloads import Condition
-from resonator_daemon.mqtt.requests import request as send_command
-from resonator_daemon.mqtt.topics import INFO, STATE_DAEMON, TOPICS
 
 COMMANDS: Final = ("tare", "mark", "start_recording", "stop_recording")
 

@@ -20,7 +20,7 @@ from wire_host import opened
 from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.board.config import Mqtt
 from resonator_daemon.commands import main
-from resonator_daemon.live_page.hub import Sources
+from resonator_daemon.tools.live_page.hub import Sources
 from simulators.emulator import EmulatorOptions
 
 PAYLOAD = bytes(range(256)) * 100  # no JSON and no CBOR: nothing is decoded on the way

@@ -10,13 +10,13 @@ from observer import until
 from page_client import browser, served
 
 from resonator_daemon.board.recording.reader import open_recording
-from resonator_daemon.live_page.hub import Sources
-from resonator_daemon.live_page.library import Library
-from resonator_daemon.live_page.outgoing import Outgoing
-from resonator_daemon.live_page.player import Player
-from resonator_daemon.live_page.recorded import Recorded
+from resonator_daemon.tools.live_page.hub import Sources
+from resonator_daemon.tools.live_page.library import Library
+from resonator_daemon.tools.live_page.outgoing import Outgoing
+from resonator_daemon.tools.live_page.player import Player
+from resonator_daemon.tools.live_page.recorded import Recorded
 
-CORPUS = Path(__file__).parents[1] / "corpus"
+CORPUS = Path(__file__).parents[2] / "corpus"
 WHOLE, CUT_OFF = CORPUS / "touches" / "recording.mcap", CORPUS / "cut-off" / "recording.mcap"
 
 

@@ -4,10 +4,10 @@ import asyncio
 from collections.abc import Callable, Collection
 from typing import Any, Final
 
-from resonator_daemon.live_page.frames import payload_frame, text_frame
-from resonator_daemon.live_page.outgoing import Outgoing
-from resonator_daemon.live_page.recorded import Recorded
 from resonator_daemon.mqtt.topics import TOPICS
+from resonator_daemon.tools.live_page.frames import payload_frame, text_frame
+from resonator_daemon.tools.live_page.outgoing import Outgoing
+from resonator_daemon.tools.live_page.recorded import Recorded
 
 TURN_S: Final = 1 / 60
 POSITION_S: Final = 0.1

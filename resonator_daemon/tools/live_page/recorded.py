@@ -15,9 +15,9 @@ from typing import IO, Any, Final
 
 from resonator_daemon.base.host.signals import ended_with_parent
 from resonator_daemon.base.host.system_limits import meaning_of
-from resonator_daemon.live_page.recording_entries import DONE, ENTRY, FAILED, PATHS, SCANNED, TIME
+from resonator_daemon.tools.live_page.recording_entries import DONE, ENTRY, FAILED, PATHS, SCANNED, TIME
 
-_WORKER: Final = "resonator_daemon.live_page.recording_worker"
+_WORKER: Final = "resonator_daemon.tools.live_page.recording_worker"
 _ENDED: Final = "its decoding ended before its end; all before that is shown"
 _UNREAD: Final = "its decoding ended before anything was read"
 
