@@ -32,7 +32,7 @@ from coverage import CoverageData
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 MAPS: Final = ROOT / "build" / "mutants"
-ABOVE: Final = ("tests/replay", "tests/daemon/service", "tests/commands")  # whole paths through the product
+ABOVE: Final = ("tests/tools/replay", "tests/daemon/service", "tests/commands")  # whole paths through the product
 # The tests of a package, where they are not those in the folder of its name alone.
 FOLDERS: Final = {
     "resonator_daemon": ("tests/test_plate.py", "tests/board/config"),

@@ -26,7 +26,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     """Print the comparison; DifferenceError where a recording is damaged or replays otherwise than recorded."""
     from resonator_daemon.base.host.signals import interruptible
     from resonator_daemon.board.links.link import LinkUnavailableError
-    from resonator_daemon.replay.comparison import Comparison, play, problems
+    from resonator_daemon.tools.replay.comparison import Comparison, play, problems
 
     logging.getLogger().setLevel(logging.WARNING)  # connections, and fonts of matplotlib, are not logged here
     try:

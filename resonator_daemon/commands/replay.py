@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     _check(arguments)
     from resonator_daemon.board.config import load_config
     from resonator_daemon.board.links.link import LinkUnavailableError
-    from resonator_daemon.replay.run import ReplayOptions, replay
+    from resonator_daemon.tools.replay.run import ReplayOptions, replay
 
     logging.getLogger().setLevel(logging.WARNING)  # connections are not logged here
     path: Path = arguments.file

@@ -14,7 +14,7 @@ from resonator_daemon.exporting.tables import WITH_TABLE
 from resonator_daemon.mqtt.codec import decoded
 from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.topics import Topic
-from resonator_daemon.replay.recorded_pipeline import Moment
+from resonator_daemon.tools.replay.recorded_pipeline import Moment
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ from resonator_daemon.board.config import Config
 from resonator_daemon.exporting.formats import FORMATS, ROS2, format_class
 from resonator_daemon.exporting.output import Output, Recorded
 from resonator_daemon.mqtt.units import UNITS
-from resonator_daemon.replay.recorded_pipeline import Moment, RecordingReplay, what_is_wrong
-from resonator_daemon.replay.source import open_replay
-from resonator_daemon.replay.span import Progress, Span, find_span
+from resonator_daemon.tools.replay.recorded_pipeline import Moment, RecordingReplay, what_is_wrong
+from resonator_daemon.tools.replay.source import open_replay
+from resonator_daemon.tools.replay.span import Progress, Span, find_span
 
 
 class ExportFailedError(UserError):

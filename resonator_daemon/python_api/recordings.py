@@ -17,8 +17,8 @@ from resonator_daemon.exporting.run import differences_in_words, file_metadata
 from resonator_daemon.exporting.tables import WITH_ARRAYS, WITH_TABLE
 from resonator_daemon.python_api.errors import RecordingError, RecordingWarning, readable_errors
 from resonator_daemon.python_api.tables import Table
-from resonator_daemon.replay.source import open_replay
-from resonator_daemon.replay.span import find_span
+from resonator_daemon.tools.replay.source import open_replay
+from resonator_daemon.tools.replay.span import find_span
 
 DEFAULT_TOPICS: Final = tuple(topic for topic in WITH_TABLE if topic not in WITH_ARRAYS)
 

@@ -20,7 +20,7 @@ from resonator_daemon.exporting.output import Recorded
 from resonator_daemon.measure.sensors.calendar import utc_day
 from resonator_daemon.mqtt.codec import decoded
 from resonator_daemon.mqtt.payloads import Message
-from resonator_daemon.replay.recorded_pipeline import Moment
+from resonator_daemon.tools.replay.recorded_pipeline import Moment
 
 REPORTS = "chunks"  # directory of the reports
 _PARTS = ".parts"  # directory of incomplete files

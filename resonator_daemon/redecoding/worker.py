@@ -15,8 +15,8 @@ from resonator_daemon.mqtt.topics import DECODED, FORCES
 from resonator_daemon.redecoding.changes import STORED_TOPICS, Changes
 from resonator_daemon.redecoding.chunk_files import ChunkFiles, cannot_write, read_report
 from resonator_daemon.redecoding.chunks import Chunk, Job, Span, span_of
-from resonator_daemon.replay.recorded_pipeline import RecordingReplay
-from resonator_daemon.replay.source import UNKNOWN_BOOT_ID
+from resonator_daemon.tools.replay.recorded_pipeline import RecordingReplay
+from resonator_daemon.tools.replay.source import UNKNOWN_BOOT_ID
 
 _ID_STEP_NS = 10_000  # contact ids of a chunk count from its UTC in these steps, so that no two chunks share one
 

@@ -69,7 +69,7 @@ LOST: Final = """
 1 argparse schema --help
 1 pydantic config explain --json
 1 resonator_daemon.board.session.probe identify tcp://127.0.0.1:9 --json
-1 resonator_daemon.replay.run replay CORPUS/touches/recording.mcap --to out.jsonl --json
+1 resonator_daemon.tools.replay.run replay CORPUS/touches/recording.mcap --to out.jsonl --json
 0 end config example
 """  # exit code, module that loads, command
 

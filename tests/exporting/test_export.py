@@ -12,7 +12,7 @@ import pytest
 from export_bench import played, recording
 
 from resonator_daemon.commands import main
-from resonator_daemon.replay.recorded_pipeline import RecordingReplay
+from resonator_daemon.tools.replay.recorded_pipeline import RecordingReplay
 
 FORMATS = ("parquet", "csv", "npz", "mcap", "ros2")
 SIGNALS = dict(zip(FORMATS, [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTERM, signal.SIGHUP], strict=True))

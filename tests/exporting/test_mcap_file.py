@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from resonator_daemon.board.config.text import plate_text, settings_text
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.mqtt.codec import encode
-from resonator_daemon.replay.recorded_pipeline import Moment
+from resonator_daemon.tools.replay.recorded_pipeline import Moment
 
 
 def written(case: str, path: Path, *more: Moment) -> dict[str, list[tuple[Any, Any]]]:

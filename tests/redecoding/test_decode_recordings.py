@@ -21,7 +21,7 @@ from small_disk import small_disk
 from resonator_daemon.board.config.text import plate_text
 from resonator_daemon.commands import main
 from resonator_daemon.redecoding.chunk_files import REPORTS
-from resonator_daemon.replay.source import open_replay
+from resonator_daemon.tools.replay.source import open_replay
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 FILE = "recording.mcap"

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from resonator_daemon.mqtt.topics import DECODED
-from resonator_daemon.replay.outputs import payload_json
-from resonator_daemon.replay.source import open_replay
+from resonator_daemon.tools.replay.outputs import payload_json
+from resonator_daemon.tools.replay.source import open_replay
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 RECORDING_FILE, EXPECTED_FILE = "recording.mcap", "expected.jsonl.gz"

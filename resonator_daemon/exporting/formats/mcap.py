@@ -12,7 +12,7 @@ from resonator_daemon.exporting.mcap_output import McapOutput
 from resonator_daemon.exporting.tables import WITH_TABLE
 from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.topics import INFO, TONES, Topic
-from resonator_daemon.replay.recorded_pipeline import Moment
+from resonator_daemon.tools.replay.recorded_pipeline import Moment
 
 
 class Format(McapOutput):

@@ -27,7 +27,7 @@ from resonator_daemon.mqtt.publisher import Publisher, Subscription
 from resonator_daemon.mqtt.requests import BrokerUnreachableError, reach
 from resonator_daemon.mqtt.subscriber import subscribe
 from resonator_daemon.mqtt.topics import STATE_DAEMON, TOPICS, full_topic
-from resonator_daemon.replay.recorded_pipeline import Published
+from resonator_daemon.tools.replay.recorded_pipeline import Published
 
 
 class OutputFailedError(UserError):

@@ -8,7 +8,7 @@ from command_line import exit_code
 
 from resonator_daemon.board.recording.reader import open_recording
 
-RECORDING = Path(__file__).parents[1] / "corpus" / "touches" / "recording.mcap"
+RECORDING = Path(__file__).parents[2] / "corpus" / "touches" / "recording.mcap"
 WHOLE = RECORDING.read_bytes()
 ATTACHMENT = 9  # its opcode
 FORCE_MAX = b"force_max_newton = "

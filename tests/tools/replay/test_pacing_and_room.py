@@ -13,13 +13,13 @@ from resonator_daemon.board.recording.recorder import Recorder
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import Received
 from resonator_daemon.mqtt import outbox
-from resonator_daemon.replay.outputs import AtBroker
-from resonator_daemon.replay.recorded_pipeline import Moment
-from resonator_daemon.replay.run import AtSpeed
-from resonator_daemon.replay.source import open_replay
-from resonator_daemon.replay.span import Span, find_span
+from resonator_daemon.tools.replay.outputs import AtBroker
+from resonator_daemon.tools.replay.recorded_pipeline import Moment
+from resonator_daemon.tools.replay.run import AtSpeed
+from resonator_daemon.tools.replay.source import open_replay
+from resonator_daemon.tools.replay.span import Span, find_span
 
-TOUCHES = Path(__file__).parents[1] / "corpus" / "touches" / "recording.mcap"
+TOUCHES = Path(__file__).parents[2] / "corpus" / "touches" / "recording.mcap"
 BEGUN = HostTime(10**9, 1_700_000_000 * 10**9, 0)
 
 
@@ -47,7 +47,7 @@ async def test_time_passes_as_many_times_as_fast_from_the_first_moment_on() -> N
 
 async def test_nothing_is_dropped_for_want_of_room(mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(outbox, "STREAMS_WAITING_MAX", 40)
-    monkeypatch.setattr("resonator_daemon.replay.outputs.WAITING_MAX", 20)
+    monkeypatch.setattr("resonator_daemon.tools.replay.outputs.WAITING_MAX", 20)
     async with observe(mosquitto.url) as heard:
         output = AtBroker(Mqtt(url=mosquitto.url), "hand", TOUCHES.name)
         count = 0

@@ -17,10 +17,10 @@ from resonator_daemon.board.config import Config, Mqtt, plate_name
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.mqtt.payloads import Info
 from resonator_daemon.mqtt.topics import Topic
-from resonator_daemon.replay.outputs import AtBroker, Lines
-from resonator_daemon.replay.recorded_pipeline import Moment, Published, RecordingReplay, what_is_wrong
-from resonator_daemon.replay.source import open_replay
-from resonator_daemon.replay.span import Progress, Span, find_span
+from resonator_daemon.tools.replay.outputs import AtBroker, Lines
+from resonator_daemon.tools.replay.recorded_pipeline import Moment, Published, RecordingReplay, what_is_wrong
+from resonator_daemon.tools.replay.source import open_replay
+from resonator_daemon.tools.replay.span import Progress, Span, find_span
 from resonator_daemon.tools.view.watch import broker_at
 
 _AT_ONCE_S: Final = 1e-3  # a wait takes longer than this

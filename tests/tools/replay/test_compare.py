@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from command_line import exit_code
 
-CORPUS = Path(__file__).parents[1] / "corpus"
+CORPUS = Path(__file__).parents[2] / "corpus"
 
 
 def compared(capsys: pytest.CaptureFixture[str], a: str, b: str, *more: object) -> tuple[int, dict[str, Any]]:
