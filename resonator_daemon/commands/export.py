@@ -9,7 +9,7 @@ from pathlib import Path
 from resonator_daemon.base.errors import DifferenceError, ExitCode, NoRecordingError
 from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.commands._output import print_json
-from resonator_daemon.exporting.formats import FORMATS, ROS2
+from resonator_daemon.tools.export.formats import FORMATS, ROS2
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.base.host.signals import interruptible
     from resonator_daemon.board.config import load_config
     from resonator_daemon.board.links.link import LinkUnavailableError
-    from resonator_daemon.exporting.run import export, make_target, recordings_in
+    from resonator_daemon.tools.export.run import export, make_target, recordings_in
 
     target = make_target(arguments.output, arguments.format, arguments.topics)
     with interruptible("a part of it was written" if takes_a_stream(target.output) else "what was written is removed"):

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from resonator_daemon.base.errors import ExitCode, MissingLibraryError, UserError
 from resonator_daemon.base.host.printable import how_to_install
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.exporting.columns import Column
 from resonator_daemon.mqtt.topics import CONTACTS, DECODED_SUMMARY
 from resonator_daemon.mqtt.units import AXES
+from resonator_daemon.tools.export.columns import Column
 
 if TYPE_CHECKING:
     import pandas as pd

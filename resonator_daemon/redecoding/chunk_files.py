@@ -15,11 +15,11 @@ from urllib.parse import quote
 from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.base.host.new_file import replace_file
 from resonator_daemon.base.host.system_limits import meaning_of
-from resonator_daemon.exporting.formats import parquet
-from resonator_daemon.exporting.output import Recorded
 from resonator_daemon.measure.sensors.calendar import utc_day
 from resonator_daemon.mqtt.codec import decoded
 from resonator_daemon.mqtt.payloads import Message
+from resonator_daemon.tools.export.formats import parquet
+from resonator_daemon.tools.export.output import Recorded
 from resonator_daemon.tools.replay.recorded_pipeline import Moment
 
 REPORTS = "chunks"  # directory of the reports

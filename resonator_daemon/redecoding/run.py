@@ -16,12 +16,12 @@ from resonator_daemon.base.errors import NoRecordingError, UsageError
 from resonator_daemon.base.host.new_file import replace_file
 from resonator_daemon.base.toml.reading import nearest
 from resonator_daemon.board.recording.reader import damage_in_words
-from resonator_daemon.exporting.tables import WITH_TABLE
 from resonator_daemon.mqtt.topics import SIGNALS, STATE_LINK, STATE_SENSOR
 from resonator_daemon.redecoding import changes
 from resonator_daemon.redecoding.chunk_files import REPORTS, cannot_write, has_results
 from resonator_daemon.redecoding.chunks import Chunk, Job, plan
 from resonator_daemon.redecoding.worker import decode_chunk, report_of
+from resonator_daemon.tools.export.tables import WITH_TABLE
 
 TOPICS: Final = tuple(path for path in WITH_TABLE if path not in (SIGNALS.path, STATE_LINK.path, STATE_SENSOR.path))
 """Paths of the topics that can be decoded again."""

@@ -5,11 +5,11 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any, Final, Protocol
 
-from resonator_daemon.exporting.columns import Column, Value
-from resonator_daemon.exporting.output import Output
-from resonator_daemon.exporting.tables import Table, make_table
 from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.topics import Topic
+from resonator_daemon.tools.export.columns import Column, Value
+from resonator_daemon.tools.export.output import Output
+from resonator_daemon.tools.export.tables import Table, make_table
 
 BATCH_BYTES: Final = 8 << 20  # of numbers; Python holds them in about four times as much
 _SCALAR_BYTES: Final = 8

@@ -10,8 +10,8 @@ import numpy as np
 
 from resonator_daemon.base.errors import MissingLibraryError
 from resonator_daemon.base.host.printable import how_to_install
-from resonator_daemon.exporting.columns import Column, Value
-from resonator_daemon.exporting.table_output import Batch, TableOutput
+from resonator_daemon.tools.export.columns import Column, Value
+from resonator_daemon.tools.export.table_output import Batch, TableOutput
 
 try:
     import pyarrow as pa

@@ -3,9 +3,9 @@
 from types import MappingProxyType
 from typing import Any
 
-from resonator_daemon.exporting.mcap_output import McapOutput
-from resonator_daemon.exporting.ros2_messages import Translation
 from resonator_daemon.mqtt.topics import Topic
+from resonator_daemon.tools.export.mcap_output import McapOutput
+from resonator_daemon.tools.export.ros2_messages import Translation
 
 
 class Format(McapOutput):

@@ -14,9 +14,9 @@ from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml.reading import nearest
 from resonator_daemon.board.config import Config
-from resonator_daemon.exporting.formats import FORMATS, ROS2, format_class
-from resonator_daemon.exporting.output import Output, Recorded
 from resonator_daemon.mqtt.units import UNITS
+from resonator_daemon.tools.export.formats import FORMATS, ROS2, format_class
+from resonator_daemon.tools.export.output import Output, Recorded
 from resonator_daemon.tools.replay.recorded_pipeline import Moment, RecordingReplay, what_is_wrong
 from resonator_daemon.tools.replay.source import open_replay
 from resonator_daemon.tools.replay.span import Progress, Span, find_span

@@ -9,8 +9,8 @@ import resource, sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from export_bench import write
-from resonator_daemon.exporting.formats import FORMATS
-from resonator_daemon.exporting.table_output import TableOutput
+from resonator_daemon.tools.export.formats import FORMATS
+from resonator_daemon.tools.export.table_output import TableOutput
 
 TableOutput.batch_bytes = 100_000
 folder = Path(sys.argv[2])
@@ -23,7 +23,7 @@ for turn, times in ((1, 2), (2, 8)):
 
 
 def test_four_times_the_messages_take_no_more_memory(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", PROGRAM, str(Path(__file__).parents[1] / "support"), str(tmp_path)]
+    command = [sys.executable, "-c", PROGRAM, str(Path(__file__).parents[2] / "support"), str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     short_kb, long_kb = map(int, done.stdout.split())
     assert long_kb < 1.1 * short_kb

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.exporting.columns import Column, ColumnEncoder, Value
-from resonator_daemon.exporting.output import Recorded
-from resonator_daemon.exporting.table_output import Batch, TableOutput
-from resonator_daemon.exporting.tables import WITH_ARRAYS, make_table
 from resonator_daemon.mqtt.topics import TOPICS
+from resonator_daemon.tools.export.columns import Column, ColumnEncoder, Value
+from resonator_daemon.tools.export.output import Recorded
+from resonator_daemon.tools.export.table_output import Batch, TableOutput
+from resonator_daemon.tools.export.tables import WITH_ARRAYS, make_table
 
 
 class MemoryOutput(TableOutput):

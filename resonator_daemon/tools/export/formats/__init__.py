@@ -9,7 +9,7 @@ import pkgutil
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from resonator_daemon.exporting.output import Output
+    from resonator_daemon.tools.export.output import Output
 
 FORMATS: Final = tuple(sorted(module.name for module in pkgutil.iter_modules(__path__)))
 ROS2: Final = "ros2"  # the only one whose files do not end in its name

@@ -6,7 +6,6 @@ from operator import attrgetter
 from typing import Any, Final
 
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.exporting.columns import Column, Source, Value, array_sources, sources
 from resonator_daemon.mqtt.payloads import (
     Compensation,
     Contact,
@@ -33,6 +32,7 @@ from resonator_daemon.mqtt.topics import (
     Topic,
 )
 from resonator_daemon.mqtt.units import NO_UNIT
+from resonator_daemon.tools.export.columns import Column, Source, Value, array_sources, sources
 
 _NOTHING_PRESSES: Final = "; missing where nothing presses on the site"
 

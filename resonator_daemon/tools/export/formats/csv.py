@@ -5,9 +5,9 @@ import io
 from collections.abc import Iterable, Sequence
 from typing import IO
 
-from resonator_daemon.exporting.columns import Column, Value
-from resonator_daemon.exporting.table_output import Batch, TableOutput
-from resonator_daemon.exporting.tables import WITH_ARRAYS, WITH_TABLE
+from resonator_daemon.tools.export.columns import Column, Value
+from resonator_daemon.tools.export.table_output import Batch, TableOutput
+from resonator_daemon.tools.export.tables import WITH_ARRAYS, WITH_TABLE
 
 
 class Format(TableOutput):

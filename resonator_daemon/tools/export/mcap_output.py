@@ -6,9 +6,9 @@ from typing import Any, ClassVar, Final
 from mcap.writer import CompressionType, Writer
 
 from resonator_daemon.board.recording.mcap_messages import CHUNK_BYTES
-from resonator_daemon.exporting.clouds import Points
-from resonator_daemon.exporting.output import Output
 from resonator_daemon.mqtt.payloads import Condition, State
+from resonator_daemon.tools.export.clouds import Points
+from resonator_daemon.tools.export.output import Output
 
 METADATA: Final = "resonatord"
 

@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from resonator_daemon.exporting.columns import Column, ColumnEncoder, Value
-from resonator_daemon.exporting.table_output import Batch, TableOutput
+from resonator_daemon.tools.export.columns import Column, ColumnEncoder, Value
+from resonator_daemon.tools.export.table_output import Batch, TableOutput
 
 _PIECE_ROWS: Final = 1 << 10
 _COMPRESSION: Final = 1  # the fastest: most columns hardly change

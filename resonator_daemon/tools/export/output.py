@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 from resonator_daemon.base.host.new_file import NewFile
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.config import Config
-from resonator_daemon.exporting.tables import WITH_TABLE
 from resonator_daemon.mqtt.codec import decoded
 from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.topics import Topic
+from resonator_daemon.tools.export.tables import WITH_TABLE
 from resonator_daemon.tools.replay.recorded_pipeline import Moment
 
 
