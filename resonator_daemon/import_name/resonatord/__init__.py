@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     )
     from resonator_daemon.mqtt.requests import BrokerUnreachableError, NoAnswerError, RefusedError
     from resonator_daemon.mqtt.subscriber import Received
-    from resonator_daemon.python_api.errors import RecordingError, RecordingWarning
-    from resonator_daemon.python_api.live import command, subscribe
-    from resonator_daemon.python_api.recordings import LoadedRecording, Mark, load_recording
-    from resonator_daemon.python_api.tables import Table
+    from resonator_daemon.tools.python_api.errors import RecordingError, RecordingWarning
+    from resonator_daemon.tools.python_api.live import command, subscribe
+    from resonator_daemon.tools.python_api.recordings import LoadedRecording, Mark, load_recording
+    from resonator_daemon.tools.python_api.tables import Table
 
     __version__: str
 
@@ -73,10 +73,10 @@ _MODULES: Final = {
     ),
     "resonator_daemon.mqtt.requests": ("BrokerUnreachableError", "NoAnswerError", "RefusedError"),
     "resonator_daemon.mqtt.subscriber": ("Received",),
-    "resonator_daemon.python_api.errors": ("RecordingError", "RecordingWarning"),
-    "resonator_daemon.python_api.live": ("command", "subscribe"),
-    "resonator_daemon.python_api.recordings": ("LoadedRecording", "Mark", "load_recording"),
-    "resonator_daemon.python_api.tables": ("Table",),
+    "resonator_daemon.tools.python_api.errors": ("RecordingError", "RecordingWarning"),
+    "resonator_daemon.tools.python_api.live": ("command", "subscribe"),
+    "resonator_daemon.tools.python_api.recordings": ("LoadedRecording", "Mark", "load_recording"),
+    "resonator_daemon.tools.python_api.tables": ("Table",),
 }
 
 

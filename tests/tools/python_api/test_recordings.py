@@ -13,7 +13,7 @@ import resonatord
 from resonator_daemon.mqtt.codec import decoded
 from resonator_daemon.tools.replay.source import open_replay
 
-CORPUS = Path(__file__).parents[1] / "corpus"
+CORPUS = Path(__file__).parents[2] / "corpus"
 LIBRARIES = {"scipy", "numpy", "pydantic", "paho", "aiomqtt", "mcap", "pandas", "xarray"}
 
 

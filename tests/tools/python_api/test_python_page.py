@@ -20,7 +20,7 @@ from resonator_daemon.mqtt.payloads import Forces, SiteForce
 from resonator_daemon.mqtt.topics import STATE_DAEMON
 from resonator_daemon.mqtt.verbs import Ping, Pong
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs" / "how-to" / "use-from-python.md"
 NOTEBOOK = ROOT / "docs" / "tutorials" / "first-press.ipynb"
 
