@@ -349,7 +349,7 @@ endif
 
 # An editable install alone would find any folder called resonatord, as this checkout's, before the package.
 PATH_FILE := from pathlib import Path; from sysconfig import get_path; \
-  Path(get_path('purelib'), 'resonatord.pth').write_text(str(Path('resonator_daemon/import_name').absolute()))
+  Path(get_path('purelib'), 'resonatord.pth').write_text(str(Path('resonator_daemon/tools/python_api/import_name').absolute()))
 
 .venv/run-stamp: .venv/bin/python .venv/bin/pip pyproject.toml .ci/requirements/build.txt .ci/requirements/run.txt
 	$(pip-install)

@@ -54,7 +54,7 @@ def test_every_file_of_the_packages_is_in_the_wheel(files: dict[str, Path]) -> N
     }
     sources = {name for name in tracked if not name.startswith("firmware_protocol/c/")} | services
     sources.discard("resonator_daemon/service_files")  # a symbolic link
-    expected = {name.removeprefix("resonator_daemon/import_name/") for name in sources}
+    expected = {name.removeprefix("resonator_daemon/tools/python_api/import_name/") for name in sources}
     with zipfile.ZipFile(files["-py3-none-any.whl"]) as wheel:
         names = {file.filename for file in wheel.infolist()}
         modes = {file.external_attr >> 16 & 0o777 for file in wheel.infolist()}
