@@ -61,8 +61,8 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.base.host.signals import interruptible
     from resonator_daemon.base.plate import load_plate
     from resonator_daemon.board.config.text import load_settings_text, plate_text
-    from resonator_daemon.redecoding.chunks import Job, recordings_of
-    from resonator_daemon.redecoding.run import chosen_topics, decode_all
+    from resonator_daemon.extensions.fleet.chunks import Job, recordings_of
+    from resonator_daemon.extensions.fleet.run import chosen_topics, decode_all
 
     logging.getLogger().setLevel(logging.ERROR)  # differences are part of the result
     if arguments.scheduler is not None and arguments.workers is not None:

@@ -7,12 +7,12 @@ from typing import Any
 
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.recording.reader import STILL_WRITTEN, Recording, open_recording
+from resonator_daemon.extensions.fleet.changes import STORED_TOPICS, Changes
+from resonator_daemon.extensions.fleet.chunk_files import ChunkFiles, cannot_write, read_report
+from resonator_daemon.extensions.fleet.chunks import Chunk, Job, Span, span_of
 from resonator_daemon.measure.sensors.surface_decoding import SequentialDecoding, SurfaceClient, SurfaceDecoding
 from resonator_daemon.measure.sensors.surface_stream import SurfaceSettings
 from resonator_daemon.mqtt.topics import DECODED, FORCES
-from resonator_daemon.redecoding.changes import STORED_TOPICS, Changes
-from resonator_daemon.redecoding.chunk_files import ChunkFiles, cannot_write, read_report
-from resonator_daemon.redecoding.chunks import Chunk, Job, Span, span_of
 from resonator_daemon.tools.export.output import Recorded
 from resonator_daemon.tools.export.run import table_metadata
 from resonator_daemon.tools.replay.recorded_pipeline import RecordingReplay

@@ -20,10 +20,10 @@ from small_disk import small_disk
 
 from resonator_daemon.board.config.text import plate_text
 from resonator_daemon.commands import main
-from resonator_daemon.redecoding.chunk_files import REPORTS
+from resonator_daemon.extensions.fleet.chunk_files import REPORTS
 from resonator_daemon.tools.replay.source import open_replay
 
-CORPUS = Path(__file__).parents[1] / "corpus"
+CORPUS = Path(__file__).parents[2] / "corpus"
 FILE = "recording.mcap"
 CASES = CORPUS / "touches" / FILE, CORPUS / "slide" / FILE
 UNDAMAGED = "touches", "two-touches", "slide", "comb", "warm-finger", "pressed-at-start", "overload"
@@ -270,6 +270,6 @@ def test_what_cannot_be_done_is_one_message(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("resonator_daemon.redecoding.cluster.CONNECT_S", 0.3)
+    monkeypatch.setattr("resonator_daemon.extensions.fleet.cluster.CONNECT_S", 0.3)
     assert decode("--output", tmp_path, *arguments) == code
     assert word in capsys.readouterr().err.splitlines()[-1]

@@ -16,11 +16,11 @@ from resonator_daemon.base.errors import NoRecordingError, UsageError
 from resonator_daemon.base.host.new_file import replace_file
 from resonator_daemon.base.toml.reading import nearest
 from resonator_daemon.board.recording.reader import damage_in_words
+from resonator_daemon.extensions.fleet import changes
+from resonator_daemon.extensions.fleet.chunk_files import REPORTS, cannot_write, has_results
+from resonator_daemon.extensions.fleet.chunks import Chunk, Job, plan
+from resonator_daemon.extensions.fleet.worker import decode_chunk, report_of
 from resonator_daemon.mqtt.topics import SIGNALS, STATE_LINK, STATE_SENSOR
-from resonator_daemon.redecoding import changes
-from resonator_daemon.redecoding.chunk_files import REPORTS, cannot_write, has_results
-from resonator_daemon.redecoding.chunks import Chunk, Job, plan
-from resonator_daemon.redecoding.worker import decode_chunk, report_of
 from resonator_daemon.tools.export.tables import WITH_TABLE
 
 TOPICS: Final = tuple(path for path in WITH_TABLE if path not in (SIGNALS.path, STATE_LINK.path, STATE_SENSOR.path))
@@ -73,7 +73,7 @@ def decode_all(
 def _reports(chunks: list[Chunk], job: Job, scheduler: str | None, workers: int) -> Iterator[dict[str, Any]]:
     if scheduler is None and workers == 1:
         return (decode_chunk(chunk, job) for chunk in chunks)
-    from resonator_daemon.redecoding.cluster import decode_on_cluster
+    from resonator_daemon.extensions.fleet.cluster import decode_on_cluster
 
     return decode_on_cluster(chunks, job, scheduler, workers) if chunks else iter(())
 

@@ -1,0 +1,1 @@
+"""Optional features, each in a directory of its own."""
