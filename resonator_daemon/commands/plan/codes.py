@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     """Print the plan, and write the plate file where the plan can be fulfilled."""
-    from resonator_daemon.planning.run import PlanRefusedError, plan_codes
+    from resonator_daemon.extensions.planning.run import PlanRefusedError, plan_codes
     from resonator_daemon.tools.calibration.plate_file import write_plate_file
 
     logging.getLogger().setLevel(logging.WARNING)  # matplotlib logs its fonts

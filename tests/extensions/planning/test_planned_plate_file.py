@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from resonator_daemon.base.errors import ConfigurationError
-from resonator_daemon.planning.plate_file import grid_layout, read_layout
+from resonator_daemon.extensions.planning.plate_file import grid_layout, read_layout
 
 
 def test_a_grid_is_centred_with_half_a_pitch_around_it() -> None:

@@ -17,8 +17,15 @@ from resonator_daemon.estimate.forces.code_plan import Limits, stamp_noise
 from resonator_daemon.estimate.forces.force_sites import DEFAULT_COEFFICIENT_STD
 from resonator_daemon.estimate.forces.site_identification import MODEL_ERROR
 from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
+from resonator_daemon.extensions.planning.plate_file import (
+    PILOT_ABOVE,
+    Layout,
+    PlateDraft,
+    grid_layout,
+    plate_layout,
+    read_layout,
+)
 from resonator_daemon.measure.sensors.plate_sites import force_sites
-from resonator_daemon.planning.plate_file import PILOT_ABOVE, Layout, PlateDraft, grid_layout, plate_layout, read_layout
 
 JITTER_S: Final = 0.3e-9  # of a counter's input
 TEMPCO_STDS: Final = 6.0  # between the temperature coefficients of two sites
