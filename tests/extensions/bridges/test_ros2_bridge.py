@@ -25,7 +25,7 @@ LOOPBACK = (
     '<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers><Peer Address="127.0.0.1"/></Peers></Discovery>'
 )
 WRENCH, FORCES, CLOUD = ("rt/left_index/" + name for name in ("wrench", "forces", "decoded/cloud"))
-FASTDDS = str(Path(__file__).parents[2] / "build" / "fastdds_reader")  # of fastdds_reader.cpp, by `make test-ros2`
+FASTDDS = str(Path(__file__).parents[3] / "build" / "fastdds_reader")  # of fastdds_reader.cpp, by `make test-ros2`
 READERS = [
     pytest.param((sys.executable, str(Path(__file__).with_name("ros2_reader.py"))), id="cyclone"),
     pytest.param((FASTDDS, "16"), id="fastdds", marks=pytest.mark.fastdds),
