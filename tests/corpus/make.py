@@ -1,6 +1,6 @@
 """Makes the golden corpus: short recordings of emulated boards in every trouble, and what each of them is to become.
 
-    .venv/bin/pytest tests/tools/replay/test_corpus_cases.py   # replay all recordings and compare; `-k skin`: those alone
+    .venv/bin/pytest tests/tools/replay/test_corpus_cases.py  # replay all recordings and compare; `-k skin`: those
     .venv/bin/python tests/corpus/make.py                # expectations again, of the recordings that are there
     .venv/bin/python tests/corpus/make.py record         # all recordings again, too; `record NAME...`: those alone
 
