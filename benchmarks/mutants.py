@@ -35,7 +35,7 @@ MAPS: Final = ROOT / "build" / "mutants"
 ABOVE: Final = ("tests/tools/replay", "tests/daemon/service", "tests/commands")  # whole paths through the product
 # The tests of a package, where they are not those in the folder of its name alone.
 FOLDERS: Final = {
-    "resonator_daemon": ("tests/test_plate.py", "tests/board/config"),
+    "base": ("tests/test_plate.py", "tests/board/config"),
     "simulators": ("tests/simulators", "tests/board/links"),
 }
 START_S, TIMES, MAP_S = 30.0, 4.0, 1800.0  # a run's limit: so long, and so many times what its tests take
@@ -75,9 +75,9 @@ class Mutant:
 
 
 def package_of(path: str) -> str:
-    """Return the package of a file, given below the root; of files next to the packages of the daemon, the daemon's."""
+    """Return the package of a file, given below the root; of the daemon's, layer and package, as `estimate/forces`."""
     parts = Path(path).parts
-    return parts[1] if parts[0] == "resonator_daemon" and len(parts) > 2 else parts[0]
+    return "/".join(parts[1:-1][:2]) if parts[0] == "resonator_daemon" else parts[0]
 
 
 def mutated(node: ast.AST) -> ast.AST | None:

@@ -21,7 +21,7 @@ def with_pages(text: str) -> str:
 
 
 def _folders() -> Iterator[Path]:
-    root = Path(__file__).parents[2]
+    root = Path(__file__).parents[3]
     yield from (root / "docs", root / _INSTALLED)  # a checkout, `pip install --target`
     import sysconfig  # slow to import
 

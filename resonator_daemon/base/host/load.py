@@ -1,9 +1,13 @@
-"""Load of this computer: how long this process waits for a processor, and whether the computer is too busy for it."""
+"""Load of this computer: what a process uses, how long it waits, and whether the computer is too busy for it."""
 
+import math
+import resource
 import time
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
+
+import psutil
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 
@@ -109,3 +113,41 @@ class HostLoad(NamedTuple):
         elif mean < _AT_EASE_PERCENT:
             busy = None
         return HostLoad(monotonic_ns, mean, busy)
+
+
+class ResourceUse(NamedTuple):
+    """What a process uses; `cpu_percent` is of one core, since the last call of `use`."""
+
+    cpu_percent: float
+    rss_mb: float
+    threads: int
+    file_descriptors: int
+
+
+class ProcessUsage:
+    """Processor time, memory and threads of a process; by default of this one."""
+
+    def __init__(self, pid: int | None = None) -> None:
+        self._process = psutil.Process(pid)
+        self._last = self._now()  # and begin the interval of the processor time
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def use(self) -> ResourceUse:
+        """Return what it uses now.
+
+        The system reports it in files. If none can be opened, or the process has ended, `cpu_percent` is NaN,
+        `file_descriptors` the limit, and the rest as it was.
+        """
+        try:
+            self._last = self._now()
+        except (OSError, psutil.Error):
+            most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+            return self._last._replace(cpu_percent=math.nan, file_descriptors=most)
+        return self._last
+
+    def _now(self) -> ResourceUse:
+        rss_mb = float(self._process.memory_info().rss) * 1e-6
+        return ResourceUse(self._process.cpu_percent(), rss_mb, self._process.num_threads(), self._process.num_fds())

@@ -1,16 +1,12 @@
 """How the daemon itself fares: rates, losses, processor, memory, and what it holds of the system."""
 
 import asyncio
-import math
-import resource
 import time
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
-import psutil
-
-from resonator_daemon.base.host.load import HostLoad
+from resonator_daemon.base.host.load import HostLoad, ProcessUsage
 from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.mqtt.payloads import (
     BootInfo,
@@ -22,44 +18,6 @@ from resonator_daemon.mqtt.payloads import (
 )
 
 _NOT_READY: Final = "not_ready"  # frames that came while the decoder was being set up: nothing is lost by them
-
-
-class Held(NamedTuple):
-    """What a process uses; `cpu_percent` is of one core, since the last call of `held`."""
-
-    cpu_percent: float
-    rss_mb: float
-    threads: int
-    file_descriptors: int
-
-
-class ProcessUsage:
-    """Processor time, memory and threads of a process; by default of this one."""
-
-    def __init__(self, pid: int | None = None) -> None:
-        self._process = psutil.Process(pid)
-        self._last = self._now()  # and begin the interval of the processor time
-
-    @property
-    def pid(self) -> int:
-        return self._process.pid
-
-    def held(self) -> Held:
-        """Return what it uses now.
-
-        The system reports it in files. If none can be opened, or the process has ended, `cpu_percent` is NaN,
-        `file_descriptors` the limit, and the rest as it was.
-        """
-        try:
-            self._last = self._now()
-        except (OSError, psutil.Error):
-            most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-            return self._last._replace(cpu_percent=math.nan, file_descriptors=most)
-        return self._last
-
-    def _now(self) -> Held:
-        rss_mb = float(self._process.memory_info().rss) * 1e-6
-        return Held(self._process.cpu_percent(), rss_mb, self._process.num_threads(), self._process.num_fds())
 
 
 class HealthMonitor:
@@ -87,7 +45,7 @@ class HealthMonitor:
         now = time.monotonic()
         rate_hz = (link.frames - self._last_frames) / max(now - self._last, 1e-3)
         self._last, self._last_frames = now, link.frames
-        held = self._process.held()
+        use = self._process.use()
         return Health(
             **header,
             reason_code=load.busy.code if load.busy else None,
@@ -126,12 +84,12 @@ class HealthMonitor:
             clock_drift_ppm=clock_drift_ppm,
             clock_outliers=link.clock_outliers,
             clock_restarts=link.clock_restarts,
-            cpu_percent=held.cpu_percent,
+            cpu_percent=use.cpu_percent,
             lacking_percent=load.lacking_percent,
-            rss_mb=held.rss_mb,
+            rss_mb=use.rss_mb,
             tasks=len(asyncio.all_tasks()),
-            threads=held.threads,
-            file_descriptors=held.file_descriptors,
+            threads=use.threads,
+            file_descriptors=use.file_descriptors,
             latency=latency,
             decoder=decoder,
             recording=recording,

@@ -9,7 +9,6 @@ import numpy as np
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.decoder import DecoderConfig
-from resonator_daemon.daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.daemon.remote_decoding.plate import (
     NO_SIGNALS,
     WAITS_AFTER_S,
@@ -21,6 +20,7 @@ from resonator_daemon.daemon.remote_decoding.plate import (
 from resonator_daemon.daemon.remote_decoding.thread_decoding import ThreadDecoding
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
+from resonator_daemon.measure.latency import LatencyHistogram
 from resonator_daemon.measure.pipeline.frame_timeout import CONTACTS_END_S
 from resonator_daemon.measure.sensors.surface_decoding import SurfaceClient
 from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings

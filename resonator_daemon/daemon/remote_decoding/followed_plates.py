@@ -9,11 +9,11 @@ from threadpoolctl import threadpool_limits
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.decoder import DecoderConfig
-from resonator_daemon.daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.daemon.remote_decoding.followed_plate import FollowedPlate
 from resonator_daemon.daemon.remote_decoding.plate import Publish
 from resonator_daemon.daemon.remote_decoding.thread_decoding import DecodingThread, ThreadDecoding
 from resonator_daemon.estimate.surface.skin import DecodingOptions
+from resonator_daemon.measure.latency import LatencyHistogram
 from resonator_daemon.mqtt.payloads import Condition, DecoderPlateHealth, DecoderProcessInfo, Signals
 from resonator_daemon.mqtt.publisher import Subscription
 

@@ -13,13 +13,13 @@ from pathlib import Path
 from urllib.parse import quote
 
 from resonator_daemon.base.errors import ExitCode, UserError
+from resonator_daemon.base.host.load import ProcessUsage
 from resonator_daemon.base.host.places import state_directory
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.systemd import ServiceManager
 from resonator_daemon.base.reasons import Reason, ReasonCode, joined
 from resonator_daemon.board.config import DECODER
 from resonator_daemon.board.config.decoder import DecoderConfig
-from resonator_daemon.daemon.monitoring.health import ProcessUsage
 from resonator_daemon.daemon.monitoring.liveness import LivenessMonitor
 from resonator_daemon.daemon.remote_decoding.followed_plate import FollowedPlate
 from resonator_daemon.daemon.remote_decoding.followed_plates import FollowedPlates
@@ -144,14 +144,14 @@ class DecoderProcess:
 
     def health(self) -> DecoderHealth:
         """Return the counters and loads of this process."""
-        held, child = self._process.held(), self._mode.process_info()
+        use, child = self._process.use(), self._mode.process_info()
         return DecoderHealth(
             decoder_id=self.decoder_id,
             t_ns=time.time_ns(),
             uptime_s=time.monotonic() - self._started_s,
             plates=self._mode.health(),
-            cpu_percent=held.cpu_percent + (child.cpu_percent if child is not None else 0.0),
-            rss_mb=held.rss_mb + (child.rss_mb if child is not None else 0.0),
+            cpu_percent=use.cpu_percent + (child.cpu_percent if child is not None else 0.0),
+            rss_mb=use.rss_mb + (child.rss_mb if child is not None else 0.0),
             latency={DECODED.path: self._mode.latency.info()},
             messages=self._publisher.account,
         )

@@ -17,7 +17,6 @@ from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config import plate_name
 from resonator_daemon.board.config.decoder import DecoderConfig
-from resonator_daemon.daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.daemon.remote_decoding.plate import (
     NO_SIGNALS,
     WAITS_AFTER_S,
@@ -30,6 +29,7 @@ from resonator_daemon.daemon.remote_decoding.plate import (
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 from resonator_daemon.estimate.surface.streaming import CANNOT_DECODE, failed, set_up
+from resonator_daemon.measure.latency import LatencyHistogram
 from resonator_daemon.measure.sensors.surface_messages import SurfaceMessages
 from resonator_daemon.mqtt.mqtt_messages import Incoming
 from resonator_daemon.mqtt.payloads import Condition, DecoderPlateHealth, DecoderProcessInfo, Signals

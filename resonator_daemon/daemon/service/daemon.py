@@ -38,7 +38,6 @@ from resonator_daemon.board.session.frames import (
 )
 from resonator_daemon.board.session.link_reasons import all_of
 from resonator_daemon.daemon.monitoring.ages import Ages
-from resonator_daemon.daemon.monitoring.daemon_state import DaemonSnapshot, DaemonState
 from resonator_daemon.daemon.monitoring.health import HealthMonitor
 from resonator_daemon.daemon.monitoring.liveness import DECLARED_WAITING, LivenessMonitor
 from resonator_daemon.daemon.monitoring.metrics_server import MetricsServer
@@ -55,6 +54,7 @@ from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.measure.pipeline.control_requests import ControlRequests, SetWindow
 from resonator_daemon.measure.sensors.base import Sensor
 from resonator_daemon.mqtt.codec import Encoded
+from resonator_daemon.mqtt.daemon_state import DaemonSnapshot, DaemonState
 from resonator_daemon.mqtt.payloads import Condition, Health, Message, MessageAccount, State
 from resonator_daemon.mqtt.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
 

@@ -8,10 +8,10 @@ from urllib.parse import quote
 from resonator_daemon.base.host.places import state_directory
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config import Config
-from resonator_daemon.daemon.monitoring.daemon_state import DaemonState
 from resonator_daemon.mqtt import asyncapi
 from resonator_daemon.mqtt.codec import Encoded, decoded, encode
 from resonator_daemon.mqtt.commands import Commands, Handler
+from resonator_daemon.mqtt.daemon_state import DaemonState
 from resonator_daemon.mqtt.event_history import HistoryPage
 from resonator_daemon.mqtt.home_assistant import discovery_message, discovery_topic
 from resonator_daemon.mqtt.mqtt_messages import Outgoing

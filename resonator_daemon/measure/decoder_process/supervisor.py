@@ -15,9 +15,9 @@ from typing import Final, Generic, Literal, TypeVar
 
 import psutil
 
+from resonator_daemon.base.host.load import ProcessUsage
 from resonator_daemon.base.host.system_limits import reason_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.daemon.monitoring.health import ProcessUsage
 from resonator_daemon.measure.decoder_process.connection import WorkerConnection
 from resonator_daemon.measure.decoder_process.followed_contacts import FollowedContacts, no_contacts
 from resonator_daemon.measure.decoder_process.messages import EndContacts, Reply, Results, SetUpStep, Undecodable, Work
@@ -120,15 +120,15 @@ class DecoderSupervisor(Generic[Origin]):
 
     def info(self) -> DecoderProcessInfo:
         """Return the counters of frames and restarts, and what the process uses."""
-        held = self._usage.held() if self._usage is not None else None
+        use = self._usage.use() if self._usage is not None else None
         return DecoderProcessInfo(
             pid=self._usage.pid if self._usage is not None else None,
             restarts=dict(self.restarts),
             decoded=self.decoded,
             skipped=dict(self.skipped),
             waiting=self.waiting,
-            cpu_percent=held.cpu_percent if held is not None else 0.0,
-            rss_mb=held.rss_mb if held is not None else 0.0,
+            cpu_percent=use.cpu_percent if use is not None else 0.0,
+            rss_mb=use.rss_mb if use is not None else 0.0,
         )
 
     def offer(self, origin: Origin, frame: SurfaceFrame) -> None:

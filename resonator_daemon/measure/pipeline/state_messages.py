@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from resonator_daemon.base.reasons import Reason
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.frames import BoardOnline, LinkChange, Outage
-from resonator_daemon.daemon.monitoring.daemon_state import DaemonSnapshot
 from resonator_daemon.estimate.forces.readings import Compensation as AppliedCompensation
 from resonator_daemon.measure.sensors.base import Sensor
+from resonator_daemon.mqtt.daemon_state import DaemonSnapshot
 from resonator_daemon.mqtt.headers import Headers
 from resonator_daemon.mqtt.payloads import (
     CalibrationInfo,

@@ -5,8 +5,8 @@ from typing import Any, Final
 
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.clock import Instant
-from resonator_daemon.daemon.monitoring.latency import Latencies
 from resonator_daemon.estimate.forces.readings import ForceReading, SkinReading
+from resonator_daemon.measure.latency import Latencies
 from resonator_daemon.measure.sensors.sensor_state import SensorState
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.headers import Headers, MeasuredFields

@@ -17,8 +17,8 @@ from resonator_daemon.base.host.printable import printable
 from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.daemon.monitoring.daemon_state import DaemonSnapshot, DaemonState
 from resonator_daemon.mqtt.codec import Encoded, encode
+from resonator_daemon.mqtt.daemon_state import DaemonSnapshot, DaemonState
 from resonator_daemon.mqtt.headers import Headers
 from resonator_daemon.mqtt.message_account import Cause
 from resonator_daemon.mqtt.mqtt_messages import Outgoing

@@ -1,0 +1,31 @@
+"""Elastic half-space in the domain of spatial frequency: transfer matrices, fields, contact with friction."""
+
+from resonator_daemon.estimate.elastic import (
+    Convention,
+    FrictionalContact,
+    HalfSpace,
+    MixedBoundary,
+    NotConvergedError,
+    SensorArray,
+    SensorSet,
+    SpectralGrid,
+    SurfaceCompliance,
+    SurfaceFields,
+    press,
+    solve_regions,
+)
+
+__all__ = [
+    "Convention",
+    "FrictionalContact",
+    "HalfSpace",
+    "MixedBoundary",
+    "NotConvergedError",
+    "SensorArray",
+    "SensorSet",
+    "SpectralGrid",
+    "SurfaceCompliance",
+    "SurfaceFields",
+    "press",
+    "solve_regions",
+]
