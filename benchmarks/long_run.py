@@ -154,6 +154,8 @@ class Run:
             seconds = self._draw.uniform(*LEG_S)
             at, rate = round(self._draw.uniform(3.0, seconds - 8.0), 2), round(10 ** self._draw.uniform(-1.0, 0.0), 3)
             drawn = self._draw.sample(FAULTS, self._draw.choice((0, 1, 1, 2, 3)))
+            if any("slow_reader" in each for each in drawn):  # the emulator does not count what both hold back
+                drawn = [each for each in drawn if "clump" not in each]
             short = round(self._draw.uniform(0.3, 4.0), 2)
             faults = ",".join(each.format(at=at, rate=rate, short=short) for each in drawn)
             self._start_board(faults)
