@@ -314,7 +314,6 @@ pins: .venv/run-stamp  ## write .ci/requirements/*.txt from pyproject.toml
 	compile pyproject.toml --extra demo --extra docs --output-file .ci/requirements/docs.txt
 	compile pyproject.toml --extra demo --extra figures --extra test --output-file .ci/requirements/test.txt
 	compile pyproject.toml --extra demo --extra figures --extra test --extra browser --output-file .ci/requirements/browser.txt
-	compile pyproject.toml --extra demo --extra figures --group peers --output-file .ci/requirements/peers.txt
 	compile pyproject.toml --extra demo --group dist --output-file .ci/requirements/dist.txt
 	compile --group pins --output-file .ci/requirements/pins.txt
 
@@ -373,19 +372,6 @@ PATH_FILE := from pathlib import Path; from sysconfig import get_path; \
 	$(pip-install)
 	requirements "packages for documentation" docs
 	touch $@
-
-# Peers are compared with where they install; one is built from source.
-.venv/peers-stamp: .venv/figures-stamp .ci/requirements/peers.txt
-	$(pip-install)
-	if [ "$$(id -u)" -eq 0 ] && command -v apt-get >/dev/null && [ ! -d /usr/include/eigen3 ]; then
-	  echo "setup: Debian packages g++ libeigen3-dev"
-	  { apt-get update -qq || true; apt-get install -qq -y --no-install-recommends g++ libeigen3-dev; } >.venv/apt.log 2>&1 || true
-	fi
-	if (requirements "peers to compare with" peers); then
-	  touch $@
-	else
-	  echo "setup: goes on without peers; on Debian, as root: apt-get install g++ libeigen3-dev" >&2
-	fi
 
 .venv/test-stamp: .venv/run-stamp .ci/requirements/test.txt
 	$(pip-install)

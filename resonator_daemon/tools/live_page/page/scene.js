@@ -18,7 +18,7 @@ export class Scene {
   /** drawStill(context, scene) draws below the axes; it is called again when size, plate or theme change. */
   constructor(canvas, drawStill) {
     this.canvas = canvas;
-    // Desynchronized, drawing takes a third less of the main thread: benchmarks/live_page_draws.py.
+    // Desynchronized, drawing takes a third less of the main thread: benchmarks/live_page_draws.py of commit a510926e.
     this.context = canvas.getContext("2d", { desynchronized: true });
     this.drawStill = drawStill;
     this.bounds = [-0.01, -0.01, 0.01, 0.01];
