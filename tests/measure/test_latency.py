@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from resonator_daemon.board.session.clock import Instant
-from resonator_daemon.daemon.monitoring import latency
+from resonator_daemon.measure import latency
 from resonator_daemon.measure.latency import Latencies, LatencyHistogram
 from resonator_daemon.mqtt.topics import DECODED, FORCES
 

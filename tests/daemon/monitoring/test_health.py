@@ -8,6 +8,7 @@ import pytest
 import status_samples
 from example_messages import header
 
+from resonator_daemon.base.host import load
 from resonator_daemon.base.host.load import HostLoad
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.session.counters import LinkCounters
@@ -59,7 +60,7 @@ class Machine:
 def machine(monkeypatch: pytest.MonkeyPatch) -> Machine:
     machine = Machine()
     monkeypatch.setattr(health, "time", SimpleNamespace(monotonic=lambda: machine.now_s))
-    monkeypatch.setattr(health, "psutil", SimpleNamespace(Process=Process, Error=Exception))
+    monkeypatch.setattr(load, "psutil", SimpleNamespace(Process=Process, Error=Exception))
     return machine
 
 
