@@ -56,7 +56,7 @@ class ReasonCode(Word):
     BOARD_SILENT = "board_silent", "no frame came for seconds; the link is opened again"
     BOARD_FAULT = "board_fault", "the board reports that it cannot count"
     CONFIGURATION_LOST = "configuration_lost", "the board no longer has its configuration"
-    COMPUTER_BUSY = "computer_busy", "the computer is too busy: the daemon waits for a processor more than it runs"
+    COMPUTER_BUSY = "computer_busy", "the computer is too busy: the daemon waits for a processor longer than it runs"
     CLOCK_JUMPED = "clock_jumped", "the ticks of the board jumped, or went back without a restart"
     FRAME_LENGTH = "frame_length", "packets are refused: frames of another length"
     FRAME_PART = "frame_part", "packets are refused: parts of frames that do not fit together"

@@ -114,7 +114,7 @@ _VALUES: Final[dict[str, Any]] = {
     "clock_drift_ppm": 3.1,
     "Health.reason_code": None,
     "cpu_percent": 21.0,
-    "lacking_percent": 38.0,
+    "processor_wait_percent": 38.0,
     "rss_mb": 92.0,
     "tasks": 9,
     "threads": 4,

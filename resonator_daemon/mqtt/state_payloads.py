@@ -229,9 +229,9 @@ class Health(BoardHeader):
     clock_outliers: int = Field(description="pings whose answer contradicted the others")
     clock_restarts: int = Field(description="times that the board's clock had to be estimated again")
     cpu_percent: Float = Field(description=_CPU + "; without the decoder's")
-    lacking_percent: Float = Field(
+    processor_wait_percent: Float = Field(
         0.0,
-        description="share of the time that the daemon could run, in which it waited for a processor; over about 2 s",
+        description="wait for a processor, as a share of the time in which the daemon could run; mean over 2 s",
     )
     rss_mb: Float = Field(description="memory of the daemon, without the decoder's")
     tasks: int = Field(description="of the daemon's event loop")

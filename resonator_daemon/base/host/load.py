@@ -1,4 +1,4 @@
-"""Load of this computer: what a process uses, how long it waits, and whether the computer is too busy for it."""
+"""Load of this computer: resources of a process, its waiting time for processors, and whether the computer is busy."""
 
 import math
 import resource
@@ -12,8 +12,8 @@ import psutil
 from resonator_daemon.base.reasons import Reason, ReasonCode
 
 BUSY_PERCENT: Final = 65.0  # eight busy programs on two processors: 70 to 95; `resonatord demo` alone on two: 41
-_AT_EASE_PERCENT: Final = 57.0
-_MEMORY_NS: Final = 1_200_000_000
+_NOT_BUSY_PERCENT: Final = 57.0
+_TIME_CONSTANT_NS: Final = 1_200_000_000
 _SAMPLE_NS: Final = 50_000_000
 
 REMEDY: Final = (
@@ -23,12 +23,12 @@ REMEDY: Final = (
 
 
 class LoadSample(NamedTuple):
-    """Lack of processors since the sample before.
+    """Waiting time for processors since the previous sample.
 
     Attributes
     ----------
     waited_percent
-        Share of the time in which threads of this process could run and waited for a processor.
+        Of the time in which threads of this process could run, the share in which they waited for a processor.
     pressure_percent
         Share of the time in which any thread of the computer waited for a processor.
     """
@@ -41,9 +41,9 @@ NO_LOAD: Final = LoadSample()
 
 
 class LoadMeter:
-    """Measures the load by what Linux counts for threads (`schedstat`) and for the computer (`pressure/cpu`).
+    """Measures the load from counters of Linux: of threads (`schedstat`) and of the computer (`pressure/cpu`).
 
-    If Linux counts only one of them, it is used for both.
+    If only one of them exists, its share is used for both.
     """
 
     def __init__(self, proc: Path = Path("/proc")) -> None:
@@ -52,7 +52,7 @@ class LoadMeter:
         self._before = time.monotonic_ns(), *self._waited_and_used_ns(), self._pressure_ns()
 
     def sample(self) -> LoadSample:
-        """Return the load since the sample before; the same as before if that was less than 50 ms ago."""
+        """Return the load since the previous sample; if that is less than 50 ms old, the previous sample."""
         now_ns = time.monotonic_ns()
         elapsed_ns = now_ns - self._before[0]
         if elapsed_ns >= _SAMPLE_NS:
@@ -82,41 +82,41 @@ class LoadMeter:
 
 
 def busy_reason(sample: LoadSample) -> Reason:
-    """Return the reason of a busy computer, with the share of time that was lacking."""
+    """Return the reason for a busy computer, with the share of waiting time."""
     text = f"this computer is busy: the program waited for a processor {min(sample)} % of the time that it could run"
     return Reason(ReasonCode.COMPUTER_BUSY, text)
 
 
 class HostLoad(NamedTuple):
-    """Mean load of about two seconds, and whether the computer is busy by it; all depends on the samples alone.
+    """Mean load over about two seconds, and whether the computer is busy; both depend on the samples alone.
 
-    The computer is busy from 65 % on, until the mean is below 57 %. Of the two shares of a sample, the lower one
-    counts: a process that precedes others does not wait, and one that does little may wait long by chance.
+    The computer becomes busy at a mean of 65 %, and stays busy until the mean is below 57 %. The lower share of a
+    sample counts: a process with priority does not wait, and a process that is mostly idle may wait long by chance.
 
     Attributes
     ----------
     busy
-        Reason of a busy computer; None if it is not.
+        Reason for a busy computer; None if it is not busy.
     """
 
     monotonic_ns: int = 0
-    lacking_percent: float = 0.0
+    processor_wait_percent: float = 0.0
     busy: Reason | None = None
 
     def updated(self, monotonic_ns: int, sample: LoadSample) -> "HostLoad":
-        """Return the load with a sample that ends at a time."""
-        elapsed_ns = monotonic_ns - self.monotonic_ns
-        mean = self.lacking_percent + (min(sample) - self.lacking_percent) * elapsed_ns / (_MEMORY_NS + elapsed_ns)
-        busy = self.busy
+        """Return the load after one more sample, which ends at `monotonic_ns`."""
+        elapsed_ns, busy = monotonic_ns - self.monotonic_ns, self.busy
+        mean, weight = self.processor_wait_percent, elapsed_ns / (_TIME_CONSTANT_NS + elapsed_ns)
+        mean += (min(sample) - mean) * weight
         if mean >= BUSY_PERCENT:
             busy = busy or busy_reason(sample)
-        elif mean < _AT_EASE_PERCENT:
+        elif mean < _NOT_BUSY_PERCENT:
             busy = None
         return HostLoad(monotonic_ns, mean, busy)
 
 
 class ResourceUse(NamedTuple):
-    """What a process uses; `cpu_percent` is of one core, since the last call of `use`."""
+    """Resources of a process; `cpu_percent` is of one core, since the last call of `measure`."""
 
     cpu_percent: float
     rss_mb: float
@@ -135,11 +135,11 @@ class ProcessUsage:
     def pid(self) -> int:
         return self._process.pid
 
-    def use(self) -> ResourceUse:
-        """Return what it uses now.
+    def measure(self) -> ResourceUse:
+        """Return the present use of resources.
 
-        The system reports it in files. If none can be opened, or the process has ended, `cpu_percent` is NaN,
-        `file_descriptors` the limit, and the rest as it was.
+        If no file descriptor is free, or the process has ended, `cpu_percent` is NaN, `file_descriptors` is the
+        limit, and the rest is as at the last call.
         """
         try:
             self._last = self._now()

@@ -1,4 +1,4 @@
-"""Signals that end a process: of the user, of the service manager, and of the kernel when the parent has ended."""
+"""Signals that end a process: sent by the user, by the service manager, and by the kernel when the parent has ended."""
 
 import ctypes
 import os
@@ -14,19 +14,19 @@ from resonator_daemon.base.errors import InterruptedCommandError
 _Handler = Callable[[int, FrameType | None], object] | int | None
 
 _ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_IMPORT: Final = "<frozen importlib._bootstrap>"  # file of the frames below a module that loads
-_AGAIN_S: Final = 0.02
+_IMPORT_FILE: Final = "<frozen importlib._bootstrap>"  # of a frame on the stack while a module is imported
+_RETRY_S: Final = 0.02
 _LIBC = ctypes.CDLL(None)
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 @contextmanager
 def on_signals(call: Callable[[signal.Signals], object]) -> Iterator[None]:
-    """Have SIGINT, SIGTERM and SIGHUP call a function on the running event loop; then they do what they did before.
+    """Call a function on the running event loop upon SIGINT, SIGTERM or SIGHUP; restore the former handlers at the end.
 
-    Handlers of the loop itself would leave the defaults behind, which end the process with a code of their own.
+    `loop.remove_signal_handler` would restore Python's defaults instead, which end the process with other exit codes.
     """
-    from asyncio import get_running_loop  # slow to import, for a process of its own that needs another function
+    from asyncio import get_running_loop  # slow to import; the decoder process needs other functions of this module
 
     if not _may_have_handlers():
         yield
@@ -34,7 +34,7 @@ def on_signals(call: Callable[[signal.Signals], object]) -> Iterator[None]:
     loop = get_running_loop()
     reading, writing = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
     loop.add_reader(reading, os.read, reading, 4096)
-    wakes = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)  # for a signal just before the loop waits
+    wakes = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)  # by a signal just before the loop waits
     before = {
         number: signal.signal(number, lambda it, _: loop.call_soon_threadsafe(call, signal.Signals(it)))
         for number in _ENDING
@@ -52,27 +52,28 @@ def on_signals(call: Callable[[signal.Signals], object]) -> Iterator[None]:
 
 @contextmanager
 def interruptible(unfinished: str) -> Iterator[None]:
-    """Turn Ctrl-C, SIGTERM and SIGHUP into one exception, so that they clean up as after any error.
+    """Turn SIGINT, SIGTERM and SIGHUP into one exception, so that the command cleans up as after any error.
 
-    Each raises KeyboardInterrupt, the first of them only, so that cleaning up comes to its end, and not in a module
-    that loads, where it can get lost. What the process ignores, as SIGHUP under nohup, it goes on ignoring.
+    The first signal raises KeyboardInterrupt; later ones are ignored, so that the clean-up is completed. While a module
+    is imported, where the exception can be lost, the signal is repeated after 20 ms. Ignored signals, as SIGHUP under
+    nohup, remain ignored.
 
     Parameters
     ----------
     unfinished
-        What becomes of what is not whole, as "nothing is written".
+        State of the unfinished output, as "nothing is written".
 
     Raises
     ------
     InterruptedCommandError
-        One of them came.
+        A signal arrived.
     """
     before: dict[int, _Handler] = {}
 
     def end(number: int, frame: FrameType | None) -> None:
         while frame is not None:
-            if frame.f_code.co_filename == _IMPORT:
-                threading.Timer(_AGAIN_S, os.kill, (os.getpid(), number)).start()
+            if frame.f_code.co_filename == _IMPORT_FILE:
+                threading.Timer(_RETRY_S, os.kill, (os.getpid(), number)).start()
                 return
             frame = frame.f_back
         for caught in before:
@@ -106,12 +107,12 @@ def signal_at_parent_death(number: int) -> None:
 
 
 def ended_with_parent(number: int) -> Callable[[], None]:
-    """Return a function for a child to call between fork and exec: it ends with this process, by the signal."""
+    """Return a `preexec_fn` after which the kernel sends the child this signal when this process ends."""
     parent = os.getpid()
 
     def prepare() -> None:
         signal_at_parent_death(number)
-        if os.getppid() != parent:  # it has ended already
+        if os.getppid() != parent:  # the parent has ended already
             os.kill(os.getpid(), number)
 
     return prepare

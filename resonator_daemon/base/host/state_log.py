@@ -11,7 +11,7 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 
 SUM_S: Final = 20.0
 SINGLE_MAX: Final = 6  # changes within `SUM_S` that have a line each
-STEADY_S: Final = 4.0  # a state that lasts has a line; longer than `SUM_S / SINGLE_MAX`: sums add no more lines
+STEADY_S: Final = 4.0  # above `SUM_S / SINGLE_MAX`, so that sums add no more lines
 
 _NOTHING_WRONG: Final = (Condition.STARTING, Condition.ONLINE, Condition.OFFLINE)
 _DOUBTS: Final = (  # in spite of a good state
@@ -43,16 +43,16 @@ def needs_a_person(condition: Condition, code: ReasonCode) -> bool:
 
 
 class StateLog:
-    """Writes one line for each change of a state, with its reason code; of frequent changes it writes a sum.
+    """Writes one line for each change of a state, with its reason code; frequent changes are summed up in one line.
 
-    A change is another condition or another reason code. The first six within 20 s have a line each. From then on one
-    line has their number and the latest state, every 20 s, and once a state has lasted for 4 s. Lines are warnings
-    where a person has to act.
+    A change is another condition or another reason code. The first six within 20 s have a line each. Further
+    changes are summed up, every 20 s or once a state has lasted for 4 s: one line has their number and the latest
+    state. Lines are warnings if a person has to act.
 
     Parameters
     ----------
     subject
-        Whose state it is: `daemon`, `link` or `sensor`.
+        Owner of the state: `daemon`, `link` or `sensor`.
     log
         Where the lines go.
     clock

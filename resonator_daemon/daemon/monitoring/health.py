@@ -45,7 +45,7 @@ class HealthMonitor:
         now = time.monotonic()
         rate_hz = (link.frames - self._last_frames) / max(now - self._last, 1e-3)
         self._last, self._last_frames = now, link.frames
-        use = self._process.use()
+        use = self._process.measure()
         return Health(
             **header,
             reason_code=load.busy.code if load.busy else None,
@@ -85,7 +85,7 @@ class HealthMonitor:
             clock_outliers=link.clock_outliers,
             clock_restarts=link.clock_restarts,
             cpu_percent=use.cpu_percent,
-            lacking_percent=load.lacking_percent,
+            processor_wait_percent=load.processor_wait_percent,
             rss_mb=use.rss_mb,
             tasks=len(asyncio.all_tasks()),
             threads=use.threads,

@@ -144,7 +144,7 @@ class DecoderProcess:
 
     def health(self) -> DecoderHealth:
         """Return the counters and loads of this process."""
-        use, child = self._process.use(), self._mode.process_info()
+        use, child = self._process.measure(), self._mode.process_info()
         return DecoderHealth(
             decoder_id=self.decoder_id,
             t_ns=time.time_ns(),

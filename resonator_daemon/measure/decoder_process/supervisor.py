@@ -120,7 +120,7 @@ class DecoderSupervisor(Generic[Origin]):
 
     def info(self) -> DecoderProcessInfo:
         """Return the counters of frames and restarts, and what the process uses."""
-        use = self._usage.use() if self._usage is not None else None
+        use = self._usage.measure() if self._usage is not None else None
         return DecoderProcessInfo(
             pid=self._usage.pid if self._usage is not None else None,
             restarts=dict(self.restarts),

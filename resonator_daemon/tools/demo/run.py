@@ -294,9 +294,9 @@ class _Demo:
         for line in late:
             print_note(line)
         health = [message for station in self._stations.values() for message in station.score.health]
-        lacking_percent = max((message["lacking_percent"] for message in health), default=0.0)
+        wait_percent = max((message["processor_wait_percent"] for message in health), default=0.0)
         load = self._load.in_words(sum(self._usage.values()), self._pids)
-        load += f"; a daemon waited for a processor up to {lacking_percent:.0f} % of the time"
+        load += f"; a daemon waited for a processor up to {wait_percent:.0f} % of the time"
         if failed:
             busy = any(message["reason_code"] for message in health)
             raise LossError(*failed, *cause(load, overloaded=busy), so_far=result)

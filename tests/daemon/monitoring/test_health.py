@@ -77,14 +77,14 @@ async def test_rates_are_those_since_the_last_call(machine: Machine) -> None:
     assert {each.tasks for each in made} == {len(asyncio.all_tasks())}
 
 
-async def test_a_busy_computer_has_its_code_and_the_share_of_time_that_was_lacking(machine: Machine) -> None:
+async def test_a_busy_computer_has_its_code_and_the_share_of_waiting_time(machine: Machine) -> None:
     monitor = HealthMonitor()
     machine.load = HostLoad(0, 83.0, Reason(ReasonCode.COMPUTER_BUSY, "busy"))
     made = machine.health(monitor)
-    assert (made.reason_code, made.lacking_percent) == ("computer_busy", 83.0)
+    assert (made.reason_code, made.processor_wait_percent) == ("computer_busy", 83.0)
     machine.load = HostLoad(0, 41.0)
     made = machine.health(monitor)
-    assert (made.reason_code, made.lacking_percent) == (None, 41.0)
+    assert (made.reason_code, made.processor_wait_percent) == (None, 41.0)
 
 
 async def test_frames_before_the_decoder_is_ready_are_not_lost() -> None:
