@@ -157,7 +157,7 @@ class HostSession:
     A new session asks the board who it is. After Described, call `configure`; after Started, frames follow.
     The caller has the clock: when `awaits_answer` has been true for 300 ms and no answer came it calls `ask_again`.
     Requests that the board has no room for wait here until it has.
-    `refusals` counts packets whose check sum is right, and that break the protocol, by what is wrong with them.
+    `refusals` counts packets whose checksum is right, and that break the protocol, by what is wrong with them.
     """
 
     def __init__(self) -> None:

@@ -14,7 +14,7 @@ from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.commands._output import print_json
 
 if TYPE_CHECKING:
-    from resonator_daemon.board.recording.repair import Repaired
+    from resonator_daemon.board.recording.repair import RepairResult
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     return ExitCode.DONE
 
 
-def _summary(path: Path, copy: Path, done: "Repaired") -> str:
+def _summary(path: Path, copy: Path, done: "RepairResult") -> str:
     if done.was_whole:
         return f"{path} is complete: nothing to repair"
     wrong = []

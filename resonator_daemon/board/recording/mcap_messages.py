@@ -25,10 +25,10 @@ _INDEX_ENTRY_BYTES: Final = 16
 
 CHUNK_BYTES: Final = 256 << 10  # as written: about a millisecond to compress
 MAX_CHUNK_BYTES: Final = 16 << 20  # as read
-"""Of a chunk's records: those that are written have 256 KiB and what fills them, an event of 256 KiB or a message."""
-MAX_RECORD_BYTES: Final = 64 << 20  # of MCAP; a chunk ends with the event that fills it
+"""Bytes of a chunk's records, uncompressed. The last event or message of a chunk makes it longer than CHUNK_BYTES."""
+MAX_RECORD_BYTES: Final = 64 << 20  # of MCAP
 
-# Opcode and length of what may follow damage: chunk, index of messages, attachment, metadata, end of the data.
+# Opcode and length of records that may follow damage: chunk, message index, attachment, metadata, end of the data.
 _HEADS: Final = re.compile(rb"(?=[\x06\x07\x09\x0c\x0f].{3}[\x00-\x04]\0{4})", re.DOTALL)
 _SEARCH_BYTES: Final = 1 << 20
 
@@ -41,12 +41,12 @@ DAMAGE = (McapError, ValueError, KeyError, TypeError, RuntimeError, struct.error
 
 @dataclass
 class DamagedAttachment(McapRecord):
-    """An attachment with a wrong check sum, or one that cannot be read.
+    """Attachment that has a wrong checksum, or cannot be read.
 
     Parameters
     ----------
     name
-        As it is in the file, which may be damaged, too; a question mark where it cannot be read.
+        As in the file, where it may be damaged; a question mark if it cannot be read.
     """
 
     name: str
@@ -54,7 +54,7 @@ class DamagedAttachment(McapRecord):
 
 @dataclass
 class IndexedMessages(McapRecord):
-    """How many messages of a channel the chunk before has, from the index behind it."""
+    """Number of messages of a channel in the preceding chunk, from the message index after it."""
 
     channel_id: int
     count: int
@@ -62,7 +62,7 @@ class IndexedMessages(McapRecord):
 
 @dataclass
 class Damage(McapRecord):
-    """Bytes of a file that are no intact record; `reason`: of the first of them."""
+    """Bytes of a file without an intact record; `reason`: why no record could be read at `begin_bytes`."""
 
     begin_bytes: int
     end_bytes: int
@@ -70,7 +70,7 @@ class Damage(McapRecord):
 
 
 class _Content(ReadDataStream):
-    """Content of a record; nothing is shorter than its length states."""
+    """Content of a record; a read beyond its end raises EndOfFile."""
 
     def read(self, length: int) -> bytes:
         data: bytes = super().read(length)
@@ -80,16 +80,16 @@ class _Content(ReadDataStream):
 
 
 def read_records(file: IO[bytes], begin_bytes: int = 0, end_bytes: int | None = None) -> Iterator[McapRecord]:
-    """Give the records of a file up to the end of its data, and a `Damage` in place of what is none.
+    """Yield the records of a file up to the end of its data, and a `Damage` in place of bytes that are no record.
 
-    After damage, it goes on with the next bytes that are a record and agree with their check sum, if they have one.
+    After damage, reading continues at the next record whose checksum, if it has one, is right.
 
     Parameters
     ----------
     begin_bytes
-        Where a record begins; 0: with the file.
+        Position of a record; 0: the beginning of the file.
     end_bytes
-        Where the data end; None: with the file.
+        End of the data; None: the end of the file.
     """
     at = begin_bytes
     while True:
@@ -99,7 +99,7 @@ def read_records(file: IO[bytes], begin_bytes: int = 0, end_bytes: int | None = 
                 raise McapError("not an MCAP file")
             record = _read_record(file)
         except DAMAGE as error:
-            reason = error.with_traceback(None)  # which would keep the content of the record
+            reason = error.with_traceback(None)  # a traceback would keep the content of the record
         else:
             at = file.tell()
             yield record
@@ -114,7 +114,7 @@ def read_records(file: IO[bytes], begin_bytes: int = 0, end_bytes: int | None = 
 
 
 def _read_record(file: IO[bytes]) -> McapRecord:
-    """Read the record that begins here; an exception of DAMAGE if none does."""
+    """Read the record at the file's position; raises one of DAMAGE if there is none."""
     opcode, length = _RECORD.unpack(file.read(_RECORD.size))
     if length > MAX_RECORD_BYTES:
         raise ValueError(f"a record has {length} bytes, at most {MAX_RECORD_BYTES} are read")
@@ -124,7 +124,7 @@ def _read_record(file: IO[bytes]) -> McapRecord:
     record = _parsed(opcode, content)
     if isinstance(record, DamagedAttachment):
         end = file.tell()
-        _read_record(file)  # or its length is damaged, too
+        _read_record(file)  # raises if the length is damaged
         file.seek(end)
     return record
 
@@ -135,7 +135,7 @@ def _parsed(opcode: int, content: bytes) -> McapRecord:
     match opcode:
         case Opcode.ATTACHMENT:
             return _read_attachment(content)
-        case Opcode.MESSAGE_INDEX:  # its entries are of no use to a reader of all in order
+        case Opcode.MESSAGE_INDEX:  # its entries are for random access
             channel_id, entries_bytes = stream.read2(), stream.read4()
             stream.read(entries_bytes)
             record = IndexedMessages(channel_id, entries_bytes // _INDEX_ENTRY_BYTES)
@@ -152,7 +152,7 @@ def _parsed(opcode: int, content: bytes) -> McapRecord:
 
 
 def _next_record(file: IO[bytes], at: int, end_bytes: int) -> int:
-    """Return where the next record begins that is intact, or `end_bytes`."""
+    """Return the position of the next intact record, or `end_bytes`."""
     while at < end_bytes:
         file.seek(at)
         for match in _HEADS.finditer(file.read(_SEARCH_BYTES + _RECORD.size)):
@@ -167,7 +167,7 @@ def _next_record(file: IO[bytes], at: int, end_bytes: int) -> int:
 def _read_attachment(content: bytes) -> Attachment | DamagedAttachment:
     """Read the content of an attachment's record.
 
-    As in the specification of MCAP the check sum, CRC-32, is of all content before it, and 0 means that there is none.
+    By the specification of MCAP, the CRC-32 covers all content before it; 0 means that there is none.
     """
     with suppress(*DAMAGE):
         (crc,) = _CRC.unpack(content[-_CRC.size :])
@@ -181,7 +181,7 @@ def _read_attachment(content: bytes) -> Attachment | DamagedAttachment:
 
 
 class Logged(NamedTuple):
-    """A message: its topic, its data and both of its times."""
+    """Message with its topic, its data and both of its times."""
 
     topic: str
     data: bytes
@@ -190,19 +190,19 @@ class Logged(NamedTuple):
 
 
 def messages(records: Iterator[McapRecord], topics: Collection[str], channels: Mapping[int, str]) -> Iterator[Logged]:
-    """Give the messages on these topics.
+    """Yield the messages on these topics.
 
     Parameters
     ----------
     records
-        Of a file.
+        Records of a file.
     channels
         Topics of the channels that records before these have declared.
 
     Raises
     ------
     ValueError
-        A chunk does not agree with its records.
+        A record exceeds its chunk.
     """
     of_channel = {number: topic for number, topic in channels.items() if topic in topics}
     for record in records:
@@ -216,7 +216,7 @@ def _chunk_data(chunk: Chunk) -> bytes:
     Raises
     ------
     ValueError, RuntimeError
-        It is compressed otherwise than recordings are, is larger, or does not agree with its check sum or size.
+        The compression is not lz4, the chunk is too large, or its size or checksum is wrong.
     """
     size_bytes = chunk.uncompressed_size
     if size_bytes > MAX_CHUNK_BYTES:
@@ -235,7 +235,7 @@ def _chunk_data(chunk: Chunk) -> bytes:
 
 
 def _of_chunk(data: bytes, topics: Collection[str], of_channel: dict[int, str]) -> Iterator[Logged]:
-    # Two thousand messages a second of recorded time: locals, and tuples are made without the detour of their class.
+    # For 2000 messages per second of recorded time: local variables, and tuples without a call of their class.
     new_tuple, message_bytes = tuple.__new__, _MESSAGE.size
     size_bytes = len(data)
     end = 0
@@ -245,7 +245,7 @@ def _of_chunk(data: bytes, topics: Collection[str], of_channel: dict[int, str]) 
         start = begin + _RECORD.size
         end = start + length
         if end > size_bytes:
-            raise ValueError(f"a record of a chunk ends {end - size_bytes} bytes behind it")
+            raise ValueError(f"a record ends {end - size_bytes} bytes behind its chunk")
         if opcode == _MESSAGE_OPCODE:
             _, _, channel_id, _, log_ns, publish_ns = _MESSAGE.unpack_from(data, begin)
             topic = of_channel.get(channel_id)

@@ -20,7 +20,7 @@ _MAGIC_BYTES: Final = 8
 # Opcode and length; of a message index: channel, size of the entries, log time of the first one.
 _HEAD: Final = struct.Struct("<BQHIQ")
 _RECORD_BYTES: Final = 9
-_CHUNK_HEAD_BYTES: Final = 37  # of its record: times, size and check sum of what it contains
+_CHUNK_HEAD_BYTES: Final = 37  # of its record: times, size and checksum of what it contains
 _RECORDS_READ: Final = 64  # for the channels of a file without an index
 
 
@@ -37,7 +37,7 @@ class Outline(NamedTuple):
     Attributes
     ----------
     identity
-        Hash up to the check sum of the first chunk of MCAP with events: equal for copies of one recording, whatever
+        Hash up to the checksum of the first chunk of MCAP with events: equal for copies of one recording, whatever
         their names, also if one is truncated, or the recording has grown since.
     size_bytes, changed_ns
         Of the file; UTC of its last change.

@@ -34,7 +34,7 @@ WIRE_CHANNEL: Final = 1  # in each file
 ENCODING = "application/octet-stream"
 RECORDING, BOARD, CHANNEL = "recording", "board", "channel"  # metadata of the file
 PLATE_FILE, SETTINGS_FILE = "plate.toml", "settings.toml"  # attachments
-DESCRIPTION_FILE: Final = "recording.json"  # attachment: metadata `recording` once more, with a check sum
+DESCRIPTION_FILE: Final = "recording.json"  # attachment: metadata `recording` once more, with a checksum
 
 MARKS = "marks"
 JSON_ENCODING, JSON_SCHEMA_ENCODING = "json", "jsonschema"
@@ -274,12 +274,12 @@ def _is_before_a_snapshot(entry: WireEvent | Mark) -> bool:
 
 
 def open_recording(path: str, plate: Plate | None = None) -> Recording:
-    """Open a recording of a link, where a plate is given to such a plate.
+    """Open a recording of a link; if a plate is given, the recording has to be of such a plate.
 
     Raises
     ------
     RecordingUnusableError
-        No such file, no recording, of another format, or of a plate whose frames are others.
+        The file is missing, no recording, of another format, or of a plate with other frames.
     """
     file = open_file(path)
     try:
@@ -300,7 +300,7 @@ def open_recording(path: str, plate: Plate | None = None) -> Recording:
 def open_file(path: str) -> IO[bytes]:
     """Open a regular file. Raises RecordingUnusableError."""
     try:
-        if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would be waited for
+        if not stat.S_ISREG(os.stat(path).st_mode):  # opening a pipe would block
             raise RecordingUnusableError(f"recording {path} is no regular file")
         return open(path, "rb")
     except OSError as error:
@@ -326,7 +326,7 @@ def read_header(path: str, records: Iterator[McapRecord]) -> dict[str, str]:
 
 
 def no_recording(path: str, remedy: str = "") -> RecordingUnusableError:
-    """Return the error for a file that is none."""
+    """Return the error for a file that is no recording."""
     what = f"{path} is no recording, or nothing of it was written"
     return RecordingUnusableError(f"{what}; name a file that `resonatord record` has written{remedy}")
 

@@ -398,12 +398,12 @@ class Recorder:
         text = f"{self.path}: {meaning_of(error) if isinstance(error, OSError) else repr(error)}"
         kept = "what was written stays"
         if self._file is not None:
-            stays = self._file.abandon()
+            is_kept = self._file.abandon()
             self._update_counts()
             lost, self._file = self._file.filling, None
             with self._lock:
                 self._count_missing(events=lost.traffic, messages=lost.messages)
-                if not stays:
+                if not is_kept:
                     kept = "the file has no event and is removed"
                     self.path = self._path_before
                     self._counts = self._counts._replace(files=self._counts.files - 1)

@@ -45,18 +45,18 @@ from resonator_daemon.board.recording.reader import (
     no_recording,
     open_file,
 )
-from resonator_daemon.board.recording.writer import NUMBERS, McapFile, channel_metadata
+from resonator_daemon.board.recording.writer import SEQUENCE_MODULUS, McapFile, channel_metadata
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import Skipped, encode
 
 _FOOTER: Final = struct.Struct("<BQQQI8s")  # opcode, length, where summary and its offsets begin, crc, magic
-_CRC_AND_MAGIC_BYTES: Final = 12  # what the summary's check sum leaves out
+_CRC_AND_MAGIC_BYTES: Final = 12  # that the summary's checksum does not cover
 _DATA_END_BYTES: Final = 13
-_BEGINNING_BYTES: Final = 4096  # with metadata, attachments and header, which all name the profile
+_BEGINNING_BYTES: Final = 4096  # with header, metadata and attachments, each of which contains the profile
 
 
 class FileIndex(NamedTuple):
-    """Index at the end of a file; `begin_bytes`: where it begins, None if it is damaged or there is none."""
+    """Index at the end of a file; `begin_bytes`: its position, None if it is damaged or missing."""
 
     begin_bytes: int | None = None
     channels: tuple[Channel, ...] = ()
@@ -65,7 +65,7 @@ class FileIndex(NamedTuple):
 
 
 def read_index(file: IO[bytes]) -> FileIndex:
-    """Read the index that other programs look for at the end of a file."""
+    """Read the index at the end of a file, by which other programs read the file."""
     with suppress(*DAMAGE):
         end = file.seek(-_FOOTER.size, os.SEEK_END)
         footer = file.read(_FOOTER.size)
@@ -99,13 +99,13 @@ class NotRepairableError(RepairError):
 
 
 @dataclass
-class Repaired:
-    """What came of it; `cut_bytes` of the file's end are in no copy, nor are `damaged_bytes` of `damaged_parts` before.
+class RepairResult:
+    """Result of a repair.
 
-    `index_damaged`: the index at its end is not what was written, and other programs read the file by it.
-    `damaged_attachments`, by their names, are in no copy, either. `carries_config`: plate file and settings are in it.
-    `recovered` and `missing` are messages by topic, and those of the link are
-    `events` and `events_missing`. What was written behind a missing end is unknown, and not in these.
+    The copy lacks `cut_bytes` at the end of the file, `damaged_bytes` of `damaged_parts` before it, and the
+    `damaged_attachments`, given by name. `index_damaged`: other programs cannot rely on the file's index.
+    `carries_config`: the copy has plate file and settings. `recovered` and `missing` are numbers of messages by topic;
+    those of the link are `events` and `events_missing`. Messages after a missing end are unknown, and not counted.
     """
 
     ended: bool = False
@@ -127,10 +127,10 @@ class Repaired:
         return self.ended and not (damaged or any(self.missing.values()))
 
 
-def repair(path: Path, copy: Path) -> Repaired:
-    """Copy what is intact of a recording; no copy is left where all of it is.
+def repair(path: Path, copy: Path) -> RepairResult:
+    """Copy the intact part of a recording; if all of it is intact, no copy is kept.
 
-    A damaged chunk is left out; an event in its place reports it.
+    A damaged chunk is omitted; an event in its place reports it.
 
     Raises
     ------
@@ -167,9 +167,9 @@ def repair(path: Path, copy: Path) -> Repaired:
 
 
 def _head(path: Path, file: IO[bytes], records: Iterator[McapRecord]) -> list[McapRecord]:
-    """Read up to the first chunk that is intact."""
+    """Read the records up to the first intact chunk."""
     file.seek(0)
-    if PROFILE.encode() not in file.read(_BEGINNING_BYTES):  # no large file of another kind is searched
+    if PROFILE.encode() not in file.read(_BEGINNING_BYTES):  # large files of other programs are not searched
         raise no_recording(str(path))
     head: list[McapRecord] = []
     for record in records:
@@ -180,7 +180,7 @@ def _head(path: Path, file: IO[bytes], records: Iterator[McapRecord]) -> list[Mc
 
 
 def _description(path: Path, head: list[McapRecord]) -> dict[str, str]:
-    """Return the metadata of a recording; of the two places that have them, the attachment has a check sum."""
+    """Return the metadata of a recording: from the attachment, which has a checksum, otherwise from their record."""
     found: list[dict[str, str]] = []
     for record in head:
         if isinstance(record, Attachment) and record.name == DESCRIPTION_FILE:
@@ -195,7 +195,7 @@ def _description(path: Path, head: list[McapRecord]) -> dict[str, str]:
 
 
 class _Copier:
-    """Copies the records of a recording to a new file, whose index is made again.
+    """Copies the records of a recording to a new file with a new index.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ class _Copier:
     description
         Metadata of the recording.
     index
-        Of the recording; has the schemas and channels that a damaged chunk may have held.
+        Index of the recording; has schemas and channels that damaged chunks may have contained.
     """
 
     def __init__(self, target: IO[bytes], description: dict[str, str], index: FileIndex) -> None:
@@ -213,19 +213,19 @@ class _Copier:
         self._schemas = {schema.id: schema for schema in index.schemas}
         self._channels = {WIRE_CHANNEL: Channel(WIRE_CHANNEL, TOPIC, "", {}, 0)}
         self._channels |= {channel.id: channel for channel in index.channels}
-        self._topics = {TOPIC: WIRE_CHANNEL}  # with their numbers in the new file
-        self._passed = Counter[int]()  # by channel, messages up to here, whether they are recovered or not
+        self._topics = {TOPIC: WIRE_CHANNEL}  # numbers of the channels in the new file
+        self._passed = Counter[int]()  # messages of each channel so far, recovered or missing
         self._recovered = Counter[int]()
-        self._indexed = Counter[int]()  # messages since, by the indexes of damaged chunks or of unknown channels
-        self._own_indexes = Counter[int]()  # of the last intact chunk
-        self._hole_bytes = 0  # since the last event
-        self.done = Repaired()
+        self._indexed = Counter[int]()  # messages since then, by indexes of damaged chunks, or of unknown channels
+        self._in_chunk = Counter[int]()  # messages of the last intact chunk
+        self._skipped_bytes = 0  # damaged bytes since the last event
+        self.done = RepairResult()
         self._texts: set[str] = set()
 
-    def copy(self, records: Iterable[McapRecord], file: IO[bytes]) -> Repaired:
+    def copy(self, records: Iterable[McapRecord], file: IO[bytes]) -> RepairResult:
         """Copy these records of a file."""
         done, data_crc = self.done, 0
-        damage: Damage | None = None  # nothing intact follows yet
+        damage: Damage | None = None  # no intact record has followed it yet
         for record in records:
             if damage is not None:
                 self._note_damage(damage)
@@ -242,7 +242,7 @@ class _Copier:
         self._count()
         done.index_damaged = done.ended and self._index.begin_bytes is None
         if done.was_whole and data_crc and _crc_of(file, self._index) != data_crc:
-            done.damaged_parts += 1  # where no record has a check sum of its own
+            done.damaged_parts += 1  # in a record without a checksum of its own
         done.carries_config = self._texts >= {PLATE_FILE, SETTINGS_FILE}
         self._writer.finish()
         return done
@@ -273,13 +273,13 @@ class _Copier:
                     record.create_time, record.log_time, record.name, record.media_type, record.data
                 )
             case IndexedMessages():
-                if self._own_indexes.pop(record.channel_id, None) != record.count and self._hole_bytes:
+                if self._in_chunk.pop(record.channel_id, None) != record.count and self._skipped_bytes:
                     self._indexed[record.channel_id] += record.count
             case Chunk():
                 self._add_chunk(record)
 
     def _add_chunk(self, chunk: Chunk) -> None:
-        self._own_indexes.clear()
+        self._in_chunk.clear()
         try:
             records = breakup_chunk(chunk)
         except DAMAGE as error:
@@ -291,14 +291,14 @@ class _Copier:
             elif isinstance(record, Channel):
                 self._channels[record.id] = record
             elif isinstance(record, Message):
-                self._own_indexes[record.channel_id] += 1
+                self._in_chunk[record.channel_id] += 1
                 self._message(record)
 
     def _note_damage(self, damage: Damage) -> None:
         size_bytes = damage.end_bytes - damage.begin_bytes
         self.done.damaged_parts += 1
         self.done.damaged_bytes += size_bytes
-        self._hole_bytes += size_bytes
+        self._skipped_bytes += size_bytes
 
     def _message(self, message: Message) -> None:
         number = message.channel_id
@@ -309,15 +309,15 @@ class _Copier:
         # Recordings of earlier versions have no numbers.
         lost = self._indexed.pop(number, 0)
         if message.sequence:
-            lost = (message.sequence - self._passed[number] - 1) % NUMBERS
+            lost = (message.sequence - self._passed[number] - 1) % SEQUENCE_MODULUS
         self._passed[number] += lost + 1
         self._recovered[number] += 1
         if channel.topic == TOPIC:
-            if lost or (self._hole_bytes and not message.sequence):
+            if lost or (self._skipped_bytes and not message.sequence):
                 now = HostTime(message.publish_time, message.log_time - message.publish_time, 0)
-                data = encode(Skipped(now, lost, self._hole_bytes))
+                data = encode(Skipped(now, lost, self._skipped_bytes))
                 self._writer.add_message(WIRE_CHANNEL, now.utc_ns, data, now.monotonic_ns)
-            self._hole_bytes = 0
+            self._skipped_bytes = 0
             self.done.last_event_utc_ns = message.log_time
         self._writer.add_message(self._registered(channel), message.log_time, message.data, message.publish_time)
 
@@ -334,7 +334,7 @@ class _Copier:
 
 
 def _crc_of(file: IO[bytes], index: FileIndex) -> int:
-    """Return the check sum of all records before the end of the data."""
+    """Return the checksum of all records before the end of the data."""
     left_bytes = (index.begin_bytes or 0) - _DATA_END_BYTES
     file.seek(0)
     crc = 0

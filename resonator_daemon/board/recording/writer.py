@@ -39,7 +39,7 @@ from resonator_daemon.board.session.link_events import Skipped, SnapshotTaken, W
 
 _TOML: Final = "application/toml"
 _JSON: Final = "application/json"
-NUMBERS: Final = 1 << 32  # of messages, before they begin again
+SEQUENCE_MODULUS: Final = 1 << 32
 
 
 class Published(NamedTuple):
@@ -67,16 +67,16 @@ class Contents(NamedTuple):
 
 
 class McapFile(Writer):
-    """Beginning and messages of a recording's file; the messages of each channel are numbered from 1.
+    """MCAP file of a recording: writes its beginning, and numbers the messages of each channel from 1.
 
     Parameters
     ----------
     stream
         Of the file.
     metadata
-        What is known when it is begun.
+        Description of the recording.
     utc_ns
-        Now.
+        Time of its attachment.
     """
 
     def __init__(self, stream: IO[bytes], metadata: dict[str, str], utc_ns: int = 0) -> None:
@@ -89,7 +89,7 @@ class McapFile(Writer):
 
     def add_message(self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0) -> None:
         """Add a message, with the next number of its channel."""
-        self._numbers[channel_id] = sequence = (self._numbers.get(channel_id, 0) + 1) % NUMBERS
+        self._numbers[channel_id] = sequence = (self._numbers.get(channel_id, 0) + 1) % SEQUENCE_MODULUS
         super().add_message(channel_id, log_time, data, publish_time, sequence)
 
 
@@ -208,21 +208,21 @@ class RecordingWriter:
         self._file.close()
 
     def abandon(self) -> bool:
-        """Close the file with all that is whole, as the rest of a chunk cannot be read; return whether it stays.
+        """Cut the file off after its last complete chunk and close it; return whether it is kept.
 
         Without an event, it is removed.
         """
         raw = self._file.raw
-        stays = self.whole.events > 0
+        kept = self.whole.events > 0
         with suppress(OSError):
-            if stays:
+            if kept:
                 raw.truncate(self.size_bytes)
             elif not self.is_gone:
                 self.size_bytes = 0
                 self.path.unlink()
         with suppress(OSError):
             raw.close()  # without the rest of the chunk, which closing the buffer would write once more
-        return stays
+        return kept
 
     def _begin(self, origin: Origin, utc_ns: int) -> None:
         with suppress(OSError):  # not every file system has locks
@@ -254,7 +254,7 @@ class RecordingWriter:
 
     def _json_channel(self, topic: str, name: str, schema: Mapping[str, Any]) -> int:
         if topic not in self._channels:
-            # Outside of chunks, which may be damaged.
+            # Outside of chunks: also found if the chunk with the channel's record is damaged.
             self._describe(CHANNEL, channel_metadata(len(self._channels) + WIRE_CHANNEL + 1, topic))
             schema_id = self._writer.register_schema(name, JSON_SCHEMA_ENCODING, json.dumps(schema).encode())
             self._channels[topic] = self._writer.register_channel(topic, JSON_ENCODING, schema_id)
@@ -262,7 +262,7 @@ class RecordingWriter:
 
 
 def channel_metadata(number: int, topic: str) -> dict[str, str]:
-    """Return the metadata of a channel of JSON, by which the messages of intact chunks are found without the others."""
+    """Return metadata that name a JSON channel outside of chunks."""
     return {"id": str(number), "topic": topic}
 
 

@@ -11,7 +11,7 @@ class FrameLoss:
     """Frames that did not reach the measurement, by cause."""
 
     link_gap: int = 0  # never arrived
-    damaged: int = 0  # arrived with a wrong check sum, or in pieces
+    damaged: int = 0  # arrived with a wrong checksum, or in pieces
     board_overflow: int = 0  # the board dropped them, and reported it
     host_overrun: int = 0  # the host's driver had no room for their bytes, and reported it
     queue_overflow: int = 0  # arrived, and the frame queue was full

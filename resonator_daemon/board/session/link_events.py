@@ -39,7 +39,7 @@ class Received(NamedTuple):
 
 
 class TimersRun(NamedTuple):
-    """Timers were run; `idle`: nothing had come."""
+    """Timers were run; `idle`: no data had arrived."""
 
     now: HostTime
     idle: bool
@@ -87,7 +87,7 @@ class Closed(NamedTuple):
 
 
 class Skipped(NamedTuple):
-    """Events that happened before this and are not in the recording: the disk was too slow for them."""
+    """Events before this that the recording lacks: the disk was too slow, or they were damaged."""
 
     now: HostTime
     events: int

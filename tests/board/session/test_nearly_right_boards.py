@@ -17,7 +17,7 @@ Change = Callable[[Packet], Packet | None]
 
 
 def rewritten(data: bytes, change: Change) -> bytes:
-    """Return packets of a board with each one changed, and its check sum right; None: not sent."""
+    """Return packets of a board with each one changed, and its checksum right; None: not sent."""
     out = b""
     for packet in PacketDecoder(from_board=True).feed(data):
         assert isinstance(packet, Packet)

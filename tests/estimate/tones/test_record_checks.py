@@ -74,7 +74,7 @@ def test_impossible_records_are_named(change, cause):
 
 
 def test_sums_that_contradict_each_other_give_no_frequency() -> None:
-    """A regression slope that leaves the end points' behind is damage that a check sum cannot see."""
+    """A regression slope that leaves the end points' behind is damage that a checksum does not detect."""
     stamps = [1000 + 1001 * k // 10 * 10 for k in range(1000)]
     offsets = [stamp - stamps[0] for stamp in stamps]
     second = [offsets[k] - 2 * offsets[k - 1] + offsets[k - 2] for k in range(2, 1000)]
