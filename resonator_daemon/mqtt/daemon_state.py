@@ -1,4 +1,4 @@
-"""The daemon's own state: what it is doing, how often it connected to the broker, and whether another has its name."""
+"""State of the daemon: condition, connections to the broker, and conflicts with daemons of the same name."""
 
 import asyncio
 import json
@@ -13,13 +13,13 @@ from resonator_daemon.mqtt.mqtt_messages import Incoming
 from resonator_daemon.mqtt.payloads import Condition, State
 from resonator_daemon.mqtt.token_bucket import TokenBucket
 
-SILENT_S: Final = 90.0  # then another daemon is gone; while it runs, it restores its state at least once a minute
-_PROMPT_AT_ONCE: Final = 2  # announcements that a conflict has begun or ended; more of them wait for the restoration
+SILENT_S: Final = 90.0  # after which another daemon has ended; a running one restores its state each minute
+_PROMPT_AT_ONCE: Final = 2  # announcements that a conflict begins or ends; further ones wait for the restoration
 _PROMPT_EVERY_S: Final = 60.0
 
 _BOOT_ID_LENGTH_MAX: Final = 64
 _DIGITS_MAX: Final = 19  # of a time in ns
-_OTHERS_MAX: Final = 4  # that are named; nobody runs more under one name, but anyone may claim to
+_OTHERS_MAX: Final = 4  # daemons that are stored; any client may forge more
 
 _REMEDY: Final = "stop one of them, or, if they read different boards, give each a name of its own"
 
@@ -48,22 +48,22 @@ class DaemonSnapshot(NamedTuple):
 
 @dataclass
 class _Other:
-    """A daemon of the same name; what it claims may be forged."""
+    """Another daemon of this name; the values in its messages may be forged."""
 
     t_ns: int  # of its first message
     connected_utc_ns: int | None
-    forget: asyncio.TimerHandle
+    expiry: asyncio.TimerHandle
     proven: bool = False
 
 
 class DaemonState:
     """Announces each change of the daemon's state; to be used from the event loop's thread only.
 
-    Two daemons of one name overwrite each other's states, and both receive them. Messages of another boot id with two
-    different times are a conflict, until that daemon is offline or silent. Each message overwrites the own state; its
-    restoration announces what has changed, and is evidence for the other daemon. What the broker had retained is
-    ignored: it may be of a daemon that is long gone. Of several daemons the one whose connection is the oldest owns the
-    name.
+    Two daemons of one name overwrite each other's state, and receive each other's messages. Two messages of another
+    boot id with different times are a conflict. It ends when that daemon is offline, or has sent nothing for 90 s. The
+    restoration of the overwritten state announces the conflict, and is evidence for the other daemon. Messages that the
+    broker had retained are ignored: their daemon may have ended long ago. The daemon with the oldest connection owns
+    the name.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class DaemonState:
     publish
         Publishes a snapshot of the state.
     restore_now
-        Restores at once what another daemon of the name, which has ended, overwrote last, this state included.
+        Restores at once the retained topics that another daemon of this name has overwritten.
     """
 
     def __init__(
@@ -91,9 +91,9 @@ class DaemonState:
         self._ended = False
 
     def answers_for(self, boot_id: str | None) -> bool:
-        """Return whether this daemon, and no other of its name, answers for a run; None: for whichever lasts.
+        """Return whether this daemon answers requests for the run with this boot id; None: requests without one.
 
-        A run that lasts answers for itself. For all else the daemon that owns the name answers.
+        A running daemon answers for its own run. The daemon that owns the name answers all other requests.
         """
         others = self._proven
         if boot_id is not None and (boot_id == self._daemon_boot_id or boot_id in others):
@@ -124,18 +124,18 @@ class DaemonState:
             self._publish(self.snapshot)
 
     def end(self) -> None:
-        """Stop announcing: the next message is the last."""
+        """Announce nothing more; the caller publishes the last message."""
         self._ended = True
-        self._forget_all()
+        self._remove_all()
 
     def connected(self, number: int) -> None:
         """Announce a new connection to the broker, by its number."""
         self._connections, self._connected_utc_ns = number, time.time_ns()
-        self._forget_all()  # any other that still runs answers this state with its own
+        self._remove_all()  # others that still run overwrite this state
         self._publish(self.snapshot)
 
     def receive(self, message: Incoming) -> None:
-        """Handle a message on this daemon's `state/daemon`, from any sender; whatever it is, it is overwritten."""
+        """Handle a message on this daemon's `state/daemon`, from any sender."""
         if message.retained or self._ended:
             return
         try:
@@ -146,7 +146,7 @@ class DaemonState:
         if not isinstance(boot_id, str) or not boot_id.isprintable() or not 0 < len(boot_id) <= _BOOT_ID_LENGTH_MAX:
             return
         if state == Condition.OFFLINE:
-            self._forget(boot_id)
+            self._remove(boot_id)
         elif boot_id != self._daemon_boot_id and t_ns is not None:
             self._note(boot_id, t_ns, _utc_ns(content.get("connected_t_ns")))
 
@@ -155,39 +155,39 @@ class DaemonState:
         return {boot_id: other for boot_id, other in self._others.items() if other.proven}
 
     def _note(self, boot_id: str, t_ns: int, connected_utc_ns: int | None) -> None:
-        forget = asyncio.get_running_loop().call_later(SILENT_S, self._fell_silent, boot_id)
+        expiry = asyncio.get_running_loop().call_later(SILENT_S, self._expire, boot_id)
         if (other := self._others.get(boot_id)) is None:
-            other = self._others[boot_id] = _Other(t_ns, connected_utc_ns, forget)
+            other = self._others[boot_id] = _Other(t_ns, connected_utc_ns, expiry)
         else:
-            other.forget.cancel()
-            other.connected_utc_ns, other.forget = connected_utc_ns, forget
+            other.expiry.cancel()
+            other.connected_utc_ns, other.expiry = connected_utc_ns, expiry
         if not other.proven and t_ns != other.t_ns:
             is_first = not self._proven
             other.proven = True
             if is_first and self._prompt.try_acquire():
                 self.announce()
         if len(self._others) > _OTHERS_MAX:
-            self._forget(next(claimed for claimed, other in self._others.items() if not other.proven))
+            self._remove(next(claimed for claimed, other in self._others.items() if not other.proven))
 
-    def _fell_silent(self, boot_id: str) -> None:
-        if self._forget(boot_id):
+    def _expire(self, boot_id: str) -> None:
+        if self._remove(boot_id):
             self.announce()
 
-    def _forget(self, boot_id: str) -> bool:
-        """Remove a daemon that is offline or silent; return whether it was a conflict."""
+    def _remove(self, boot_id: str) -> bool:
+        """Remove a daemon that is offline or sends nothing; return whether it was a conflict."""
         if (other := self._others.pop(boot_id, None)) is None:
             return False
-        other.forget.cancel()
+        other.expiry.cancel()
         if other.proven and not self._proven and self._prompt.try_acquire():
             self._restore_now()
         return other.proven
 
-    def _forget_all(self) -> None:
+    def _remove_all(self) -> None:
         for other in self._others.values():
-            other.forget.cancel()
+            other.expiry.cancel()
         self._others.clear()
 
 
 def _utc_ns(text: object) -> int | None:
-    """Return a time of a message of any sender; None where it is none."""
+    """Return the time in a message of any sender; None if it is none."""
     return int(text) if isinstance(text, str) and len(text) <= _DIGITS_MAX and text.isdecimal() else None

@@ -1,4 +1,4 @@
-"""Retained topics that another client overwrites or clears are restored, each with pauses of its own that grow."""
+"""Restoration of retained topics that another client overwrites or clears, with growing pauses for each topic."""
 
 import asyncio
 import logging
@@ -10,10 +10,10 @@ from typing import Final
 
 from resonator_daemon.mqtt.mqtt_messages import Incoming
 
-PAUSES_S: Final = (0.0, 5.0, 30.0, 60.0)  # before each restoration of a topic, since the one before; the last repeats
-QUIET_S: Final = 120.0  # since the last restoration; then the pauses begin again
+PAUSES_S: Final = (0.0, 5.0, 30.0, 60.0)  # before the first, second, ... restoration of a topic; the last pause repeats
+QUIET_S: Final = 120.0  # without a restoration, after which the pauses begin again
 
-_OWN_MAX: Final = 8  # messages of a topic that may still come back from the broker
+_OWN_MAX: Final = 8  # messages of a topic that the broker may still return
 
 log = logging.getLogger(__name__)
 
@@ -29,8 +29,8 @@ class _Topic:
 class RetainedTopics:
     """Schedules the restoration of overwritten topics; to be used from the event loop's thread only.
 
-    A foreign message affects its own topic only. Foreign is whatever is not one of this publisher's last messages,
-    also its last will, which arrives late if a connection takes over from a former one.
+    A message is foreign if it is none of this publisher's last messages. This includes a last will that the broker
+    publishes after a reconnection. A foreign message affects its own topic only.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class RetainedTopics:
         self._topics: dict[str, _Topic] = {}
 
     def published(self, name: str, payload: bytes) -> None:
-        """Set the last message of a topic. It replaces what others have sent, and a subscriber receives it, too."""
+        """Store the last message of a topic; it replaces a foreign message, so that no restoration is due."""
         topic = self._topics.setdefault(name, _Topic())
         topic.own.append(payload)
         if topic.due is not None:
@@ -52,7 +52,7 @@ class RetainedTopics:
             topic.due = None
 
     def receive(self, message: Incoming) -> None:
-        """Handle a message of any sender; one that the broker had retained is older than this publisher's."""
+        """Handle a message of any sender; retained ones are ignored, since they are older than this publisher's."""
         topic = self._topics.get(message.topic)
         if topic is None or topic.due is not None or message.retained or message.payload in topic.own:
             return
@@ -63,7 +63,7 @@ class RetainedTopics:
         topic.due = self._loop.call_at(max(now_s, due_s), self._restore_topic, message.topic)
 
     def restore_now(self) -> None:
-        """Restore what is overwritten, without the rest of its pause; all pauses begin again."""
+        """Restore overwritten topics without the rest of their pauses; all pauses begin again."""
         for name, topic in self._topics.items():
             topic.restorations = 0
             if topic.due is not None:
@@ -71,7 +71,7 @@ class RetainedTopics:
                 self._restore_topic(name)
 
     def close(self) -> None:
-        """Restore nothing any more."""
+        """Cancel all restorations."""
         for topic in self._topics.values():
             if topic.due is not None:
                 topic.due.cancel()
