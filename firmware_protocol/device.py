@@ -41,7 +41,7 @@ from firmware_protocol.states import BOARD, BoardState, Reaction
 MAX_TONES_PER_PART = (MAX_PAYLOAD_BYTES - BLOCK_STRUCT.size) // TONE_STRUCT.size
 MAX_TONES = 255 // CHANNEL_COUNT * MAX_TONES_PER_PART  # on each channel: a frame has at most 255 parts
 PING_BYTES = 8
-VANISHED_S = 10  # a TCP host from which nothing comes for so long gives way to another
+VANISHED_S = 10  # after this time without a byte, a TCP host is replaced by another that connects
 SERIAL_NUMBER = re.compile("[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
 
 
@@ -89,7 +89,7 @@ class DeviceSession:
         return self._fault
 
     def set_fault(self, reason: str | None, board_ticks: int) -> bytes:
-        """Set or clear the fault; return the LOG that goes out where it ends a run of a host that is there."""
+        """Set or clear the fault; return the LOG to send if it ends a run and the host has `asked`, otherwise b""."""
         self._fault = reason
         if reason is None or self.state is not BoardState.RUNNING:
             return b""
@@ -102,18 +102,18 @@ class DeviceSession:
         return self._decoder.waiting_bytes
 
     def begin(self) -> None:
-        """Be idle, and give up a request that has begun: a host begins afresh, where the link has a signal for that."""
+        """Become idle and discard an incomplete request; for links on which a host can signal that it begins afresh."""
         self.connection_ended()
         self.state = BoardState.IDLE
         self.configuration = None
 
     def connection_ended(self) -> None:
-        """Give up a request that has begun, and wait for the next host to ask; the state stays."""
+        """Discard an incomplete request, and wait for the next host's first request; the state stays."""
         self._decoder.abandon()
         self.asked = self._connected = False
 
     def host_connects(self, board_ticks: int) -> bool:
-        """Return whether another TCP connection is served, which ends the one before it; it is closed if not."""
+        """Return whether to serve a new TCP connection, which ends the former one; if not, close the new one."""
         vanished_ticks = VANISHED_S * self._description.reference_millihertz // 1000
         if self._connected and board_ticks - self._received_ticks < vanished_ticks:
             return False
@@ -124,7 +124,7 @@ class DeviceSession:
     def receive(self, data: bytes, board_ticks: int) -> bytes:
         """Process bytes from the host, received at `board_ticks`; return the answers."""
         if data:
-            self._received_ticks = board_ticks  # packets or not: its end of the connection is there
+            self._received_ticks = board_ticks  # also without a packet: the host is still connected
         answers = []
         for found in self._decoder.feed(data):
             if isinstance(found, Packet):

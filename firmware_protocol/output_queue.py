@@ -1,4 +1,4 @@
-"""A board's output queue: what waits for the line, what is dropped for it, and STATUS (PROTOCOL.md, section 5)."""
+"""Output queue of a board: packets that wait for the link, dropped frames, and STATUS (PROTOCOL.md, section 5)."""
 
 from collections import deque
 from typing import NamedTuple
@@ -8,10 +8,10 @@ from firmware_protocol.messages import BoardStatus
 
 
 class Outgoing(NamedTuple):
-    """Packets that are sent together: an answer, or all parts of a frame, after a STATUS where it is due."""
+    """Packets that are sent together: an answer, or all parts of a frame, after a STATUS if that is due."""
 
     data: bytes
-    sequence: int | None = None  # of a frame; None of all else
+    sequence: int | None = None  # of a frame; None for other packets
 
     @property
     def is_frame(self) -> bool:
@@ -34,7 +34,7 @@ class OutputQueue:
 
     @property
     def frames(self) -> int:
-        """Frames that wait."""
+        """Number of frames in the queue."""
         return sum(outgoing.is_frame for outgoing in self._waiting)
 
     def begin_run(self) -> None:
@@ -44,26 +44,26 @@ class OutputQueue:
         self.frames_taken = self._frames_reported = 0
 
     def begin(self) -> None:
-        """Be idle with an empty output: a host begins afresh."""
+        """Become idle and empty the output: a host begins afresh."""
         self._session.begin()
-        self._lose(0)
+        self._drop_all(0)
 
     def connection_ended(self, frames_cut: int = 0) -> None:
         """Empty the output; `frames_cut`: frames that were taken, and of which not all bytes have gone out."""
         self._session.connection_ended()
-        self._lose(frames_cut)
+        self._drop_all(frames_cut)
 
     def host_connects(self, board_ticks: int, frames_cut: int = 0) -> bool:
-        """Return whether another TCP connection is served, which ends the one before it; it is closed if not."""
+        """Return whether to serve a new TCP connection, which ends the former one; if not, close the new one."""
         served = self._session.host_connects(board_ticks)
         if served:
-            self._lose(frames_cut)
+            self._drop_all(frames_cut)
         return served
 
     def put(self, outgoing: Outgoing) -> int:
-        """Queue packets; return how many frames were dropped for want of room, these among them if they are one.
+        """Queue packets; return how many frames were dropped for lack of room, including this one.
 
-        A frame that closes before the host has asked anything is dropped, too, and not among them.
+        A frame before the host's first request is dropped without being counted here.
         """
         if outgoing.is_frame and not self._session.asked:
             return 0
@@ -85,7 +85,7 @@ class OutputQueue:
             self.put(Outgoing(log))
 
     def take(self, board_ticks: int) -> Outgoing | None:
-        """Remove and return what goes out next: a frame after drops together with its STATUS."""
+        """Remove and return the next output; a frame that follows a drop comes with its STATUS."""
         if not self._waiting:
             return None
         outgoing = self._waiting.popleft()
@@ -93,7 +93,7 @@ class OutputQueue:
         sequence = outgoing.sequence
         if sequence is None:
             return outgoing
-        dropped = sequence - self.frames_taken  # all before this one that did not go out
+        dropped = sequence - self.frames_taken  # all frames before this one that did not go out
         self.frames_taken += 1
         if dropped == self._frames_reported:
             return outgoing
@@ -101,7 +101,7 @@ class OutputQueue:
         report = BoardStatus(dropped, bytes_discarded=self._session.counts.discarded)
         return Outgoing(self._session.status(report, board_ticks) + outgoing.data, sequence)
 
-    def _lose(self, frames_cut: int) -> None:
+    def _drop_all(self, frames_cut: int) -> None:
         self._waiting.clear()
         self._bytes = 0
         self.frames_taken -= frames_cut

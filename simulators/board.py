@@ -51,7 +51,7 @@ class Board:
     boot_id
         Of the first boot.
     queue_limit_bytes
-        What the output queue holds at most.
+        Capacity of the output queue.
     drop_rate, seed
         Share of its frames that the board loses, drawn from that seed; it counts and reports them like the others.
     misbehaviour
@@ -123,7 +123,7 @@ class Board:
         self.next_frame_ticks = None
 
     def host_connects(self, now_ticks: int, frames_cut: int = 0) -> bool:
-        """Return whether another TCP connection is served, which ends the one before it; it is closed if not."""
+        """Return whether to serve a new TCP connection, which ends the former one; if not, close the new one."""
         self._now_ticks = now_ticks
         return self._queue.host_connects(self._board_ticks, frames_cut)
 

@@ -207,7 +207,7 @@ class Emulator:
             "frames_made": board.frames_made,
             "frames_sent": output.frames_sent,
             "frames_dropped": dropped,
-            # Discarded: the host was gone, which a terminal does not show; the board rebooted or began another run.
+            # Discarded: the host was gone (not detected on a terminal), or the board rebooted or began another run.
             "dropped_by_cause": by_cause | {"discarded": dropped - sum(by_cause.values())},
             "frames_unsent": unsent,
             "bytes_sent": output.bytes_sent,

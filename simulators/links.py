@@ -135,7 +135,7 @@ class PtyLink:
 class TcpLink:
     """A listener that serves one client at a time; port 0 picks one.
 
-    `connects` decides on each client that comes: it is served, in place of the one before it, or closed at once.
+    `connects` decides whether a new client is served in place of the former one, or disconnected at once.
 
     Raises
     ------
@@ -158,13 +158,13 @@ class TcpLink:
         return f"tcp://{host}:{self._port}"
 
     def read(self) -> bytes:
-        """Return what the client has sent, b"" if nothing; accepts clients, and drops one that has left."""
+        """Return what the client has sent, b"" if nothing; accepts new clients, and closes an ended connection."""
         data = b""
         if self._client is not None:
             try:
                 data = self._client.recv(_READ_BYTES)
                 if not data:
-                    self._drop_client()  # who left may be back already: that one is accepted next time
+                    self._drop_client()  # the next call accepts a new client
                     return b""
             except BlockingIOError:
                 pass

@@ -65,7 +65,7 @@ class Output:
         self.lose()
 
     def host_connects(self, now_ticks: int) -> bool:
-        """Return whether another TCP connection is served; what waits ends with the one before it."""
+        """Return whether to serve a new TCP connection; if so, discard the output for the former one."""
         served = self._board.host_connects(now_ticks, self.frames_unsent)
         if served:
             self.clear()

@@ -288,7 +288,7 @@ void resonator_receive(struct resonator_board *board, const uint8_t *bytes, uint
     handler.damage = damage_found;
     board->ticks = ticks;
     if (size > 0) {
-        board->received_ticks = ticks; /* packets or not: its end of the connection is there */
+        board->received_ticks = ticks; /* also without a packet: the host is still connected */
     }
     resonator_decoder_feed(&board->decoder, bytes, size, &handler);
 }

@@ -21,7 +21,7 @@
 #define RESONATOR_MAX_TONES 46872 /* on each channel */
 #define RESONATOR_MAX_SERIAL_NUMBER 63
 #define RESONATOR_MIN_INPUT_BYTES 64
-#define RESONATOR_VANISHED_S 10 /* a TCP host from which nothing comes for so long gives way to another */
+#define RESONATOR_VANISHED_S 10 /* after this time without a byte, a TCP host is replaced by another that connects */
 
 enum resonator_state { RESONATOR_IDLE = 0, RESONATOR_CONFIGURED = 1, RESONATOR_RUNNING = 2 };
 
@@ -116,7 +116,7 @@ struct resonator_watcher {
 
 /* What went lost on the way out, since boot. */
 struct resonator_output_counts {
-    uint64_t frames_dropped; /* for want of room or of a host, skipped, or cut off by the end of a connection */
+    uint64_t frames_dropped; /* for lack of room or of a host, skipped, or cut off by the end of a connection */
     uint64_t parts_dropped;  /* of frames whose first part had gone out */
     uint64_t answers_dropped;
     uint64_t logs_dropped;
@@ -140,7 +140,7 @@ struct resonator_board {
     struct resonator_queue queue;
 
     uint32_t frame_sequence;
-    bool connected;          /* over TCP: a host that resonator_host_connects let in */
+    bool connected;          /* over TCP: a host that resonator_host_connects accepted */
     uint64_t received_ticks; /* when its last bytes came, or it connected */
     uint32_t run_dropped; /* of this run, each numbered before every frame in the queue */
     uint32_t run_skipped; /* of this run, up to the next frame made */
@@ -174,8 +174,8 @@ void resonator_begin(struct resonator_board *board);
    first. */
 void resonator_connection_ended(struct resonator_board *board);
 
-/* Another host has connected (TCP) at `ticks`. True: serve it; a connection before it has ended thereby, so close that.
-   False: the host before it has sent bytes, or connected, within RESONATOR_VANISHED_S; close the new connection. */
+/* Another host has connected (TCP) at `ticks`. True: serve it, and close the former connection, which has ended.
+   False: the former host has connected, or sent bytes, within RESONATOR_VANISHED_S; close the new connection. */
 bool resonator_host_connects(struct resonator_board *board, uint64_t ticks);
 
 /* Processes bytes from the host, received at `ticks`; answers go to the output queue. */
@@ -205,7 +205,7 @@ bool resonator_log(struct resonator_board *board, uint64_t ticks, enum resonator
 
 /* The board cannot count: START is refused with this text (kept by reference) until NULL is given. A run in progress
    ends: the board goes to configured, and the text goes out as a LOG of level 40, for which frames make room; it is
-   dropped where no host has asked anything, or no frame is left to make room. */
+   dropped if no host has sent a request, or no frame is left to make room. */
 void resonator_fault(struct resonator_board *board, uint64_t ticks, const char *text);
 
 /* Bytes to send next, and how many; 0 when there are none. They stay valid until consumed. */

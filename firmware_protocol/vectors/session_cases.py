@@ -192,7 +192,7 @@ def board_sessions() -> list[Case]:
             ],
         ),
         session(
-            "frames of the last run that still wait do not follow a START, answers do",
+            "after a START, queued answers are sent, and queued frames of the last run are not",
             [
                 configured,
                 started,
@@ -281,7 +281,7 @@ def board_sessions() -> list[Case]:
             ],
         ),
         session(
-            "a run goes on behind its connection, and the next host gets nothing before it asks",
+            "a run goes on after its connection, and the next host gets nothing before its first request",
             [
                 connects("idle"),
                 configured,
@@ -299,7 +299,7 @@ def board_sessions() -> list[Case]:
             ],
         ),
         session(
-            "a frame that the end of a connection cuts off counts as dropped, as those behind it",
+            "a frame that the end of a connection cuts off counts as dropped, with all queued frames",
             [
                 connects("idle"),
                 configured,

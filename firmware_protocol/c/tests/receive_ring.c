@@ -1,5 +1,5 @@
-/* A receive ring whose interrupt comes at every place where it may come between two steps of the main loop. Exit code 0
-   where no byte was lost, or read before it was there, and a full ring refused one. */
+/* Test of the receive ring, with an interrupt at each of its barriers. Exit code 0 if no byte was lost or read before
+   it was written, and a full ring refused one. */
 #include <stdio.h>
 static void interrupt(void);
 #define RECEIVE_RING_BARRIER() interrupt()
@@ -35,7 +35,7 @@ int main(void)
         if (count > 0 && counts != (seen - 1) * 5u)
             return 2;
     }
-    within = 1; /* no more of them */
+    within = 1; /* no more interrupts */
     while ((count = receive_ring_read(&ring, bytes, sizeof bytes, &counts)) > 0)
         seen += (uint32_t)count;
     printf("%d %d\n", barriers > 2 * 10000, sent > 10000);

@@ -1,5 +1,5 @@
 /* Bursts through a buffer of 256 bytes that a USB stack empties in packets of up to 64 at random moments; the stack
-   sends no empty packet. Exit code 0 where each burst ended with a short packet and no byte changed its place. */
+   sends no empty packet. Exit code 0 if each burst ended with a short packet and no byte changed its place. */
 #include <stdio.h>
 #include <stdlib.h>
 #include "common/short_tail.h"
