@@ -54,7 +54,7 @@ class SurfaceFields:
     3e-6, 4e-6 from 128 x 128. What is left of the last are the samples: they miss the load's vertical slope at its
     edge, by the fourth power of the pitch at a fixed depth. One pitch deep it is 2e-3, 8e-3, 0.03 from 32 x 32; at
     depth 0 stresses hold what the samples show of the load itself, sigma_zz to 4 %, while u_z is right to 8e-4.
-    `benchmarks/elastic_fields.py` of commit a510926e prints these errors and the time each method takes.
+    `benchmarks/elastic_fields.py` of commit a510926e prints these errors and the time of each method.
 
     Parameters
     ----------

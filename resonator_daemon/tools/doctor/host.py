@@ -42,10 +42,10 @@ class Host:
 
 
 class Load:
-    """Whether this computer lets a program run while the block does: free processors, and no halts.
+    """Whether this computer is busy while the block runs: waits for processors, and halts.
 
-    A virtual machine that its host leaves waiting shows nothing of it in its processors' times. A thread that
-    sleeps for a moment, over and over, and wakes late shows it, whatever the cause.
+    The processor times of a virtual machine do not contain its waits for its host. A thread that sleeps repeatedly
+    for a moment, and wakes late, detects them.
     """
 
     def __init__(self, host: Host) -> None:
@@ -63,11 +63,11 @@ class Load:
         self._pulse.join()
 
     def busy(self) -> str:
-        """Return that the computer was busy, as a sentence; empty where it was not."""
+        """Return a sentence if the computer was busy, otherwise an empty text."""
         if self._halted_s > _HALT_S:
             return (
-                f"this computer is busy: it let a program that was to run wait for {1e3 * self._halted_s:.0f} ms, at "
-                f"most {1e3 * _HALT_S:.0f} ms are good to judge by"
+                f"this computer is busy: a program that could run waited for {1e3 * self._halted_s:.0f} ms; "
+                f"at most {1e3 * _HALT_S:.0f} ms are accepted"
             )
         sample = self._meter.sample()
         return busy_reason(sample).text if min(sample) >= BUSY_PERCENT else ""

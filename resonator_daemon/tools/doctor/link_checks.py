@@ -1,4 +1,4 @@
-"""The way from the board to the computer: who answers, how its ticks come, what is damaged or lost."""
+"""Checks of board and link: answers, tick rate, and frames that are damaged or lost."""
 
 import math
 from collections.abc import Iterator
@@ -18,8 +18,8 @@ from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, 
 
 OPENS: Final = Check("link.opens", Area.WIRING, "link")
 ANSWERS: Final = Check("board.answers", Area.WIRING, "board answers")
-RESPONDS: Final = Check("board.answers", Area.SENSOR, "board answers")  # it is there, and answers something else
-MESSAGES: Final = Check("board.messages", Area.SENSOR, "messages of the board")  # sound packets, otherwise filled
+RESPONDS: Final = Check("board.answers", Area.SENSOR, "board answers")  # the board is there, and answers something else
+MESSAGES: Final = Check("board.messages", Area.SENSOR, "messages of the board")  # intact packets with wrong contents
 PINGS: Final = Check("board.pings", Area.SENSOR, "answers to pings")
 FITS: Final = Check("board.fits", Area.SENSOR, "board and plate file")
 UNIT: Final = Check("board.unit", Area.SENSOR, "board that was calibrated")
@@ -46,7 +46,7 @@ _HITS_LEAST, _GARBAGE_LEAST_BYTES = 3, 1024  # fewer are chance, or packets that
 
 
 def check_probe(probed: ProbeResult, plate: Plate | None, busy: str = "") -> Iterator[Finding]:
-    """Yield the findings on a board's answers, its counting aside; `busy` explains answers that come late."""
+    """Yield the findings on a board's answers, without its frames; `busy` explains answers that come late."""
     identity = probed.described.identity
     yield ANSWERS.ok(f"{identity.product} {identity.serial_number}, firmware {identity.firmware}")
     if plate is None:
@@ -58,28 +58,28 @@ def check_probe(probed: ProbeResult, plate: Plate | None, busy: str = "") -> Ite
         yield _fits(probed, plate)
         yield _unit(probed, plate)
     yield _reference(probed)
-    yield excused(_round_trip(probed), busy if probed.round_trips_s else "")  # late is not never
+    yield excused(_round_trip(probed), busy if probed.round_trips_s else "")  # late answers, not missing ones
     yield _reset(probed)
 
 
 def check_capture(capture: Capture) -> Iterator[Finding]:
-    """Yield what became of frames and bytes while the board counted."""
+    """Yield the findings on frames and bytes while the board counted."""
     if not capture.counted:
         yield from _nothing_came(capture)
         return
     yield COUNTS.ok(f"{capture.frames} frames in {capture.seconds:.1f} s")
     overruns = capture.after.host_overruns - capture.before.host_overruns
-    yield excused(_errors(capture), "the driver lost bytes, which looks the same" if overruns else "")
+    yield excused(_errors(capture), "the driver lost bytes, which has the same effect" if overruns else "")
     steady, dropped = _steady(capture), _overflow(capture)
-    late = (dropped,) if capture.losses else (steady, dropped)
-    if capture.busy and any(finding.outcome in (Outcome.FAULT, Outcome.NOT_CHECKED) for finding in late):
+    explained = (dropped,) if capture.losses else (steady, dropped)
+    if capture.busy and any(finding.outcome in (Outcome.FAULT, Outcome.NOT_CHECKED) for finding in explained):
         yield COMPUTER_BUSY.fault(capture.busy, REMEDY)
     yield excused(steady, "" if capture.losses else capture.busy)
     yield dropped
     yield OVERRUN.judged(
         graded(overruns, 0.0, 0.0),
-        f"{overruns} times, none is meant" if overruns else "none that it reports",
-        "relieve the computer: what keeps it from its interrupts for so long?",
+        f"{overruns} times, expected: none" if overruns else "none that it reports",
+        "relieve the computer: something delays its interrupts",
         Amount(float(overruns), 0.0, "times"),
     )
 
@@ -87,7 +87,7 @@ def check_capture(capture: Capture) -> Iterator[Finding]:
 def _steady(capture: Capture) -> Finding:
     stops = (*capture.losses, *capture.interruptions)
     if not stops:
-        return STEADY.ok("frames came all the time")
+        return STEADY.ok("frames came without interruption")
     return STEADY.fault(
         f"frames stopped {len(stops)} times in {capture.seconds:.1f} s: {stops[0]}",
         PLUG,
@@ -127,17 +127,17 @@ def _overflow(capture: Capture) -> Finding:
     rate_hz = _all_frames(capture) / capture.seconds
     if dropped or rate_hz >= _RATE_LEAST * capture.frame_rate_hz or capture.stopped:
         return overflow(dropped, _all_frames(capture), capture.busy)
-    pile = OVERFLOW.fault(
-        f"frames come at {rate_hz:.0f} a second, {capture.frame_rate_hz:g} are counted: the others pile up there",
+    too_slow = OVERFLOW.fault(
+        f"{rate_hz:.0f} frames per second arrive, the board counts {capture.frame_rate_hz:g}: its queue fills",
         _CAPACITY,
         Amount(rate_hz, _RATE_LEAST * capture.frame_rate_hz, "Hz"),
     )
-    return excused(pile, capture.busy)
+    return excused(too_slow, capture.busy)
 
 
 def overflow(dropped: int, frames: int, busy: str = "") -> Finding:
-    """Return the finding on frames that the board dropped, of all; `busy` names this computer as the cause."""
-    evidence = f"{dropped} of {frames} frames, none is meant"
+    """Return the finding on dropped frames, of all frames; `busy` names this computer as the cause."""
+    evidence = f"{dropped} of {frames} frames, expected: none"
     return (_OVERFLOW_OF_THIS_COMPUTER if busy else OVERFLOW).judged(
         graded(dropped / frames, _ERRORS_WARNING, ERRORS_FAULT),
         f"{evidence}; {busy}" if busy and dropped else evidence,

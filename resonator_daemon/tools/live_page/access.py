@@ -83,14 +83,14 @@ class Access:
     def _refusal(self, request: web.Request) -> web.Response | None:
         """Return the answer to a request that is not allowed, None if it is."""
         headers = request.headers
-        # Other programs of this computer set cookies, too; browsers send them with each request.
+        # Cookies of other programs of this computer, which browsers send with each request, may have other characters.
         if not all(value.isascii() for name, value in headers.items() if name.lower() != "cookie"):
-            raise _MalformedRequestError("headers have ASCII characters only")
+            raise _MalformedRequestError("only ASCII characters are allowed in headers")
         if any(len(headers.getall(name, ())) > 1 for name in _ONCE):
-            raise _MalformedRequestError(f"{' and '.join(_ONCE)} may be given once")
+            raise _MalformedRequestError(f"{' and '.join(_ONCE)} may each be given only once")
         host = _read_host(request.host)
         if self._loopback and not is_this_computer(host[0]):
-            # A page of another site whose name leads here: DNS rebinding.
+            # DNS rebinding: a page of another site whose name resolves to this address.
             return _refused(403, "wrong_host", "open this page by the address that `resonatord view` printed")
         scheme, _, origin = headers.get(hdrs.ORIGIN, f"http://{request.host}").partition("://")
         if scheme not in ("http", "https") or _read_host(origin) != host:
@@ -110,7 +110,7 @@ class Access:
 
     async def _log_in(self, request: web.Request) -> web.StreamResponse:
         if request.content_type != _LOGIN_TYPE:
-            raise _MalformedRequestError(f"the token is sent as {_LOGIN_TYPE}")
+            raise _MalformedRequestError(f"send the token as {_LOGIN_TYPE}")
         fields = parse_qs((await request.read()).decode("ascii", "replace"))
         if not self._is_token(fields.get("token", [""])[0]):
             return _form(401, "This is not the token. Try again.")
@@ -124,7 +124,7 @@ class Access:
 
 
 class _MalformedRequestError(Exception):
-    """A request that no browser sends."""
+    """A request with malformed headers or a malformed form."""
 
 
 def _cookie(request: web.Request) -> str:
@@ -138,8 +138,8 @@ def _read_host(text: str) -> tuple[str, str]:
         if parts is not None and (parts[3] is None or 0 < int(parts[3]) <= _PORT_MAX):
             return str(IPv6Address(parts[1])) if parts[1] else parts[2].lower(), parts[3] or ""
     except ValueError:
-        pass  # no address in brackets
-    raise _MalformedRequestError("Host and Origin name a host, and a port from 1 to 65535")
+        pass  # the brackets contain no IPv6 address
+    raise _MalformedRequestError("Host and Origin must be HOST or HOST:PORT, with a port from 1 to 65535")
 
 
 def _refused(status: int, code: str, message: str) -> web.Response:

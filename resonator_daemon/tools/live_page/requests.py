@@ -1,4 +1,4 @@
-"""Requests of the page: one JSON object a message, checked; what cannot be read is refused with a code."""
+"""Requests of the page: one JSON object per message, checked; malformed ones are refused with a code."""
 
 import json
 import re

@@ -30,4 +30,4 @@ def test_a_program_that_was_left_waiting_has_seen_a_busy_computer(tmp_path: Path
     with Load(MadeUpHost(tmp_path).host()) as measured:
         halt = ctypes.PyDLL(None).usleep  # keeps the interpreter's lock: no thread of this program goes on meanwhile
         halt(80_000)
-    assert measured.busy().startswith("this computer is busy: it let a program that was to run wait for")
+    assert measured.busy().startswith("this computer is busy: a program that could run waited for")

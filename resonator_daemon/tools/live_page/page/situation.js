@@ -1,4 +1,4 @@
-// What is the matter with a plate, from its retained states: nine situations, "well", and what is between.
+// Situation of a plate, by its retained states.
 
 import { clockTime, words } from "./text.js";
 
