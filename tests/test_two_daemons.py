@@ -1,4 +1,4 @@
-"""Two daemons under one name: both say so, and both go on measuring; one answers. And one that is forged."""
+"""Two daemons under one name: both report it and continue to measure, and one answers. Also a forged daemon."""
 
 import json
 import logging

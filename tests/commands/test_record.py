@@ -109,7 +109,7 @@ def test_files_follow_each_other_and_have_what_was_measured(tmp_path: Path, monk
 
 
 def test_frames_that_are_not_measured_in_time_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(BoardReader.__init__.__kwdefaults__, "frame_queue_bytes", 10_000)  # less than between two looks
+    monkeypatch.setitem(BoardReader.__init__.__kwdefaults__, "frame_queue_bytes", 10_000)  # below a read
     port, output = tmp_path / "board", tmp_path / "run.mcap"
     path = config(tmp_path, f"serial:{port}?baud=4000000")
     with emulated(EmulatorOptions("quartz16", pty=port)):

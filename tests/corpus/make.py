@@ -1,4 +1,4 @@
-"""Makes the golden corpus: short recordings of emulated boards in every trouble, and what each of them is to become.
+"""Makes the corpus: short recordings of emulated boards with every fault, and the messages expected of each.
 
     .venv/bin/pytest tests/tools/replay/test_corpus_cases.py  # replay all recordings and compare; `-k skin`: those
     .venv/bin/python tests/corpus/make.py                # expectations again, of the recordings that are there

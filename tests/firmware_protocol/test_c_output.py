@@ -179,11 +179,11 @@ def running_board(chunks: int = 12) -> list[str]:
 
 @pytest.mark.parametrize("sent_bytes", [0, 10, 36, 40, 72])  # of two parts of 36 bytes
 @pytest.mark.parametrize("made", [1, 2])
-def test_a_frame_of_which_a_connection_took_no_end_is_one_that_is_dropped(made: int, sent_bytes: int) -> None:
+def test_a_frame_that_the_end_of_a_connection_cuts_off_counts_as_dropped(made: int, sent_bytes: int) -> None:
     parts = [f"part 1 1 0 0 {part} 2 -" for part in range(2)]
     commands = [*running_board(), *parts[:made], f"output {sent_bytes}", "ended", *parts[made:], "skipped", "status"]
     before = run_commands([*commands, "log 4 20 6869", "output 1000"])
-    assert before[-1] == "output "  # all that the next host gets before it asks
+    assert before[-1] == "output "  # all that the next host gets before its first request
     identify = encode_packet(MessageType.IDENTIFY, 1)
     after = run_commands([*commands, f"receive 5 {identify.hex()}", f"frame 6 {'00' * 176}", "output 1000", "state"])
     answer, status, frame = found_in(after[len(before) - 2 :])

@@ -1,4 +1,4 @@
-"""The daemon's own state: connections to the broker, and another daemon of the same name."""
+"""State of the daemon: connections to the broker, and conflicts with daemons of the same name."""
 
 import json
 
@@ -19,27 +19,27 @@ def incoming(boot_id: str, state: str, at: str = "1", *, retained: bool = False,
 
 
 @pytest.fixture
-def said() -> list[DaemonSnapshot]:
+def sent() -> list[DaemonSnapshot]:
     return []
 
 
 @pytest.fixture
 def restored() -> list[None]:
-    """Grows when what another daemon overwrote is restored."""
+    """One element for each restoration of overwritten topics."""
     return []
 
 
 @pytest.fixture
-async def state(said: list[DaemonSnapshot], restored: list[None]) -> DaemonState:
-    state = DaemonState("aa", said.append, lambda: restored.append(None))
+async def state(sent: list[DaemonSnapshot], restored: list[None]) -> DaemonState:
+    state = DaemonState("aa", sent.append, lambda: restored.append(None))
     state.become(Condition.ONLINE, MEASURING, 5)
     state.connected(1)
-    said.clear()
+    sent.clear()
     return state
 
 
-def show(state: DaemonState, *boot_ids: str) -> None:
-    """Receive what daemons publish that live."""
+def run_daemons(state: DaemonState, *boot_ids: str) -> None:
+    """Receive two messages of each running daemon."""
     for at in ("1", "2"):
         for boot_id in boot_ids:
             state.receive(incoming(boot_id, "online", at))
@@ -49,10 +49,10 @@ def reason_code(state: DaemonState) -> ReasonCode:
     return state.snapshot.reason.code
 
 
-async def test_each_connection_is_numbered_and_dated(state: DaemonState, said: list[DaemonSnapshot]) -> None:
+async def test_each_connection_is_numbered_and_dated(state: DaemonState, sent: list[DaemonSnapshot]) -> None:
     first = state.snapshot
     state.connected(2)
-    (again,) = said
+    (again,) = sent
     assert (again.condition, again.reason, again.since_utc_ns) == (Condition.ONLINE, MEASURING, 5)
     assert (first.connections, again.connections) == (1, 2)
     assert first.connected_utc_ns is not None
@@ -61,7 +61,7 @@ async def test_each_connection_is_numbered_and_dated(state: DaemonState, said: l
     state.announce()
     state.end()
     state.announce()
-    assert said == [again, again]
+    assert sent == [again, again]
 
 
 async def test_one_message_is_no_evidence_of_another_daemon(state: DaemonState) -> None:
@@ -70,28 +70,28 @@ async def test_one_message_is_no_evidence_of_another_daemon(state: DaemonState) 
     state.receive(incoming("bb", "online", "4", retained=True))
     assert reason_code(state) is ReasonCode.MEASURING
     assert state.answers_for("bb")
-    show(state, "bb")
+    run_daemons(state, "bb")
     assert reason_code(state) is ReasonCode.NAME_CONFLICT
     state.connected(2)
     assert reason_code(state) is ReasonCode.MEASURING
 
 
-async def test_strangers_who_claim_to_be_thousands_are_not_listed_and_hide_nobody(
-    state: DaemonState, said: list[DaemonSnapshot]
+async def test_thousands_of_forged_boot_ids_are_not_listed_and_do_not_hide_a_daemon(
+    state: DaemonState, sent: list[DaemonSnapshot]
 ) -> None:
     for number in range(3000):
         state.receive(incoming(f"b{number}", "online"))
-    show(state, "cc")
+    run_daemons(state, "cc")
     assert "boot id cc)" in state.snapshot.reason.text
     for number in range(3000):
-        show(state, f"b{number}")
+        run_daemons(state, f"b{number}")
     assert len(state.snapshot.reason.text) < 400
-    assert len(said) == 1
+    assert len(sent) == 1
 
 
 async def test_of_two_daemons_one_answers_for_a_run(state: DaemonState) -> None:
     connected_ns = state.snapshot.connected_utc_ns or 0
-    show(state, "bb")
+    run_daemons(state, "bb")
     for other, owns in (
         (str(connected_ns + 1), True),
         (str(connected_ns), True),  # of equal times the lower boot id
@@ -112,33 +112,33 @@ async def test_of_two_daemons_one_answers_for_a_run(state: DaemonState) -> None:
 
 
 async def test_the_conflict_is_over_when_the_others_are_offline(
-    state: DaemonState, said: list[DaemonSnapshot], restored: list[None]
+    state: DaemonState, sent: list[DaemonSnapshot], restored: list[None]
 ) -> None:
-    show(state, "bb", "cc")
+    run_daemons(state, "bb", "cc")
     state.receive(incoming("bb", "offline"))
     assert "boot id cc)" in state.snapshot.reason.text
-    for _ in range(10):  # what changes too often is announced with the next restoration
+    for _ in range(10):  # frequent changes are announced with the next restoration
         state.receive(incoming("cc", "offline"))
         assert reason_code(state) is ReasonCode.MEASURING
-        show(state, "cc")
-    assert (len(said), len(restored)) == (1, 1)
+        run_daemons(state, "cc")
+    assert (len(sent), len(restored)) == (1, 1)
 
 
 async def test_the_conflict_is_over_when_the_other_is_silent(
-    state: DaemonState, said: list[DaemonSnapshot], restored: list[None], monkeypatch: pytest.MonkeyPatch
+    state: DaemonState, sent: list[DaemonSnapshot], restored: list[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     skip = skipping(monkeypatch)
-    show(state, "bb")
+    run_daemons(state, "bb")
     await skip(SILENT_S - 1.0)
     state.receive(incoming("bb", "online", "3"))
     await skip(SILENT_S - 1.0)
-    assert [snapshot.reason.code for snapshot in said] == [ReasonCode.NAME_CONFLICT]
+    assert [snapshot.reason.code for snapshot in sent] == [ReasonCode.NAME_CONFLICT]
     await skip(1.0)
-    assert said[1:] == [state.snapshot]
+    assert sent[1:] == [state.snapshot]
     state.receive(incoming("bb", "online", "4"))
     await skip(SILENT_S)
     state.receive(incoming("bb", "online", "5"))
-    assert (reason_code(state), len(said), len(restored)) == (ReasonCode.MEASURING, 2, 1)
+    assert (reason_code(state), len(sent), len(restored)) == (ReasonCode.MEASURING, 2, 1)
 
 
 @pytest.mark.parametrize(
@@ -149,8 +149,8 @@ async def test_the_conflict_is_over_when_the_other_is_silent(
         for boot_id, at in (*((b, "1") for b in (7, None, "", "x" * 65, "a\nb", ["b"], {"b": 1})), ("b", 1), ("b", "x"))
     ],
 )
-async def test_garbage_is_passed_over(state: DaemonState, said: list[DaemonSnapshot], payload: bytes) -> None:
+async def test_malformed_messages_are_ignored(state: DaemonState, sent: list[DaemonSnapshot], payload: bytes) -> None:
     for digit in (b"1", b"2"):
         message = payload.replace(b"1", digit)
         state.receive(Incoming("resonator/hand/state/daemon", message, False, None, None))
-    assert (reason_code(state), said) == (ReasonCode.MEASURING, [])
+    assert (reason_code(state), sent) == (ReasonCode.MEASURING, [])

@@ -66,7 +66,7 @@ async def test_a_request_that_cannot_be_read_is_answered_all_the_same(mosquitto:
     assert (answer["id"], answer["error"]["code"]) == (None, "payload")
 
 
-async def test_an_unknown_verb_is_refused_to_whoever_sent_it(broker: Mosquitto | Amqtt) -> None:
+async def test_the_sender_of_an_unknown_verb_receives_a_refusal(broker: Mosquitto | Amqtt) -> None:
     async with commanded(broker.url, HANDLERS, ALLOWED) as daemon:
         await until(lambda: daemon.publisher.connected)
         answer = await request(Mqtt(url=broker.url), "left", "fly", {"id": "7"})

@@ -1,4 +1,4 @@
-"""What other clients do to retained topics and to the topics of commands."""
+"""Messages of other clients on retained topics and on topics of commands."""
 
 import json
 
@@ -18,7 +18,7 @@ def foreign(topic: str, payload: bytes = b"junk") -> Incoming:
     return Incoming(topic, payload, False, None, None)
 
 
-async def test_a_flood_draws_few_restorations_and_the_last_message_is_restored(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_many_foreign_messages_cause_few_restorations(monkeypatch: pytest.MonkeyPatch) -> None:
     restored: list[str] = []
     retained, skip = RetainedTopics(restored.append), skipping(monkeypatch)
     for topic in (LINK, SENSOR):
@@ -52,7 +52,7 @@ async def test_a_flood_draws_few_restorations_and_the_last_message_is_restored(m
 
 
 async def test_own_messages_that_come_back_are_not_restored(broker) -> None:
-    """As those on a topic that is subscribed to for another reason."""
+    """Also on a topic with another subscription."""
     subscription = Subscription(LINK, 1, lambda message: None)
     async with observe(broker.url, LINK) as observer, publishing(broker.url, subscriptions=(subscription,)) as left:
         await until(lambda: left.connected)
@@ -63,12 +63,12 @@ async def test_own_messages_that_come_back_are_not_restored(broker) -> None:
 
 
 async def test_a_retained_command_is_marked_also_when_it_arrives_live(mosquitto) -> None:
-    heard: list[Incoming] = []
-    subscription = Subscription(f"{LEFT}/cmd/+", 1, heard.append, retain_as_published=True)
+    received: list[Incoming] = []
+    subscription = Subscription(f"{LEFT}/cmd/+", 1, received.append, retain_as_published=True)
     async with publishing(mosquitto.url, subscriptions=(subscription,)) as left, observe(mosquitto.url, LINK) as other:
         await until(lambda: left.connected)
         await other.client.publish(f"{LEFT}/cmd/tare", json.dumps({}), qos=1, retain=True)
         await other.client.publish(f"{LEFT}/cmd/tare", b"", qos=1, retain=True)
         await other.client.publish(f"{LEFT}/cmd/ping", b"{}", qos=1)
-        await until(lambda: len(heard) >= 3)
-    assert [message.retained for message in heard] == [True, True, False]
+        await until(lambda: len(received) >= 3)
+    assert [message.retained for message in received] == [True, True, False]

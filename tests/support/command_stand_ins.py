@@ -1,4 +1,4 @@
-"""What commands reach of a daemon, without a daemon: it keeps a list of what was done to it."""
+"""Substitute for the parts of a daemon that commands use; it lists the calls."""
 
 import math
 import re
@@ -27,7 +27,7 @@ RECORDING_NAME = re.compile(r"left-\d{8}T\d{6}\.\d{3}Z(-[A-Za-z0-9_-]{1,64})?\.m
 
 
 class StandIn:
-    """Sensor, recording and publisher in one; `acts` has what was changed."""
+    """Sensor, recording and publisher in one; `acts` has the calls that change something."""
 
     def __init__(self, directory: Path) -> None:
         self.acts: list[tuple[Any, ...]] = []

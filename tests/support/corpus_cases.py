@@ -24,7 +24,7 @@ NOT_COMPARED = {"info": ("daemon_version", "commands")}  # of another version th
 
 
 class Outcome(NamedTuple):
-    """What a replay came to: frames, losses, messages by topic; and of the messages those that a case keeps."""
+    """Result of a replay: frames, losses, messages by topic, and the messages that a case contains."""
 
     summary: dict[str, Any]
     messages: list[dict[str, Any]]
@@ -44,7 +44,7 @@ def replay_case(case: Path, every: Mapping[str, int] | None = None) -> Outcome:
     Parameters
     ----------
     every
-        By topic: keep each so manieth message; without it all events and states, and of streams as many as fit.
+        By topic: n to keep every nth message; by default all events and states, and as many of streams as fit.
     """
     counts: Counter[str] = Counter()
     lines: list[dict[str, Any]] = []
@@ -76,7 +76,7 @@ def replay_case(case: Path, every: Mapping[str, int] | None = None) -> Outcome:
 
 
 def save_case(recording: Path, case: Path) -> None:
-    """Make a case of a recording, in the place of one that is there."""
+    """Make a case of a recording; replaces an existing one."""
     shutil.rmtree(case, ignore_errors=True)
     case.mkdir()
     shutil.copyfile(recording, case / RECORDING_FILE)
@@ -84,7 +84,7 @@ def save_case(recording: Path, case: Path) -> None:
 
 
 def save_expected(case: Path) -> None:
-    """Write what the present version makes of the recording of a case."""
+    """Write the messages that the present version computes from the recording of a case."""
     outcome = replay_case(case)
     lines = (json.dumps(line) + "\n" for line in (outcome.summary, *outcome.messages))
     with (case / EXPECTED_FILE).open("wb") as file, gzip.GzipFile("", "wb", fileobj=file, mtime=0) as packed:
@@ -126,7 +126,7 @@ def case_differences(expected: Outcome, got: Outcome) -> list[tuple[str, Differe
 def _differences(
     key: str, field: str, expected: Any, got: Any, scales: Mapping[str, float], tolerance: float
 ) -> Iterator[Difference]:
-    """Give each key that differs; floats may differ by the tolerance, times the scale of their field."""
+    """Yield each key that differs; floats may differ by the tolerance, times the scale of their field."""
     if type(expected) is not type(got):
         yield Difference(key, expected, got)
     elif isinstance(expected, dict):

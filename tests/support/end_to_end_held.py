@@ -1,4 +1,4 @@
-"""Presses that last for minutes and plates that warm up: what drift makes of forces, and of untouched plates."""
+"""Presses that last for minutes, and plates that warm up: effect of drift on forces and untouched plates."""
 
 import math
 from collections.abc import Sequence
@@ -24,9 +24,9 @@ SHOCK_KELVIN, SHOCK_S = 10.0, 5.0
 
 
 class Held(NamedTuple):
-    """Errors of a force that rests, in newtons."""
+    """Errors of a constant force, in newtons."""
 
-    told: float  # share of the readings with a force
+    known: float  # share of the readings with a force
     end_newton: float  # mean over the last 10 s
     covered: float  # share within two stated standard deviations
 
@@ -70,13 +70,13 @@ def _of_site(forces: Sequence[SiteForce] | Sequence[TrackedTouch], site: int) ->
 
 def _held(rows: Floats, last: int) -> Held:
     """`rows` (n, 3) are force, noise and systematic in newtons, the `last` ones those of the end."""
-    told = np.isfinite(rows).all(axis=1)
-    error, stated = rows[told, 0] - HELD_NEWTON, np.hypot(rows[told, 1], rows[told, 2])
-    return Held(float(told.mean()), float(error[-last:].mean()), float(np.mean(np.abs(error) <= 2.0 * stated)))
+    known = np.isfinite(rows).all(axis=1)
+    error, stated = rows[known, 0] - HELD_NEWTON, np.hypot(rows[known, 1], rows[known, 2])
+    return Held(float(known.mean()), float(error[-last:].mean()), float(np.mean(np.abs(error) <= 2.0 * stated)))
 
 
 def contacts_of_a_shock(plate: Plate, *, seed: int = 1) -> int:
-    """How many contacts a plate tells of that nothing touches, while the room warms by 10 K within 5 s."""
+    """Return the number of contacts of an untouched plate while the room warms by 10 K within 5 s."""
     room = [(0.0, ROOM_KELVIN), (SETTLE_S, ROOM_KELVIN), (SETTLE_S + SHOCK_S, ROOM_KELVIN + SHOCK_KELVIN)]
     step_ms = max(5.0, _window_ms(plate))
     bench = PlateBench(
@@ -88,7 +88,7 @@ def contacts_of_a_shock(plate: Plate, *, seed: int = 1) -> int:
 
 
 def sites_of_a_whole_press(plate: Plate, hold_s: float) -> int:
-    """How many sites a plate tells of in the reading that tells of most, while 2 N press on each of them."""
+    """Return the largest number of sites in a reading while 2 N press on each of them."""
     touch = Touch(start_s=SETTLED_S, whole_plate=True, force_newton=HELD_NEWTON, hold_s=hold_s)
     bench = PlateBench(plate, [touch], seed=1)
     return max(len(moment.reading.sites) for moment in bench.play(SETTLED_S + touch.duration_s))

@@ -1,4 +1,4 @@
-"""Two touches at once on emulated plates: what the chain names, and when it says that there may be more."""
+"""Two touches at once on emulated plates: the identified sites, and the status `possibly_more`."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,19 +16,19 @@ RAMP_S = 0.05
 HOLD_S = (0.08, 0.16)
 ONSETS_APART_S = 0.1
 GAP_S = 0.05
-JOINT_NEWTON = 0.1  # of each touch, averaged over a window, before a reading may be expected to tell of both
-TAKEOVER_DB = 1.0  # by which a tone has to be stronger before a corner that counts another goes over to it
+JOINT_NEWTON = 0.1  # of each touch, averaged over a window, before a reading is expected to have both
+TAKEOVER_DB = 1.0  # by which a tone has to be stronger than the counted one to be counted at a corner
 
 
 class Pair(NamedTuple):
-    """What the chain said of one pair; readings count while both pressed."""
+    """Readings of one pair; `joint` are those while both pressed."""
 
     separable: bool  # each touch is the strongest tone, by 1 dB, at some corner
-    wrong: int  # readings, whenever, that named another site
+    wrong: int  # readings, at any time, with another site
     joint: int
     both: int  # of the joint ones, with both sites
-    more: int  # with the word that there may be more
-    apart_m: list[float]  # of each touch from the nearest contact, where both sites were named
+    more: int  # of the joint ones, with `possibly_more`
+    apart_m: list[float]  # of each touch from the nearest contact, if both sites were identified
 
 
 def play_pairs(plate: Plate, count: int) -> list[Pair]:

@@ -1,4 +1,4 @@
-"""Single touches on an emulated quartz16: sites, force errors and what was stated of them."""
+"""Single touches on an emulated quartz16: sites, force errors and stated uncertainties."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -50,7 +50,7 @@ class Errors(NamedTuple):
 
     @property
     def worst_ratio(self) -> float:
-        """Largest error over what is stated of it."""
+        """Largest ratio of an error to its stated uncertainty."""
         return float(np.max(np.abs(self.rows[:, 2]) / np.hypot(self.rows[:, 3], self.rows[:, 4])))
 
     @property
@@ -60,12 +60,12 @@ class Errors(NamedTuple):
 
 
 class Played(NamedTuple):
-    """What the chain said of touches, one at a time."""
+    """Readings of touches, one at a time."""
 
     touches: int
-    found: int  # touches whose site was named
-    wrong: int  # readings that named another one
-    more: int  # touches of which was said, at any time, that they are possibly not alone
+    found: int  # touches whose site was identified
+    wrong: int  # readings with another one
+    more: int  # touches with the status `possibly_more` at any time
     errors: Errors
 
 
@@ -128,16 +128,16 @@ def ideal_touches(count: int, seed: int = 1) -> Played:
     return _touches(load_plate("quartz16"), Physics(ideal=True), count, seed)
 
 
-def creeping_touches(count: int, *, told: bool, seed: int = 1) -> Played:
+def creeping_touches(count: int, *, configured: bool, seed: int = 1) -> Played:
     plate = load_plate("quartz16")
-    if told:
+    if configured:
         plate = plate.model_copy(update={"response": _response(creep_fraction=CREEP_FRACTION)})
     return _touches(plate, Physics(ideal=True, creep_fraction=CREEP_FRACTION), count, seed)
 
 
-def hysteretic_touches(count: int, *, told: bool, seed: int = 1) -> Played:
+def hysteretic_touches(count: int, *, configured: bool, seed: int = 1) -> Played:
     plate = load_plate("quartz16")
-    if told:
+    if configured:
         newton = HYSTERESIS_FRACTION * plate.force_max_newton
         plate = plate.model_copy(update={"response": _response(hysteresis_newton=newton)})
     return _touches(plate, Physics(ideal=True, hysteresis_fraction=HYSTERESIS_FRACTION), count, seed)
@@ -170,16 +170,16 @@ def _with_coefficients(plate: Plate, random: np.random.Generator) -> Plate:
 
 
 def short_touches(count: int, seed: int = 1) -> Played:
-    """Short touches on plates with every imperfection, some warm or cold; the plate file says what is known of them."""
-    plate = told_plate("quartz16")
+    """Short touches on plates with every imperfection, some warm or cold; the plate file describes them."""
+    plate = described_plate("quartz16")
     random = np.random.default_rng([seed, 0])
     short = {"ramp_s": 0.03, "hold_s": 0.07, "gap_s": 0.03, "kelvin_std": CONTACT_STD_KELVIN}
     touches = draw_touches(plate, random, count, **short)
     return play(PlateBench(plate, touches, seed=int(random.integers(2**31))), touches)
 
 
-def told_plate(name: str) -> Plate:
-    """Return the plate with a file that says of its response and of warm touches what an emulated one has."""
+def described_plate(name: str) -> Plate:
+    """Return the plate whose file has the response and the warm touches of the emulated one."""
     plate = load_plate(name)
     physics = Physics()
     newton = physics.hysteresis_fraction * plate.force_max_newton

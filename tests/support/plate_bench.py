@@ -23,7 +23,7 @@ from simulators.scenario import Scenario
 from simulators.scenario_file import Touch
 
 ROOM_KELVIN = 298.15
-SETTLED_S = 0.4  # from the first frame on until the sensor knows its baseline
+SETTLED_S = 0.4  # from the first frame on until the sensor has its baseline
 LEVEL_TOUCH_S = 0.005
 BLOCK_FRAMES = 40
 
@@ -108,9 +108,9 @@ class PlateBench:
         return Moment(reading, newton, site, position)
 
     def named_sites(self, reading: ForceReading) -> set[int]:
-        """Ids of the sites where a reading says that something presses, or that a contact began.
+        """Return the ids of the sites with a force, or with the onset of a contact, in a reading.
 
-        Under a cover a touch loads its site's neighbours too: there the contacts say it, each by its nearest site.
+        Under a cover a touch also loads neighbouring sites: there each contact counts, by its nearest site.
         """
         touches = [event.contact.touch for event in reading.events if event.event == "onset"]
         pressed = {touch.site for touch in touches} | {force.site for force in reading.sites}
@@ -121,7 +121,7 @@ class PlateBench:
 
 
 def corner_levels_db(plate: Plate, seed: int) -> NDArray[np.float64]:
-    """Level (sites, corners) at which an emulated single-tone counter hears each site when it alone is pressed."""
+    """Level (sites, corners) at which an emulated single-tone counter receives each site when it alone is pressed."""
     touches = [
         Touch(
             start_s=LEVEL_TOUCH_S * order,

@@ -25,7 +25,7 @@ def free_port() -> int:
 
 
 def build(folder: Path) -> Path:
-    """Compile into `folder`; return the program. RuntimeError says what is missing or what the compiler said."""
+    """Compile into `folder`; return the program. RuntimeError has what is missing, or the output of the compiler."""
     try:
         made = subprocess.run(
             ["make", "--silent", "-C", str(SOURCES), f"BUILD={folder.resolve()}"], capture_output=True, text=True
@@ -85,7 +85,7 @@ class QemuBoard:
             self._pty.symlink_to(name.removeprefix("pty:"))
 
     def power_off(self) -> None:
-        """Kill it, in the middle of whatever it does."""
+        """Kill it at any moment."""
         if self._running is None:
             return
         if self._pty is not None:
@@ -100,9 +100,9 @@ class QemuBoard:
         self._ask("system_reset")
 
     def led_is_on(self) -> bool:
-        """Look at LED 0."""
-        said = self._ask("human-monitor-command", **{"command-line": f"xp /1xw {_LEDS:#x}"})
-        return bool(int(said.split()[-1], 16) & 1)
+        """Return whether LED 0 is on."""
+        memory = self._ask("human-monitor-command", **{"command-line": f"xp /1xw {_LEDS:#x}"})
+        return bool(int(memory.split()[-1], 16) & 1)
 
     @property
     def processor_s(self) -> float:
@@ -130,7 +130,7 @@ class QemuBoard:
 
     def _next_answer(self) -> dict[str, Any]:
         for line in self._qmp("stdout"):
-            if line.startswith("{"):  # QEMU tells of a pseudo-terminal in words, too
+            if line.startswith("{"):  # QEMU also prints the name of a pseudo-terminal
                 answer: dict[str, Any] = json.loads(line)
                 return answer
         raise RuntimeError(f"QEMU ended with code {self._process.wait()}")

@@ -1,4 +1,4 @@
-"""A way between the daemon and its broker that can be shut, and narrowed to some bytes a second."""
+"""TCP proxy between the daemon and its broker that can be closed, or limited to some bytes per second."""
 
 import asyncio
 import socket
@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 
 _PIECE_BYTES = 4096
-_KERNEL_BUFFER_BYTES = 16_384  # else the kernel would take megabytes before it tells a sender that the way is narrow
+_KERNEL_BUFFER_BYTES = 16_384  # otherwise the kernel buffers megabytes before a sender has to wait
 
 
 class Gate:
@@ -20,7 +20,7 @@ class Gate:
         self.bytes_per_s: float | None = None
 
     def shut(self) -> None:
-        """End what is connected and take nothing more."""
+        """End all connections and accept no new one."""
         self.opened = False
         for connection in self._connections:
             connection.cancel()
@@ -46,7 +46,7 @@ class Gate:
             if self.opened:
                 await self._serve(reader, writer)
         except (OSError, asyncio.CancelledError):
-            pass  # either side has gone, or the gate was shut: both learn of it by the end of the connection
+            pass  # one side has disconnected, or the gate was shut: both connections end
         finally:
             writer.transport.abort()
             self._connections.discard(task)

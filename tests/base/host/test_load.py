@@ -1,4 +1,4 @@
-"""The load of a computer, by what Linux would count."""
+"""Load of a computer from given counters of Linux."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +16,7 @@ _COUNTED = "some avg10=1.50 avg60=0.00 avg300=0.00 total={}\nfull avg10=0.00 avg
     [(True, True, LoadSample(75, 90)), (True, False, LoadSample(75, 75)), (False, True, LoadSample(90, 90)),
      (False, False, NO_LOAD)],
 )  # fmt: skip
-def test_the_load_is_measured_by_what_linux_counts(
+def test_the_load_is_measured_from_counters_of_linux(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: bool, pressure: bool, expected: LoadSample
 ) -> None:
     now_ns = 10**12

@@ -1,4 +1,4 @@
-"""New files are whole or not there, whoever interrupts the verb that makes them."""
+"""New files are complete or absent, also after an interruption."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ def test_a_file_gets_its_name_once_it_is_whole(tmp_path: Path) -> None:
     assert path.read_bytes() == b"12345"
 
 
-def test_what_came_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
+def test_a_file_created_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "out"
     new = NewFile(path)
     path.write_text("mine")

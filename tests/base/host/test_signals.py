@@ -1,4 +1,4 @@
-"""Signals end what can be cleaned up after, once, and never get lost in a module that loads."""
+"""Signals end a command after one clean-up, and are not lost while a module is imported."""
 
 import signal
 from importlib import import_module
@@ -18,7 +18,7 @@ def handlers() -> list[object]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_is_cleaned_up_after_once_and_said(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_signal_causes_one_clean_up_and_one_error(tmp_path: Path, number: signal.Signals) -> None:
     before = handlers()
     cleaned = []
 
@@ -28,7 +28,7 @@ def test_a_signal_is_cleaned_up_after_once_and_said(tmp_path: Path, number: sign
             try:
                 signal.raise_signal(number)
             finally:
-                signal.raise_signal(signal.SIGINT)  # by somebody impatient
+                signal.raise_signal(signal.SIGINT)  # a second one during the clean-up
                 signal.raise_signal(number)
                 new.discard()
                 cleaned.append(True)
@@ -41,7 +41,7 @@ def test_a_signal_is_cleaned_up_after_once_and_said(tmp_path: Path, number: sign
     assert handlers() == before
 
 
-def test_what_a_process_ignores_it_goes_on_ignoring() -> None:
+def test_ignored_signals_remain_ignored() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup has it
     try:
         with interruptible("nothing is kept"):

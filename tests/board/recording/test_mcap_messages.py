@@ -31,9 +31,9 @@ def test_messages_are_those_that_a_reader_of_records_gives(compression):
     every = [r for r in StreamReader(io.BytesIO(content)).records if isinstance(r, Message)]
     assert len(every) == 200
     expected = [m for m in every if m.sequence % 3 != 1]
-    told = list(messages(read_records(io.BytesIO(content)), TOPICS, {}))
-    assert told == [(TOPICS[m.sequence % 3 // 2], m.data, m.publish_time, m.log_time) for m in expected]
-    assert {type(message) for message in told} == {Logged}
+    found = list(messages(read_records(io.BytesIO(content)), TOPICS, {}))
+    assert found == [(TOPICS[m.sequence % 3 // 2], m.data, m.publish_time, m.log_time) for m in expected]
+    assert {type(message) for message in found} == {Logged}
 
 
 def chunk_data(chunk):
@@ -60,7 +60,7 @@ def test_a_chunk_that_expands_without_end_is_damage_and_takes_no_memory(declared
 
 
 @pytest.mark.parametrize(("compression", "data"), [("lz4", lz4.frame.compress(b"12345")), ("", b"12345")])
-def test_a_chunk_has_the_size_that_it_says(compression, data):
+def test_a_chunk_has_the_size_that_it_declares(compression, data):
     assert chunk_data(Chunk(compression, data, 0, 0, 0, 5)) == b"12345"
     for other_bytes in (4, 6):
         with pytest.raises(ValueError, match=f"declares {other_bytes} bytes"):

@@ -41,12 +41,12 @@ def test_silence_is_noticed_asked_about_and_then_the_end() -> None:
 BUSY = LoadSample(85, 100)
 
 
-def test_a_busy_computer_is_named_within_three_seconds_and_no_longer_two_seconds_after_it() -> None:
+def test_a_busy_computer_is_reported_within_three_seconds_until_two_seconds_after_its_end() -> None:
     bench = online()
     bench.load = LoadSample(40, 100)  # a computer that is used, and has time for the daemon
     bench.run(5000)
     bench.load = LoadSample(100, 100)
-    bench.run(600)  # a hiccup
+    bench.run(600)  # a short pause
     bench.load = LoadSample(40, 40)
     bench.run(5000)
     assert bench.states[-1] == ("online", "board_counts")
@@ -63,7 +63,7 @@ def test_a_busy_computer_is_named_within_three_seconds_and_no_longer_two_seconds
     assert [code for _, code in bench.states[1:]] == ["board_counts", "computer_busy", "board_counts"]
 
 
-def test_a_board_that_is_late_together_with_the_computer_is_called_stalled_half_a_second_later() -> None:
+def test_a_board_without_frames_is_stalled_half_a_second_later_on_a_busy_computer() -> None:
     bench = online()
     bench.load = BUSY
     bench.board.silent = True
@@ -78,7 +78,7 @@ def test_a_board_that_is_late_together_with_the_computer_is_called_stalled_half_
     assert bench.states[-1] == ("online", "computer_busy")
 
 
-def test_half_of_the_time_on_a_computer_whose_programs_wait_for_half_of_it_counts_as_silence() -> None:
+def test_time_in_which_programs_wait_for_a_processor_does_not_count_as_silence() -> None:
     bench = online()
     bench.load = LoadSample(0, 50)
     bench.board.silent = True

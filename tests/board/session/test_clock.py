@@ -23,7 +23,7 @@ def rms_ns(looks: list[Look]) -> float:
 
 
 def honest(look: Look) -> bool:
-    return abs(look.error_ns) <= look.said.uncertainty_ns
+    return abs(look.error_ns) <= look.estimate.uncertainty_ns
 
 
 def trip(
@@ -49,7 +49,7 @@ def test_clumped_and_late_answers_leave_200_us_five_seconds_after_connecting(nam
     assert rms_ns(late) <= 200_000
     assert rms_ns([look for look in late if look.monotonic_ns <= 11 * NS]) <= 200_000
     assert all(map(honest, looks))
-    assert sorted(look.said.uncertainty_ns for look in late)[len(late) // 2] <= 200_000
+    assert sorted(look.estimate.uncertainty_ns for look in late)[len(late) // 2] <= 200_000
 
 
 @pytest.mark.parametrize("name", [it.name for it in scenes()])
@@ -62,8 +62,8 @@ def test_error_is_within_its_stated_uncertainty_on_every_link(name: str) -> None
 @pytest.mark.parametrize("name", ["plain, 100-300 us", "plain, crystal warming", "busy host"])
 def test_quick_link_is_known_to_100_us_and_right_to_30(name: str) -> None:
     late = [look for look in play(scene(name), 3, 60.0) if look.monotonic_ns >= 13 * NS]
-    assert max(look.said.uncertainty_ns for look in late) <= 130_000
-    assert sorted(look.said.uncertainty_ns for look in late)[len(late) // 2] <= 100_000
+    assert max(look.estimate.uncertainty_ns for look in late) <= 130_000
+    assert sorted(look.estimate.uncertainty_ns for look in late)[len(late) // 2] <= 100_000
     assert rms_ns(late) <= 30_000
 
 

@@ -68,7 +68,7 @@ def test_a_reason_without_a_code_that_is_known_is_unspecified(reason: object) ->
 
 
 @pytest.mark.parametrize(("load", "body"), [(LoadSample(85, 100), b"\1\x55\x64"), (LoadSample(), b"\1")])
-def test_the_load_of_the_host_is_recorded_where_there_was_one(load: LoadSample, body: bytes) -> None:
+def test_the_load_of_the_host_is_recorded_if_it_is_not_zero(load: LoadSample, body: bytes) -> None:
     event = TimersRun(NOW, True, load)
     assert encode(event) == raw(3, body)
     assert decode(raw(3, body), 5, 12) == event

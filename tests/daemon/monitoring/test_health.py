@@ -8,7 +8,6 @@ import pytest
 import status_samples
 from example_messages import header
 
-from resonator_daemon.base.host import load
 from resonator_daemon.base.host.load import HostLoad
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.session.counters import LinkCounters
@@ -60,7 +59,7 @@ class Machine:
 def machine(monkeypatch: pytest.MonkeyPatch) -> Machine:
     machine = Machine()
     monkeypatch.setattr(health, "time", SimpleNamespace(monotonic=lambda: machine.now_s))
-    monkeypatch.setattr(load, "psutil", SimpleNamespace(Process=Process, Error=Exception))
+    monkeypatch.setattr("resonator_daemon.base.host.load.psutil.Process", Process)
     return machine
 
 

@@ -1,4 +1,4 @@
-"""A busy computer is told from a bad link: what its lateness explains is nobody else's fault."""
+"""A busy computer is distinguished from a bad link: delays that it explains are no fault of the link."""
 
 import ctypes
 from pathlib import Path
@@ -26,7 +26,7 @@ def test_a_computer_whose_programs_wait_for_processors_is_busy(
     assert bool(measured.busy()) is busy
 
 
-def test_a_program_that_was_left_waiting_has_seen_a_busy_computer(tmp_path: Path) -> None:
+def test_a_computer_that_halts_a_program_is_busy(tmp_path: Path) -> None:
     with Load(MadeUpHost(tmp_path).host()) as measured:
         halt = ctypes.PyDLL(None).usleep  # keeps the interpreter's lock: no thread of this program goes on meanwhile
         halt(80_000)

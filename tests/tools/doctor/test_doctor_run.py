@@ -27,7 +27,7 @@ def configuration(folder: Path, link: str, url: str = "mqtt://127.0.0.1:9", plat
 
 def asked(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, dict[str, object]]:
     printed: dict[str, object] = {"cause": "computer_busy"}
-    while printed["cause"] == "computer_busy":  # what is seen then is no truth
+    while printed["cause"] == "computer_busy":  # other findings are then unreliable
         code = main(["doctor", *map(str, arguments), "--json"])
         printed = json.loads(capsys.readouterr().out)
     return code, printed

@@ -1,4 +1,4 @@
-"""The golden corpus: every scenario and fault replays as it did, and what counts as a difference."""
+"""Corpus of recordings: each replay gives the expected messages. Also what counts as a difference."""
 
 import json
 import os
@@ -23,13 +23,13 @@ def test_the_corpus_is_there_and_small() -> None:
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_a_case_becomes_what_it_did(case: Path) -> None:
+def test_a_replay_gives_the_expected_messages(case: Path) -> None:
     expected = read_expected(case)
     assert len(expected.messages) >= 6
     assert case_differences(expected, replay_case(case, expected.summary["every"])) == []
 
 
-def test_the_corpus_has_what_may_befall_a_board() -> None:
+def test_the_corpus_has_each_fault_of_a_board() -> None:
     seen: set[tuple[str, object]] = set()
     for case in CASES:
         expected = read_expected(case)
@@ -80,7 +80,7 @@ def weaker(lines: list[dict[str, Any]]) -> None:
         (lambda lines: lines.pop(2), "message 1"),
     ],
 )
-def test_what_is_wrong_is_found(change: Callable[[list[dict[str, Any]]], object], key: str) -> None:
+def test_a_changed_message_is_a_difference(change: Callable[[list[dict[str, Any]]], object], key: str) -> None:
     expected = read_expected(CORPUS / "touches")
     got = replay_case(CORPUS / "touches", expected.summary["every"])
     change(expected.messages)
