@@ -1,4 +1,4 @@
-"""Outputs of a replay: its messages as lines of a file, or at a broker as those of a daemon are."""
+"""Outputs of a replay: lines of a file, or messages at a broker like those of a daemon."""
 
 import asyncio
 import contextlib
@@ -31,13 +31,13 @@ from resonator_daemon.tools.replay.recorded_pipeline import Published
 
 
 class OutputFailedError(UserError):
-    """What the messages go to takes no more."""
+    """The file of the messages cannot be extended."""
 
     exit_code = ExitCode.FAILED
     code = "output"
 
 
-class Lines:
+class FileOutput:
     """One line of JSON for each message, in a new file, on stdout, or to a character device or a pipe.
 
     A new file without any message is removed again.
@@ -47,7 +47,7 @@ class Lines:
     NoNewFileError
         The file is there already, or cannot be made.
     OutputFailedError
-        It takes no more.
+        It cannot be extended.
     """
 
     def __init__(self, path: Path) -> None:
@@ -83,7 +83,7 @@ class Lines:
             self._file.write(line(published) + "\n")
         except OSError as error:
             if self._file is sys.stdout and isinstance(error, BrokenPipeError):
-                raise  # the reader has what it wants, as `head`
+                raise  # the reader has closed the pipe, as `head`
             raise self._failed(error) from error
 
     def _failed(self, error: OSError) -> OutputFailedError:
@@ -122,8 +122,8 @@ class NameTakenError(UserError):
     code = "name_taken"
 
 
-class AtBroker:
-    """Publishes under a name, as fast as the broker takes it: nothing is dropped while there is a connection.
+class BrokerOutput:
+    """Publishes under a name, as fast as the broker accepts it: nothing is dropped during a connection.
 
     Parameters
     ----------
@@ -137,12 +137,12 @@ class AtBroker:
     Attributes
     ----------
     daemon_boot_id
-        That the messages are to bear.
+        Of the messages.
 
     Raises
     ------
     BrokerUnreachableError
-        Nobody listens there, or it takes no connection.
+        The broker does not accept a connection.
     NameTakenError
         A daemon publishes under that name, or its retained state is not `offline`.
     """
@@ -157,7 +157,7 @@ class AtBroker:
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Messages that subscribers miss, by cause, as where the broker went away."""
+        """Number of messages that subscribers lack, by cause, as a lost connection."""
         dropped = self._publisher.account.dropped
         return {cause: count for cause, count in dropped.items() if cause != Cause.SUPERSEDED}
 
@@ -183,7 +183,7 @@ class AtBroker:
             self._running.cancel()
             await asyncio.wait([self._running])
             where = f"{self._mqtt.host}:{self._mqtt.port}"
-            raise BrokerUnreachableError(f"the broker at {where} takes no connection; see above for why") from None
+            raise BrokerUnreachableError(f"the broker at {where} accepts no connection; see the reason above") from None
         return self
 
     async def __aexit__(self, _kind: object, error: BaseException | None, _where: object) -> None:
@@ -196,7 +196,7 @@ class AtBroker:
 
     async def put(self, published: Published) -> None:
         if published.topic.retained:
-            await self._room(0)  # a state that waits would give way to this one
+            await self._room(0)  # this state would replace one that waits
         elif not self._publisher.connected or self._publisher.account.waiting > WAITING_MAX:
             await self._room(WAITING_MAX // 2)
         self._publisher.publish(self._base, published.topic, published.message)

@@ -17,7 +17,7 @@ from resonator_daemon.board.config import Config, Mqtt, plate_name
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.mqtt.payloads import Info
 from resonator_daemon.mqtt.topics import Topic
-from resonator_daemon.tools.replay.outputs import AtBroker, Lines
+from resonator_daemon.tools.replay.outputs import BrokerOutput, FileOutput
 from resonator_daemon.tools.replay.recorded_pipeline import Moment, Published, RecordingReplay, what_is_wrong
 from resonator_daemon.tools.replay.source import open_replay
 from resonator_daemon.tools.replay.span import Progress, Span, find_span
@@ -154,12 +154,12 @@ async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[d
     config = options.config
     span = find_span(path, options.start, options.end)
     summary: dict[str, Any] = {}
-    output: Lines | AtBroker
+    output: FileOutput | BrokerOutput
     if options.output is not None:
-        output, boot_id, speed = Lines(options.output), None, options.speed or math.inf
+        output, boot_id, speed = FileOutput(options.output), None, options.speed or math.inf
     else:
         name = _given(options.name) if options.name else _recorded(path, config)
-        output = AtBroker(_broker(options.url, config), name, path.name)
+        output = BrokerOutput(_broker(options.url, config), name, path.name)
         boot_id, speed = output.daemon_boot_id, options.speed or 1.0
         summary["name"] = name
     with open_replay(path, config, boot_id) as replaying:
@@ -169,7 +169,7 @@ async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[d
                 playing = asyncio.create_task(play(replaying, span, pacing, output, progress, tally))
                 with on_signals(playing.cancel):  # after which the end is published
                     await playing
-        if isinstance(output, AtBroker):
+        if isinstance(output, BrokerOutput):
             summary["dropped"] = output.dropped
         counters = replaying.counters
         summary |= {
@@ -189,7 +189,7 @@ async def play(
     replaying: RecordingReplay,
     span: Span,
     pacing: AtSpeed | StepByStep,
-    output: Lines | AtBroker,
+    output: FileOutput | BrokerOutput,
     progress: Progress,
     tally: Tally,
 ) -> None:

@@ -13,7 +13,7 @@ from resonator_daemon.board.recording.recorder import Recorder
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import Received
 from resonator_daemon.mqtt import outbox
-from resonator_daemon.tools.replay.outputs import AtBroker
+from resonator_daemon.tools.replay.outputs import BrokerOutput
 from resonator_daemon.tools.replay.recorded_pipeline import Moment
 from resonator_daemon.tools.replay.run import AtSpeed
 from resonator_daemon.tools.replay.source import open_replay
@@ -49,7 +49,7 @@ async def test_nothing_is_dropped_for_want_of_room(mosquitto: Mosquitto, monkeyp
     monkeypatch.setattr(outbox, "STREAMS_WAITING_MAX", 40)
     monkeypatch.setattr("resonator_daemon.tools.replay.outputs.WAITING_MAX", 20)
     async with observe(mosquitto.url) as heard:
-        output = AtBroker(Mqtt(url=mosquitto.url), "hand", TOUCHES.name)
+        output = BrokerOutput(Mqtt(url=mosquitto.url), "hand", TOUCHES.name)
         count = 0
         with open_replay(TOUCHES, daemon_boot_id=output.daemon_boot_id) as replaying:
             async with output:
