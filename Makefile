@@ -11,7 +11,7 @@ export PATH := $(PATH):/usr/local/sbin:/usr/sbin
 
 # pip-install TITLE ARGUMENTS: one line that names each package as it comes; pip's own words go to a log.
 # requirements TITLE NAME...: installs those files of .ci/requirements. Without --no-deps, the pip of Python 3.11 takes the
-# newest version of a package that a pinned one wants with an extra; that version has no hash there.
+# newest version of a package that a pinned one requires with an extra; that version has no hash there.
 define pip-install
 @pip-install() {
   printf 'setup: %s' "$$1"
