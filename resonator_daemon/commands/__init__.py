@@ -23,9 +23,8 @@ _UNTIL_STOPPED = ("bridge", "decode", "emulate", "run", "view", "watch")  # comm
 def main(words: "Sequence[str] | None" = None) -> int:
     """Run one command; return its exit code.
 
-    Without `words` the process ends with the command. SIGINT and SIGTERM end it at once, with the command's exit code,
-    until the command sets handlers of its own because it has to clean up. KeyboardInterrupt would be lost in some
-    modules that load.
+    Without `words`, SIGINT and SIGTERM end the process at once, with the command's exit code. If the command has to
+    clean up, it sets handlers of its own. KeyboardInterrupt could be lost while modules are imported.
     """
     import signal
 
@@ -53,6 +52,6 @@ def _interrupted(words: "Sequence[str]") -> int:
             verb = " ".join(words[: 1 + os.path.isdir(os.path.join(__path__[0], words[0]))])
             os.write(1, f'{{"verb": "{verb}", {error}, "ok": false}}\n'.encode())
         os.write(2, b"resonatord: interrupted\n")
-    except OSError:  # a reader that has left
+    except OSError:  # the reader has closed the pipe
         pass
     return 1

@@ -92,7 +92,7 @@ def _as_json(done: "Installation", *, dry_run: bool) -> dict[str, object]:
 
 
 SHARE = "/usr/local/share"
-PLACES = {
+COMPLETION_FILES = {
     "bash": f"{SHARE}/bash-completion/completions/resonatord",
     "zsh": f"{SHARE}/zsh/site-functions/_resonatord",
     "fish": f"{SHARE}/fish/vendor_completions.d/resonatord.fish",
@@ -100,7 +100,7 @@ PLACES = {
 
 
 def completions() -> Iterator[tuple[str, str]]:
-    """Yield place and text of the completion script of each shell."""
+    """Yield path and text of the completion script of each shell."""
     import shtab
 
     root = make_parser()
@@ -111,12 +111,12 @@ def completions() -> Iterator[tuple[str, str]]:
                 action.complete = _plates_and_files()  # type: ignore[attr-defined]
             elif (kind := _kind(action)) is not None:
                 action.complete = getattr(shtab, kind)  # type: ignore[attr-defined]
-    for shell, place in PLACES.items():
-        yield place, shtab.complete(root, shell)
+    for shell, path in COMPLETION_FILES.items():
+        yield path, shtab.complete(root, shell)
 
 
 def _plates_and_files() -> dict[str, object]:
-    """Return what completes the name of a shipped plate, or a file, for each shell."""
+    """Return the completion of plate names and files for each shell."""
     names, function = " ".join(shipped_plates()), "_resonatord_plate_files"  # bash quotes names of _file functions
     return {
         "bash": function,
@@ -136,16 +136,16 @@ def _kind(action: argparse.Action) -> str | None:
     return "FILE" if "FILE" in name or name in ("OUT", "LINKPATH") else None
 
 
-PLACE: Final = "/usr/local/share/man/man1"
+MANUAL_DIRECTORY: Final = "/usr/local/share/man/man1"
 
 
 def manual() -> Iterator[tuple[str, str]]:
-    """Yield place and text of a page for `resonatord`, for each command, and for each group of commands."""
+    """Yield path and text of a manual page for `resonatord`, for each command, and for each group of commands."""
     release = version("resonatord")
     for words, parser in parsers(make_parser()):
         vars(parser)["color"] = False  # of Python 3.14, on a terminal
         name = words.replace(" ", "-")
-        yield f"{PLACE}/{name}.1", "\n".join(_page(name, parser, release)) + "\n"
+        yield f"{MANUAL_DIRECTORY}/{name}.1", "\n".join(_page(name, parser, release)) + "\n"
 
 
 def _page(name: str, parser: argparse.ArgumentParser, release: str) -> Iterator[str]:

@@ -138,8 +138,8 @@ class ProcessUsage:
     def measure(self) -> ResourceUse:
         """Return the present use of resources.
 
-        If no file descriptor is free, or the process has ended, `cpu_percent` is NaN, `file_descriptors` is the
-        limit, and the rest is as at the last call.
+        If no file descriptor is free, or the process has ended, `cpu_percent` is NaN and `file_descriptors` is the
+        limit. The rest is then as at the last call.
         """
         try:
             self._last = self._now()

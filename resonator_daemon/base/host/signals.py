@@ -34,7 +34,7 @@ def on_signals(call: Callable[[signal.Signals], object]) -> Iterator[None]:
     loop = get_running_loop()
     reading, writing = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
     loop.add_reader(reading, os.read, reading, 4096)
-    wakes = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)  # by a signal just before the loop waits
+    wakes = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)  # wakes a loop that is about to wait
     before = {
         number: signal.signal(number, lambda it, _: loop.call_soon_threadsafe(call, signal.Signals(it)))
         for number in _ENDING

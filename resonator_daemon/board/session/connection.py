@@ -52,7 +52,7 @@ _S = 1_000_000_000
 _ASK_AGAIN_NS = 300 * _MS
 _SILENCE_FRAMES, _SILENCE_NS = 3, 50 * _MS
 _GIVE_UP_NS = 3 * _S  # from when a board is first asked, or called silent, until the link is opened again
-_STUCK_NS = 500 * _MS  # of bytes without a frame among them, or of silence while the computer lacks processors
+_STUCK_NS = 500 * _MS  # of bytes without a frame, or of silence while programs wait for processors
 _SLEPT_NS = 50 * _MS
 _UNANSWERED_NS = UNANSWERED_S * _S
 
@@ -99,7 +99,7 @@ class Connection:
         self._blink = BlinkRequests(queue)
         self._log_lines = BoardLogFilter(queue, counters)
         self._silence_ns = _SILENCE_FRAMES * round(_S / plate.counter.frame_rate_hz) + _SILENCE_NS
-        self._silent_ns = 0  # since the last frame, without the time in which the computer lacked processors
+        self._silent_ns = 0  # since the last frame, without the time in which programs waited for processors
         self._now = opened
         self.load = HostLoad(opened.monotonic_ns)
         self._opened_ns = opened.monotonic_ns

@@ -79,7 +79,7 @@ class StatusServer:
         Raises
         ------
         AlreadyRunningError
-            Another daemon has the same configuration file at the start.
+            At the start, another daemon runs with the same configuration file.
         """
         while True:
             try:
@@ -92,7 +92,7 @@ class StatusServer:
                     raise
                 self.may_begin.set()
                 reason = reason_of(error) if isinstance(error, OSError) else str(error)
-                self._log_change(f"`resonatord status` does not see this daemon: {reason}")
+                self._log_change(f"`resonatord status` does not find this daemon: {reason}")
                 await asyncio.sleep(self._times.retry_s)
 
     async def _serve(self, listening: "_Listening") -> None:
@@ -190,7 +190,7 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 @contextlib.contextmanager
 def _alone(path: Path, config: bytes) -> Iterator[Path]:
-    """Hold the lock next to the socket and yield its path; raises where another process holds it."""
+    """Hold the lock next to the socket and yield its path; raises if another process holds it."""
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
     lock = os.open(path.with_suffix(".lock"), flags, 0o600)
     try:
@@ -212,7 +212,7 @@ def _alone(path: Path, config: bytes) -> Iterator[Path]:
 
 
 def _holder(lock: int) -> str:
-    """Return the name of the process that holds a lock; another container's is not known."""
+    """Return the name of the process that holds a lock, unknown if it is in another container."""
     end = f":{os.fstat(lock).st_ino}"
     with contextlib.suppress(OSError):
         for line in Path("/proc/locks").read_text().splitlines():  # 1: FLOCK ADVISORY WRITE PID MAJOR:MINOR:INODE 0 EOF

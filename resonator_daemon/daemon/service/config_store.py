@@ -150,7 +150,7 @@ class ConfigStore:
 
 
 def load_checked(path: Path) -> Config:
-    """Load a configuration, and check what its sensor needs, which takes longer.
+    """Load a configuration, and check that its sensor can be set up.
 
     Raises
     ------

@@ -135,7 +135,7 @@ class _LinkRecording:
         self._first_frame_s: float | None = None
         self._ended_s = 0.0
         self._stopped = False
-        self._frames_unmeasured = 0  # they gave way in the frame queue
+        self._frames_unmeasured = 0  # dropped from the full frame queue
 
     @contextmanager
     def open(self) -> Iterator[None]:
@@ -246,7 +246,7 @@ class _LinkRecording:
 
 
 def _pipeline(config: Config, boot_id: str, recorder: Recorder) -> "BoardPipeline":
-    """Return what measures, and has it recorded; what that imports takes half a second."""
+    """Return the pipeline whose messages are recorded; its imports take half a second."""
     from resonator_daemon.daemon.service.recorded_messages import RecordedMessages
     from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 

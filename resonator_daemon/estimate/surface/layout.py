@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 from resonator_daemon.base.arrays import Bools, Floats, Indices
 
 _TOLERANCE = 1e-6  # of the pitch or spacing
-_WIDEST = 200.0  # depths from one end of the sites to the other: beyond it tables take minutes
+_WIDEST = 200.0  # depths from one end of the sites to the other; beyond that, tables take minutes
 _CELL_STEPS = 4  # of half a spacing: how finely cells are measured
 
 
@@ -49,7 +49,7 @@ def neighbours(positions_m: Floats, farthest_m: float) -> Indices:
 
 
 def refuse_duplicates(positions_m: Floats, depths_m: Floats) -> None:
-    """ValueError for two sites at one place and depth."""
+    """Raise ValueError for two sites at one place and depth."""
     places, limit_m = np.column_stack([positions_m, depths_m]), _TOLERANCE * float(depths_m.min())
     pairs = cKDTree(places).query_pairs(limit_m, output_type="ndarray")
     if len(pairs):
@@ -65,7 +65,7 @@ def diagonal_m(positions_m: Floats, depths_m: Floats) -> float:
     shallow_m = float(depths_m.min())
     if extent_m > _WIDEST * shallow_m:
         span = f"{extent_m / shallow_m:.0f} depths, must be at most {_WIDEST:.0f}"
-        raise ValueError(f"sites span {span}; is a depth of {shallow_m:g} m meant?")
+        raise ValueError(f"sites span {span}; correct positions or the depth of {shallow_m:g} m")
     return extent_m
 
 

@@ -24,7 +24,7 @@ class Skin:
     prior: Prior = DEFAULT_PRIOR
 
     def geometry(self) -> tuple[object, ...]:
-        """Return what two skins have in common that one decoder serves."""
+        """Return a key; one decoder serves all skins with equal keys."""
         elastic = (self.half_space.youngs_modulus_pascal, self.half_space.poisson_ratio, self.depth_m)
         return (self.site_positions_m.tobytes(), *elastic, self.gain_std, self.prior)
 
@@ -41,16 +41,16 @@ class DecodingOptions:
 
 
 def refuse_undecodable(skin: Skin, options: DecodingOptions) -> None:
-    """ValueError for sites or a method of which `SkinDecoder` can make no decoder, before the time that takes."""
+    """Raise ValueError for sites or a method that `SkinDecoder` would refuse; faster than setting it up."""
     sites_m = skin.site_positions_m
     depths_m = np.full(len(sites_m), skin.depth_m)
     if len(sites_m) < _SITES_MIN:
-        raise ValueError(f"{len(sites_m)} sites under a skin, at least {_SITES_MIN} are needed to decode a contact")
+        raise ValueError(f"{len(sites_m)} sites under a skin; at least {_SITES_MIN} are needed to decode a contact")
     refuse_duplicates(sites_m, depths_m)
     diagonal_m(sites_m, depths_m)
     grid = as_grid(sites_m)
     if options.method == "fourier" and (grid is None or not np.isclose(grid.pitch_x_m, grid.pitch_y_m)):
         raise ValueError(
-            f'method "fourier" needs a square grid of two rows and columns or more, {len(sites_m)} sites form none; '
+            f'method "fourier" needs a square grid of at least 2 x 2 sites; these {len(sites_m)} form none; '
             'use "open-plane"'
         )

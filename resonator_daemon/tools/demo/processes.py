@@ -195,7 +195,7 @@ async def start_child(part: str, folder: Path, command: Sequence[str], stdout: i
 
 
 class ProcessorTimes:
-    """Processor time from the construction to `stop`; processes that start or end in between are in the sum alone.
+    """Processor time from the construction to `stop`; processes that start or end meanwhile count only in the sum.
 
     Attributes
     ----------

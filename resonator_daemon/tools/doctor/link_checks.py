@@ -128,7 +128,7 @@ def _overflow(capture: Capture) -> Finding:
     if dropped or rate_hz >= _RATE_LEAST * capture.frame_rate_hz or capture.stopped:
         return overflow(dropped, _all_frames(capture), capture.busy)
     too_slow = OVERFLOW.fault(
-        f"{rate_hz:.0f} frames per second arrive, the board counts {capture.frame_rate_hz:g}: its queue fills",
+        f"{rate_hz:.0f} of {capture.frame_rate_hz:g} frames per second arrive: the queue of the board fills",
         _CAPACITY,
         Amount(rate_hz, _RATE_LEAST * capture.frame_rate_hz, "Hz"),
     )

@@ -26,10 +26,10 @@ from resonator_daemon.tools.live_page.hub import Hub, Sources
 BROWSERS_MAX: Final = 32
 
 _ALIVE_S: Final = 1.0
-_OF_THE_CLIENT: Final = (HttpProcessingError, ConnectionError)
+_CLIENT_ERRORS: Final = (HttpProcessingError, ConnectionError)
 
 log = logging.getLogger(__name__)
-log.addFilter(lambda record: record.exc_info is None or not isinstance(record.exc_info[1], _OF_THE_CLIENT))
+log.addFilter(lambda record: record.exc_info is None or not isinstance(record.exc_info[1], _CLIENT_ERRORS))
 
 
 @dataclass(frozen=True)
