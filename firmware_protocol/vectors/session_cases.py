@@ -330,7 +330,7 @@ def board_sessions() -> list[Case]:
             ],
         ),
         session(
-            "a host gives way 10 s after its last byte, of a packet or not, or after it connected",
+            "a host is replaced 10 s after its last byte, of a packet or not, or after it connected",
             [
                 connects("idle"),
                 connects("idle", served=False, when=ticks + 10 * SECOND - 1),
