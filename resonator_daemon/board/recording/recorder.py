@@ -138,7 +138,7 @@ class Recorder:
 
     @property
     def events(self) -> int:
-        """Events that are in the kernel's hands."""
+        """Events that are flushed to the kernel."""
         with self._lock:
             return self._events
 

@@ -94,7 +94,7 @@ class McapFile(Writer):
 
 
 class RecordingWriter:
-    """A file that is being written; its metadata are in the kernel's hands once it is made.
+    """A file that is being written; its metadata are flushed to the kernel when it is made.
 
     For one thread. A lock (flock) marks the file as being written.
 
@@ -121,7 +121,7 @@ class RecordingWriter:
     begun_ns
         Monotonic time of the first of these.
     whole, filling
-        Contents of the chunks that are in the kernel's hands, and of the one that is being filled.
+        Contents of the chunks that are flushed to the kernel, and of the one that is being filled.
     snapshot_due
         A chunk has ended since the last snapshot was written.
     """
