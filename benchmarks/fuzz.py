@@ -229,7 +229,6 @@ SOUND: dict[str, tuple[dict[str, Any], ...]] = {
     "start_recording": ({}, {"label": "drop-1"}),
     "mark": ({"text": "touched"},),
     "set_window": ({"window_ms": 20}, {"window_ms": 10, "step_ms": 2}),
-    "set_rate": ({"topic": "forces", "rate_hz": 20}, {"topic": "contacts", "rate_hz": 3, "lease_s": 1}),
 }
 VERBS_TRIED = (*VERBS, "unknown", "TARE", "tare ", "../tare", "a/b", "#", "\ud800", "x" * 300, "")
 TEXTS = ("", "forces", "../../etc/passwd", "a\x00b", "é\u202e", "\ud83d", "x" * 500, "drop-1", "info", "NaN", "%s{0}")

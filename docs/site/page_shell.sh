@@ -10,7 +10,7 @@ board() {
   resonatord config example >left-index.toml
   link
   if [ "${1:-}" = skin32 ]; then sed -i 's|^link = .*|link = "tcp://127.0.0.1:7000"|' left-index.toml; fi
-  sed -i "s|^plate = .*|plate = \"${1:-quartz16}\"|; s|^allow = .*|allow = [\"start_recording\", \"stop_recording\", \"mark\", \"tare\", \"set_rate\"]|" left-index.toml
+  sed -i "s|^plate = .*|plate = \"${1:-quartz16}\"|; s|^allow = .*|allow = [\"start_recording\", \"stop_recording\", \"mark\", \"tare\", \"set_window\"]|" left-index.toml
 }
 
 # link [FILE]: enter the emulated board's link, as the pages ask for.

@@ -3,7 +3,7 @@
 docs/reference/mqtt-commands.md lists the verbs and their keys. A VALUE is JSON, or else text. A daemon executes a verb
 that changes something only where `allow` in [commands] of its configuration has it.
 
-Example: resonatord command left-index set_rate topic=forces rate_hz=20
+Example: resonatord command left-index set_window window_ms=20
 """
 
 import argparse
@@ -60,7 +60,7 @@ def _payload(model: "type[BaseModel]", fields: Sequence[tuple[str, str]]) -> dic
 def _field(text: str) -> tuple[str, str]:
     key, equals, value = text.partition("=")
     if not key or not equals:
-        raise argparse.ArgumentTypeError(f"got {text!r}; give KEY=VALUE, as rate_hz=20")
+        raise argparse.ArgumentTypeError(f"got {text!r}; give KEY=VALUE, as window_ms=20")
     return key, value
 
 

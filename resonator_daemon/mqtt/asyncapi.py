@@ -94,8 +94,6 @@ def document() -> Object:
             if topic.slow_hz is not None:
                 copied = f"The messages of `{topic.path}`, at most {topic.slow_hz} a second; for display."
                 _add_topic(channels, operations, base, topic.slow_path, topic, copied)
-                further = f"The messages of `{topic.path}` at a rate that `set_rate` asked for, while its lease lasts."
-                _add_topic(channels, operations, base, topic.path_at("{rate_hz}"), topic, further)
     _add_document(channels, operations)
     channels[_REPLY] = _channel(
         None,

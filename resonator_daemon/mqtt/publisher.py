@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import logging
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
@@ -53,25 +53,18 @@ def ignore(*_: object) -> None:
 
 
 class _Stream:
-    """Packets of a stream, and those of its decimated topics with their paces."""
+    """Packets of a stream, and those of its decimated topic, if it has one."""
 
     def __init__(self, base: str, topic: Topic[Any]) -> None:
-        self._base, self._topic = base, topic
-        self._by_rate: dict[int, tuple[Pace, StreamPackets]] = {}
-        self.packets = self._packets(topic.path)
-        self.set_rates(())
+        properties = properties_of(topic)
+        self.packets = StreamPackets(f"{base}/{topic.path}", properties, perishable=topic.perishable)
+        self._slow = StreamPackets(f"{base}/{topic.slow_path}", properties, perishable=topic.perishable)
+        self._decimator = None if topic.slow_hz is None else Pace(topic.slow_hz)
 
-    def set_rates(self, rates_hz: Collection[int]) -> None:
-        """Set the rates that are published in addition to the fixed ones; a rate that goes on keeps its pace."""
-        fixed = () if self._topic.slow_hz is None else (self._topic.slow_hz,)
-        self._by_rate = {
-            rate_hz: self._by_rate.get(rate_hz) or (Pace(rate_hz), self._packets(self._topic.path_at(rate_hz)))
-            for rate_hz in (*fixed, *rates_hz)
-        }
-        self.decimated = tuple(self._by_rate.values())
-
-    def _packets(self, path: str) -> StreamPackets:
-        return StreamPackets(f"{self._base}/{path}", properties_of(self._topic), perishable=self._topic.perishable)
+    def wanted(self, t_ns: int) -> tuple[StreamPackets, ...]:
+        """Return the packets that a message of this time goes into."""
+        decimated = self._decimator is not None and self._decimator.lets_pass(t_ns)
+        return (self.packets, self._slow) if decimated else (self.packets,)
 
 
 class Publisher:
@@ -225,10 +218,6 @@ class Publisher:
             properties = pack(content_type=JSON, expiry_s=outgoing.expiry_s, correlation=outgoing.correlation)
             self._outbox.put_answer(Packet(outgoing.topic, outgoing.payload, properties))
 
-    def set_rates(self, base: str, topic: Topic[Any], rates_hz: Collection[int]) -> None:
-        """Set the rates, each above 0, at which a stream is published on topics of their own, besides its fixed one."""
-        self._stream(base, topic).set_rates(rates_hz)
-
     async def stored_events(self, boot_id: str | None, after_seq: int, bytes_max: int) -> HistoryPage:
         """Return stored events, as of `EventHistory.page`; only where the publisher stores them."""
         if (history := self._outbox.events.history) is None:
@@ -310,13 +299,11 @@ class Publisher:
             self._outbox.republish((topic,))
 
     def _publish_stream(self, base: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
-        """Queue the message, and the same bytes on each decimated topic whose pace lets it pass."""
-        t_ns = message.t_ns if isinstance(message, (Encoded, Header)) else 0
-        stream = self._stream(base, topic)
-        wanted = [stream.packets]
-        for pace, packets in stream.decimated:
-            if pace.lets_pass(t_ns):
-                wanted.append(packets)
+        """Queue the message, and the same bytes on the decimated topic if its rate lets it pass."""
+        stream = self._streams.get((base, topic.path))
+        if stream is None:
+            stream = self._streams[base, topic.path] = _Stream(base, topic)
+        wanted = stream.wanted(message.t_ns if isinstance(message, (Encoded, Header)) else 0)
         self._account.enqueued += len(wanted)
         if self._closed or self._client is None:
             absent = Cause.NO_CONNECTION if self._connections else Cause.NOT_CONNECTED_YET
@@ -326,12 +313,6 @@ class Publisher:
         payload = encode(message)
         for packets in wanted:
             self._outbox.put_stream(packets, payload)
-
-    def _stream(self, base: str, topic: Topic[Any]) -> _Stream:
-        stream = self._streams.get((base, topic.path))
-        if stream is None:
-            stream = self._streams[base, topic.path] = _Stream(base, topic)
-        return stream
 
     def _make_connection(self, version: MQTTProtocolVersion) -> BrokerConnection:
         will = self._make_will()

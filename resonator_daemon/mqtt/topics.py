@@ -53,11 +53,7 @@ class Topic(Generic[MessageT]):
 
     @cached_property
     def slow_path(self) -> str:
-        return self.path_at(self.slow_hz)
-
-    def path_at(self, rate_hz: int | str | None) -> str:
-        """Return the path of the decimated topic with this rate."""
-        return f"{self.path}/{rate_hz}hz"
+        return f"{self.path}/{self.slow_hz}hz"
 
     @cached_property
     def perishable(self) -> bool:

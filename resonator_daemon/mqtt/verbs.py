@@ -32,15 +32,11 @@ def _named(name: str, about: str, meanings: Mapping[Any, str | None]) -> FieldIn
 
 if TYPE_CHECKING:
     JsonTopic = str
-    StreamTopic = str
     NamedJsonTopic = str
-    NamedStreamTopic = str
 else:
     JsonTopic = Literal[tuple(path for path, topic in TOPICS.items() if topic.content_type == JSON)]
-    StreamTopic = Literal[tuple(path for path, topic in TOPICS.items() if topic.slow_hz is not None)]
     _ABOUT = {path: topic.payload.__doc__ for path, topic in TOPICS.items()}
     NamedJsonTopic = Annotated[JsonTopic, _named("JsonTopic", "Topics with JSON.", _ABOUT)]
-    NamedStreamTopic = Annotated[StreamTopic, _named("StreamTopic", "Topics that are published at rates.", _ABOUT)]
 ErrorCode = Literal[
     "unknown_verb",
     "not_permitted",
@@ -58,7 +54,6 @@ ErrorCode = Literal[
     "recording_failed",
     "window",
     "not_published",
-    "too_many_rates",
     "unknown_boot",
     "storage_failed",
     "not_located",
@@ -80,7 +75,6 @@ ERRORS: Final[dict[ErrorCode, str]] = {
     "recording_failed": "the file cannot be made, or takes nothing more",
     "window": "window and step do not fit each other, or the frames",
     "not_published": "the daemon does not publish this stream",
-    "too_many_rates": "16 further rates are published already",
     "unknown_boot": "no run with this `daemon_boot_id` is on record",
     "storage_failed": "stored events of an earlier run cannot be read: the disk failed, or another process holds it",
     "not_located": "the board did not answer, or cannot blink",
@@ -286,23 +280,6 @@ class SetWindowAnswer(Answer):
     step_s: float
 
 
-class SetRate(Request):
-    """Publish a stream at a further rate, too, on a topic of its own, for a time that asking again extends."""
-
-    topic: NamedStreamTopic
-    rate_hz: WholeNumber = Field(ge=1, le=1000, description="at most so many messages a second")
-    lease_s: WholeNumber = Field(60, ge=1, le=3600, description="how long from now")
-
-
-class SetRateAnswer(Answer):
-    """The topic that has this rate."""
-
-    verb: Literal["set_rate"] = "set_rate"
-    topic: str = Field(description="below prefix and name")
-    rate_hz: int = Field(description="at most so many messages a second")
-    until_t_ns: Int64 | None = Field(description="UTC, when it ends; null: it is always published")
-
-
 class Identify(Request):
     """Request to make the board blink."""
 
@@ -351,7 +328,6 @@ VERBS: Final[dict[str, Verb]] = {
         Verb(StopRecording, StopRecordingAnswer, "ends the recording"),
         Verb(Mark, MarkAnswer, "writes a remark into the recording", idempotent=False),
         Verb(SetWindow, SetWindowAnswer, "sets window and step of the forces"),
-        Verb(SetRate, SetRateAnswer, "publishes a stream at a further rate on a topic of its own"),
         Verb(Identify, IdentifyAnswer, "makes the board blink"),
     )
 }

@@ -18,7 +18,7 @@ from resonator_daemon.mqtt.commands import CommandRefusedError, Handler
 from resonator_daemon.mqtt.message_examples import EXAMPLES
 from resonator_daemon.mqtt.payloads import Info
 from resonator_daemon.mqtt.topics import INFO, STATE_DAEMON
-from resonator_daemon.mqtt.verbs import Mark, MarkAnswer, SetRate, SetRateAnswer, Tare, TareAnswer
+from resonator_daemon.mqtt.verbs import Mark, MarkAnswer, SetWindow, SetWindowAnswer, Tare, TareAnswer
 
 LINK = "tcp://127.0.0.1:9"
 
@@ -147,17 +147,19 @@ async def test_any_command_is_sent_with_its_fields(
         marks.append(request.text)
         return MarkAnswer(t_ns=17)
 
-    def set_rate(request: SetRate) -> SetRateAnswer:
-        return SetRateAnswer(topic=f"{request.topic}/5hz", rate_hz=request.rate_hz, until_t_ns=None)
+    def set_window(request: SetWindow) -> SetWindowAnswer:
+        return SetWindowAnswer(window_s=1e-3 * (request.window_ms or 0), step_s=0.005)
 
     async def command(*words: str) -> Printed:
         where = () if target[0].endswith(".toml") else ("--url", mosquitto.url)
         return await asyncio.to_thread(main, ["command", *target, words[0], *where, *words[1:]]), *capsys.readouterr()
 
-    async with daemon(mosquitto.url, tared, allowed=("mark", "set_rate"), more={"mark": mark, "set_rate": set_rate}):
+    async with daemon(
+        mosquitto.url, tared, allowed=("mark", "set_window"), more={"mark": mark, "set_window": set_window}
+    ):
         assert await command("mark", "text=5") == (0, 't_ns: "17"\n'.replace('"', ""), "")
-        code, printed, _ = await command("set_rate", "topic=forces", "rate_hz=5", "--json")
-        assert (code, json.loads(printed)["topic"]) == (0, "forces/5hz")
+        code, printed, _ = await command("set_window", "window_ms=20", "--json")
+        assert (code, json.loads(printed)["window_s"]) == (0, 0.02)
         code, printed, reported = await command("tare")
         assert (code, printed, reported.startswith("resonatord: tare not done: ")) == (1, "", True)
         code, printed, _ = await command("mark", "--json")

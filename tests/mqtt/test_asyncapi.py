@@ -58,7 +58,7 @@ def test_every_topic_is_there_with_its_delivery() -> None:
             told[address] = (delivery["qos"], delivery["retain"], delivery.get("messageExpiryInterval"))
     deliveries = {"schema": (1, True, None), **{f"rsp/{verb}": (1, False, None) for verb in (*VERBS, "unknown")}}
     for path, topic in TOPICS.items():
-        copies = (topic.slow_path, f"{path}/{{rate_hz}}hz") if topic.slow_hz else ()
+        copies = (topic.slow_path,) if topic.slow_hz else ()
         deliveries |= dict.fromkeys((path, *copies), (topic.qos, topic.retained, topic.expiry_s))
     of_decoders = {"state": (1, True, 3600), "health": (0, False, 60)}
     assert told == {PLATE + path: delivery for path, delivery in deliveries.items()} | {

@@ -18,7 +18,6 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "stop_recording": [{}],
     "mark": [{"text": "Finger über Stelle 7"}],
     "set_window": [{"window_ms": 20}, {"step_ms": 5}, {"window_ms": 10.0, "step_ms": 2.5}],
-    "set_rate": [{"topic": "forces", "rate_hz": 20}, {"topic": "decoded", "rate_hz": 1000, "lease_s": 3600}],
     "identify": [{}],
 }
 REFUSED: list[tuple[str, dict[str, Any]]] = [
@@ -35,11 +34,6 @@ REFUSED: list[tuple[str, dict[str, Any]]] = [
     ("mark", {}),
     *(("set_window", {"window_ms": ms}) for ms in (0, -1, 1001, float("nan"), "10", True, 10**400)),
     ("set_window", {"window_ms": 10, "step_ms": 0}),
-    *(("set_rate", {"topic": "forces", "rate_hz": hz}) for hz in (0, 0.5, -5, 1001, "20", True, None)),
-    *(("set_rate", {"topic": "forces", "rate_hz": 5, "lease_s": s}) for s in (0, 0.5, -1, 3601, "60", True, None)),
-    ("set_rate", {"topic": "forces"}),
-    ("set_rate", {"topic": "state/daemon", "rate_hz": 1}),
-    ("set_rate", {"topic": "forces/20hz", "rate_hz": 1}),
 ]
 
 

@@ -3,7 +3,7 @@
 import math
 import re
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -50,9 +50,6 @@ class StandIn:
     def locate(self, done: Callable[[str | None], None]) -> None:
         self.acts.append(("locate",))
         done(self.board_refuses)
-
-    def publish_rates(self, rates_hz: Mapping[str, Collection[int]]) -> None:
-        self.acts.append(("publish_rates", dict(rates_hz)))
 
     async def stored_events(self, boot_id: str | None, after_seq: int, bytes_max: int) -> HistoryPage:
         if boot_id == "unreadable":
@@ -117,7 +114,6 @@ def handlers_on(stand_in: StandIn, config: Config) -> CommandHandlers:
         sensor=stand_in.sensor,  # type: ignore[arg-type]
         locate=stand_in.locate,
         streams=stand_in.streams,
-        publish_rates=stand_in.publish_rates,
         answers_for=lambda _boot_id: True,
         stored_events=stand_in.stored_events,
         measurement=lambda: stand_in.measurement,

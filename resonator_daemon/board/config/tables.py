@@ -61,7 +61,7 @@ def _friction(value: object) -> object:
     return value
 
 
-ChangingVerb = Literal["tare", "start_recording", "stop_recording", "mark", "set_window", "set_rate", "identify"]
+ChangingVerb = Literal["tare", "start_recording", "stop_recording", "mark", "set_window", "identify"]
 
 
 class Commands(Table):

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, Final, get_args
 
 from resonator_daemon.board.config import Config, Measurement, timing_problems
-from resonator_daemon.daemon.service.rate_commands import PublishRates, RateCommands
 from resonator_daemon.daemon.service.recording_commands import RecordingCommands, as_json_text
 from resonator_daemon.measure.pipeline import control_requests
 from resonator_daemon.measure.pipeline.control_requests import Control
@@ -58,8 +57,6 @@ class DaemonParts:
         Asks the board to blink; calls, on the event loop, with why it did not, or None.
     streams
         Paths of the topics that this daemon publishes as streams.
-    publish_rates
-        Called with the further rates of all streams, in Hz by path, when they have changed.
     answers_for
         Returns whether this daemon, and no other of its name, answers for a run (None: the present one).
     stored_events
@@ -75,7 +72,6 @@ class DaemonParts:
     sensor: Callable[[], Sensor[Any] | None]
     locate: Callable[[Located], None]
     streams: Collection[str]
-    publish_rates: PublishRates
     answers_for: Callable[[str | None], bool]
     stored_events: Callable[[str | None, int, int], Awaitable[HistoryPage]]
     measurement: Callable[[], Measurement]
@@ -111,7 +107,6 @@ class CommandHandlers:
             "stop_recording": recording.stop,
             "mark": recording.mark,
             "set_window": self._set_window,
-            "set_rate": RateCommands(parts.streams, parts.publish_rates).set_rate,
             "identify": self._identify,
         }
 

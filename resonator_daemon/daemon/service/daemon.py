@@ -9,7 +9,7 @@ import secrets
 import signal
 import sys
 import time
-from collections.abc import Collection, Coroutine, Mapping
+from collections.abc import Coroutine
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
@@ -229,7 +229,6 @@ class Service:
             sensor=self._measuring_sensor,
             locate=self._reader.blink,
             streams=tuple(topic.path for topic in self._pipeline.sensor.streams if topic.slow_hz),
-            publish_rates=self._publish_rates,
             answers_for=self._daemon.answers_for,
             stored_events=self._plate_publisher.stored_events,
             measurement=lambda: self._pipeline.sensor.measurement,
@@ -260,10 +259,6 @@ class Service:
         """Return the sensor while a board sends frames, None otherwise."""
         link, sensor = self._pipeline.link, self._pipeline.sensor
         return sensor if sensor.ready and link is not None and link.state == Condition.ONLINE else None
-
-    def _publish_rates(self, rates_hz: Mapping[str, Collection[int]]) -> None:
-        self._plate_publisher.set_rates(rates_hz)
-        self._pipeline.publish_rates(rates_hz)
 
     async def _keep_reloading(self) -> None:
         while True:

@@ -139,13 +139,6 @@ class PlatePublisher:
         if self._commands is not None:
             self._commands.allowed = verbs
 
-    def set_rates(self, rates_hz: Mapping[str, Collection[int]]) -> None:
-        """Set the further rates of streams, by path, each published on a topic of its own."""
-        if self._publisher is not None:
-            for topic in TOPICS.values():
-                if topic.slow_hz is not None:
-                    self._publisher.set_rates(self._base, topic, rates_hz.get(topic.path, ()))
-
     async def stored_events(self, boot_id: str | None, after_seq: int, bytes_max: int) -> HistoryPage:
         """Return stored events of a run, the present one where not given, beyond `after_seq`."""
         if self._publisher is None:

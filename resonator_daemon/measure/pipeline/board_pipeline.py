@@ -1,7 +1,7 @@
 """Events of a board's session to messages, without a clock: live, from a recording, and wherever else they are read."""
 
 import logging
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import TYPE_CHECKING
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
@@ -113,7 +113,6 @@ class BoardPipeline:
         self._arrived_utc_ns = 0  # of what arrived last: the same live and from a recording
         self._now_utc_ns = 0
         self._day = -1
-        self._rates_hz: Mapping[str, Collection[int]] = {}  # further ones, by path
 
     @property
     def skipped_late(self) -> int:
@@ -202,11 +201,6 @@ class BoardPipeline:
         except ValueError as error:
             return f"{request!r} is no request of this version: {error}"
 
-    def publish_rates(self, rates_hz: Mapping[str, Collection[int]]) -> None:
-        """Publish which further rates streams have now, by path."""
-        self._rates_hz = rates_hz
-        self._publish_info()
-
     def allow(self, verbs: Collection[str]) -> None:
         """Publish which commands are accepted from now on."""
         self.states.allowed = verbs
@@ -254,4 +248,4 @@ class BoardPipeline:
 
     def _publish_info(self) -> None:
         if self.board is not None:
-            self._publish(INFO, self.states.info(self.board, self._rates_hz, self._arrived_utc_ns))
+            self._publish(INFO, self.states.info(self.board, self._arrived_utc_ns))

@@ -1,6 +1,6 @@
 """Messages about the state of daemon, link and sensor, and about what the plate is."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any, Final
@@ -114,8 +114,8 @@ class StateMessages:
         self._last_ns[topic] = t_ns, since_t_ns
         return {**self._headers.of(topic, t_ns), "since_t_ns": since_t_ns}
 
-    def info(self, board: BoardOnline, rates_hz: Mapping[str, Collection[int]], utc_ns: int) -> Info:
-        """Return what the plate is; `rates_hz` are further rates of streams by path, each on a topic of its own."""
+    def info(self, board: BoardOnline, utc_ns: int) -> Info:
+        """Return what the plate is."""
         plate = self._plate
         return Info(
             **self._headers.of(INFO, utc_ns),
@@ -130,7 +130,7 @@ class StateMessages:
             frame_rate_hz=plate.counter.frame_rate_hz,
             window_s=self._sensor.window_s,
             step_s=self._sensor.step_s,
-            rates_hz=self._rates_hz(rates_hz),
+            rates_hz=self._rates_hz(),
             units=UNITS,
             commands=permitted(self.allowed),
             force_max_newton=plate.force_max_newton,
@@ -147,14 +147,13 @@ class StateMessages:
             pilot_hz=self._sensor.pilot_hz,
         )
 
-    def _rates_hz(self, further_hz: Mapping[str, Collection[int]]) -> dict[str, float]:
+    def _rates_hz(self) -> dict[str, float]:
         rate_hz = self._sensor.rate_hz
         rates_hz = {}
         for topic in self._sensor.streams:
             rates_hz[topic.path] = rate_hz if topic.rate_max_hz is None else min(rate_hz, topic.rate_max_hz)
-            fixed = () if topic.slow_hz is None else (topic.slow_hz,)
-            for slow_hz in (*fixed, *further_hz.get(topic.path, ())):
-                rates_hz[topic.path_at(slow_hz)] = min(rate_hz, slow_hz)
+            if topic.slow_hz is not None:
+                rates_hz[topic.slow_path] = min(rate_hz, topic.slow_hz)
         return rates_hz
 
     def _grid(self) -> GridInfo | None:

@@ -90,8 +90,8 @@ async def command(
     plate
         Its name.
     verb
-        `ping`, `health`, `snapshot`, `events`, `tare`, `start_recording`, `stop_recording`, `mark`, `set_window`,
-        `set_rate` or `identify`; `docs/reference/mqtt-commands.md` lists arguments and answers.
+        `ping`, `health`, `snapshot`, `events`, `tare`, `start_recording`, `stop_recording`, `mark`, `set_window`
+        or `identify`; `docs/reference/mqtt-commands.md` lists arguments and answers.
     timeout_s
         How long to wait for the answer.
     **arguments

@@ -171,29 +171,26 @@ def test_forces_of_an_expired_calibration_are_marked(tmp_path: Path, expiry: str
     measured = reading(sites=(SiteForce(1, 1.2, 0.1, 0.1, "ok"),), contacts=(contact(),))
     assert literal(messages.force.forces(measured, GATE_MIDDLE))["sites"][0]["status"] == status
     assert literal(messages.force.contacts(measured, GATE_MIDDLE))["contacts"][0]["status"] == status
-    said = literal(messages.states.info(BOARD, {}, 1))["calibration"]
+    said = literal(messages.states.info(BOARD, 1))["calibration"]
     assert (said["id"], said["date"], said["expiry"], said["response"]) == ("c1", "2019-01-01", expiry, "off")
 
 
 def test_info_needs_no_file(messages: Messages, monkeypatch: pytest.MonkeyPatch) -> None:
     """An upgrade replaces the installed files, and descriptors may run out, while a board comes back."""
-    running = literal(messages.states.info(BOARD, {}, 1))["daemon_version"]
+    running = literal(messages.states.info(BOARD, 1))["daemon_version"]
     monkeypatch.setattr("importlib.metadata.Distribution.from_name", lambda name: pytest.fail(f"{name} is read"))
-    assert literal(messages.states.info(BOARD, {}, 1))["daemon_version"] == running
+    assert literal(messages.states.info(BOARD, 1))["daemon_version"] == running
 
 
-def test_further_rates_have_their_topics_in_info(tmp_path: Path) -> None:
-    said = literal(
-        Messages(configured(tmp_path, FORCE_PLATE)).states.info(BOARD, {"forces": [10, 5], "contacts": [900]}, 1)
-    )
-    fixed = {"forces": 200.0, "forces/20hz": 20.0, "contacts": 200.0, "contacts/20hz": 20.0, "tones": 20.0}
-    assert said["rates_hz"] == fixed | {"forces/10hz": 10.0, "forces/5hz": 5.0, "contacts/900hz": 200.0}
+def test_decimated_topics_have_their_rates_in_info(tmp_path: Path) -> None:
+    said = literal(Messages(configured(tmp_path, FORCE_PLATE)).states.info(BOARD, 1))["rates_hz"]
+    assert said == {"forces": 200.0, "forces/20hz": 20.0, "contacts": 200.0, "contacts/20hz": 20.0, "tones": 20.0}
 
 
 def test_a_skin_that_is_decoded_elsewhere_has_its_signals_alone(tmp_path: Path) -> None:
     messages = Messages(configured(tmp_path, "skin32", decoding={"external": True}))
     assert [topic.path for topic in messages.sensor.streams] == ["signals"]
-    assert set(literal(messages.states.info(BOARD, {}, 1))["rates_hz"]) == {"signals", "signals/5hz"}
+    assert set(literal(messages.states.info(BOARD, 1))["rates_hz"]) == {"signals", "signals/5hz"}
 
 
 def test_states_never_go_back_in_time(messages: Messages) -> None:
