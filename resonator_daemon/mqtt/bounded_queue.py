@@ -53,7 +53,7 @@ class BoundedQueue(Generic[ItemT]):
         return items
 
 
-class Pace:
+class Decimator:
     """Lets the first message of each period pass, by the messages' own time.
 
     Periods are cut at multiples of their length, so that messages of a steady rate pass at a steady rate, too,

@@ -14,7 +14,7 @@ from paho.mqtt.enums import MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.mqtt.bounded_queue import Pace
+from resonator_daemon.mqtt.bounded_queue import Decimator
 from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes, Will
 from resonator_daemon.mqtt.broker_limits import BrokerLimits
 from resonator_daemon.mqtt.codec import Encoded, encode
@@ -59,7 +59,7 @@ class _Stream:
         properties = properties_of(topic)
         self.packets = StreamPackets(f"{base}/{topic.path}", properties, perishable=topic.perishable)
         self._slow = StreamPackets(f"{base}/{topic.slow_path}", properties, perishable=topic.perishable)
-        self._decimator = None if topic.slow_hz is None else Pace(topic.slow_hz)
+        self._decimator = None if topic.slow_hz is None else Decimator(topic.slow_hz)
 
     def wanted(self, t_ns: int) -> tuple[StreamPackets, ...]:
         """Return the packets that a message of this time goes into."""
@@ -197,8 +197,8 @@ class Publisher:
             else:
                 self._outbox.put_event(name, message)
 
-    def together(self) -> AbstractContextManager[None]:
-        """Send what is published within this context together, at its end."""
+    def batch(self) -> AbstractContextManager[None]:
+        """Send what is published within this context as one batch, at its end."""
         return self._outbox
 
     def retain(self, full_topic: str, payload: bytes, content_type: str) -> None:

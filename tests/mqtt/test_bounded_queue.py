@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from resonator_daemon.mqtt.bounded_queue import BoundedQueue, Pace
+from resonator_daemon.mqtt.bounded_queue import BoundedQueue, Decimator
 
 MS_NS = 1_000_000
 
@@ -35,7 +35,7 @@ def test_the_newest_that_fit_are_kept_in_order_and_nothing_gets_lost(sizes, coun
 @pytest.mark.parametrize(("source_hz", "rate_hz", "passed"), [(200, 20, 20), (100, 5, 5), (75, 20, 20), (10, 20, 10)])
 def test_a_steady_rate_passes_at_the_rate_asked_for(source_hz: int, rate_hz: int, passed: int) -> None:
     chance = random.Random(3)
-    decimator = Pace(rate_hz)
+    decimator = Decimator(rate_hz)
     start_ns = 1_789_000_000_003_000_000
     count = 0
     for number in range(10 * source_hz):
@@ -45,7 +45,7 @@ def test_a_steady_rate_passes_at_the_rate_asked_for(source_hz: int, rate_hz: int
 
 
 def test_a_clock_that_is_set_back_silences_nothing() -> None:
-    decimator = Pace(20.0)
+    decimator = Decimator(20.0)
     assert decimator.lets_pass(10**18)
     assert not decimator.lets_pass(10**18 - 10 * MS_NS)  # late by one period: it had its turn
     assert decimator.lets_pass(10**18 - 3_600_000 * MS_NS)

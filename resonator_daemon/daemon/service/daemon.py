@@ -120,7 +120,7 @@ class Service:
             is_late=self._is_late,
         )
         self._arrivals = ArrivalLoop(
-            lambda: self._reader.pop_arrivals(), self._handle, lambda: self._plate_publisher.together(), self._over
+            lambda: self._reader.pop_arrivals(), self._handle, lambda: self._plate_publisher.batch(), self._over
         )
         self._reader = BoardReader(
             config.link,

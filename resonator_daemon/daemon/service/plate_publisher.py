@@ -95,9 +95,9 @@ class PlatePublisher:
         elif topic.retained and isinstance(message, Message):
             self._waiting[topic] = message
 
-    def together(self) -> AbstractContextManager[None]:
-        """Send what is published within this context together, at its end."""
-        return self._publisher.together() if self._publisher is not None else nullcontext()
+    def batch(self) -> AbstractContextManager[None]:
+        """Send what is published within this context as one batch, at its end."""
+        return self._publisher.batch() if self._publisher is not None else nullcontext()
 
     def begin(self, name: str, handlers: Mapping[str, Handler], daemon_state: DaemonState) -> None:
         """Set the name; `run` connects and publishes the waiting states first."""
