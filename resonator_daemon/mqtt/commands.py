@@ -14,8 +14,8 @@ from pydantic_core import ErrorDetails
 
 from resonator_daemon.base.toml.reading import nearest
 from resonator_daemon.mqtt.mqtt_messages import Incoming, Outgoing
+from resonator_daemon.mqtt.pacing import TokenBucket
 from resonator_daemon.mqtt.strict_json import read_object
-from resonator_daemon.mqtt.token_bucket import TokenBucket
 from resonator_daemon.mqtt.verbs import (
     UNKNOWN,
     VERBS,

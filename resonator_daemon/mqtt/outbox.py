@@ -2,13 +2,13 @@
 
 import asyncio
 import logging
-from collections.abc import Collection, KeysView
+from collections import deque
+from collections.abc import Collection, Iterator, KeysView
 from itertools import chain
 from pathlib import Path
 from time import monotonic
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
-from resonator_daemon.mqtt.bounded_queue import BoundedQueue
 from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, NO_SUBSCRIBERS, BrokerConnection, InFlight
 from resonator_daemon.mqtt.broker_limits import LargestMessages, packet_bytes
 from resonator_daemon.mqtt.event_queue import Event, EventQueue
@@ -52,6 +52,52 @@ class _Stream(NamedTuple):
 
 
 WaitingT = TypeVar("WaitingT", Packet, _Stream)
+
+
+class _Sized(Protocol):
+    @property
+    def size_bytes(self) -> int: ...
+
+
+ItemT = TypeVar("ItemT", bound=_Sized)
+
+
+class BoundedQueue(Generic[ItemT]):
+    """First in, first out; what would exceed the bounds pushes the oldest out, and is itself always taken."""
+
+    def __init__(self, count_max: int, bytes_max: int) -> None:
+        self._count_max = count_max
+        self._bytes_max = bytes_max
+        self._items: deque[ItemT] = deque()
+        self.size_bytes = 0
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def __iter__(self) -> Iterator[ItemT]:
+        return iter(self._items)
+
+    def put(self, item: ItemT) -> list[ItemT]:
+        """Append an item; return those that had to go for it, the oldest first."""
+        pushed_out = []
+        while self._items and (
+            len(self._items) >= self._count_max or self.size_bytes + item.size_bytes > self._bytes_max
+        ):
+            pushed_out.append(self.pop())
+        self._items.append(item)
+        self.size_bytes += item.size_bytes
+        return pushed_out
+
+    def pop(self) -> ItemT:
+        item = self._items.popleft()
+        self.size_bytes -= item.size_bytes
+        return item
+
+    def clear(self) -> list[ItemT]:
+        items = list(self._items)
+        self._items.clear()
+        self.size_bytes = 0
+        return items
 
 
 class Outbox:

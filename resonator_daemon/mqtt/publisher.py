@@ -14,7 +14,6 @@ from paho.mqtt.enums import MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.mqtt.bounded_queue import Decimator
 from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes, Will
 from resonator_daemon.mqtt.broker_limits import BrokerLimits
 from resonator_daemon.mqtt.codec import Encoded, encode
@@ -22,6 +21,7 @@ from resonator_daemon.mqtt.event_history import HistoryPage
 from resonator_daemon.mqtt.message_account import Account, Cause
 from resonator_daemon.mqtt.mqtt_messages import Incoming, Outgoing
 from resonator_daemon.mqtt.outbox import Outbox, Packet
+from resonator_daemon.mqtt.pacing import Decimator
 from resonator_daemon.mqtt.packed_properties import pack, properties_of
 from resonator_daemon.mqtt.payloads import Header, Message, MessageAccount
 from resonator_daemon.mqtt.reconnection import connection_session, keep_connected

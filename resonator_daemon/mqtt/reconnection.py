@@ -11,9 +11,9 @@ from paho.mqtt.enums import MQTTProtocolVersion
 from resonator_daemon.base.host.system_limits import reason_of
 from resonator_daemon.board.config import Mqtt
 from resonator_daemon.mqtt import connection_errors
-from resonator_daemon.mqtt.backoff import Backoff
 from resonator_daemon.mqtt.broker_connection import MQTT_3, MQTT_5, BrokerConnection, ConnectionTimes
 from resonator_daemon.mqtt.connection_errors import BrokerError
+from resonator_daemon.mqtt.pacing import Backoff
 
 log = logging.getLogger(__name__)
 

@@ -23,8 +23,8 @@ from resonator_daemon.measure.decoder_process.followed_contacts import FollowedC
 from resonator_daemon.measure.decoder_process.messages import EndContacts, Reply, Results, SetUpStep, Undecodable, Work
 from resonator_daemon.measure.sensors.surface_decoding import SurfaceClient
 from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings
-from resonator_daemon.mqtt.backoff import Backoff
 from resonator_daemon.mqtt.codec import Encoded
+from resonator_daemon.mqtt.pacing import Backoff
 from resonator_daemon.mqtt.payloads import ContactEvent, DecoderProcessInfo
 from resonator_daemon.mqtt.topics import CONTACTS, DECODED, TOPICS
 
