@@ -7,6 +7,9 @@ from pydantic import Field, model_validator
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.mqtt.payload_types import (
+    Baseline,
+    CapturedTone,
+    ContactChange,
     Float,
     Float32Array,
     Int64,
@@ -14,6 +17,7 @@ from resonator_daemon.mqtt.payload_types import (
     Message,
     OptionalFloat,
     PerChannel,
+    ResponseCompensation,
     SignalArray,
     Status,
     Vector2,
@@ -21,7 +25,6 @@ from resonator_daemon.mqtt.payload_types import (
     optional,
     optional_number,
 )
-from resonator_daemon.mqtt.words import Baseline, CapturedTone, ContactChange, ResponseCompensation
 
 _SLIP_UNKNOWN = "null with a code in `slip_reason_code`"
 _DECODER_ID = "the process that decoded; left out by the daemon itself"

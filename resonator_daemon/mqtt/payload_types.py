@@ -23,6 +23,7 @@ from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.conditions import Word
 
 _DECIMAL: Final = {"type": "string", "pattern": "^[0-9]{1,20}$"}
+_DIGITS: Final = 2  # of a standard deviation: further ones are noise
 _UNKNOWN_IS_NULL: Final = {"type": ["number", "null"]}
 
 
@@ -91,6 +92,46 @@ class Status(Word):
         "pressed_at_start",
         "touched before the untouched plate was known: no force can be given",
     )
+
+
+class Baseline(Word):
+    """How the frequencies of the untouched plate are known."""
+
+    FOLLOWED = "followed", "from tones that nothing touches"
+    HELD = "held", "as they were; no untouched tone is detected"
+    UNKNOWN = "unknown", "not known yet"
+
+
+class ResponseCompensation(Word):
+    """Whether hysteresis and creep of the sites are taken out."""
+
+    ON = "on", "hysteresis and creep are taken out"
+    OFF = "off", "they were not calibrated; `systematic_newton` includes their typical size"
+
+
+class CapturedTone(Word):
+    """What tone a corner has captured."""
+
+    NONE = "none", "no tone can be counted, or not for a whole window yet; `reason_code` states which"
+    PILOT = "pilot", "that of the untouched plate"
+    SITE = "site", "that of the site in `site`"
+    UNIDENTIFIED = "unidentified", "another tone, which is not assigned to a site; the message's `status` states why"
+
+
+class ContactChange(Word):
+    """What happens to a contact."""
+
+    ONSET = "onset", "it begins"
+    RELEASE = "release", "it ends; `reason` states why"
+    INCIPIENT_SLIP = "incipient_slip", "under a skin: its margin to slip has fallen below 0.3"
+    GROSS_SLIP = "gross_slip", "under a skin: no margin is left, all of it slips"
+
+
+class CounterType(Word):
+    """Kind of the board's counter."""
+
+    SINGLE_TONE = "single-tone", "one captured tone per corner"
+    CHANNELISED = "channelised", "one tone per site and corner"
 
 
 def optional(description: str) -> Any:
@@ -167,3 +208,19 @@ class Measured(Header):
         description="the board's clock at the end of the last gate in the window, null where it is not known; it starts"
         " again with each `board_boot_id` of `state/link`"
     )
+
+
+def rounded(value: float, std: float) -> float:
+    """Return `value` to a hundredth of its standard deviation or better, unchanged where that is not known."""
+    places = _places(std)
+    return value if places is None else round(value, places)
+
+
+def rounded_std(std: float) -> float:
+    """Return a standard deviation, or another number of its own scale, to three digits."""
+    places = _places(abs(std))
+    return std if places is None else round(std, places)
+
+
+def _places(std: float) -> int | None:
+    return _DIGITS - math.floor(math.log10(std)) if 0.0 < std < math.inf else None

@@ -21,7 +21,11 @@ from resonator_daemon.mqtt.measured_payloads import (
     Tones,
 )
 from resonator_daemon.mqtt.payload_types import (
+    Baseline,
     BoardHeader,
+    CapturedTone,
+    ContactChange,
+    CounterType,
     Float,
     Float32Array,
     Header,
@@ -30,6 +34,7 @@ from resonator_daemon.mqtt.payload_types import (
     Measured,
     Message,
     PerChannel,
+    ResponseCompensation,
     SignalArray,
     Status,
     Vector2,
@@ -54,7 +59,6 @@ from resonator_daemon.mqtt.state_payloads import (
     SkinInfo,
     State,
 )
-from resonator_daemon.mqtt.words import Baseline, CapturedTone, ContactChange, CounterType, ResponseCompensation
 
 WITH_ARRAYS: Final = (Signals, Decoded)  # these are CBOR, all others JSON
 

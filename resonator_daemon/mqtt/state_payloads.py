@@ -5,8 +5,16 @@ from pydantic import Field
 from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.mqtt.measured_payloads import Compensation, Grid
-from resonator_daemon.mqtt.payload_types import BoardHeader, Float, Int64, Message, PerChannel, optional
-from resonator_daemon.mqtt.words import CounterType, ResponseCompensation
+from resonator_daemon.mqtt.payload_types import (
+    BoardHeader,
+    CounterType,
+    Float,
+    Int64,
+    Message,
+    PerChannel,
+    ResponseCompensation,
+    optional,
+)
 
 _CPU = "of one core, since the last message"
 _MESSAGES = "where each message went"

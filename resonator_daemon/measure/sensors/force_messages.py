@@ -12,8 +12,8 @@ from resonator_daemon.measure.sensors.calendar import utc_day
 from resonator_daemon.measure.sensors.output import MessageOutput
 from resonator_daemon.measure.sensors.usual_reasons import reason_fields
 from resonator_daemon.mqtt.codec import Encoded, encode_fields
+from resonator_daemon.mqtt.payload_types import rounded, rounded_std
 from resonator_daemon.mqtt.payloads import ContactEvent, Contacts, EventContact, Forces, Lost, Status
-from resonator_daemon.mqtt.rounding import rounded, rounded_std
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, FORCES
 
 _NS: Final = 1_000_000_000

@@ -10,6 +10,7 @@ from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.measure.sensors.usual_reasons import reason_fields
 from resonator_daemon.mqtt.headers import MeasuredFields
+from resonator_daemon.mqtt.payload_types import rounded, rounded_std
 from resonator_daemon.mqtt.payloads import (
     Contact,
     ContactEvent,
@@ -21,7 +22,6 @@ from resonator_daemon.mqtt.payloads import (
     Patch,
     Status,
 )
-from resonator_daemon.mqtt.rounding import rounded, rounded_std
 
 if TYPE_CHECKING:
     from resonator_daemon.estimate.surface.decoded import Decoded as DecodedFrame

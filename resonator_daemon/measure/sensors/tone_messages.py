@@ -10,8 +10,8 @@ from resonator_daemon.estimate.forces.readings import CornerTone as MeasuredTone
 from resonator_daemon.estimate.forces.readings import ForceReading
 from resonator_daemon.measure.sensors.plate_sites import force_sites
 from resonator_daemon.mqtt.codec import Encoded, encode_fields
+from resonator_daemon.mqtt.payload_types import rounded, rounded_std
 from resonator_daemon.mqtt.payloads import CapturedTone, SiteCode, Tones
-from resonator_daemon.mqtt.rounding import rounded, rounded_std
 
 _CODE_PLACES: Final = 3
 _RESIDUAL_PLACES: Final = 2
