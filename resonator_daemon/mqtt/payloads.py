@@ -26,8 +26,6 @@ from resonator_daemon.mqtt.payload_types import (
     CapturedTone,
     ContactChange,
     CounterType,
-    Float,
-    Float32Array,
     Header,
     Int64,
     Lost,
@@ -35,10 +33,7 @@ from resonator_daemon.mqtt.payload_types import (
     Message,
     PerChannel,
     ResponseCompensation,
-    SignalArray,
     Status,
-    Vector2,
-    Vector3,
 )
 from resonator_daemon.mqtt.state_payloads import (
     BootInfo,
@@ -84,8 +79,6 @@ __all__ = [
     "DecoderProcessInfo",
     "DecoderState",
     "EventContact",
-    "Float",
-    "Float32Array",
     "Forces",
     "Grid",
     "GridInfo",
@@ -104,7 +97,6 @@ __all__ = [
     "ReasonCode",
     "RecordingInfo",
     "ResponseCompensation",
-    "SignalArray",
     "Signals",
     "SiteCode",
     "SiteForce",
@@ -113,6 +105,4 @@ __all__ = [
     "State",
     "Status",
     "Tones",
-    "Vector2",
-    "Vector3",
 ]

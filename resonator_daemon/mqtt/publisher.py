@@ -54,15 +54,16 @@ class _Stream:
     """Packets of a stream, and those of its decimated topic, if it has one."""
 
     def __init__(self, base: str, topic: Topic[Any]) -> None:
-        properties = properties_of(topic)
-        self.packets = StreamPackets(f"{base}/{topic.path}", properties, perishable=topic.perishable)
-        self._slow = StreamPackets(f"{base}/{topic.slow_path}", properties, perishable=topic.perishable)
+        paths = (topic.path,) if topic.slow_hz is None else (topic.path, topic.slow_path)
+        self._packets = tuple(
+            StreamPackets(f"{base}/{path}", properties_of(topic), perishable=topic.perishable) for path in paths
+        )
         self._decimator = None if topic.slow_hz is None else Decimator(topic.slow_hz)
 
     def wanted(self, t_ns: int) -> tuple[StreamPackets, ...]:
         """Return the packets that a message of this time goes into."""
         decimated = self._decimator is not None and self._decimator.lets_pass(t_ns)
-        return (self.packets, self._slow) if decimated else (self.packets,)
+        return self._packets if decimated else self._packets[:1]
 
 
 class Publisher:

@@ -12,7 +12,7 @@ LEAST_VERSION: Final = ssl.TLSVersion.TLSv1_2
 ALERT_S: Final = 0.5
 
 
-class _PatientSocket(ssl.SSLSocket):
+class _AlertAwaitingSocket(ssl.SSLSocket):
     def do_handshake(self, block: bool = False) -> None:
         try:
             super().do_handshake(block)
@@ -48,6 +48,6 @@ def make_tls(broker: Mqtt) -> ssl.SSLContext:
     """
     tls = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     tls.minimum_version = LEAST_VERSION
-    tls.sslsocket_class = _PatientSocket
+    tls.sslsocket_class = _AlertAwaitingSocket
     load_certificates(tls, *broker.certificates)
     return tls

@@ -108,11 +108,11 @@ class Service:
         loop = asyncio.get_running_loop()
         self._over: asyncio.Future[None] = loop.create_future()  # done when nothing more is to be measured
         self._recording = RecordingSwitch()
-        self._daemon_boot_id = secrets.token_hex(4)
+        self.daemon_boot_id = secrets.token_hex(4)
         self._decoder: DecoderSupervisor[Any] | None = None
         self._pipeline = BoardPipeline(
             config,
-            self._daemon_boot_id,
+            self.daemon_boot_id,
             self._publish,
             lambda: self._plate_publisher.losses,
             loop.call_later,
@@ -134,12 +134,12 @@ class Service:
         self._control_requests = ControlRequests(self._reader.request_control)
         self._recorded = RecordedMessages(self._recording.publish, include_messages=config.recording.include_messages)
         self._recordings: RecordingCommands | None = None
-        self._plate_publisher = PlatePublisher(config, self._daemon_boot_id, self._make_offline)
+        self._plate_publisher = PlatePublisher(config, self.daemon_boot_id, self._make_offline)
         self._step_ns = round(1e9 * self._pipeline.sensor.step_s)
         self._tasks = asyncio.TaskGroup()
         self._monitor = HealthMonitor()
         self._state_logs = {STATE_DAEMON: StateLog("daemon", log), STATE_SENSOR: StateLog("sensor", log)}
-        self._daemon = DaemonState(self._daemon_boot_id, self._publish_daemon_state, self._plate_publisher.restore_now)
+        self._daemon = DaemonState(self.daemon_boot_id, self._publish_daemon_state, self._plate_publisher.restore_now)
         self._version = version("resonatord")  # asked for once: it is in a file
         self._manager = ServiceManager()
         self._liveness = LivenessMonitor()
@@ -209,10 +209,6 @@ class Service:
         return self._in_use.config
 
     @property
-    def daemon_boot_id(self) -> str:
-        return self._daemon_boot_id
-
-    @property
     def link_counters(self) -> LinkCounters:
         """Where the link's bytes and frames went."""
         return self._reader.counters()
@@ -240,10 +236,10 @@ class Service:
             self._config,
             name,
             self._recording,
-            daemon_boot_id=self._daemon_boot_id,
+            daemon_boot_id=self.daemon_boot_id,
             config_sha256=self._in_use.sha256,
         )
-        handlers = CommandHandlers(self._config, self._daemon_boot_id, parts, recordings)
+        handlers = CommandHandlers(self._config, self.daemon_boot_id, parts, recordings)
         self._plate_publisher.begin(name, handlers.by_verb, self._daemon)
         self._tasks.create_task(self._plate_publisher.run(), name="publishing")
         self._recordings = recordings
