@@ -21,7 +21,7 @@ TOKEN_CHARACTERS_MIN: Final = 16
 _SESSIONS_MAX: Final = 1000
 _HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([0-9a-z._-]+))(?::(\d{1,5}))?", re.ASCII | re.IGNORECASE)
 _PORT_MAX: Final = 65535
-_ONCE: Final = (hdrs.ORIGIN, hdrs.AUTHORIZATION)
+_ONCE: Final = (hdrs.HOST, hdrs.ORIGIN, hdrs.AUTHORIZATION)
 _LOGIN_TYPE: Final = "application/x-www-form-urlencoded"
 _HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
@@ -103,7 +103,7 @@ class Access:
 
     def _is_authorized(self, request: web.Request) -> bool:
         kind, _, token = request.headers.get(hdrs.AUTHORIZATION, "").partition(" ")
-        return request.cookies.get(_cookie(request)) in self._sessions or (kind == "Bearer" and self._is_token(token))
+        return request.cookies.get(_cookie(request)) in self._sessions or (kind.lower() == "bearer" and self._is_token(token))
 
     def _is_token(self, token: str) -> bool:
         return self._token is not None and hmac.compare_digest(token.strip().encode(), self._token)
