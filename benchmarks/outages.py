@@ -30,7 +30,7 @@ import aiomqtt
 import psutil
 from long_run_judge import account_off
 from parts import COMMAND, NAME, Part, free_port, mosquitto_command, own_directories
-from slow_gate import Gate
+from relay import Relay, relay
 
 BASE = f"resonator/{NAME}"
 START_S, LOOK_S, BEFORE_S, CAUGHT_UP_S, IN_FLIGHT_S = 30.0, 0.1, 3.0, 60.0, 1.5
@@ -160,7 +160,7 @@ class Scene:
         self._received = folder / "received.jsonl"
         words = (sys.executable, __file__, "--client", str(self.port), str(self._received))
         self.client = Part("client", words, folder / "client.log", {})
-        self.gate: Gate | None = None
+        self.gate: Relay | None = None
         self.plates: list[Plate] = []
         self.runs: dict[str, tuple[Path, int]] = {}  # truth, and since when it measures, UTC, by daemon_boot_id
         self.until_ns: dict[str, int] = {}
@@ -173,7 +173,7 @@ class Scene:
     async def begin(self) -> str:
         """Start everything; return the `daemon_boot_id` when it has run for some seconds."""
         if self.case == "slow":
-            self.gate = await self.stack.enter_async_context(Gate(self.port).standing())
+            self.gate = await self.stack.enter_async_context(relay(f"mqtt://127.0.0.1:{self.port}"))
         await self.start_broker()
         self.client.start()
         run = await self.start_plate()

@@ -28,7 +28,7 @@ from resonator_daemon.mqtt.mqtt_messages import properties_of
 from resonator_daemon.mqtt.outbox import Outbox, Packet
 from resonator_daemon.mqtt.payloads import ContactEvent, Message
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, STATE_LINK, STATE_SENSOR, Topic
-from simulators.emulator import _emulated_board
+from simulators.emulator import emulated_board
 from simulators.faults.misbehaviour import Misbehaviour
 from simulators.scenario import load_scenario
 
@@ -78,7 +78,7 @@ class SimulatedBoard:
 
     def __init__(self, plate: Plate, scenario: str, seed: int) -> None:
         played = load_scenario(scenario, plate)
-        self._board = _emulated_board(plate, played, seed, "sums", Misbehaviour())
+        self._board = emulated_board(plate, played, seed, "sums", Misbehaviour())
         self._random = random.Random(seed)
         self._tick_rate = round(plate.counter.reference_hz * (1.0 + played.physics.reference_error))  # a second
         self.gate_ns = round(S / plate.counter.frame_rate_hz)

@@ -123,7 +123,7 @@ class Emulator:
         scenario.physics = _skewed(scenario.physics, faults.skew_ppm)
         self.plate_name = plate.name
         seed = scenario.seed if options.seed is None else options.seed
-        self._board = _emulated_board(
+        self._board = emulated_board(
             plate,
             scenario,
             seed,
@@ -360,7 +360,7 @@ def _at_rate(plate: Plate, frame_rate_hz: float | None) -> Plate:
     return plate.model_copy(update={"counter": counter})
 
 
-def _emulated_board(
+def emulated_board(
     plate: Plate,
     scenario: Scenario,
     seed: int,

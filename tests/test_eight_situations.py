@@ -50,15 +50,6 @@ def since_s(state: dict[str, Any]) -> float:
     return int(state["since_t_ns"]) / S
 
 
-def states(daemon: str, link: str | None, sensor: str | None, *, boots: int = 1) -> dict[str, Any]:
-    said = {"daemon": {"state": daemon, "reason_code": "connection_lost", "connections": 1}}
-    if link is not None:
-        said["link"] = {"state": link, "boot_count": boots}
-    if sensor is not None:
-        said["sensor"] = {"state": sensor}
-    return said
-
-
 async def test_never_started(mosquitto: Mosquitto) -> None:
     states = await seen_late(mosquitto)
     assert states == {}

@@ -33,32 +33,10 @@ from simulators.faults import parse_faults
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 from corpus_cases import CORPUS, EXPECTED_FILE, RECORDING_FILE, save_case, save_expected
+from plates import small_skin
 
 BOOT_ID: Final = "0123456789abcdef"
 SETTINGS: Final = "[measurement]\nwindow_ms = 20\nstep_ms = 20\n[decoding]\n"
-SMALL_SKIN: Final = """
-format = 1
-name = "small-skin"
-outline_mm = [[-2.4, -2.4], [2.4, -2.4], [2.4, 2.4], [-2.4, 2.4]]
-transducers_mm = [[-2.4, -2.4], [2.4, -2.4], [2.4, 2.4], [-2.4, 2.4]]
-force_max_newton = 2
-[counter]
-kind = "channelised"
-reference_hz = 250e6
-frame_rate_hz = 10
-[skin]
-youngs_modulus_pascal = 2e5
-poisson_ratio = 0.5
-depth_mm = 1.0
-[grid]
-shape = [7, 7]
-pitch_mm = 0.6
-signals = ["p_n", "eps_xz", "eps_yz"]
-f0_hz = 100e6
-spacing_hz = 13000
-order = [3, 21, 1]
-sensitivity = [-2.0e-11, 2.7e-6, 2.7e-6]
-"""
 
 
 def touch(start_s: float, site: int, force_newton: float, hold_s: float = 0.6) -> str:
@@ -135,7 +113,7 @@ def plate(name: str, folder: Path) -> Plate:
     """Return a plate with few frames a second."""
     path = folder / f"{name}.toml"
     if name == "small-skin":
-        path.write_text(SMALL_SKIN)
+        path.write_text(small_skin("small-skin", 2.4, 2, 10, 7))
         return load_plate(str(path))
     shipped = load_plate(name)
     slow = shipped.counter.model_copy(update={"frame_rate_hz": 100.0})

@@ -5,30 +5,6 @@ from typing import Any
 
 from resonator_daemon.base.plate import Plate
 
-SMALL_SKIN = """
-format = 1
-name = "small-skin"
-outline_mm = [[-4.8, -4.8], [4.8, -4.8], [4.8, 4.8], [-4.8, 4.8]]
-transducers_mm = [[-4.8, -4.8], [4.8, -4.8], [4.8, 4.8], [-4.8, 4.8]]
-force_max_newton = 5
-[counter]
-kind = "channelised"
-reference_hz = 250e6
-frame_rate_hz = 50
-[skin]
-youngs_modulus_pascal = 2e5
-poisson_ratio = 0.5
-depth_mm = 1.0
-[grid]
-shape = [16, 16]
-pitch_mm = 0.6
-signals = ["p_n", "eps_xz", "eps_yz"]
-f0_hz = 100e6
-spacing_hz = 13000                           # of tones in the order of signal, x, y
-order = [3, 48, 1]
-sensitivity = [-2.0e-11, 2.7e-6, 2.7e-6]
-"""
-
 
 def with_counter(plate: Plate, **values: float) -> Plate:
     """Return the plate with other values of its counter."""
@@ -58,8 +34,8 @@ def plate_head(
     )
 
 
-def skin_table(depth_mm: float = 1.0) -> str:
-    return f"[skin]\nyoungs_modulus_pascal = 2e5\npoisson_ratio = 0.5\ndepth_mm = {depth_mm}\n"
+def skin_table() -> str:
+    return "[skin]\nyoungs_modulus_pascal = 2e5\npoisson_ratio = 0.5\ndepth_mm = 1.0\n"
 
 
 def skin_grid(sites: int, pitch_mm: float, spacing_hz: float, order: tuple[int, int, int]) -> str:
@@ -76,3 +52,15 @@ def site(number: int, x_mm: float, y_mm: float, **tones: tuple[float, float]) ->
         f'[[sites.tones]]\nsignal = "{signal}"\nf0_hz = {[f0_hz] * 4}\nsensitivity = {[k] * 4}\n'
         for signal, (f0_hz, k) in tones.items()
     )
+
+
+def small_skin(name: str, half_mm: float, force_max_newton: float, frame_rate_hz: float, sites: int) -> str:
+    """Return the file of a square skin with sites 0.6 mm apart; tones in the order of signal, x, y."""
+    head = plate_head(
+        name, (-half_mm, -half_mm), (half_mm, half_mm), force_max_newton, "channelised",
+        reference_hz=250e6, frame_rate_hz=frame_rate_hz,
+    )  # fmt: skip
+    return head + skin_table() + skin_grid(sites, 0.6, 13000, (3, 3 * sites, 1))
+
+
+SMALL_SKIN = small_skin("small-skin", 4.8, 5, 50, 16)

@@ -19,7 +19,7 @@ from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
 from resonator_daemon.daemon.service.recorded_messages import RecordedMessages
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
-from simulators.emulator import _emulated_board
+from simulators.emulator import emulated_board
 from simulators.faults.misbehaviour import Misbehaviour
 from simulators.scenario import load_scenario
 from simulators.scenario_file import default_scenario
@@ -51,7 +51,7 @@ def record(
     queue = FrameQueue(1 << 30, lambda: None, ())
     machine = LinkStateMachine(plate, queue, events.put)
     played = load_scenario(scenario or default_scenario(plate), plate)
-    board = _emulated_board(plate, played, seed, "sums", Misbehaviour(""))
+    board = emulated_board(plate, played, seed, "sums", Misbehaviour(""))
     ticks_per_ns = plate.counter.reference_hz * (1.0 + played.physics.reference_error) * 1e-9
 
     def now(elapsed_ns: int) -> HostTime:

@@ -1,12 +1,11 @@
 """Brokers that are well, refuse, are not there, are slow, or wait for acknowledgements."""
 
-import asyncio
 import socket
 from pathlib import Path
 
 import pytest
 from brokers import Mosquitto
-from slow_gate import Gate
+from relay import relay
 
 from resonator_daemon.board.config import Mqtt
 from resonator_daemon.mqtt.broker_connection import ConnectionTimes
@@ -73,11 +72,9 @@ async def test_a_broker_that_is_not_there_is_a_fault(url: str, id: str) -> None:
 
 async def test_a_way_that_is_too_narrow_is_told(mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(broker_checks, "ANSWER_S", 0.2)
-    async with Gate(int(mosquitto.url.rpartition(":")[2])).standing() as gate:
-        gate.bytes_per_s = 1000.0
-        finding = (await found(f"mqtt://127.0.0.1:{gate.port}"))["broker.round_trip"]
-    if ways := asyncio.all_tasks() - {asyncio.current_task()}:
-        await asyncio.wait(ways)  # the gate's, which it has cancelled
+    async with relay(mosquitto.url) as narrow:
+        narrow.bytes_per_s = 1000.0
+        finding = (await found(narrow.url))["broker.round_trip"]
     assert finding.outcome in (Outcome.FAULT, Outcome.WARNING)
     assert "Nagle" not in finding.evidence
 

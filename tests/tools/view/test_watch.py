@@ -24,7 +24,6 @@ from resonator_daemon.mqtt.publisher import Publisher
 from resonator_daemon.tools.view.watch import json_line
 
 LEFT = "resonator/left"
-NOBODY = "mqtt://127.0.0.1:9"
 COMMAND = (sys.executable, "-m", "resonator_daemon.commands", "watch")
 TIMEOUT_S = 30
 
