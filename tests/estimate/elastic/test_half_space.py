@@ -1,13 +1,34 @@
-"""The half-space's transfer matrices at omega = 0, their conventions and shapes; test_errata has their values."""
+"""The half-space's transfer matrices against elasticity itself; at omega = 0; their conventions and shapes."""
+
+import random
 
 import numpy as np
 import pytest
+from boundary_value_problem import BoundaryValueProblem, mp
 
 from resonator_daemon.estimate.elastic import Convention, HalfSpace
 from resonator_daemon.estimate.elastic.half_space import Input, Output
+from resonator_daemon.estimate.elastic.transfer_matrices import MATRICES
 
 POISSON = [-0.7, 0.0, 0.3, 0.49, 0.5]
 E = 2.0e5
+
+
+@pytest.mark.parametrize("source", ["traction", "displacement"])
+def test_matrices_are_the_solution_of_the_boundary_value_problem(source: Input):
+    """Waves in all four quadrants; the last two bodies are incompressible."""
+    rng = random.Random(5)
+    for number in range(8):
+        nu = 0.5 if number > 5 else rng.uniform(-0.9, 0.5)
+        x, y = (rng.choice((-1, 1)) * rng.uniform(0.3, 2.0) for _ in "xy")
+        z, mu = rng.uniform(0.2, 1.5), rng.uniform(0.5, 2.0)
+        problem = BoundaryValueProblem(mp.mpf(x), mp.mpf(y), mp.mpf(nu), mp.mpf(mu))
+        solution = problem.matrices(source, mp.mpf(z))
+        assert problem.residual < mp.mpf("1e-40")
+        for output in (output for output, of_source in MATRICES if of_source == source):
+            expected, depth = solution[output].astype(np.complex128), 0.0 if output == "traction" else z
+            found = HalfSpace(2 * mu * (1 + nu), nu).transfer_matrix(output, source, x, y, depth)
+            np.testing.assert_allclose(found, expected, atol=1e-14 * np.abs(expected).max(), rtol=0)
 
 
 # --- omega = 0

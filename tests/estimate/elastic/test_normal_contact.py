@@ -23,11 +23,6 @@ def surface(shape: tuple[int, int], poisson_ratio: float = 0.3, *, periodic: boo
     return SurfaceCompliance(HalfSpace(YOUNGS_PASCAL, poisson_ratio), shape, SIDE_M / shape[1], periodic)
 
 
-def distance_m(shape: tuple[int, int]) -> Floats:
-    y, x = ((np.arange(count) - (count - 1) / 2) * SIDE_M / shape[1] for count in shape)
-    return np.hypot(x, y[:, None])
-
-
 def rough(shape: tuple[int, int], seed: int, rms_m: float = 1e-4) -> Floats:
     """White noise, the hardest of maps."""
     return np.random.default_rng(seed).normal(scale=rms_m, size=shape)
