@@ -2,7 +2,6 @@
 
 import gzip
 import json
-import math
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -24,18 +23,10 @@ NOT_COMPARED = {"info": ("daemon_version", "commands")}  # of another version th
 
 
 class Outcome(NamedTuple):
-    """Result of a replay: frames, losses, messages by topic, and the messages that a case contains."""
+    """What a replay came to: frames, losses, messages by topic; and of the messages those that a case keeps."""
 
     summary: dict[str, Any]
     messages: list[dict[str, Any]]
-
-
-class Difference(NamedTuple):
-    """A key and its two values."""
-
-    key: str
-    expected: object
-    got: object
 
 
 def replay_case(case: Path, every: Mapping[str, int] | None = None) -> Outcome:
@@ -44,7 +35,7 @@ def replay_case(case: Path, every: Mapping[str, int] | None = None) -> Outcome:
     Parameters
     ----------
     every
-        By topic: n to keep every nth message; by default all events and states, and as many of streams as fit.
+        By topic: keep each so manieth message; without it all events and states, and of streams as many as fit.
     """
     counts: Counter[str] = Counter()
     lines: list[dict[str, Any]] = []
@@ -76,7 +67,7 @@ def replay_case(case: Path, every: Mapping[str, int] | None = None) -> Outcome:
 
 
 def save_case(recording: Path, case: Path) -> None:
-    """Make a case of a recording; replaces an existing one."""
+    """Make a case of a recording, in the place of one that is there."""
     shutil.rmtree(case, ignore_errors=True)
     case.mkdir()
     shutil.copyfile(recording, case / RECORDING_FILE)
@@ -84,7 +75,7 @@ def save_case(recording: Path, case: Path) -> None:
 
 
 def save_expected(case: Path) -> None:
-    """Write the messages that the present version computes from the recording of a case."""
+    """Write what the present version makes of the recording of a case."""
     outcome = replay_case(case)
     lines = (json.dumps(line) + "\n" for line in (outcome.summary, *outcome.messages))
     with (case / EXPECTED_FILE).open("wb") as file, gzip.GzipFile("", "wb", fileobj=file, mtime=0) as packed:
@@ -97,63 +88,43 @@ def read_expected(case: Path) -> Outcome:
     return Outcome({key: value for key, value in summary.items() if key not in ("format", "sha256")}, messages)
 
 
-def case_differences(expected: Outcome, got: Outcome) -> list[tuple[str, Difference]]:
-    """Return each difference with the topic of its message, or `summary`."""
-    decoded = DECODED.path in expected.summary["messages"]
-    scales: dict[str, float] = {}  # the largest magnitude of each field; elements of a list are one field
-    for line in expected.messages:
-        for field, value in _floats(line["topic"], line["payload"]):
+def case_differences(expected: Outcome, got: Outcome) -> dict[str, tuple[object, object]]:
+    """Return both values of each key that differs, by topic, number and key.
+
+    Floats may differ by the tolerance, times the largest magnitude of their field in the case; elements of a list are
+    one field.
+    """
+    tolerance = DECODED_TOLERANCE if DECODED.path in expected.summary["messages"] else TOLERANCE
+    ours, theirs = dict(_leaves(expected)), dict(_leaves(got))
+    scales: dict[str, float] = {}
+    for field, value in ours.values():
+        if isinstance(value, float):
             scales[field] = max(scales.get(field, 0.0), abs(value))
-    tolerance = DECODED_TOLERANCE if decoded else TOLERANCE
-    found = [("summary", item) for item in _differences("", "", expected.summary, got.summary, {}, 0.0)]
-    theirs = {(line["topic"], line["number"]): line for line in got.messages}
-    for line in expected.messages:
-        topic = line["topic"]
-        other = theirs.pop((topic, line["number"]), None)
-        if other is None:
-            found.append((topic, Difference(f"message {line['number']}", "one", ABSENT)))
-            continue
-        one, another = (
-            {key: value for key, value in side["payload"].items() if key not in NOT_COMPARED.get(topic, ())}
-            for side in (line, other)
-        )
-        found += [(topic, item) for item in _differences("", topic, one, another, scales, tolerance)]
-        if line["now_ns"] != other["now_ns"]:
-            found.append((topic, Difference("(made)", line["now_ns"], other["now_ns"])))
-    return found + [(topic, Difference(f"message {number}", ABSENT, "one")) for topic, number in theirs]
+    differences: dict[str, tuple[object, object]] = {}
+    for key in dict.fromkeys((*ours, *theirs)):
+        (field, one), (_, other) = ours.get(key, ("", ABSENT)), theirs.get(key, ("", ABSENT))
+        near = isinstance(one, float) and isinstance(other, float) and abs(one - other) <= tolerance * scales[field]
+        if not near and (type(one) is not type(other) or one != other):
+            differences[key] = one, other
+    return differences
 
 
-def _differences(
-    key: str, field: str, expected: Any, got: Any, scales: Mapping[str, float], tolerance: float
-) -> Iterator[Difference]:
-    """Yield each key that differs; floats may differ by the tolerance, times the scale of their field."""
-    if type(expected) is not type(got):
-        yield Difference(key, expected, got)
-    elif isinstance(expected, dict):
-        for name in dict.fromkeys((*expected, *got)):
-            inner = f"{key}.{name}" if key else str(name)
-            if name in got and name in expected:
-                yield from _differences(inner, f"{field}.{name}", expected[name], got[name], scales, tolerance)
-            else:
-                yield Difference(inner, expected.get(name, ABSENT), got.get(name, ABSENT))
-    elif isinstance(expected, list):
-        if len(expected) != len(got):
-            yield Difference(f"{key}[]", f"{len(expected)} elements", f"{len(got)} elements")
-        for number, (one, other) in enumerate(zip(expected, got, strict=False)):
-            yield from _differences(f"{key}[{number}]", f"{field}[]", one, other, scales, tolerance)
-    elif isinstance(expected, float):
-        if not math.isclose(expected, got, rel_tol=0.0, abs_tol=tolerance * scales.get(field, 0.0)):
-            yield Difference(key, expected, got)
-    elif expected != got:
-        yield Difference(key, expected, got)
+def _leaves(outcome: Outcome) -> Iterator[tuple[str, tuple[str, Any]]]:
+    """Yield each value with its key and its field; a list has its length, too."""
+    yield from _within("summary", "summary", outcome.summary)
+    for line in outcome.messages:
+        topic, left_out = line["topic"], NOT_COMPARED.get(line["topic"], ())
+        payload = {key: value for key, value in line["payload"].items() if key not in left_out}
+        yield from _within(f"{topic} {line['number']}", topic, {"(made)": line["now_ns"], **payload})
 
 
-def _floats(field: str, value: Any) -> Iterator[tuple[str, float]]:
+def _within(key: str, field: str, value: Any) -> Iterator[tuple[str, tuple[str, Any]]]:
     if isinstance(value, dict):
         for name, inner in value.items():
-            yield from _floats(f"{field}.{name}", inner)
+            yield from _within(f"{key} {name}", f"{field} {name}", inner)
     elif isinstance(value, list):
-        for inner in value:
-            yield from _floats(f"{field}[]", inner)
-    elif isinstance(value, float) and math.isfinite(value):
-        yield field, value
+        yield f"{key}[]", (field, len(value))
+        for number, inner in enumerate(value):
+            yield from _within(f"{key}[{number}]", f"{field}[]", inner)
+    else:
+        yield key, (field, value)

@@ -7,8 +7,7 @@ from threadpoolctl import threadpool_limits
 from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.board.config import Decoding, Measurement
-from resonator_daemon.board.config.text import config_of, plate_text, settings_text
+from resonator_daemon.board.config.text import config_of, load_settings_text, plate_text, settings_text
 from resonator_daemon.board.links.table import parse_link
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.writer import RecordingWriter
@@ -27,6 +26,8 @@ from simulators.scenario_file import default_scenario
 STEP_NS = 10_000_000
 UTC_NS = 1_789_000_000 * 10**9
 BOOT_ID = "0123456789abcdef"
+NAME = "left-index"
+SETTINGS = "[measurement]\n[decoding]\n"
 
 
 def record(
@@ -37,13 +38,11 @@ def record(
     scenario: str | None = None,
     include_messages: bool = False,
     utc_ns: int = UTC_NS,
-    name: str = "left-index",
-    seed: int = 0,
 ) -> None:
     """Record a board for so many simulated seconds; with messages, those of a daemon that decodes are included."""
     link = parse_link("tcp://127.0.0.1:1")
-    config = config_of(plate, _Settings(), link, name=name)  # type: ignore[arg-type]
-    origin = Origin(plate, str(link), name, BOOT_ID, None, plate_text(plate), settings_text(config))
+    config = config_of(plate, load_settings_text(SETTINGS, path), link, name=NAME)
+    origin = Origin(plate, str(link), NAME, BOOT_ID, None, plate_text(plate), settings_text(config))
     writer = RecordingWriter(path, origin, utc_ns)
     messages = RecordedMessages(writer.publish, include_messages=include_messages)
     pipeline = BoardPipeline(config, BOOT_ID, messages.record) if include_messages else None
@@ -51,7 +50,7 @@ def record(
     queue = FrameQueue(1 << 30, lambda: None, ())
     machine = LinkStateMachine(plate, queue, events.put)
     played = load_scenario(scenario or default_scenario(plate), plate)
-    board = emulated_board(plate, played, seed, "sums", Misbehaviour(""))
+    board = emulated_board(plate, played, 0, "sums", Misbehaviour(""))
     ticks_per_ns = plate.counter.reference_hz * (1.0 + played.physics.reference_error) * 1e-9
 
     def now(elapsed_ns: int) -> HostTime:
@@ -85,13 +84,6 @@ def record(
     writer.finish()
     writer.sync()
     writer.close()
-
-
-class _Settings:
-    """The tables of settings in a recording, with their defaults."""
-
-    def __iter__(self):  # type: ignore[no-untyped-def]
-        return iter({"measurement": Measurement(), "decoding": Decoding()}.items())
 
 
 class _WrittenEvents:

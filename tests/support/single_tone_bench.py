@@ -22,19 +22,15 @@ class Bench:
         *,
         window_frames=10,
         step_frames=5,
-        seed=0,
-        exponent=None,
         error=0.0,
-        contact_std_kelvin=0.0,
-        slope=0.0,
         board=None,
         tones_period_frames=None,
         **calibration,
     ):
-        self.board = board or Board(seed)
+        self.board = board or Board()
         self.error = error
         self.readings = []
-        warmth = Warmth(np.tile([slope, 0.0, 0.0], (16, 1)), 0.0, -2e-7, np.full(16, contact_std_kelvin), 5.0)
+        warmth = Warmth(np.zeros((16, 3)), 0.0, -2e-7, np.zeros(16), 5.0)
         sites = ForceSites(
             plate.f0_hz,
             plate.sensitivity,
@@ -52,7 +48,6 @@ class Bench:
             gate_s=GATE_TICKS / REFERENCE_HZ,
             window_frames=window_frames,
             step_frames=step_frames,
-            load_sharing_exponent=exponent,
             tones_period_frames=tones_period_frames,
         )
 

@@ -35,15 +35,12 @@ class SmallComb:
     def __init__(
         self,
         *,
-        seed=0,
         width_m=WIDTH_M,
         window_frames=2,
         step_frames=1,
-        coefficient_std=2e-8,
-        contact_std_kelvin=0.0,
         **calibration,
     ):
-        self.rng = np.random.default_rng(seed)
+        self.rng = np.random.default_rng(0)
         self.sequence, self.board_ticks = -1, 10**9
         self.turns = self.rng.random((4, SITES))
         self.known = np.ones((4, SITES), dtype=bool)
@@ -53,13 +50,7 @@ class SmallComb:
             POSITION_M,
             Ladder.outline_m,
             10.0,
-            Warmth(
-                np.column_stack([SLOPE, np.zeros(SITES), np.zeros(SITES)]),
-                coefficient_std,
-                0.0,
-                np.full(SITES, contact_std_kelvin),
-                5.0,
-            ),
+            Warmth(np.column_stack([SLOPE, NOTHING, NOTHING]), 2e-8, 0.0, NOTHING, 5.0),
             0.015,
             **calibration,
         )
