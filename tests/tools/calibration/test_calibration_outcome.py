@@ -19,11 +19,9 @@ WANTED = LoadRequest(sites=(7, 12), masses_kg=(0.05, 0.2, 0.5), hold_s=1.5)
 TODAY = date(2026, 11, 21)
 
 
-def calibrated(
-    wanted: LoadRequest, touches: Touches, folder: Path, masses: dict[float, float] | None = None
-) -> tuple[LoadProcedure, Outcome]:
+def calibrated(wanted: LoadRequest, touches: Touches, folder: Path) -> tuple[LoadProcedure, Outcome]:
     steps = plan_steps(wanted, NOMINAL)
-    touches.follow(steps, masses)
+    touches.follow(steps)
     procedure = LoadProcedure(NOMINAL, steps, 60.0)
     list(lead(procedure, NOMINAL, frames(TRUE, touches, folder)))
     assert procedure.done
@@ -62,17 +60,10 @@ def test_ideal_sites_get_the_true_codes(tmp_path: Path) -> None:
     assert "one mass alone" not in printed
 
 
-def test_hysteresis_and_creep_are_fitted_from_loading_and_unloading(tmp_path: Path) -> None:
+def test_without_a_response_the_residual_states_hysteresis_and_creep(tmp_path: Path) -> None:
     wanted = replace(WANTED, sites=(7,), response=True, response_hold_s=40.0)
     physics = f"{IDEAL}hysteresis_fraction = 0.01\ncreep_fraction = 0.005\n"
-    procedure, outcome = calibrated(wanted, Touches(physics=physics), tmp_path)
-    record = recorded(wanted, procedure, outcome)
-    assert record.response is not None
-    assert record.response.hysteresis_newton == pytest.approx(0.1, rel=0.05)  # 1 % of 10 N
-    assert record.response.creep_fraction == pytest.approx(0.005, rel=0.1)
-    assert record.response.creep_time_s == pytest.approx(20.0, rel=0.1)
-    assert 0.01 <= record.response.relative_std < 0.1
-    assert np.abs(sensitivity_errors(record)).max() < 3e-3
+    procedure, _ = calibrated(wanted, Touches(physics=physics), tmp_path)
     without = fitted(procedure, replace(wanted, response=False))
     assert len(without.doubtful) == 2  # lag passes for two bad loads; what they lie off is in the residual all the same
     (site,) = recorded(wanted, procedure, without).sites
@@ -84,8 +75,6 @@ def test_hysteresis_and_creep_are_fitted_from_loading_and_unloading(tmp_path: Pa
     stated = np.hypot(np.sqrt(np.mean(np.square(errors))), without.creep_share * 0.5 * 9.80665)
     assert site.residual_newton == pytest.approx(stated, rel=2e-3)  # what it says it is
     assert site.residual_newton > 0.05
-    printed = notes(NOMINAL, wanted, without, recorded(wanted, procedure, without))
-    assert "hysteresis and creep were not fitted" in " ".join(printed)
 
 
 def test_a_sweep_gives_temperature_coefficients_against_the_pilot(tmp_path: Path) -> None:
