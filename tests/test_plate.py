@@ -6,23 +6,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plates import site
+from plates import plate_head, site
 from pydantic import ValidationError
 
 from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.base.plate import Plate, load_plate
 
-FORCE_PLATE = """\
-format = 1
-name = "two"
-outline_mm = [[0, 0], [20, 0], [20, 10], [0, 10]]
-transducers_mm = [[0, 0], [20, 0], [20, 10], [0, 10]]
-force_max_newton = 10
-[counter]
-kind = "single-tone"
-reference_hz = 1e9
-frame_rate_hz = 1000
-pilot_hz = 10.01e6
+PILOT = "pilot_hz = 10010000.0\n"
+COUNTER = {"reference_hz": 1e9, "frame_rate_hz": 1000, "pilot_hz": 10.01e6}
+FORCE_PLATE = (
+    plate_head("two", (0, 0), (20, 10), **COUNTER)
+    + """\
 [[sites]]
 id = 7
 position_mm = [6.0, 4.0]
@@ -38,17 +32,11 @@ signal = "force"
 f0_hz = [9992000.0, 9992001.0, 9992002.0, 9992003.0]
 sensitivity = [-5.3e-6, -5.2e-6, -5.1e-6, 5.0e-6]
 """
+)
 
-GRID_PLATE = """\
-format = 1
-name = "grid"
-outline_mm = [[-2, -1], [2, -1], [2, 1], [-2, 1]]
-transducers_mm = [[-2, -1], [2, -1], [2, 1], [-2, 1]]
-force_max_newton = 5
-[counter]
-kind = "channelised"
-reference_hz = 250e6
-frame_rate_hz = 100
+GRID_PLATE = (
+    plate_head("grid", (-2, -1), (2, 1), 5, "channelised", reference_hz=250e6, frame_rate_hz=100)
+    + """\
 [skin]
 youngs_modulus_pascal = 2e5
 poisson_ratio = 0.5
@@ -62,6 +50,7 @@ spacing_hz = 1000
 order = [1, 3, 6]
 sensitivity = [3e-6, -2e-11, 4e-6]
 """
+)
 
 SKIN_SITE = site(1, 1, 0.5, eps_yz=(3e6, 3e-6), p_n=(1e6, -1e-11), eps_xz=(2e6, 2e-6))
 
@@ -176,7 +165,7 @@ def test_tones_that_do_not_go_together(tmp_path: Path) -> None:
 
 
 def test_a_counter_needs_no_more_than_its_kind() -> None:
-    values = "reference_hz = 1e9\nframe_rate_hz = 1000\npilot_hz = 10.01e6\n"
+    values = f"reference_hz = 1000000000.0\nframe_rate_hz = 1000\n{PILOT}"
     plate = Plate.model_validate(tomllib.loads(FORCE_PLATE.replace(values, "")))
     assert (plate.counter.reference_hz, plate.counter.frame_rate_hz) == (1e9, 1000)
     assert plate.pilot_hz == pytest.approx(9996003.0 * 1.001)
@@ -189,7 +178,7 @@ def one_sign(text: str) -> str:
 
 def test_corners_of_one_sign_where_a_channelised_counter_combines_them(tmp_path: Path) -> None:
     """Where one tone is captured at a time, each corner is a reading of its own, with K of either sign."""
-    text = FORCE_PLATE.replace('"single-tone"', '"channelised"').replace("pilot_hz = 10.01e6\n", "")
+    text = FORCE_PLATE.replace('"single-tone"', '"channelised"').replace(PILOT, "")
     tone = text[text.rindex("[[sites.tones]]") :].replace('"force"', '"temperature"')
     for written_text, lines in (
         (text, ("16: sites[0]", "23: sites[1]")),
@@ -208,7 +197,7 @@ def test_corners_of_one_sign_where_a_channelised_counter_combines_them(tmp_path:
 
 
 def test_a_channelised_counter_may_receive_forces_and_the_temperature_of_their_sites(tmp_path: Path) -> None:
-    text = one_sign(FORCE_PLATE.replace('"single-tone"', '"channelised"').replace("pilot_hz = 10.01e6\n", ""))
+    text = one_sign(FORCE_PLATE.replace('"single-tone"', '"channelised"').replace(PILOT, ""))
     tone = text[text.rindex("[[sites.tones]]") :].replace('"force"', '"temperature"').replace("99", "98")
     plate = load_plate(written(tmp_path, text + tone + "temperature_coefficients = [-5e-8, -5e-10, 1e-10]\n"))
     assert plate.signals == ("force", "temperature")

@@ -41,22 +41,6 @@ async def test_what_can_change_live_is_taken_and_the_rest_is_named_until_a_resta
     assert (present.remark, present.config.measurement.window_ms, present.sha256) == (None, 10.0, first)
 
 
-async def test_a_bad_file_changes_nothing_and_all_that_is_wrong_with_it_is_told(path: Path) -> None:
-    present = in_use(path)
-    before = present.config
-    path.write_text(GOOD + "[measurement]\nwindow_ms = 20\nspan_ms = 1\nstep_ms = 100\n")
-    assert await present.reload() is None
-    assert present.config is before
-    assert len(present.status.problems) == 2
-    assert present.remark is not None
-    assert present.remark.code == present.status.reason_code == "bad_configuration"
-    assert present.remark.text.startswith(f"its changed configuration cannot be used: {path}:6: measurement.span_ms")
-    assert present.remark.text.endswith(", and 1 more")
-    path.write_text(GOOD)
-    await present.reload()
-    assert (present.remark, present.status.problems) == (None, ())
-
-
 async def test_a_daemon_that_began_on_the_last_good_one_says_so_until_the_file_is_mended(path: Path) -> None:
     in_use(path)
     path.write_text(GOOD + "wrong = 1\n")
