@@ -24,8 +24,8 @@ from resonator_daemon.mqtt.broker_connection import MQTT_5, InFlight
 from resonator_daemon.mqtt.broker_limits import BrokerLimits
 from resonator_daemon.mqtt.codec import decode, decoded, encode
 from resonator_daemon.mqtt.message_account import Account
-from resonator_daemon.mqtt.mqtt_messages import properties_of
 from resonator_daemon.mqtt.outbox import Outbox, Packet
+from resonator_daemon.mqtt.packets import properties_of
 from resonator_daemon.mqtt.payloads import ContactEvent, Message
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, STATE_LINK, STATE_SENSOR, Topic
 from simulators.emulator import emulated_board

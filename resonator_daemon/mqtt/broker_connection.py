@@ -17,7 +17,8 @@ from resonator_daemon.board.config import Mqtt
 from resonator_daemon.mqtt import connection_errors
 from resonator_daemon.mqtt.broker_limits import BrokerLimits, limits_of
 from resonator_daemon.mqtt.connection_errors import BrokerError
-from resonator_daemon.mqtt.mqtt_messages import Incoming, PackedProperties, pack
+from resonator_daemon.mqtt.mqtt_messages import Incoming
+from resonator_daemon.mqtt.packets import PackedProperties, pack
 from resonator_daemon.mqtt.tls import make_tls
 
 MQTT_5: Final = MQTTProtocolVersion.MQTTv5

@@ -13,7 +13,7 @@ from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, NO_SUBSCRIB
 from resonator_daemon.mqtt.broker_limits import LargestMessages, packet_bytes
 from resonator_daemon.mqtt.event_queue import Event, EventQueue
 from resonator_daemon.mqtt.message_account import Account, Cause
-from resonator_daemon.mqtt.mqtt_messages import PackedProperties, StreamPackets, properties_of
+from resonator_daemon.mqtt.packets import PackedProperties, StreamPackets, properties_of
 from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.topics import CONTACT_EVENT
 

@@ -103,7 +103,9 @@ class Access:
 
     def _is_authorized(self, request: web.Request) -> bool:
         kind, _, token = request.headers.get(hdrs.AUTHORIZATION, "").partition(" ")
-        return request.cookies.get(_cookie(request)) in self._sessions or (kind.lower() == "bearer" and self._is_token(token))
+        return request.cookies.get(_cookie(request)) in self._sessions or (
+            kind.lower() == "bearer" and self._is_token(token)
+        )
 
     def _is_token(self, token: str) -> bool:
         return self._token is not None and hmac.compare_digest(token.strip().encode(), self._token)
