@@ -23,7 +23,7 @@ from resonator_daemon.base.host.documentation import with_pages
 from resonator_daemon.base.host.journal import set_up_logging
 from resonator_daemon.base.host.printable import coloured
 from resonator_daemon.base.host.system_limits import check_open_files, reason_of
-from resonator_daemon.commands._output import print_error, print_failure
+from resonator_daemon.tools.command_line.output import print_error, print_failure
 
 _ONE_OF: Final = "one of the arguments "
 

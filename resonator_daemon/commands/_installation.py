@@ -13,7 +13,7 @@ from resonator_daemon.base.host.documentation import with_pages
 from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.base.plate import shipped_plates
 from resonator_daemon.commands._command_line import make_parser, parsers
-from resonator_daemon.commands._output import print_json
+from resonator_daemon.tools.command_line.output import print_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

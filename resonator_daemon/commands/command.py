@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from resonator_daemon.base.errors import ExitCode, UsageError
 from resonator_daemon.commands._answers import print_answer, send_command
-from resonator_daemon.commands._broker import add_broker, add_daemon, client_of
+from resonator_daemon.tools.command_line.broker_arguments import add_broker, add_daemon, client_of
 
 if TYPE_CHECKING:
     from pydantic import BaseModel

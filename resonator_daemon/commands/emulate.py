@@ -11,7 +11,7 @@ from typing import Any
 
 from resonator_daemon.base.errors import ExitCode, UsageError, UserError
 from resonator_daemon.base.host.system_limits import reason_of
-from resonator_daemon.commands._argument_types import check_plate_name, host_and_port, options_of, positive
+from resonator_daemon.tools.command_line.argument_types import check_plate_name, host_and_port, options_of, positive
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

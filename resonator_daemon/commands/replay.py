@@ -13,8 +13,8 @@ from typing import Final
 
 from resonator_daemon.base.errors import DifferenceError, ExitCode, NoRecordingError, UsageError
 from resonator_daemon.base.host.printable import print_note
-from resonator_daemon.commands._argument_types import options_of
-from resonator_daemon.commands._output import print_json
+from resonator_daemon.tools.command_line.argument_types import options_of
+from resonator_daemon.tools.command_line.output import print_json
 
 _DEFAULT_URL: Final = "mqtt://127.0.0.1:1883"
 

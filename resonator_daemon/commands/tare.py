@@ -14,8 +14,8 @@ from pathlib import Path
 from resonator_daemon.base.errors import ConfigurationError, ExitCode
 from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.commands._answers import print_answer, send_command
-from resonator_daemon.commands._argument_types import number
-from resonator_daemon.commands._broker import add_broker, add_daemon, client_of
+from resonator_daemon.tools.command_line.argument_types import number
+from resonator_daemon.tools.command_line.broker_arguments import add_broker, add_daemon, client_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -13,8 +13,8 @@ import os
 import re
 
 from resonator_daemon.base.errors import ExitCode, UsageError
-from resonator_daemon.commands._argument_types import whole_number
-from resonator_daemon.commands._broker import add_broker, broker_of
+from resonator_daemon.tools.command_line.argument_types import whole_number
+from resonator_daemon.tools.command_line.broker_arguments import add_broker, broker_of
 
 _DOMAIN_MAX = 232  # beyond it, DDS has no ports
 

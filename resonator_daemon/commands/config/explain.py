@@ -8,7 +8,7 @@ import shutil
 import sys
 
 from resonator_daemon.base.errors import ExitCode, UsageError
-from resonator_daemon.commands._output import print_json
+from resonator_daemon.tools.command_line.output import print_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

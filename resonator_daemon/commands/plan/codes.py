@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.commands._argument_types import number, picture, whole_number
-from resonator_daemon.commands._output import print_json, print_page
+from resonator_daemon.tools.command_line.argument_types import number, picture, whole_number
+from resonator_daemon.tools.command_line.output import print_json, print_page
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from resonator_daemon.base.errors import UsageError
-from resonator_daemon.commands._argument_types import add_config_argument
+from resonator_daemon.tools.command_line.argument_types import add_config_argument
 
 if TYPE_CHECKING:
     from resonator_daemon.board.config import Client, Mqtt
