@@ -7,7 +7,7 @@ A module with the name of its command has
 - `run(arguments)`, which returns the exit code.
 
 `resonatord --help` imports all of them, so that they import what they run inside `run`. Names that begin with an
-underscore are no commands.
+underscore are no commands. A package adds the commands of extensions in the group of entry points that it names.
 """
 
 import os
@@ -17,7 +17,9 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:  # every import here is time in which Ctrl-C gives a traceback
     from collections.abc import Sequence
 
+ENTRY_POINTS = "commands"
 _UNTIL_STOPPED = ("bridge", "decode", "emulate", "run", "view", "watch")  # commands for which that is the regular end
+running = ""  # the command, as soon as its arguments are parsed
 
 
 def main(words: "Sequence[str] | None" = None) -> int:
@@ -49,7 +51,7 @@ def _interrupted(words: "Sequence[str]") -> int:
     error = '"error": {"code": "interrupted", "message": "interrupted", "hint": ""}'
     try:
         if "--json" in words:
-            verb = " ".join(words[: 1 + os.path.isdir(os.path.join(__path__[0], words[0]))])
+            verb = running or words[0]
             os.write(1, f'{{"verb": "{verb}", {error}, "ok": false}}\n'.encode())
         os.write(2, b"resonatord: interrupted\n")
     except OSError:  # the reader has closed the pipe

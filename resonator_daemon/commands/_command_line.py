@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import Any, Final, NoReturn
 
 from resonator_daemon import commands
+from resonator_daemon.base.entry_points import entry_names, load_entry
 from resonator_daemon.base.errors import (
     ConfigurationError,
     ExitCode,
@@ -46,6 +47,7 @@ def run_command(words: Sequence[str]) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    commands.running = arguments.command
     check_open_files()
     try:
         code: int = arguments.run(arguments)
@@ -79,10 +81,8 @@ def make_parser(words: Sequence[str] = ()) -> argparse.ArgumentParser:
 
 def command_names(package: ModuleType | None = None) -> Iterator[str]:
     """Yield the names of all commands, as `plan codes`; all are imported."""
-    package = package or commands
-    for name in _names(package):
-        module = _module(package, name)
-        yield from (f"{name} {sub}" for sub in command_names(module)) if hasattr(module, "__path__") else (name,)
+    for name, module in _modules(package or commands, ()):
+        yield from (name,) if _is_command(module) else (f"{name} {sub}" for sub in command_names(module))
 
 
 def parsers(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.ArgumentParser]]:
@@ -94,20 +94,35 @@ def parsers(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.Arg
                 yield from parsers(sub)
 
 
-def _names(package: ModuleType) -> list[str]:
-    files = os.listdir(package.__path__[0])  # pkgutil costs 10 ms more
-    return sorted(file.removesuffix(".py").replace("_", "-") for file in files if file[0] not in "._")
+def _modules(package: ModuleType, words: Sequence[str]) -> Iterator[tuple[str, ModuleType]]:
+    """Yield the command that `words` begin with, or all where they name none: of the package, and of extensions."""
+    folder = package.__path__[0]
+    own = {
+        file.removesuffix(".py").replace("_", "-")
+        for file in os.listdir(folder)  # pkgutil costs 10 ms more
+        if file[0] not in "._" and (file.endswith(".py") or os.path.exists(f"{folder}/{file}/__init__.py"))
+    }
+    group = getattr(package, "ENTRY_POINTS", None)
+    names = own if group is None or own.intersection(words[:1]) else own.union(entry_names(group))
+    for name in names.intersection(words[:1]) or sorted(names):
+        if name in own:
+            yield name, importlib.import_module(f"{package.__name__}.{name.replace('-', '_')}")
+        elif group is not None and (module := load_entry(group, name, _has_commands)) is not None:
+            yield name, module
 
 
-def _module(package: ModuleType, name: str) -> ModuleType:
-    return importlib.import_module(f"{package.__name__}.{name.replace('-', '_')}")
+def _has_commands(module: ModuleType) -> bool:
+    """Return whether a module of an extension is a command or a package of commands; AttributeError if no package."""
+    return _is_command(module) or all(_has_commands(command) for _, command in _modules(module, ()))
+
+
+def _is_command(module: ModuleType) -> bool:
+    return hasattr(module, "add_arguments") and hasattr(module, "run")
 
 
 def _add_commands(parser: argparse.ArgumentParser, package: ModuleType, words: Sequence[str], group: str = "") -> None:
     sub_parsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    names = _names(package)
-    for name in words[:1] if words and words[0] in names else names:
-        module = _module(package, name)
+    for name, module in list(_modules(package, words)) or _modules(package, ()):  # the one named cannot be loaded
         summary, *paragraphs = (module.__doc__ or name).strip().split("\n\n")
         sub = sub_parsers.add_parser(
             name,
@@ -115,11 +130,11 @@ def _add_commands(parser: argparse.ArgumentParser, package: ModuleType, words: S
             description=" ".join([summary, *paragraphs[:-1]]),
             epilog=paragraphs[-1] if paragraphs else None,
         )
-        if hasattr(module, "__path__"):
-            _add_commands(sub, module, words[1:], f"{name} ")
-        else:
+        if _is_command(module):
             module.add_arguments(sub)
             sub.set_defaults(command=group + name, run=module.run)
+        else:
+            _add_commands(sub, module, words[1:], f"{name} ")
 
 
 class _PrintVersion(argparse.Action):

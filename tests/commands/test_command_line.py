@@ -1,6 +1,7 @@
 """The command line as a user meets it: exit codes, one clear line for each mistake, JSON for programs."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -109,6 +110,36 @@ def test_what_cannot_be_printed_fails(arguments: tuple[str, ...]) -> None:
         )
     assert run.returncode == 1
     assert run.stderr == "resonatord: No space left on device\n"
+
+
+EXTENSION = {
+    "wave.py": "'Wave.'\ndef add_arguments(parser): pass\ndef run(arguments): return 3",
+    "lacks.py": "def run(arguments): return 0",
+    "group/__init__.py": "'Group.'",
+    "group/fails.py": "raise ValueError('no such device')",
+    "extension-1.dist-info/METADATA": "Metadata-Version: 2.1\nName: extension\nVersion: 1",
+    "extension-1.dist-info/entry_points.txt": "[resonatord.commands]\n"
+    "wave = wave\nlacks = lacks\ngroup = group\nrepair = lacks",
+}
+
+
+def test_a_command_of_an_extension_fails_alone(tmp_path: Path) -> None:
+    for name, text in EXTENSION.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+
+    def run(*words: str) -> tuple[int, str, list[str]]:
+        environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+        ended = subprocess.run([*COMMAND, *words], capture_output=True, text=True, env=environment, timeout=60)
+        left_out = [line.split()[2] for line in ended.stderr.splitlines() if line.startswith("warning: extension ")]
+        return ended.returncode, ended.stdout, left_out
+
+    code, text, left_out = run("--help")
+    assert (code, left_out) == (0, ["group", "lacks"])
+    assert "    wave             wave\n" in text
+    assert run("wave") == (3, "", [])
+    assert run("lacks") == (2, "", ["lacks", "group"])
+    assert run("repair", "--help")[::2] == (0, [])  # no extension is loaded for a command of the product
 
 
 @pytest.mark.parametrize("form", [(), ("--json",)])
