@@ -155,9 +155,9 @@ test-dashboards: .venv/test-stamp  ## the configurations of docs/how-to/dashboar
 test-ros2: .venv/test-stamp build/fastdds_reader  ## the bridge to ROS 2, read by Debian's Fast DDS in C++, with the list of nodes of Humble and of later versions
 	$(debian-packages)
 	debian-packages $(BROKER)
-	OMP_NUM_THREADS=1 .venv/bin/pytest -m fastdds tests/extensions/bridges
+	OMP_NUM_THREADS=1 .venv/bin/pytest -m fastdds tests/extensions/ros2
 
-build/fastdds_reader: tests/extensions/bridges/fastdds_reader.cpp
+build/fastdds_reader: tests/extensions/ros2/fastdds_reader.cpp
 	$(debian-packages)
 	debian-packages $(FASTDDS)
 	mkdir -p build

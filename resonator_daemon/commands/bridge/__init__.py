@@ -2,3 +2,5 @@
 
 Example: resonatord bridge foxglove --url mqtt://127.0.0.1:1883
 """
+
+ENTRY_POINTS = "bridges"

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.board.config import Mqtt
-from resonator_daemon.extensions.bridges.ros2_node import Ros2Node
+from resonator_daemon.extensions.ros2.node import Ros2Node
 from resonator_daemon.mqtt.payloads import Condition, Health, Info, Message, State
 from resonator_daemon.mqtt.subscriber import EVERY_PLATE, subscribe
 from resonator_daemon.mqtt.topics import (

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> ExitCode:
     import asyncio
 
-    from resonator_daemon.extensions.bridges.ros2_bridge import serve
+    from resonator_daemon.extensions.ros2.bridge import serve
 
     asyncio.run(
         serve(

@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     import asyncio
 
     from resonator_daemon.board.config import Listen, plate_name
-    from resonator_daemon.extensions.bridges.foxglove_server import serve
+    from resonator_daemon.extensions.foxglove.server import serve
 
     if arguments.plate is not None:
         try:

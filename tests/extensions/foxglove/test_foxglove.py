@@ -28,7 +28,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.board.config import Listen, Mqtt
 from resonator_daemon.commands import main
-from resonator_daemon.extensions.bridges.foxglove_server import BACKLOG_MAX, FoxgloveServer
+from resonator_daemon.extensions.foxglove.server import BACKLOG_MAX, FoxgloveServer
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import Contact, Contacts, Decoded, Forces, Grid, Info, Message, State
 from resonator_daemon.mqtt.topics import TOPICS

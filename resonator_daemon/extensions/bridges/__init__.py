@@ -1,1 +1,0 @@
-"""Processes that serve what plates publish to other programs, live."""
