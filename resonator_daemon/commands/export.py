@@ -9,7 +9,7 @@ from pathlib import Path
 from resonator_daemon.base.errors import DifferenceError, ExitCode, NoRecordingError
 from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.tools.command_line.output import print_json
-from resonator_daemon.tools.export.formats import FORMATS, ROS2
+from resonator_daemon.tools.export.formats import ROS2, formats
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "itself where --topics has one",
     )
     how = parser.add_mutually_exclusive_group()
-    how.add_argument("--format", choices=FORMATS, help="default: by the ending of OUT")
+    how.add_argument("--format", choices=formats(), help="default: by the ending of OUT")
     how.add_argument(
         "--ros2",
         dest="format",

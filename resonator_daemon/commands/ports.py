@@ -24,10 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.board.links.link import LinkUnavailableError
-    from resonator_daemon.board.links.table import CARRIERS
+    from resonator_daemon.board.links.table import all_carriers
 
     places: list[FoundPort] = []
-    for carrier in CARRIERS.values():
+    for carrier in all_carriers():
         try:
             places += carrier.discover()
         except LinkUnavailableError as error:

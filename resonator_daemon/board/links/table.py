@@ -1,10 +1,11 @@
-"""The table of carriers, made of the files in `carriers`: each has one class of targets."""
+"""The table of carriers: the files in `carriers`, each with one class of targets, and those of extensions."""
 
 import pkgutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from typing import Final
 
+from resonator_daemon.base.entry_points import entry_names, load_entries, load_entry
 from resonator_daemon.base.toml.reading import nearest
 from resonator_daemon.board.links import carriers
 from resonator_daemon.board.links.target import LinkTarget
@@ -19,7 +20,17 @@ def _targets() -> list[type[LinkTarget]]:
 CARRIERS: Final[Mapping[str, type[LinkTarget]]] = {
     target.scheme: target for target in sorted(_targets(), key=lambda target: target.scheme)
 }
-"""Targets by the scheme that the text of a link begins with."""
+"""Targets by the scheme that the text of a link begins with, without those of extensions."""
+
+
+def all_carriers() -> Iterator[type[LinkTarget]]:
+    """Yield the targets of all carriers."""
+    yield from CARRIERS.values()
+    yield from (carrier for _, carrier in load_entries("carriers", _is_carrier))
+
+
+def _is_carrier(found: type) -> bool:
+    return issubclass(found, LinkTarget)
 
 
 def parse_link(text: object) -> LinkTarget:
@@ -29,11 +40,11 @@ def parse_link(text: object) -> LinkTarget:
     if not isinstance(text, str):
         raise ValueError(f"must be a string: {link_forms()}")
     scheme = text.partition(":")[0]
-    if (carrier := CARRIERS.get(scheme)) is not None:
+    if (carrier := CARRIERS.get(scheme) or load_entry("carriers", scheme, _is_carrier)) is not None:
         return carrier.parse(text)
     if text.startswith("/dev/"):
         raise ValueError("must name the kind of link and its rate, as serial:/dev/ttyACM0?baud=4000000")
-    raise ValueError(f"no link is called {scheme!r}; {nearest(scheme, list(CARRIERS))}")
+    raise ValueError(f"no link is called {scheme!r}; {nearest(scheme, [*CARRIERS, *entry_names('carriers')])}")
 
 
 def link_forms() -> str:

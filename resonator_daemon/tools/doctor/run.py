@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
+from resonator_daemon.base.entry_points import load_entries
 from resonator_daemon.base.errors import ConfigurationError, ExitCode, InterruptedCommandError, UserError
 from resonator_daemon.base.host.places import state_directory
 from resonator_daemon.base.host.signals import interruptible
@@ -21,7 +22,7 @@ from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.board.session.probe import NoBoardError, ProbeResult, probe
 from resonator_daemon.tools.doctor import link_checks, sensor_checks
 from resonator_daemon.tools.doctor.broker_checks import check_broker
-from resonator_daemon.tools.doctor.capture import capture_board
+from resonator_daemon.tools.doctor.capture import Capture, capture_board
 from resonator_daemon.tools.doctor.daemon_checks import (
     check_daemon,
     check_status,
@@ -29,7 +30,7 @@ from resonator_daemon.tools.doctor.daemon_checks import (
     published_status,
     works_by,
 )
-from resonator_daemon.tools.doctor.finding import Area, Finding, Outcome, not_checked
+from resonator_daemon.tools.doctor.finding import Area, Check, Finding, Outcome, not_checked
 from resonator_daemon.tools.doctor.host import Host, Load
 from resonator_daemon.tools.doctor.host_checks import check_clock, check_disk, check_service
 from resonator_daemon.tools.doctor.port_checks import HOLDER, check_holder, check_port
@@ -117,6 +118,7 @@ class _Diagnosis:
         if link is not None and link.recording_path is not None:
             raise _NoBoardError(f"link: {link} is a recording, which has no wiring; name the link of a board")
         self._link = link
+        self._captured: Capture | None = None
 
     def findings(self) -> Iterator[Finding]:
         """Yield everything, each finding as soon as it is known."""
@@ -138,6 +140,13 @@ class _Diagnosis:
         for broker in self._brokers():
             self._show(f"broker {broker.host}:{broker.port}")
             yield from asyncio.run(check_broker(broker, self._host))
+        for name, check in load_entries("findings", callable):
+            self._show(f"extension {name}")
+            try:
+                found = list(check(config, self._captured))
+            except Exception as error:  # noqa: BLE001 - code of others, without which the rest is checked
+                found = [Check(name, Area.SOFTWARE, f"extension {name}").not_checked(repr(error))]
+            yield from found
 
     def _board(self, link: LinkTarget) -> Iterator[Finding]:
         self._show(f"link {link}")
@@ -233,7 +242,7 @@ class _Diagnosis:
                 reason = "frames of a board that answers no ping have no time"
             yield from not_checked((*link_checks.OF_A_CAPTURE, *sensor_checks.OF_THE_PLATE), reason)
             return
-        capture = capture_board(link, plate, self._options.seconds, self._show, self._host)
+        capture = self._captured = capture_board(link, plate, self._options.seconds, self._show, self._host)
         of_link = [finding for finding in link_checks.check_capture(capture) if finding.id not in faults]
         yield from of_link
         if self._config is None:

@@ -9,14 +9,14 @@ import resource, sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from export_bench import write
-from resonator_daemon.tools.export.formats import FORMATS
+from resonator_daemon.tools.export.formats import formats
 from resonator_daemon.tools.export.table_output import TableOutput
 
 TableOutput.batch_bytes = 100_000
 folder = Path(sys.argv[2])
 
 for turn, times in ((1, 2), (2, 8)):
-    for form in FORMATS:
+    for form in formats():
         write(form, folder / f"{turn}-{form}.{form}", "touches", times=times)
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
