@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from importlib import import_module
 from typing import Final
 
-from resonator_daemon.base.entry_points import entry_names, load_entries, load_entry
+from resonator_daemon.base.entry_points import load_entries, load_entry
 from resonator_daemon.base.toml.reading import nearest
 from resonator_daemon.board.links import carriers
 from resonator_daemon.board.links.target import LinkTarget
@@ -44,7 +44,7 @@ def parse_link(text: object) -> LinkTarget:
         return carrier.parse(text)
     if text.startswith("/dev/"):
         raise ValueError("must name the kind of link and its rate, as serial:/dev/ttyACM0?baud=4000000")
-    raise ValueError(f"no link is called {scheme!r}; {nearest(scheme, [*CARRIERS, *entry_names('carriers')])}")
+    raise ValueError(f"no link is called {scheme!r}; {nearest(scheme, [carrier.scheme for carrier in all_carriers()])}")
 
 
 def link_forms() -> str:
