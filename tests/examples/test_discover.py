@@ -26,7 +26,7 @@ def info(tmp_path: Path, plate: str) -> Info:
     """What a daemon with this plate publishes."""
     identity = Identity("RD board <1>", "0042", "1.2.0", 0)
     board = BoardOnline(identity, Description(1, 4, 1, 10**9, 1, 9, plate), 7, Configuration(10**6), continues=False)
-    return Messages(configured(tmp_path, plate)).states.info(board, {}, 1)
+    return Messages(configured(tmp_path, plate)).states.info(board, 1)
 
 
 async def discover(broker_url: str, folder: Path) -> str:

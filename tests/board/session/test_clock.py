@@ -80,11 +80,11 @@ class Scene:
 
 
 class Look(NamedTuple):
-    """What the clock said of a tick count, and when that truly was."""
+    """Estimate of the clock for a tick count, with its error."""
 
     monotonic_ns: int
     error_ns: int
-    said: Instant
+    estimate: Instant
 
 
 def play(
@@ -94,7 +94,7 @@ def play(
     rng = random.Random(seed)
     clock = clock or BoardClock(scene.crystal.reference_millihertz)
     end_ns = start_ns + round(seconds * NS)
-    due_ns, look_ns, told_ns, heard_ns = start_ns, start_ns + _LOOK_BACK_NS, 0, 0
+    due_ns, look_ns, at_board_ns, answered_ns = start_ns, start_ns + _LOOK_BACK_NS, 0, 0
     answers: list[Exchange] = []
     while True:
         now = min(due_ns, look_ns, answers[0].received_monotonic_ns if answers else due_ns)
@@ -105,16 +105,16 @@ def play(
             due_ns = min(due_ns, clock.ping_due_ns(now))
         elif now == due_ns:
             if len(answers) < _CREDIT_PINGS:  # streams, both ways: none overtakes
-                told_ns = max(told_ns, now + round(scene.there(rng, now)))
-                heard_ns = max(heard_ns, told_ns + round(scene.back(rng, told_ns)))
-                answers.append(Exchange(now, scene.crystal.ticks(told_ns), heard_ns))
+                at_board_ns = max(at_board_ns, now + round(scene.there(rng, now)))
+                answered_ns = max(answered_ns, at_board_ns + round(scene.back(rng, at_board_ns)))
+                answers.append(Exchange(now, scene.crystal.ticks(at_board_ns), answered_ns))
             due_ns = clock.ping_due_ns(now)
         else:
             look_ns += _LOOK_NS
             if clock.snapshot() is not None:
                 then = now - _LOOK_BACK_NS
-                said = clock.scale.at(scene.crystal.ticks(then))
-                yield Look(then, said.monotonic_ns - then, said)
+                estimate = clock.scale.at(scene.crystal.ticks(then))
+                yield Look(then, estimate.monotonic_ns - then, estimate)
 
 
 def scenes(ppm: float = 50.0) -> list[Scene]:
