@@ -219,6 +219,7 @@ class _Copier:
         self._indexed = Counter[int]()  # messages since then, by indexes of damaged chunks, or of unknown channels
         self._in_chunk = Counter[int]()  # messages of the last intact chunk
         self._skipped_bytes = 0  # damaged bytes since the last event
+        self._last_event: HostTime | None = None
         self.done = RepairResult()
         self._texts: set[str] = set()
 
@@ -239,6 +240,7 @@ class _Copier:
         elif damage is not None:
             done.ended = True
             self._note_damage(damage)
+        self._add_missing_at_end()
         self._count()
         done.index_damaged = done.ended and self._index.begin_bytes is None
         if done.was_whole and data_crc and _crc_of(file, self._index) != data_crc:
@@ -313,13 +315,26 @@ class _Copier:
         self._passed[number] += lost + 1
         self._recovered[number] += 1
         if channel.topic == TOPIC:
+            now = HostTime(message.publish_time, message.log_time - message.publish_time, 0)
             if lost or (self._skipped_bytes and not message.sequence):
-                now = HostTime(message.publish_time, message.log_time - message.publish_time, 0)
-                data = encode(Skipped(now, lost, self._skipped_bytes))
-                self._writer.add_message(WIRE_CHANNEL, now.utc_ns, data, now.monotonic_ns)
+                self._add_skipped(now, lost)
             self._skipped_bytes = 0
+            self._last_event = now
             self.done.last_event_utc_ns = message.log_time
         self._writer.add_message(self._registered(channel), message.log_time, message.data, message.publish_time)
+
+    def _add_missing_at_end(self) -> None:
+        """Report events that were lost after the last intact one, as the index or records of their chunk count them."""
+        written = self._index.message_counts
+        lost = self._indexed[WIRE_CHANNEL]
+        if written is not None:
+            lost = written.get(WIRE_CHANNEL, 0) - self._passed[WIRE_CHANNEL]
+        if self._last_event is not None and (lost > 0 or (self._skipped_bytes and written is None)):
+            self._add_skipped(self._last_event, lost)
+
+    def _add_skipped(self, now: HostTime, events: int) -> None:
+        data = encode(Skipped(now, events, self._skipped_bytes))
+        self._writer.add_message(WIRE_CHANNEL, now.utc_ns, data, now.monotonic_ns)
 
     def _registered(self, channel: Channel) -> int:
         if channel.topic not in self._topics:
