@@ -109,7 +109,7 @@ class Recorder:
         self._events = 0
         self._counts = RecordingCounts()
         self.failure: Reason | None = None
-        self._logged_failure = False  # once, until all is well again
+        self._logged = set[ReasonCode]()  # failures, each once, until a chunk is written again
         self.path = place if isinstance(place, Path) else place.directory
         self._closing = threading.Event()
         self._board: BoardOnline | None = None  # those of the thread: what each file begins with
@@ -313,14 +313,11 @@ class Recorder:
             file.publish(state)
         file.filling = Contents()  # these were counted in the file before
         with self._lock:
-            failed, self.failure = self.failure, None
-            self._logged_failure = False
+            self.failure = None
             self._path_before, self.path, self._file = self.path, file.path, file
             self._ended_bytes += self._counts.file_bytes
             self._ended_events, self._ended_messages = self._events, self._counts.messages
             self._counts = self._counts._replace(files=self._counts.files + 1, file_bytes=file.size_bytes)
-        if failed is not None:
-            self._log_line(logging.INFO, f"recording goes on in {file.path}")
 
     def _flush(self) -> None:
         """Hand what was written to the kernel, and look after the room on the disk."""
@@ -347,7 +344,6 @@ class Recorder:
         then = "a new file is begun as soon as that can be" if self._resumes else "nothing more is recorded"
         self._report_failure(ReasonCode.FILE_GONE, f"{self.path} was removed, moved or replaced: {then}")
         self._retry_s = 0.0
-        self._logged_failure = not self._resumes  # why none can be begun is logged, too
 
     def _update_counts(self) -> None:
         with self._lock:
@@ -358,6 +354,9 @@ class Recorder:
                 self._counts = self._counts._replace(file_bytes=self._file.size_bytes, messages=messages)
             if self._disk_space is not None:
                 self._counts = self._counts._replace(files_removed=self._disk_space.files_removed)
+        if self._logged and self._file is not None and self._file.whole.events:
+            self._logged.clear()
+            self._log_line(logging.INFO, f"recording goes on in {self.path}")
 
     def _begin_sync(self) -> None:
         """Have the medium take what was flushed, unless it still takes what was before; nothing waits for it."""
@@ -417,8 +416,8 @@ class Recorder:
         with self._lock:
             self.failure = Reason(code, text)
         self._retry_s = time.monotonic() + self._times.retry_s
-        if not self._logged_failure:
-            self._logged_failure = True
+        if code not in self._logged:
+            self._logged.add(code)
             self._log_line(logging.WARNING, text)
 
 

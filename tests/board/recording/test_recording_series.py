@@ -168,8 +168,10 @@ def test_after_an_error_a_recording_goes_on_in_a_new_file(tmp_path: Path) -> Non
 def test_an_attempt_without_an_event_leaves_no_file(tmp_path: Path) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))  # room for its beginning
+    said: list[int] = []
+    series = Series(tmp_path, "left", resumes=True)
     try:
-        with Recorder(Series(tmp_path, "left", resumes=True), LEFT, times=NO_PAUSE) as recorder:
+        with Recorder(series, LEFT, log_line=lambda level, _: said.append(level), times=NO_PAUSE) as recorder:
             for ms in range(3):
                 recorder.put(snapshot(at(ms)))
                 recorder.put(Received(at(ms), Random(ms).randbytes(600_000)))
@@ -178,6 +180,7 @@ def test_an_attempt_without_an_event_leaves_no_file(tmp_path: Path) -> None:
                 assert (recorder.counts.files, recorder.all_bytes, recorder.path) == (0, 0, tmp_path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert said == [logging.WARNING]
 
 
 @pytest.mark.parametrize("how", ["removed", "moved", "replaced"])
