@@ -214,7 +214,7 @@ def recording(folder: Path, reads: list[bytes]) -> Stage:
         for read in reads:
             writer.write(Received(HostTime(next(numbers), 0, 0), read))
         writer.finish()
-        writer.abandon()
+        writer.close()
 
     def limit() -> None:
         with path.open("wb") as file:

@@ -28,7 +28,14 @@ EVENT_BYTES: Final = 300  # of memory, besides its data
 
 _SNAPSHOT_BYTES: Final = 10_000  # most of it vertices of the clock's hulls
 
-Item = WireEvent | Mark | BoardOnline | Published
+
+class FrameCount(NamedTuple):
+    """Number of frames that the event before it has completed."""
+
+    number: int
+
+
+Item = WireEvent | Mark | BoardOnline | Published | FrameCount
 
 
 class RecorderTimes(NamedTuple):
@@ -72,6 +79,8 @@ class Recorder:
         Receives level and text of lines for the log, in the thread that writes.
     times
         None: `TIMES`.
+    needs_frame
+        Remove a file that fails before a frame is in it; otherwise, before an event is.
 
     Attributes
     ----------
@@ -94,6 +103,7 @@ class Recorder:
         queue_bytes: int = QUEUE_BYTES,
         log_line: LogLine = discard_line,
         times: RecorderTimes | None = None,
+        needs_frame: bool = False,
     ) -> None:
         self._place = place
         self._origin = origin
@@ -101,12 +111,13 @@ class Recorder:
         self._resumes = isinstance(place, Series) and place.resumes
         self._log_line = log_line
         self._times = times or TIMES
+        self._needs_frame = needs_frame
         self._queue_bytes = queue_bytes
         self._lock = threading.Lock()
         self._items: deque[Item] = deque()
         self._waiting_bytes = 0
         self._missing_events = self._missing_bytes = 0  # since the last event that fitted
-        self._events = 0
+        self._written = Contents()
         self._counts = RecordingCounts()
         self.failure: Reason | None = None
         self._logged = set[ReasonCode]()  # failures, each once, until a chunk is written again
@@ -119,7 +130,7 @@ class Recorder:
         self._sync_thread = ThreadPoolExecutor(1, thread_name_prefix="recorder-sync")
         self._syncing: Future[None] | None = None  # of the present file
         self._sync_is_due = False
-        self._ended_bytes = self._ended_events = self._ended_messages = 0  # of the files before
+        self._ended_bytes, self._ended = 0, Contents()  # of the files before
         self._file: RecordingWriter | None = None
         try:
             self._begin_file(read_host_time().utc_ns)
@@ -140,7 +151,13 @@ class Recorder:
     def events(self) -> int:
         """Events that are flushed to the kernel."""
         with self._lock:
-            return self._events
+            return self._written.events
+
+    @property
+    def frames(self) -> int:
+        """Frames whose events are flushed to the kernel; 0 where `put` is not handed their numbers."""
+        with self._lock:
+            return self._written.frames
 
     @property
     def all_bytes(self) -> int:
@@ -154,10 +171,15 @@ class Recorder:
         with self._lock:
             return self._counts
 
-    def put(self, event: WireEvent) -> None:
-        """Queue an event; never waits. A snapshot is written only where a replay can begin or go on with it."""
+    def put(self, event: WireEvent, frames_before: int = 0) -> None:
+        """Queue an event; never waits. A snapshot is written only where a replay can begin or go on with it.
+
+        `frames_before` were completed by the event before it.
+        """
         taken_bytes = size_bytes(event)
         with self._lock:
+            if frames_before and not self._missing_events:
+                self._append(FrameCount(frames_before))
             if self._missing_events:
                 taken_bytes += EVENT_BYTES  # `Skipped` comes first
             fits = self._waiting_bytes + taken_bytes <= self._queue_bytes
@@ -247,7 +269,7 @@ class Recorder:
                 continue
             if isinstance(item, Published):
                 messages_missing += 1
-            elif not isinstance(item, Mark | BoardOnline | Skipped | SnapshotTaken):
+            elif not isinstance(item, Mark | BoardOnline | FrameCount | Skipped | SnapshotTaken):
                 events_missing += 1
         self._update_counts()
         with self._lock:
@@ -274,6 +296,8 @@ class Recorder:
                     file.mark(item)
                 case Published():
                     file.publish(item)
+                case FrameCount():
+                    file.count_frames(item.number)
                 case _:
                     file.write(item)
         except Exception as error:  # noqa: BLE001 - it is reported, or the file would be taken for whole
@@ -316,7 +340,7 @@ class Recorder:
             self.failure = None
             self._path_before, self.path, self._file = self.path, file.path, file
             self._ended_bytes += self._counts.file_bytes
-            self._ended_events, self._ended_messages = self._events, self._counts.messages
+            self._ended = self._written
             self._counts = self._counts._replace(files=self._counts.files + 1, file_bytes=file.size_bytes)
 
     def _flush(self) -> None:
@@ -348,13 +372,11 @@ class Recorder:
     def _update_counts(self) -> None:
         with self._lock:
             if self._file is not None:
-                whole = self._file.whole
-                self._events = self._ended_events + whole.events
-                messages = self._ended_messages + whole.messages
-                self._counts = self._counts._replace(file_bytes=self._file.size_bytes, messages=messages)
+                self._written = self._ended.plus(self._file.whole)
+                self._counts = self._counts._replace(file_bytes=self._file.size_bytes, messages=self._written.messages)
             if self._disk_space is not None:
                 self._counts = self._counts._replace(files_removed=self._disk_space.files_removed)
-        if self._logged and self._file is not None and self._file.whole.events:
+        if self._logged and self._file is not None and self._is_to_keep(self._file):
             self._logged.clear()
             self._log_line(logging.INFO, f"recording goes on in {self.path}")
 
@@ -397,16 +419,21 @@ class Recorder:
         text = f"{self.path}: {meaning_of(error) if isinstance(error, OSError) else repr(error)}"
         kept = "what was written stays"
         if self._file is not None:
-            is_kept = self._file.abandon()
+            is_kept = self._is_to_keep(self._file)
+            self._file.abandon(keep=is_kept)
             self._update_counts()
             lost, self._file = self._file.filling, None
             with self._lock:
                 self._count_missing(events=lost.traffic, messages=lost.messages)
                 if not is_kept:
-                    kept = "the file has no event and is removed"
+                    kept = f"the file has no {'frame' if self._needs_frame else 'event'} and is removed"
                     self.path = self._path_before
                     self._counts = self._counts._replace(files=self._counts.files - 1)
         self._fail(_code(error), text, kept)
+
+    def _is_to_keep(self, file: RecordingWriter) -> bool:
+        """Whether enough of a file is written to keep it after a failure."""
+        return (file.whole.frames if self._needs_frame else file.whole.events) > 0
 
     def _fail(self, code: ReasonCode, text: str, kept: str = "what was written stays") -> None:
         then = f"it is tried again every {self._times.retry_s:g} s" if self._resumes else "nothing more is recorded"

@@ -56,11 +56,15 @@ class Published(NamedTuple):
 
 
 class Contents(NamedTuple):
-    """Amounts in a part of a file; of its events, `traffic` are not about the recording itself."""
+    """Amounts in a part of a file; of its events, `traffic` are not about the recording itself.
+
+    `frames` are those that its events complete, where they are counted.
+    """
 
     events: int = 0
     traffic: int = 0
     messages: int = 0
+    frames: int = 0
 
     def plus(self, other: Self) -> "Contents":
         return Contents(*map(operator.add, self, other))
@@ -171,6 +175,13 @@ class RecordingWriter:
         channel = self._json_channel(message.topic, title, message.schema)
         self._add(channel, message.utc_ns, message.payload, message.utc_ns, Contents(messages=1))
 
+    def count_frames(self, number: int) -> None:
+        """Count frames that the last event has completed; it is in the chunk before where this one has no event."""
+        if self.filling.events:
+            self.filling = self.filling.plus(Contents(frames=number))
+        else:
+            self.whole = self.whole.plus(Contents(frames=number))
+
     def name_board(self, board: BoardOnline) -> None:
         identity = board.identity
         self._describe(
@@ -207,22 +218,19 @@ class RecordingWriter:
         """Close the file."""
         self._file.close()
 
-    def abandon(self) -> bool:
-        """Cut the file off after its last complete chunk and close it; return whether it is kept.
-
-        Without an event, it is removed.
-        """
+    def abandon(self, *, keep: bool = False) -> None:
+        """Cut the file off after its last complete chunk and close it, or remove it: all it had counts as `filling`."""
         raw = self._file.raw
-        kept = self.whole.events > 0
+        if not keep:
+            self.whole, self.filling = Contents(), self.whole.plus(self.filling)
         with suppress(OSError):
-            if kept:
+            if keep:
                 raw.truncate(self.size_bytes)
             elif not self.is_gone:
                 self.size_bytes = 0
                 self.path.unlink()
         with suppress(OSError):
             raw.close()  # without the rest of the chunk, which closing the buffer would write once more
-        return kept
 
     def _begin(self, origin: Origin, utc_ns: int) -> None:
         with suppress(OSError):  # not every file system has locks

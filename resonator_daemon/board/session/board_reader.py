@@ -198,6 +198,11 @@ class BoardReader:
         return newest.gate_middle.monotonic_ns if newest is not None else 0
 
     @property
+    def frames(self) -> int:
+        """Frames accepted since the start."""
+        return self._machine.frames
+
+    @property
     def lost(self) -> FrameLoss:
         """Frames lost since the start, by cause."""
         return self._machine.lost

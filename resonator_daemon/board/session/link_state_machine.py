@@ -115,6 +115,11 @@ class LinkStateMachine:
         return counters
 
     @property
+    def frames(self) -> int:
+        """Frames accepted since the start."""
+        return self._counters.frames
+
+    @property
     def lost(self) -> FrameLoss:
         """Frames lost since the start, by cause."""
         return self._counters.lost + self._queue.loss

@@ -23,7 +23,6 @@ from resonator_daemon.board.config import Config, load_config
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.recorder import Recorder
 from resonator_daemon.board.session.blocking_reader import BlockingReader
-from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.board.session.frames import (
     Arrival,
     BoardOnline,
@@ -34,6 +33,7 @@ from resonator_daemon.board.session.frames import (
     ReaderFailed,
     SingleToneFrame,
 )
+from resonator_daemon.board.session.link_events import WireEvent
 from resonator_daemon.daemon.service.recording_commands import origin
 
 if TYPE_CHECKING:
@@ -127,9 +127,10 @@ class _LinkRecording:
 
     def __init__(self, config: Config, config_sha256: str, options: RecordOptions) -> None:
         boot_id = secrets.token_hex(4)
-        self._recorder = Recorder(options.place, origin(config, config.name, boot_id, config_sha256))
+        self._recorder = Recorder(options.place, origin(config, config.name, boot_id, config_sha256), needs_frame=True)
         self._pipeline = _pipeline(config, boot_id, self._recorder) if options.include_messages else None
-        self._loop = BlockingReader(config.link, config.plate, step_frames=(64,), on_event=self._recorder.put)
+        self._loop = BlockingReader(config.link, config.plate, step_frames=(64,), on_event=self._put)
+        self._frames_counted = 0
         self._board: BoardOnline | None = None
         self._link = ""  # its last reason
         self._first_frame_s: float | None = None
@@ -149,9 +150,9 @@ class _LinkRecording:
         finally:
             self._measure_the_rest()
             self._recorder.close()
-            is_kept = self._loop.reader.counters().frames > 0 and self._recorder.path.exists()
-            if not is_kept:
-                self._recorder.path.unlink(missing_ok=True)  # it would only be in the way of the next attempt
+            is_kept = self._recorder.frames > 0 and self._recorder.path.exists()
+            if not is_kept and self._recorder.path.is_file():
+                self._recorder.path.unlink()  # it would only be in the way of the next attempt
             for number, handler in handlers.items():
                 signal.signal(number, handler)
             if is_kept:
@@ -177,9 +178,9 @@ class _LinkRecording:
 
     def check(self, seconds: float | None) -> None:
         """Raise what is wrong with a recording that has ended; `seconds` is what was asked for."""
-        if self._recorder.failure is not None:
-            raise RecordingEndedError(self._recorder.failure.text)
         result = self.result()
+        if self._recorder.failure is not None:
+            raise RecordingEndedError(self._recorder.failure.text, so_far=result)
         if self._stopped and not result["frames"]:
             raise InterruptedCommandError("interrupted before a frame came; no file is kept")
         if seconds is not None and self._stopped and result["seconds"] < seconds:
@@ -198,7 +199,7 @@ class _LinkRecording:
             "board": self._board.identity.serial_number if self._board is not None else None,
             "seconds": 0.0 if self._first_frame_s is None else round(self._ended_s - self._first_frame_s, 3),
             "bytes_received": counters.bytes_received,
-            "frames": counters.frames,
+            "frames": self._recorder.frames,
             "frames_lost": asdict(counters.lost),
             "connections": counters.connections,
             "events_missing": counts.events_missing,
@@ -206,6 +207,12 @@ class _LinkRecording:
             "messages_missing": counts.messages_missing,
             "frames_unmeasured": self._frames_unmeasured,
         }
+
+    def _put(self, event: WireEvent) -> None:
+        """Record an event, and count the frames of those before it."""
+        frames = self._loop.reader.frames
+        self._recorder.put(event, frames - self._frames_counted)
+        self._frames_counted = frames
 
     def _stop(self, *_: object) -> None:
         self._stopped = True
@@ -237,7 +244,7 @@ class _LinkRecording:
                 self._pipeline.handle(arrival)
 
     def _print_progress(self, end: str = "") -> None:
-        line = _progress(self._loop.reader.counters(), self._recorder)
+        line = _progress(self._loop.reader.lost.total, self._recorder)
         if sys.stderr.isatty():
             sys.stderr.write(f"\r{line}\x1b[K{end}")
         elif end:
@@ -254,9 +261,9 @@ def _pipeline(config: Config, boot_id: str, recorder: Recorder) -> "BoardPipelin
     return BoardPipeline(config, boot_id, messages.record)
 
 
-def _progress(counters: LinkCounters, recorder: Recorder) -> str:
+def _progress(lost: int, recorder: Recorder) -> str:
     counts = recorder.counts
-    line = f"{recorder.path}: {counters.frames} frames, {counters.lost.total} lost, {counts.file_bytes / 1e6:.1f} MB"
+    line = f"{recorder.path}: {recorder.frames} frames, {lost} lost, {counts.file_bytes / 1e6:.1f} MB"
     if counts.files > 1:
         line += f", file {counts.files}"
     for what, missing in (("events", counts.events_missing), ("messages", counts.messages_missing)):

@@ -165,19 +165,25 @@ def test_after_an_error_a_recording_goes_on_in_a_new_file(tmp_path: Path) -> Non
     assert contents(tmp_path) == [[snapshot(at(2))]]
 
 
-def test_an_attempt_without_an_event_leaves_no_file(tmp_path: Path) -> None:
+@pytest.mark.parametrize("needs_frame", [False, True])
+def test_an_attempt_without_an_event_or_frame_leaves_no_file(tmp_path: Path, *, needs_frame: bool) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))  # room for its beginning
     said: list[int] = []
     series = Series(tmp_path, "left", resumes=True)
     try:
-        with Recorder(series, LEFT, log_line=lambda level, _: said.append(level), times=NO_PAUSE) as recorder:
+        with Recorder(
+            series, LEFT, log_line=lambda level, _: said.append(level), times=NO_PAUSE, needs_frame=needs_frame
+        ) as recorder:
             for ms in range(3):
                 recorder.put(snapshot(at(ms)))
+                if needs_frame:
+                    wait_until(lambda: recorder.events == 1)
                 recorder.put(Received(at(ms), Random(ms).randbytes(600_000)))
                 wait_until(lambda ms=ms: recorder.counts.events_missing == ms + 1)  # type: ignore[misc]
                 assert list(tmp_path.iterdir()) == []
                 assert (recorder.counts.files, recorder.all_bytes, recorder.path) == (0, 0, tmp_path)
+                assert (recorder.events, recorder.frames) == (0, 0)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert said == [logging.WARNING]
