@@ -32,7 +32,7 @@ from stick_radius import stick_radius
 
 from resonator_daemon.estimate.elastic import FrictionalContact, SurfaceCompliance, SurfaceFields
 from resonator_daemon.estimate.elastic.profiles import paraboloid
-from resonator_daemon.tools.view.pages import write_density_figure
+from resonator_daemon.extensions.planning.figures import write_density_figure
 
 PANELS = {
     "Fig. 2: p_n": ("p_n", [0]),

@@ -13,10 +13,10 @@ from resonator_daemon.base.errors import ConfigurationError, UsageError
 from resonator_daemon.base.host.new_file import NoNewFileError, check_new
 from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
-from resonator_daemon.estimate.forces.code_plan import Limits, stamp_noise
 from resonator_daemon.estimate.forces.force_sites import DEFAULT_COEFFICIENT_STD
 from resonator_daemon.estimate.forces.site_identification import MODEL_ERROR
 from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
+from resonator_daemon.extensions.planning.code_ladder import Limits, stamp_noise
 from resonator_daemon.extensions.planning.plate_file import (
     PILOT_ABOVE,
     Layout,

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.errors import ExitCode, UsageError, UserError
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.estimate.forces import code_placement, code_trials
-from resonator_daemon.estimate.forces.code_plan import GuardBand, force_noise, guard_band, ladder_hz, stamp_noise
-from resonator_daemon.estimate.forces.code_trials import Codes, Outcomes, Scatter
 from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
+from resonator_daemon.extensions.planning import code_placement, code_trials
+from resonator_daemon.extensions.planning.code_ladder import GuardBand, force_noise, guard_band, ladder_hz, stamp_noise
+from resonator_daemon.extensions.planning.code_plan import BITS_A_BYTE, CodePlan, Trials
+from resonator_daemon.extensions.planning.code_trials import Codes, Outcomes, Scatter
 from resonator_daemon.extensions.planning.plate_file import (
     PILOT_ABOVE,
     Layout,
@@ -26,7 +27,6 @@ from resonator_daemon.extensions.planning.plate_file import (
 from resonator_daemon.extensions.planning.request import JITTER_S, Request, make_request
 from resonator_daemon.measure.sensors import code_check
 from resonator_daemon.measure.sensors.plate_sites import force_sites
-from resonator_daemon.tools.view.code_plan import BITS_A_BYTE, CodePlan, Trials
 
 COMMON_STD: Final = 2e-7  # of what is left of the common mode, estimated from a pilot
 PLATES: Final = 50  # drawn; one where the codes are those of a plate

@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.estimate.elastic.half_space import HalfSpace
     from resonator_daemon.estimate.elastic.sensor_resolution import SensorArray
     from resonator_daemon.estimate.elastic.sensor_sets import SensorSet
-    from resonator_daemon.tools.view.sensor_plan import SensorPlan
+    from resonator_daemon.extensions.planning.sensor_plan import SensorPlan
 
     logging.getLogger().setLevel(logging.WARNING)  # matplotlib logs its fonts
     try:

@@ -3,7 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from resonator_daemon.estimate.forces.code_trials import Codes, Scatter, draw_plate, nearest_wrong, one_touch, overlaps
+from resonator_daemon.extensions.planning.code_trials import (
+    Codes,
+    Scatter,
+    draw_plate,
+    nearest_wrong,
+    one_touch,
+    overlaps,
+)
 
 SCATTER = Scatter(
     force_max_newton=10.0, sensitivity_spread=0.0, tolerance=0.0, pulling=0.0, tempco_std=5e-8,

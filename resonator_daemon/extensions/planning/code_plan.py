@@ -13,10 +13,11 @@ from rich.table import Table
 
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import Counter
-from resonator_daemon.estimate.forces.code_plan import ForceNoise, GuardBand
-from resonator_daemon.estimate.forces.code_trials import Outcomes
 from resonator_daemon.estimate.forces.codes import CodeOverlap
-from resonator_daemon.tools.view.pages import number_table, write_code_figure
+from resonator_daemon.extensions.planning.code_ladder import ForceNoise, GuardBand
+from resonator_daemon.extensions.planning.code_trials import Outcomes
+from resonator_daemon.extensions.planning.figures import write_code_figure
+from resonator_daemon.tools.view.pages import number_table
 from resonator_daemon.tools.view.words import quantity
 
 BITS_A_BYTE: Final = 10  # on a serial line: start bit, 8 data bits, stop bit

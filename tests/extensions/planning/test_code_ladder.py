@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from resonator_daemon.estimate.forces.code_plan import Limits, force_noise, guard_band, stamp_noise
+from resonator_daemon.extensions.planning.code_ladder import Limits, force_noise, guard_band, stamp_noise
 
 LIMITS = Limits(
     force_max_newton=10.0, temperature_span_kelvin=20.0, tempco_difference_per_kelvin=3e-7, ageing=2e-6,

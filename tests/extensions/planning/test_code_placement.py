@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.estimate.forces.code_placement import (
+from resonator_daemon.extensions.planning.code_placement import (
     default_coupling,
     distances_m,
     measured_coupling_hz,

@@ -12,7 +12,7 @@ from rich.console import Console
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.elastic.sensor_resolution import SensorArray
 from resonator_daemon.estimate.elastic.sensor_sets import SensorSet
-from resonator_daemon.tools.view.sensor_plan import FEATURES_M, SensorPlan
+from resonator_daemon.extensions.planning.sensor_plan import FEATURES_M, SensorPlan
 
 
 @cache

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from resonator_daemon.tools.view.pages import write_density_figure
+from resonator_daemon.extensions.planning.figures import write_density_figure
 
 OMEGA = np.linspace(-2e3, 2e3, 41)
 

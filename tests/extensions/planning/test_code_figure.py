@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.tools.view.pages import write_code_figure
+from resonator_daemon.extensions.planning.figures import write_code_figure
 
 
 def test_codes_stand_at_their_sites_and_y_points_downwards(tmp_path: Path, figures: list[Figure]) -> None:
