@@ -2,16 +2,17 @@
 
 import asyncio
 import json
+from collections.abc import Collection
 from typing import Final
 
 from paho.mqtt.client import topic_matches_sub
 from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.base.conditions import Condition
+from resonator_daemon.base.entry_points import load_entries
 from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.board.config import Mqtt
 from resonator_daemon.mqtt.broker_connection import BrokerConnection
-from resonator_daemon.mqtt.home_assistant import discovery_topic
 from resonator_daemon.mqtt.mqtt_messages import Incoming
 from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
 from resonator_daemon.mqtt.requests import BrokerUnreachableError, DeniedError, reach
@@ -40,8 +41,8 @@ class NoPlateError(UserError):
 async def remove_plate(broker: Mqtt, name: str, *, force: bool = False) -> tuple[str, ...]:
     """Clear all retained topics below `prefix/name/`, `state/daemon` last; return their paths.
 
-    Before them the message for Home Assistant is cleared, which is returned with its whole topic. Without
-    `home_assistant_discovery` in `broker` it is found below any discovery prefix with one level.
+    Before them, messages of extensions that list the plate in other programs are cleared. They are returned with their
+    whole topics.
 
     Parameters
     ----------
@@ -64,8 +65,9 @@ async def remove_plate(broker: Mqtt, name: str, *, force: bool = False) -> tuple
     loop = asyncio.get_running_loop()
     closing: asyncio.Future[None] = loop.create_future()
     done: asyncio.Future[None] = loop.create_future()
-    discovery = discovery_topic(broker.home_assistant_discovery or "+", broker.prefix, name)
-    removal = _Removal(full_topic(broker.prefix, name, ""), discovery, force=force)
+    listed = [discovery(broker, name, None, contacts=False) for _, discovery in load_entries("discovery", callable)]
+    filters = tuple(topic for topic, _ in filter(None, listed))
+    removal = _Removal(full_topic(broker.prefix, name, ""), filters, force=force)
     reported = "no answer"
 
     def report(_level: int, text: str) -> None:
@@ -100,9 +102,9 @@ async def remove_plate(broker: Mqtt, name: str, *, force: bool = False) -> tuple
 class _Removal:
     """Steps of the removal; begins again on each connection."""
 
-    def __init__(self, base: str, discovery: str, *, force: bool) -> None:
+    def __init__(self, base: str, discovery: Collection[str], *, force: bool) -> None:
         self._base = base
-        self._discovery = discovery  # filter
+        self._discovery = discovery  # filters
         self._force = force
         self._retained: dict[str, bytes] = {}  # payloads by topic
         self._cleared: list[str] = []  # topics
@@ -116,7 +118,7 @@ class _Removal:
     def receive(self, message: Incoming) -> None:
         """Take a retained message, a live one on the same topic, or an empty one, which cleared a topic."""
         topic = message.topic
-        if not (topic.startswith(self._base) or topic_matches_sub(self._discovery, topic)):
+        if not (topic.startswith(self._base) or any(topic_matches_sub(each, topic) for each in self._discovery)):
             return  # amqtt 0.12 delivers retained messages of all subscriptions that it has
         if message.payload and (message.retained or topic in (*self._cleared, *self._retained)):
             self._retained[topic] = message.payload
@@ -128,7 +130,8 @@ class _Removal:
 
     async def run(self, client: BrokerConnection) -> None:
         self._retained.clear()
-        client.subscribe(self._discovery)  # a broker that denies it has no message there that this user wrote
+        for topic_filter in self._discovery:
+            client.subscribe(topic_filter)  # a broker that denies it has no message there that this user wrote
         if reason := await client.subscribe(f"{self._base}#"):
             raise DeniedError(f"the broker denies {self._base}# ({reason}); see its access rules for this user")
         while await self._change_within(QUIET_S):

@@ -5,6 +5,7 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 from urllib.parse import quote
 
+from resonator_daemon.base.entry_points import load_entries
 from resonator_daemon.base.host.places import state_directory
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config import Config
@@ -13,7 +14,6 @@ from resonator_daemon.mqtt.codec import Encoded, decoded, encode
 from resonator_daemon.mqtt.commands import Commands, Handler
 from resonator_daemon.mqtt.daemon_state import DaemonState
 from resonator_daemon.mqtt.event_history import HistoryPage
-from resonator_daemon.mqtt.home_assistant import discovery_message, discovery_topic
 from resonator_daemon.mqtt.mqtt_messages import Outgoing
 from resonator_daemon.mqtt.payloads import Info, Message, MessageAccount, State
 from resonator_daemon.mqtt.publisher import FRESH_S, Publisher, Subscription
@@ -154,14 +154,13 @@ class PlatePublisher:
             await self._publisher.close(farewell, wait_for_broker=wait_for_broker)
 
     def _publish_discovery(self, info: Info) -> None:
-        """Publish the message for Home Assistant, if the configuration has its discovery prefix."""
-        broker, name = self._config.mqtt, self._name
-        if self._publisher is None or broker.home_assistant_discovery is None:
-            return
+        """Publish the messages of extensions that list the plate in other programs."""
         contacts = CONTACTS.path in info.rates_hz or self._config.decoding.external
-        message = discovery_message(broker.prefix, name, info, contacts=contacts)
-        topic = discovery_topic(broker.home_assistant_discovery, broker.prefix, name)
-        self._publisher.retain(topic, message, JSON)
+        for _, discovery in load_entries("discovery", callable):
+            listed = discovery(self._config.mqtt, self._name, info, contacts=contacts)
+            if self._publisher is not None and listed is not None:
+                topic, payload = listed
+                self._publisher.retain(topic, payload, JSON)
 
     def _answer(self, answer: Outgoing) -> None:
         if self._publisher is not None:

@@ -5,6 +5,7 @@ import json
 import re
 from typing import Any, Final
 
+from resonator_daemon.board.config import Mqtt
 from resonator_daemon.mqtt.payloads import Condition, CounterType, Info
 from resonator_daemon.mqtt.topics import CONTACTS, HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
 
@@ -19,25 +20,31 @@ _AVAILABLE: Final = (
 )
 
 
-def discovery_topic(discovery_prefix: str, prefix: str, name: str) -> str:
-    """Return the topic of a plate's discovery message; `+` as discovery prefix gives a filter of any with one level."""
-    return f"{discovery_prefix}/device/{_level(prefix)}/{_level(name)}/config"
-
-
-def discovery_message(prefix: str, name: str, info: Info, *, contacts: bool) -> bytes:
-    """Return the retained discovery message of a plate, as Home Assistant from 2024.11 on reads it.
+def discovery(broker: Mqtt, name: str, info: Info | None, *, contacts: bool) -> tuple[str, bytes] | None:
+    """Return topic and payload of the retained message of a plate, as Home Assistant from 2024.11 on reads it.
 
     Parameters
     ----------
-    prefix, name
-        Of the plate's topics.
+    broker
+        Its `home_assistant_discovery` is the discovery prefix.
+    name
+        Of the plate.
     info
-        Its last message.
+        Its last message. None: a plate is removed; then the topic is a filter, of any discovery prefix with one level
+        where `broker` has none, and the payload is empty.
     contacts
         Whether contacts of the plate are published, by the daemon or by a decoder.
     """
-    base = f"{prefix}/{name}"
-    identifier = f"{_level(prefix)}_{_level(name)}"
+    discovery_prefix, plate = broker.home_assistant_discovery, (_level(broker.prefix), _level(name))
+    if info is None:
+        return f"{discovery_prefix or '+'}/device/{'/'.join(plate)}/config", b""
+    if discovery_prefix is None:
+        return None
+    message = _message(f"{broker.prefix}/{name}", "_".join(plate), name, info, contacts=contacts)
+    return f"{discovery_prefix}/device/{'/'.join(plate)}/config", json.dumps(message).encode()
+
+
+def _message(base: str, identifier: str, name: str, info: Info, *, contacts: bool) -> dict[str, Any]:
     available = {"availability_topic": f"{base}/{STATE_DAEMON.path}", "availability_template": _AVAILABLE}
     sensors = {
         "daemon": _state(base, STATE_DAEMON, "Daemon"),
@@ -76,14 +83,13 @@ def discovery_message(prefix: str, name: str, info: Info, *, contacts: bool) -> 
         "sw_version": info.firmware,
         "serial_number": info.serial_number,
     }
-    message = {
+    return {
         "device": {key: value for key, value in device.items() if value},
         "origin": {"name": "resonatord", "sw_version": info.daemon_version},
         "components": {
             key: {"platform": "sensor", "unique_id": f"{identifier}_{key}", **sensor} for key, sensor in sensors.items()
         },
     }
-    return json.dumps(message).encode()
 
 
 def _state(base: str, topic: Topic[Any], name: str) -> dict[str, Any]:
