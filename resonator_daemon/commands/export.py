@@ -9,7 +9,7 @@ from pathlib import Path
 from resonator_daemon.base.errors import DifferenceError, ExitCode, NoRecordingError
 from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.tools.command_line.output import print_json
-from resonator_daemon.tools.export.formats import ROS2, formats
+from resonator_daemon.tools.export.formats import formats
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--ros2",
         dest="format",
         action="store_const",
-        const=ROS2,
+        const="ros2",
         help="MCAP with messages of ROS 2, ends in .mcap",
     )
     parser.add_argument("--topics", metavar="A,B", help="as forces,contacts/event (default: all that the format takes)")

@@ -15,11 +15,11 @@ from resonator_daemon.base.errors import ListenError, MissingLibraryError
 from resonator_daemon.base.host.printable import how_to_install
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.board.config import Listen, Mqtt
+from resonator_daemon.extensions.clouds import Geometry
+from resonator_daemon.extensions.foxglove.messages import ChannelMessage, FoxgloveMessages
 from resonator_daemon.mqtt.payloads import Condition, Info, Message, State
 from resonator_daemon.mqtt.subscriber import EVERY_PLATE, subscribe
 from resonator_daemon.mqtt.topics import INFO, TOPICS
-from resonator_daemon.tools.export.foxglove_messages import ChannelMessage, FoxgloveMessages
-from resonator_daemon.tools.export.geometry import Geometry
 
 try:
     import foxglove

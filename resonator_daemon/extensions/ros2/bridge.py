@@ -15,6 +15,15 @@ from typing import Any, Final
 
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.board.config import Mqtt
+from resonator_daemon.extensions.clouds import Geometry
+from resonator_daemon.extensions.ros2.message_types import DIAGNOSTICS, make_typestore
+from resonator_daemon.extensions.ros2.messages import (
+    DIAGNOSTICS_TOPIC,
+    STALE,
+    Diagnostics,
+    Translation,
+    diagnostics_of,
+)
 from resonator_daemon.extensions.ros2.node import Ros2Node
 from resonator_daemon.mqtt.payloads import Condition, Health, Info, Message, State
 from resonator_daemon.mqtt.subscriber import EVERY_PLATE, subscribe
@@ -31,15 +40,6 @@ from resonator_daemon.mqtt.topics import (
     TOPICS,
     Topic,
 )
-from resonator_daemon.tools.export.geometry import Geometry
-from resonator_daemon.tools.export.ros2_messages import (
-    DIAGNOSTICS_TOPIC,
-    STALE,
-    Diagnostics,
-    Translation,
-    diagnostics_of,
-)
-from resonator_daemon.tools.export.ros2_types import DIAGNOSTICS, make_typestore
 
 LOOK_S: Final = 0.2  # from subscription to the first message, at most
 REPORT_S: Final = 1.0

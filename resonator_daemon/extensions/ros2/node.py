@@ -25,7 +25,7 @@ try:
 except ImportError as error:
     raise MissingLibraryError(f"the bridge to ROS 2 needs cyclonedds: {how_to_install('cyclonedds')}") from error
 
-from resonator_daemon.tools.export.ros2_types import Nodetype, Typestore
+from resonator_daemon.extensions.ros2.message_types import Nodetype, Typestore
 
 # As ROS has them in DDS: `byte` and `char` are octets.
 _BASES: Final[dict[str, Any]] = {

@@ -15,7 +15,7 @@ from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml.reading import nearest
 from resonator_daemon.board.config import Config
 from resonator_daemon.mqtt.units import UNITS
-from resonator_daemon.tools.export.formats import ROS2, format_class, formats
+from resonator_daemon.tools.export.formats import format_class, formats
 from resonator_daemon.tools.export.output import Output, Recorded
 from resonator_daemon.tools.replay.recorded_pipeline import Moment, RecordingReplay, what_is_wrong
 from resonator_daemon.tools.replay.source import open_replay
@@ -58,7 +58,7 @@ def make_target(output: Path, form: str | None, topics: str | None) -> Target:
         raise UsageError(
             "--output - would be stdout, and files are written; name one (resonatord replay --to - prints)"
         )
-    endings = {f".{name}": name for name in formats() if name != ROS2}
+    endings = {f".{name}": name for name in formats()}
     if form is None and output.suffix not in endings:
         known = ", ".join(endings)
         raise UsageError(f"--output {str(output)!r} ends in none of {known}; name such a file, or give --format")

@@ -28,12 +28,12 @@ from websockets.asyncio.client import ClientConnection, connect
 from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.board.config import Listen, Mqtt
 from resonator_daemon.commands import main
+from resonator_daemon.extensions.clouds import Geometry
+from resonator_daemon.extensions.foxglove.messages import FoxgloveMessages
 from resonator_daemon.extensions.foxglove.server import BACKLOG_MAX, FoxgloveServer
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import Contact, Contacts, Decoded, Forces, Grid, Info, Message, State
 from resonator_daemon.mqtt.topics import TOPICS
-from resonator_daemon.tools.export.foxglove_messages import FoxgloveMessages
-from resonator_daemon.tools.export.geometry import Geometry
 
 LAYOUT = Path(__file__).parents[3] / "docs" / "examples" / "foxglove" / "resonatord.json"
 HEADER = struct.Struct("<BIQ")  # of message data: opcode 1, subscription, log time

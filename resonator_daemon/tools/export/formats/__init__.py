@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from resonator_daemon.tools.export.output import Output
 
 _OWN: Final = frozenset(module.name for module in pkgutil.iter_modules(__path__))
-ROS2: Final = "ros2"  # the only one whose files do not end in its name
 
 
 def formats() -> list[str]:

@@ -1,18 +1,14 @@
-"""Base of the formats that are MCAP files, and what they show alike: times, states, fields of clouds."""
+"""Base of the formats that are MCAP files."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Final
+from typing import ClassVar, Final
 
 from mcap.writer import CompressionType, Writer
 
 from resonator_daemon.board.recording.mcap_messages import CHUNK_BYTES
-from resonator_daemon.mqtt.payloads import Condition, State
-from resonator_daemon.tools.export.clouds import Points
 from resonator_daemon.tools.export.output import Output
 
 METADATA: Final = "resonatord"
-
-OK, WARN, ERROR = range(3)  # as diagnostic_msgs/DiagnosticStatus counts
 
 
 class McapOutput(Output):
@@ -54,26 +50,3 @@ class McapOutput(Output):
 
     def finish(self) -> None:
         self._writer.finish()
-
-
-def severity(state: Condition) -> int:
-    """Return how bad a state is: an error must be repaired, and a warning may pass."""
-    match state:
-        case Condition.ONLINE | Condition.STARTING:
-            return OK
-        case Condition.REFUSED:
-            return ERROR
-    return WARN
-
-
-def state_text(message: State) -> str:
-    """Return state and reason as one line."""
-    return f"{message.state}: {message.reason}" if message.reason else str(message.state)
-
-
-def cloud_fields(points: Points, types: Mapping[str, int], type_key: str) -> list[dict[str, Any]]:
-    """Return name, offset and type of each field of a cloud; `types` has the number of each numpy type."""
-    return [
-        {"name": name, "offset": field[1], type_key: types[field[0].str]}
-        for name, field in (points.dtype.fields or {}).items()
-    ]

@@ -14,11 +14,19 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from resonator_daemon.board.recording.reader import INFO_LEVEL, json_time, log_line
-from resonator_daemon.mqtt.codec import encode
-from resonator_daemon.mqtt.payloads import WITH_ARRAYS, Contacts, Decoded, Forces, Header, Message, Signals, State
-from resonator_daemon.mqtt.topics import TOPICS
-from resonator_daemon.tools.export.clouds import Clouds, Points, map_values, on_grid, packed
-from resonator_daemon.tools.export.foxglove_schemas import (
+from resonator_daemon.extensions.clouds import (
+    Clouds,
+    Geometry,
+    Points,
+    about_origin,
+    cloud_fields,
+    map_values,
+    on_grid,
+    packed,
+    severity,
+    state_text,
+)
+from resonator_daemon.extensions.foxglove.schemas import (
     FRAME_TRANSFORMS,
     GRID,
     LINE_LOOP,
@@ -30,8 +38,9 @@ from resonator_daemon.tools.export.foxglove_schemas import (
     WRENCHES,
     Schema,
 )
-from resonator_daemon.tools.export.geometry import Geometry, about_origin
-from resonator_daemon.tools.export.mcap_output import cloud_fields, severity, state_text
+from resonator_daemon.mqtt.codec import encode
+from resonator_daemon.mqtt.payloads import WITH_ARRAYS, Contacts, Decoded, Forces, Header, Message, Signals, State
+from resonator_daemon.mqtt.topics import TOPICS
 
 Entity = dict[str, Any]
 

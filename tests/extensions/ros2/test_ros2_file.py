@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from resonator_daemon.tools.export.ros2_types import make_typestore, ros_name
+from resonator_daemon.extensions.ros2.message_types import make_typestore, ros_name
 
 
 def written(case: str, path: Path) -> dict[str, list[Any]]:

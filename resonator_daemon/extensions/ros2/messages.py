@@ -7,23 +7,17 @@ from typing import Any, Final, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.mqtt.payloads import (
-    Contact,
-    ContactEvent,
-    Contacts,
-    Decoded,
-    DecodedSummary,
-    Forces,
-    Health,
-    Message,
-    Signals,
-    State,
+from resonator_daemon.extensions.clouds import (
+    OK,
+    WARN,
+    Clouds,
+    Points,
+    about_origin,
+    cloud_fields,
+    severity,
+    state_text,
 )
-from resonator_daemon.mqtt.topics import HEALTH
-from resonator_daemon.tools.export.clouds import Clouds, Points
-from resonator_daemon.tools.export.geometry import about_origin
-from resonator_daemon.tools.export.mcap_output import OK, WARN, cloud_fields, severity, state_text
-from resonator_daemon.tools.export.ros2_types import (
+from resonator_daemon.extensions.ros2.message_types import (
     CLOUD,
     CONTACT,
     CONTACTS,
@@ -40,6 +34,19 @@ from resonator_daemon.tools.export.ros2_types import (
     make_typestore,
     ros_name,
 )
+from resonator_daemon.mqtt.payloads import (
+    Contact,
+    ContactEvent,
+    Contacts,
+    Decoded,
+    DecodedSummary,
+    Forces,
+    Health,
+    Message,
+    Signals,
+    State,
+)
+from resonator_daemon.mqtt.topics import HEALTH
 
 DIAGNOSTICS_TOPIC: Final = "/diagnostics"
 

@@ -1,13 +1,54 @@
-"""Messages as clouds of points in the plate's plane, which viewers show in colours of any of their fields."""
+"""What viewers show of a plate: its shape, messages as clouds of points in its plane, states as lines of text."""
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.mqtt.payloads import Decoded, Forces, Message, Signals
+from resonator_daemon.base.plate import Plate
+from resonator_daemon.mqtt.payloads import Condition, Contact, Decoded, Forces, Info, Message, Signals, State
 from resonator_daemon.mqtt.units import AXES, with_axis
+
+Places = NDArray[np.float64]
+"""(n, 2): x and y in metres in the frame of the plate, whose z points into it."""
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Outline, transducers and sites of one plate.
+
+    Parameters
+    ----------
+    outline_m, transducers_m
+        Corners, and transducers in the order of the channels.
+    site_ids
+        Numbers of the sites.
+    sites_m
+        Places of the sites, in the same order.
+    force_max_newton
+        End of the plate's range.
+    """
+
+    outline_m: Places
+    transducers_m: Places
+    site_ids: tuple[int, ...]
+    sites_m: Places
+    force_max_newton: float
+
+    @classmethod
+    def of_plate(cls, plate: Plate) -> Self:
+        ids = tuple(int(site) for site in plate.site_ids)
+        return cls(plate.outline_m, plate.transducers_m, ids, plate.site_positions_m, plate.force_max_newton)
+
+    @classmethod
+    def of_info(cls, info: Info) -> Self:
+        ids = tuple(site.site for site in info.sites)
+        sites_m = np.array([site.position_m for site in info.sites]).reshape(-1, 2)
+        outline_m, transducers_m = (np.array(each).reshape(-1, 2) for each in (info.outline_m, info.transducers_m))
+        return cls(outline_m, transducers_m, ids, sites_m, info.force_max_newton)
+
 
 Points = NDArray[np.void]
 """Structured, (n,): x, y and z in metres as float32, and values named with their units; z points into the plate."""
@@ -105,3 +146,37 @@ def packed(values: Mapping[str, NDArray[Any]], count: int) -> Points:
 def _cloud(positions_m: NDArray[np.float64], values: dict[str, NDArray[Any]]) -> Points:
     x, y = positions_m.T.astype("<f4")
     return packed({"x": x, "y": y, "z": np.zeros_like(x)} | values, len(positions_m))
+
+
+def cloud_fields(points: Points, types: Mapping[str, int], type_key: str) -> list[dict[str, Any]]:
+    """Return name, offset and type of each field of a cloud; `types` has the number of each numpy type."""
+    return [
+        {"name": name, "offset": field[1], type_key: types[field[0].str]}
+        for name, field in (points.dtype.fields or {}).items()
+    ]
+
+
+def about_origin(contact: Contact) -> NDArray[np.float64]:
+    """Return force and moment about the plate's origin, (2, 3); of a force site those of its normal force."""
+    if contact.moment_newton_m is not None:
+        return np.array([contact.force_newton, contact.moment_newton_m], float)
+    (x, y), normal_newton = contact.position_m, contact.force_newton[2]
+    return np.array([(0.0, 0.0, normal_newton), (y * normal_newton, -x * normal_newton, 0.0)])
+
+
+OK, WARN, ERROR = range(3)  # as diagnostic_msgs/DiagnosticStatus counts
+
+
+def severity(state: Condition) -> int:
+    """Return how bad a state is: an error must be repaired, and a warning may pass."""
+    match state:
+        case Condition.ONLINE | Condition.STARTING:
+            return OK
+        case Condition.REFUSED:
+            return ERROR
+    return WARN
+
+
+def state_text(message: State) -> str:
+    """Return state and reason as one line."""
+    return f"{message.state}: {message.reason}" if message.reason else str(message.state)

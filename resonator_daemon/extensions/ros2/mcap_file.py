@@ -3,9 +3,8 @@
 from types import MappingProxyType
 from typing import Any
 
+from resonator_daemon.extensions.mcap_output import McapOutput
 from resonator_daemon.mqtt.topics import Topic
-from resonator_daemon.tools.export.mcap_output import McapOutput
-from resonator_daemon.tools.export.ros2_messages import Translation
 
 
 class Format(McapOutput):
@@ -17,6 +16,8 @@ class Format(McapOutput):
     channel_metadata = MappingProxyType({"offered_qos_profiles": ""})
 
     def begin(self) -> None:
+        from resonator_daemon.extensions.ros2.messages import Translation  # needs a library that may be missing
+
         super().begin()
         plate = self._recorded.plate
         self._translation = Translation(self._recorded.name, plate.site_ids, plate.site_positions_m)
