@@ -49,8 +49,8 @@ pip=("$python" -m pip install -qq --no-input --disable-pip-version-check --no-co
 
 # Units, rules, completion and manual, as `resonatord install` writes them, where packages have them and without its seal.
 PYTHONPATH=$work/wheel "$python" -P - install --prefix "$work/image" 2>/dev/null >&2 <<'INSTALL'
-from resonator_daemon.base.host import documentation
-documentation.page = "/usr/share/doc/resonatord/{}".format
+from resonator_daemon.base.host import text
+text.page = "/usr/share/doc/resonatord/{}".format
 from resonator_daemon.commands import main
 raise SystemExit(main())
 INSTALL

@@ -9,9 +9,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.links.link import LinkLostError
 from resonator_daemon.board.session import link_events as wire

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon.base.host import documentation
+from resonator_daemon.base.host import text as documentation
 
 ROOT = Path(__file__).parents[1]
 FILES = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()

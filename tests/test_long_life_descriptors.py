@@ -19,7 +19,7 @@ from brokers import Mosquitto
 from observer import Observer, observe
 from service_bench import Bench
 
-from resonator_daemon.base.host.places import runtime_directory
+from resonator_daemon.base.host.files import runtime_directory
 from simulators.faults import parse_faults
 
 DEADLINE_S = 60.0

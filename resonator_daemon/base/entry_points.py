@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from resonator_daemon.base.host.printable import print_note
+from resonator_daemon.base.host.text import print_note
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, Strict, StrictBool,
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.arrays import Floats, Integers
-from resonator_daemon.base.toml.reading import Count, Number, Table
+from resonator_daemon.base.toml import Count, Number, Table
 
 FORCE_SIGNAL: Final = "force"
 TEMPERATURE_SIGNAL: Final = "temperature"

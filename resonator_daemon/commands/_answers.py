@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.base.host.printable import printable
+from resonator_daemon.base.host.text import printable
 from resonator_daemon.tools.command_line.output import print_json
 
 if TYPE_CHECKING:

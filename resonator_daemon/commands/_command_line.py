@@ -19,11 +19,11 @@ from resonator_daemon.base.errors import (
     SystemFailureError,
     UsageError,
     UserError,
+    check_open_files,
+    reason_of,
 )
-from resonator_daemon.base.host.documentation import with_pages
-from resonator_daemon.base.host.journal import set_up_logging
-from resonator_daemon.base.host.printable import coloured
-from resonator_daemon.base.host.system_limits import check_open_files, reason_of
+from resonator_daemon.base.host.systemd import set_up_logging
+from resonator_daemon.base.host.text import coloured, with_pages
 from resonator_daemon.tools.command_line.output import print_error, print_failure
 
 _ONE_OF: Final = "one of the arguments "
@@ -192,7 +192,7 @@ class _Parser(argparse.ArgumentParser):
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
-            from resonator_daemon.base.toml.reading import nearest  # slow to import
+            from resonator_daemon.base.toml import nearest
 
             raise argparse.ArgumentError(action, f"got {value!r}; {nearest(str(value), list(action.choices))}")
 

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.base.host.documentation import with_pages
-from resonator_daemon.base.host.printable import print_note
+from resonator_daemon.base.host.text import print_note, with_pages
 from resonator_daemon.base.plate import shipped_plates
 from resonator_daemon.commands._command_line import make_parser, parsers
 from resonator_daemon.tools.command_line.output import print_json
@@ -23,10 +22,9 @@ if TYPE_CHECKING:
 
 def made_files() -> dict[str, str]:
     """Return text by place of the files that the program makes itself: example, completion, manual."""
-    from resonator_daemon.base.host.documentation import with_pages
     from resonator_daemon.base.host.install import EXAMPLE
+    from resonator_daemon.base.host.text import with_pages
     from resonator_daemon.board.config import example_config
-    from resonator_daemon.commands._installation import completions, manual
 
     return {EXAMPLE: with_pages(example_config()), **dict(completions()), **dict(manual())}
 

@@ -114,7 +114,7 @@ def _chosen(arguments: argparse.Namespace) -> tuple[str, Path]:
 
 
 def _quantity_or_config(text: str) -> str | Path:
-    from resonator_daemon.base.toml.reading import nearest
+    from resonator_daemon.base.toml import nearest
 
     if text in ("force", "skin"):
         return text

@@ -6,7 +6,7 @@ Example: resonatord check left-index.toml
 import argparse
 
 from resonator_daemon.base.errors import ExitCode, UserError
-from resonator_daemon.base.host.printable import print_note
+from resonator_daemon.base.host.text import print_note
 from resonator_daemon.tools.command_line.argument_types import add_config
 from resonator_daemon.tools.command_line.output import print_json
 

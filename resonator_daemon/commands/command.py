@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     """Print the answer; FAILED where the command was refused."""
     import asyncio
 
-    from resonator_daemon.base.toml.reading import nearest
+    from resonator_daemon.base.toml import nearest
     from resonator_daemon.mqtt.verbs import VERBS
 
     logging.getLogger().setLevel(logging.WARNING)  # connections are not logged here

@@ -9,8 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from resonator_daemon.base.errors import ExitCode, UsageError, UserError
-from resonator_daemon.base.host.system_limits import reason_of
+from resonator_daemon.base.errors import ExitCode, UsageError, UserError, reason_of
 from resonator_daemon.tools.command_line.argument_types import check_plate_name, host_and_port, options_of, positive
 
 

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 from resonator_daemon.base.errors import DifferenceError, ExitCode, NoRecordingError
-from resonator_daemon.base.host.printable import print_note
+from resonator_daemon.base.host.text import print_note
 from resonator_daemon.tools.command_line.output import print_json
 from resonator_daemon.tools.export.formats import formats
 
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.base.host.new_file import takes_a_stream
+    from resonator_daemon.base.host.files import takes_a_stream
     from resonator_daemon.base.host.signals import interruptible
     from resonator_daemon.board.config import load_config
     from resonator_daemon.board.links.link import LinkUnavailableError

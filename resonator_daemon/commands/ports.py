@@ -10,8 +10,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.base.host.documentation import page
-from resonator_daemon.base.host.printable import print_note
+from resonator_daemon.base.host.text import page, print_note
 from resonator_daemon.tools.command_line.output import print_error, print_json
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import sys
 from typing import TYPE_CHECKING, Any, Final
 
 from resonator_daemon.base.errors import ConfigurationError, ExitCode, UserError
-from resonator_daemon.base.host.printable import printable
+from resonator_daemon.base.host.text import printable
 from resonator_daemon.tools.command_line.output import print_json
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.base.host.printable import print_note
+from resonator_daemon.base.host.text import print_note
 from resonator_daemon.tools.command_line.output import print_json
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from resonator_daemon.base.errors import DifferenceError, ExitCode, NoRecordingError, UsageError
-from resonator_daemon.base.host.printable import print_note
+from resonator_daemon.base.host.text import print_note
 from resonator_daemon.tools.command_line.argument_types import options_of
 from resonator_daemon.tools.command_line.output import print_json
 

@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> ExitCode:
     import asyncio
 
-    from resonator_daemon.base.host.places import state_directory
+    from resonator_daemon.base.host.files import state_directory
     from resonator_daemon.daemon.service.config_store import ConfigStore
     from resonator_daemon.daemon.service.daemon import serve
 

@@ -10,7 +10,7 @@ from contextlib import nullcontext, suppress
 from typing import TYPE_CHECKING, Final
 
 from resonator_daemon.base.errors import ExitCode, UserError
-from resonator_daemon.base.host.printable import printable
+from resonator_daemon.base.host.text import printable
 from resonator_daemon.tools.command_line.output import print_failure, print_json
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def _failure(answers: "list[Answer]", name: str | None) -> UserError | None:
 
 
 def _nobody(name: str | None) -> NoDaemonError:
-    from resonator_daemon.base.host.places import runtime_directories
+    from resonator_daemon.base.host.files import runtime_directories
 
     places = ", ".join(str(place) for place in runtime_directories())
     who = "no daemon" if name is None else f"no daemon called {printable(name)}"

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from resonator_daemon.base.errors import ConfigurationError, ExitCode
-from resonator_daemon.base.host.printable import print_note
+from resonator_daemon.base.host.text import print_note
 from resonator_daemon.commands._answers import print_answer, send_command
 from resonator_daemon.tools.command_line.argument_types import number
 from resonator_daemon.tools.command_line.broker_arguments import add_broker, add_daemon, client_of

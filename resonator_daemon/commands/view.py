@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 from resonator_daemon.base.errors import ExitCode, MissingLibraryError, NoRecordingError, UsageError
-from resonator_daemon.base.host.printable import how_to_install
+from resonator_daemon.base.host.text import how_to_install
 from resonator_daemon.tools.command_line.argument_types import host_and_port
 from resonator_daemon.tools.command_line.broker_arguments import add_broker, broker_of
 from resonator_daemon.tools.command_line.output import print_json
@@ -108,7 +108,7 @@ def _check(arguments: argparse.Namespace) -> None:
     for option in ("prefix", "press", "allow_commands"):
         if getattr(arguments, option) and not (arguments.url or arguments.config):
             raise UsageError(f"--{option.replace('_', '-')} is for plates of a broker; add --url or --config")
-    from resonator_daemon.base.host.system_limits import meaning_of
+    from resonator_daemon.base.errors import meaning_of
     from resonator_daemon.board.links.link import LinkUnavailableError
     from resonator_daemon.tools.replay.source import open_replay
 

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from resonator_daemon.base.toml.reading import nearest
+from resonator_daemon.base.toml import nearest
 from resonator_daemon.mqtt.mqtt_messages import Incoming, Outgoing
 from resonator_daemon.mqtt.pacing import TokenBucket
 from resonator_daemon.mqtt.strict_json import read_object

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from paho.mqtt.enums import MQTTProtocolVersion
 
-from resonator_daemon.base.host.system_limits import meaning_of, reason_of
+from resonator_daemon.base.errors import meaning_of, reason_of
 from resonator_daemon.board.config.broker_files import UnusableFileError
 from resonator_daemon.board.config.mqtt import Mqtt
 

@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 from typing import Final
 
 from resonator_daemon.base.errors import MissingLibraryError
-from resonator_daemon.base.host.printable import how_to_install
+from resonator_daemon.base.host.text import how_to_install
 from resonator_daemon.mqtt.embedded_delivery import Connection, StreamDelivery
 
 SHUTDOWN_TIMEOUT_S: Final = 2.0

@@ -20,7 +20,7 @@ from pydantic import (
 )
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.base.conditions import Word
+from resonator_daemon.base.reasons import Word
 
 _DECIMAL: Final = {"type": "string", "pattern": "^[0-9]{1,20}$"}
 _DIGITS: Final = 2  # of a standard deviation: further ones are noise

@@ -2,8 +2,7 @@
 
 from typing import Final
 
-from resonator_daemon.base.conditions import Condition
-from resonator_daemon.base.reasons import ReasonCode
+from resonator_daemon.base.reasons import Condition, ReasonCode
 from resonator_daemon.mqtt.measured_payloads import (
     Compensation,
     Contact,

@@ -8,9 +8,9 @@ from typing import Final
 from paho.mqtt.client import topic_matches_sub
 from paho.mqtt.enums import MQTTProtocolVersion
 
-from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.entry_points import load_entries
 from resonator_daemon.base.errors import ExitCode, UserError
+from resonator_daemon.base.reasons import Condition
 from resonator_daemon.board.config import Mqtt
 from resonator_daemon.mqtt.broker_connection import BrokerConnection
 from resonator_daemon.mqtt.mqtt_messages import Incoming

@@ -8,8 +8,7 @@ from typing import Any, Final
 
 from paho.mqtt.enums import MQTTProtocolVersion
 
-from resonator_daemon.base.errors import ExitCode, UserError
-from resonator_daemon.base.host.system_limits import reason_of
+from resonator_daemon.base.errors import ExitCode, UserError, reason_of
 from resonator_daemon.board.config import Mqtt
 from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, BrokerConnection
 from resonator_daemon.mqtt.mqtt_messages import Incoming

@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple, TypeVar
 
-from resonator_daemon.base.host.new_file import make_directory
-from resonator_daemon.base.host.system_limits import meaning_of, reason_of
+from resonator_daemon.base.errors import meaning_of, reason_of
+from resonator_daemon.base.host.files import make_directory
 
 EVENTS_MAX: Final = 100_000
 BYTES_MAX: Final = 64 * 2**20  # of payloads

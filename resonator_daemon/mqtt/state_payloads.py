@@ -2,8 +2,7 @@
 
 from pydantic import Field
 
-from resonator_daemon.base.conditions import Condition
-from resonator_daemon.base.reasons import ReasonCode
+from resonator_daemon.base.reasons import Condition, ReasonCode
 from resonator_daemon.mqtt.measured_payloads import Compensation, Grid
 from resonator_daemon.mqtt.payload_types import (
     BoardHeader,

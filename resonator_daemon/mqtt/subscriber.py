@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 from pydantic import ValidationError
 
-from resonator_daemon.base.host.printable import printable
+from resonator_daemon.base.host.text import printable
 from resonator_daemon.board.config import Mqtt
 from resonator_daemon.mqtt.codec import decode
 from resonator_daemon.mqtt.payloads import Message

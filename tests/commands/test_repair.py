@@ -12,7 +12,7 @@ import pytest
 from mcap.reader import make_reader
 from recording_bench import ONE_BATCH
 
-from resonator_daemon.base.host.new_file import NoNewFileError
+from resonator_daemon.base.host.files import NoNewFileError
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.recording import recorder as recording
 from resonator_daemon.board.recording.reader import DAMAGE, Mark, Origin, open_recording
@@ -130,7 +130,7 @@ def test_a_flipped_bit_costs_its_chunk_at_most(
     *,
     has_index: bool,
 ) -> None:
-    monkeypatch.setattr("resonator_daemon.base.host.new_file.os.fsync", lambda _: None)
+    monkeypatch.setattr("resonator_daemon.base.host.files.os.fsync", lambda _: None)
     path, copy = tmp_path / "run.mcap", tmp_path / "copy.mcap"
     random = Random(3)
     writer = RecordingWriter(path, ORIGIN, 0)
@@ -229,7 +229,7 @@ def test_a_repair_that_is_interrupted_leaves_nothing(
 
     path, _ = made
     path.write_bytes(path.read_bytes()[:-1])
-    monkeypatch.setattr("resonator_daemon.base.host.new_file.os.fsync", interrupted)
+    monkeypatch.setattr("resonator_daemon.base.host.files.os.fsync", interrupted)
     assert main(["repair", str(path)]) == 1
     assert capsys.readouterr().err == "resonatord: interrupted: no copy is made\n"
     assert list(path.parent.iterdir()) == [path]

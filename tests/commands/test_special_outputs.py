@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 import pytest
 
-from resonator_daemon.base.host.new_file import takes_a_stream
+from resonator_daemon.base.host.files import takes_a_stream
 from resonator_daemon.commands import main
 
 CORPUS: Final = Path(__file__).parents[1] / "corpus"

@@ -16,8 +16,8 @@ import pytest
 import status_samples
 from status_samples import listens
 
-from resonator_daemon.base.host import places
-from resonator_daemon.base.host.places import runtime_directory
+from resonator_daemon.base.host import files as places
+from resonator_daemon.base.host.files import runtime_directory
 from resonator_daemon.commands import main
 from resonator_daemon.daemon.monitoring import status_client
 from resonator_daemon.daemon.monitoring.status import BrokerStatus, ConfigStatus, Status

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from mcap.reader import make_reader
 
-from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.plate import Plate, load_plate
-from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
 from resonator_daemon.board.recording.event_replay import replay
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import Origin, open_recording

@@ -14,10 +14,9 @@ from enum import StrEnum
 from importlib import resources
 from pathlib import Path, PurePosixPath
 
-from resonator_daemon.base.errors import ExitCode, UserError
-from resonator_daemon.base.host.documentation import page, with_pages
-from resonator_daemon.base.host.new_file import replace_file
-from resonator_daemon.base.host.system_limits import meaning_of, reason_of
+from resonator_daemon.base.errors import ExitCode, UserError, meaning_of, reason_of
+from resonator_daemon.base.host.files import replace_file
+from resonator_daemon.base.host.text import page, with_pages
 
 _PROGRAM_IN_UNITS = "/opt/resonatord/bin/resonatord"
 HIDDEN_FROM_SERVICES = (

@@ -6,8 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from resonator_daemon.base.conditions import Condition
-from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
 
 SUM_S: Final = 20.0
 SINGLE_MAX: Final = 6  # changes within `SUM_S` that have a line each

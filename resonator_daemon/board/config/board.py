@@ -23,7 +23,7 @@ from pydantic_core import InitErrorDetails
 
 from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.base.plate import Plate, load_plate
-from resonator_daemon.base.toml.reading import Table, TomlFile, check_with, finding, load_model, read_toml
+from resonator_daemon.base.toml import Table, TomlFile, check_with, finding, load_model, read_toml
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.config.tables import Commands, Decoding, Measurement, Metrics, Recording, plate_name
 from resonator_daemon.board.links.table import link_forms, parse_link

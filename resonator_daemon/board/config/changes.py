@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.base.toml.reading import Table, shown
+from resonator_daemon.base.toml import Table, shown
 from resonator_daemon.board.config.board import Config
 from resonator_daemon.board.links.target import LinkTarget
 

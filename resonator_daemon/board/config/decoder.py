@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-from resonator_daemon.base.toml.reading import Table, read_toml
+from resonator_daemon.base.toml import Table, read_toml
 from resonator_daemon.board.config.board import load_part
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.config.tables import Decoding, plate_name

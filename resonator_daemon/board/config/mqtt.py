@@ -20,8 +20,7 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails
 
-from resonator_daemon.base.toml.reading import Table, check_with, finding
-from resonator_daemon.base.toml.urls import split_url
+from resonator_daemon.base.toml import Table, check_with, finding, split_url
 from resonator_daemon.board.config.broker_files import (
     BrokerFile,
     UnusableFileError,

@@ -15,9 +15,8 @@ from pydantic import (
     field_validator,
 )
 
-from resonator_daemon.base.host.places import state_directory
-from resonator_daemon.base.toml.reading import Number, Table
-from resonator_daemon.base.toml.urls import split_url
+from resonator_daemon.base.host.files import state_directory
+from resonator_daemon.base.toml import Number, Table, split_url
 from resonator_daemon.board.config.mqtt import is_this_computer, topic_level
 
 DECODER = "decoder"  # level of the topics of decoder processes, which no plate can have as a name

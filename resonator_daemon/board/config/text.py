@@ -5,7 +5,7 @@ from pathlib import Path
 import tomlkit
 
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.base.toml.reading import Table, TomlFile, load_model, parse_toml
+from resonator_daemon.base.toml import Table, TomlFile, load_model, parse_toml
 from resonator_daemon.board.config.board import Config
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.config.tables import Decoding, Measurement

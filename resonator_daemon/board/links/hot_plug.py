@@ -6,7 +6,7 @@ import select
 import threading
 import time
 
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import meaning_of
 from resonator_daemon.board.links.inotify import DirectoryEvent, DirectoryEvents
 
 log = logging.getLogger(__name__)

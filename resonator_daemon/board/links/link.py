@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final, Protocol
 
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import meaning_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
 
 WRITE_TIMEOUT_S = 1.0  # in which a board must take what it is sent

@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import Final
 
 from resonator_daemon.base.entry_points import load_entries, load_entry
-from resonator_daemon.base.toml.reading import nearest
+from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.links import carriers
 from resonator_daemon.board.links.target import LinkTarget
 

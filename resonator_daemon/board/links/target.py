@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Self
 from urllib.parse import parse_qsl
 
-from resonator_daemon.base.host.documentation import page
-from resonator_daemon.base.toml.reading import nearest
+from resonator_daemon.base.host.text import page
+from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.links.link import Link
 from resonator_daemon.board.links.port_holders import Holder
 

@@ -7,7 +7,7 @@ import struct
 import termios
 from pathlib import Path
 
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import meaning_of
 
 log = logging.getLogger(__name__)
 

@@ -11,7 +11,7 @@ from typing import Any
 import usb.backend.libusb1
 import usb.core
 
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import meaning_of
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.links.carriers.usb import UsbTarget
 from resonator_daemon.board.links.link import LinkUnavailableError

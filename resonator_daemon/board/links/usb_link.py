@@ -10,7 +10,7 @@ from typing import Any
 from usb.core import USBError, USBTimeoutError
 
 from firmware_protocol.layouts import PROTOCOL_MAJOR
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import meaning_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.links.carriers.usb import UsbTarget
 from resonator_daemon.board.links.link import (

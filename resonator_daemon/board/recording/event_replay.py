@@ -5,9 +5,8 @@ import os
 import time
 from collections.abc import Callable
 
-from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
 from resonator_daemon.board.links.link import LinkLostError
 from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.board.recording.reader import Recording, open_recording

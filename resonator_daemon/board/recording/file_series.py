@@ -12,9 +12,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.base.errors import UserError
-from resonator_daemon.base.host.new_file import make_directory
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import UserError, meaning_of
+from resonator_daemon.base.host.files import make_directory
 from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.recording.mcap_messages import read_records
 from resonator_daemon.board.recording.reader import Origin, read_header

@@ -14,8 +14,8 @@ from typing import IO, Final, NamedTuple, Self
 
 from mcap.records import Attachment, Header, McapRecord, Metadata
 
-from resonator_daemon.base.host.printable import printable
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import meaning_of
+from resonator_daemon.base.host.text import printable
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.links.link import LinkUnavailableError

@@ -9,8 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Final, NamedTuple, Self
 
-from resonator_daemon.base.errors import UserError
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import UserError, meaning_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.recording.file_series import DiskSpace, LogLine, NoRoomError, Series, discard_line
 from resonator_daemon.board.recording.reader import Mark, Origin

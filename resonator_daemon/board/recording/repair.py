@@ -18,9 +18,8 @@ from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Messag
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC, Writer
 
-from resonator_daemon.base.errors import ExitCode, UserError
-from resonator_daemon.base.host.new_file import NewFile, check_new
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import ExitCode, UserError, meaning_of
+from resonator_daemon.base.host.files import NewFile, check_new
 from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.recording.mcap_messages import (
     DAMAGE,

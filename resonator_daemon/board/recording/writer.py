@@ -12,9 +12,8 @@ from typing import IO, Any, Final, NamedTuple, Self
 
 from mcap.writer import CompressionType, Writer
 
-from resonator_daemon.base.errors import UserError
-from resonator_daemon.base.host.new_file import NoNewFileError, sync_directory
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import UserError, meaning_of
+from resonator_daemon.base.host.files import NoNewFileError, sync_directory
 from resonator_daemon.board.recording.mcap_messages import CHUNK_BYTES
 from resonator_daemon.board.recording.reader import (
     BOARD,

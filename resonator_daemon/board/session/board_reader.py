@@ -7,9 +7,9 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
-from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.host.load import HostLoad, LoadMeter
 from resonator_daemon.base.plate import Plate
+from resonator_daemon.base.reasons import Condition
 from resonator_daemon.board.links.hot_plug import PortWatch
 from resonator_daemon.board.links.link import Link, LinkLostError, LinkUnavailableError
 from resonator_daemon.board.links.target import LinkTarget

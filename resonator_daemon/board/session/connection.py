@@ -17,10 +17,9 @@ from firmware_protocol.layouts import PROTOCOL_MAJOR
 from firmware_protocol.messages import BoardLog, BoardStatus, Configuration, Refusal, RefusalCode
 from firmware_protocol.packets import Damage, ForeignVersion
 from firmware_protocol.states import HostState
-from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.host.load import NO_LOAD, HostLoad, LoadSample
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
 from resonator_daemon.board.links.link import LinkLostError
 from resonator_daemon.board.session import link_reasons
 from resonator_daemon.board.session.blink import BlinkRequests

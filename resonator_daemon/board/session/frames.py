@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol.layouts import SingleToneRecord, single_tone_records
 from firmware_protocol.messages import Configuration, Description, Identity
-from resonator_daemon.base.conditions import Condition
-from resonator_daemon.base.reasons import Reason
+from resonator_daemon.base.reasons import Condition, Reason
 from resonator_daemon.board.session.clock import Instant, TickScale
 from resonator_daemon.board.session.counters import FrameLoss
 from resonator_daemon.board.session.frame_assembly import Tones, known_tones, variance_of

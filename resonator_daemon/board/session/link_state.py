@@ -4,9 +4,8 @@ import logging
 from collections.abc import Callable
 from typing import NamedTuple
 
-from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.host.state_log import StateLog
-from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.frames import Arrival, LinkChange, Outage
 from resonator_daemon.board.session.link_reasons import OPENING, all_of

@@ -4,8 +4,8 @@ import threading
 from collections.abc import Callable
 
 from firmware_protocol.host import Described
-from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.plate import Plate
+from resonator_daemon.base.reasons import Condition
 from resonator_daemon.board.session import link_events as wire
 from resonator_daemon.board.session.compatibility import gate_ticks
 from resonator_daemon.board.session.connection import Connection

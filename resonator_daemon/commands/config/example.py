@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.base.host.documentation import with_pages
+    from resonator_daemon.base.host.text import with_pages
     from resonator_daemon.board.config import example_config
 
     text = with_pages(example_config())

@@ -4,7 +4,7 @@ import logging
 import time
 from collections.abc import Callable
 
-from resonator_daemon.base.conditions import Condition
+from resonator_daemon.base.reasons import Condition
 
 log = logging.getLogger(__name__)
 

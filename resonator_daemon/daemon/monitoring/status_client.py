@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from resonator_daemon.base.host.places import runtime_directories
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import meaning_of
+from resonator_daemon.base.host.files import runtime_directories
 from resonator_daemon.daemon.monitoring.status_server import SOCKET_NAME
 
 ANSWER_S: Final = 2.0

@@ -11,9 +11,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from resonator_daemon.base.errors import ExitCode, UserError
-from resonator_daemon.base.host.places import make_private
-from resonator_daemon.base.host.system_limits import reason_of
+from resonator_daemon.base.errors import ExitCode, UserError, reason_of
+from resonator_daemon.base.host.files import make_private
 from resonator_daemon.daemon.monitoring.status import Status
 from resonator_daemon.mqtt.codec import encode
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from urllib.parse import quote
 
 from resonator_daemon.base.errors import ExitCode, UserError
+from resonator_daemon.base.host.files import state_directory
 from resonator_daemon.base.host.load import ProcessUsage
-from resonator_daemon.base.host.places import state_directory
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.systemd import ServiceManager
 from resonator_daemon.base.reasons import Reason, ReasonCode, joined

@@ -11,10 +11,9 @@ from typing import Annotated, Final, Literal, NamedTuple
 
 from pydantic import BaseModel, Field, ValidationError
 
-from resonator_daemon.base.errors import ConfigurationError
-from resonator_daemon.base.host.new_file import replace_file
-from resonator_daemon.base.host.system_limits import meaning_of
-from resonator_daemon.base.toml.reading import TomlFile, named, parse_toml, read_toml
+from resonator_daemon.base.errors import ConfigurationError, meaning_of
+from resonator_daemon.base.host.files import replace_file
+from resonator_daemon.base.toml import TomlFile, named, parse_toml, read_toml
 from resonator_daemon.board.config import Config, config_from, load_config
 from resonator_daemon.board.config.text import load_plate_text, plate_text
 from resonator_daemon.measure.sensors.kinds import sensor_of

@@ -14,11 +14,10 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from resonator_daemon.base.errors import ConfigurationError, IncompatibleBoardError, UserError
-from resonator_daemon.base.host.journal import tag_log
-from resonator_daemon.base.host.places import runtime_directory
+from resonator_daemon.base.host.files import runtime_directory
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.state_log import StateLog
-from resonator_daemon.base.host.systemd import ServiceManager
+from resonator_daemon.base.host.systemd import ServiceManager, tag_log
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config import Config, plate_name

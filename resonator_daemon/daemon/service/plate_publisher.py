@@ -6,7 +6,7 @@ from typing import Any
 from urllib.parse import quote
 
 from resonator_daemon.base.entry_points import load_entries
-from resonator_daemon.base.host.places import state_directory
+from resonator_daemon.base.host.files import state_directory
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config import Config
 from resonator_daemon.mqtt import asyncapi

@@ -4,8 +4,7 @@ import asyncio
 import logging
 from typing import Final
 
-from resonator_daemon.base.errors import UserError
-from resonator_daemon.base.host.system_limits import reason_of
+from resonator_daemon.base.errors import UserError, reason_of
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.config.text import plate_text, settings_text
 from resonator_daemon.board.recording.file_series import Series

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 import scipy
 
-from resonator_daemon.base.host.system_limits import meaning_of, reason_of
+from resonator_daemon.base.errors import meaning_of, reason_of
 
 log = logging.getLogger(__name__)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from resonator_daemon.base.errors import ConfigurationError, DifferenceError, ExitCode, UsageError
-from resonator_daemon.base.host.printable import print_note
+from resonator_daemon.base.host.text import print_note
 from resonator_daemon.tools.command_line.argument_types import number, whole_number
 from resonator_daemon.tools.command_line.output import print_json
 

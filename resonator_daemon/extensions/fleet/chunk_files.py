@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from resonator_daemon.base.errors import ExitCode, UserError
-from resonator_daemon.base.host.new_file import replace_file
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import ExitCode, UserError, meaning_of
+from resonator_daemon.base.host.files import replace_file
 from resonator_daemon.measure.sensors.calendar import utc_day
 from resonator_daemon.mqtt.codec import decoded
 from resonator_daemon.mqtt.payloads import Message

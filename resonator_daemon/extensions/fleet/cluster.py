@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from typing import Any, Final
 
 from resonator_daemon.base.errors import ExitCode, MissingLibraryError, UsageError, UserError
-from resonator_daemon.base.host.printable import how_to_install
+from resonator_daemon.base.host.text import how_to_install
 from resonator_daemon.extensions.fleet.chunks import Chunk, Job
 from resonator_daemon.extensions.fleet.worker import decode_chunk
 

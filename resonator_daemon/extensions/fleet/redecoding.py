@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
 
 from resonator_daemon.base.errors import NoRecordingError, UsageError
-from resonator_daemon.base.host.new_file import replace_file
-from resonator_daemon.base.toml.reading import nearest
+from resonator_daemon.base.host.files import replace_file
+from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.recording.reader import damage_in_words
 from resonator_daemon.extensions.fleet import changes
 from resonator_daemon.extensions.fleet.chunk_files import REPORTS, cannot_write, has_results

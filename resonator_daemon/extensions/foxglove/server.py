@@ -12,8 +12,8 @@ from contextlib import aclosing, suppress
 from typing import Any, Final
 
 from resonator_daemon.base.errors import ListenError, MissingLibraryError
-from resonator_daemon.base.host.printable import how_to_install
 from resonator_daemon.base.host.signals import on_signals
+from resonator_daemon.base.host.text import how_to_install
 from resonator_daemon.board.config import Listen, Mqtt
 from resonator_daemon.extensions.clouds import Geometry
 from resonator_daemon.extensions.foxglove.messages import ChannelMessage, FoxgloveMessages

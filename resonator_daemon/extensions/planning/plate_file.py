@@ -10,10 +10,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.base.errors import ConfigurationError, UsageError
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import ConfigurationError, UsageError, meaning_of
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.base.toml.reading import TomlFile, load_model
+from resonator_daemon.base.toml import TomlFile, load_model
 from resonator_daemon.estimate.forces.force_sites import DEFAULT_COEFFICIENT_STD
 
 LEAST_BORDER_M: Final = 2e-3

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.errors import ConfigurationError, UsageError
-from resonator_daemon.base.host.new_file import NoNewFileError, check_new
+from resonator_daemon.base.host.files import NoNewFileError, check_new
 from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
 from resonator_daemon.estimate.forces.force_sites import DEFAULT_COEFFICIENT_STD

@@ -4,7 +4,7 @@ import re
 from typing import Any, Final
 
 from resonator_daemon.base.errors import MissingLibraryError
-from resonator_daemon.base.host.printable import how_to_install
+from resonator_daemon.base.host.text import how_to_install
 
 try:
     from rosbags.interfaces import Nodetype

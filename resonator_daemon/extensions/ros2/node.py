@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from resonator_daemon.base.errors import ExitCode, MissingLibraryError, UserError
-from resonator_daemon.base.host.printable import how_to_install
+from resonator_daemon.base.host.text import how_to_install
 
 try:
     from cyclonedds.core import DDSException

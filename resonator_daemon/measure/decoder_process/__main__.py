@@ -6,8 +6,8 @@ import signal
 import socket
 import sys
 
-from resonator_daemon.base.host.journal import set_up_logging, tag_log
 from resonator_daemon.base.host.signals import signal_at_parent_death
+from resonator_daemon.base.host.systemd import set_up_logging, tag_log
 
 _PR_SET_NAME = 15  # linux/prctl.h
 

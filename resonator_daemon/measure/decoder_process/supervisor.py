@@ -15,8 +15,8 @@ from typing import Final, Generic, Literal, TypeVar
 
 import psutil
 
+from resonator_daemon.base.errors import reason_of
 from resonator_daemon.base.host.load import ProcessUsage
-from resonator_daemon.base.host.system_limits import reason_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.measure.decoder_process.connection import WorkerConnection
 from resonator_daemon.measure.decoder_process.followed_contacts import FollowedContacts, no_contacts

@@ -3,8 +3,7 @@
 from collections.abc import Callable
 from typing import Final, Protocol
 
-from resonator_daemon.base.conditions import Condition
-from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
 
 CONTACTS_END_S: Final = 0.5  # as long as a contact of which nothing is known is kept while frames do come
 

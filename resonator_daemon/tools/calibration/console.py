@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from resonator_daemon.base.errors import InterruptedCommandError
-from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.base.host.signals import interruptible
+from resonator_daemon.base.host.text import print_note
 from resonator_daemon.tools.calibration.outcome import Outcome
 from resonator_daemon.tools.calibration.plate_file import Record
 

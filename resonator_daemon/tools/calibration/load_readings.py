@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.errors import ConfigurationError, IncompatibleBoardError
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
+from resonator_daemon.base.reasons import Condition
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.recording.event_replay import replay_of
 from resonator_daemon.board.session.frames import (

@@ -16,20 +16,19 @@ from typing import Any
 import tomlkit
 from tomlkit.items import Table
 
-from resonator_daemon.base.errors import UsageError, UserError
-from resonator_daemon.base.host.new_file import (
+from resonator_daemon.base.errors import UsageError, UserError, meaning_of
+from resonator_daemon.base.host.files import (
     NoNewFileError,
     check_new,
     fresh_name,
     make_directory,
     replace_file,
+    state_directory,
     sync_directory,
 )
-from resonator_daemon.base.host.places import state_directory
-from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.plate import load_plate, shipped_plates
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL, Coupling
-from resonator_daemon.base.toml.reading import read_toml
+from resonator_daemon.base.toml import read_toml
 from resonator_daemon.tools.calibration.steps import CalibrationRefusedError
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from resonator_daemon.base.errors import ConfigurationError, ExitCode, InterruptedCommandError, UsageError
-from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.base.host.signals import interruptible
+from resonator_daemon.base.host.text import print_note
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
 from resonator_daemon.board.config import Config, load_config
 from resonator_daemon.board.session.frames import BoardOnline

@@ -12,7 +12,7 @@ import numpy as np
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.errors import ConfigurationError, ExitCode
-from resonator_daemon.base.host.printable import print_note
+from resonator_daemon.base.host.text import print_note
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import Skin
 from resonator_daemon.board.config import Config, load_config

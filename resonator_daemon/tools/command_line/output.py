@@ -6,8 +6,8 @@ import sys
 from typing import Any
 
 from resonator_daemon.base.errors import UserError
-from resonator_daemon.base.host.journal import error_prefix
-from resonator_daemon.base.host.printable import coloured, printable
+from resonator_daemon.base.host.systemd import error_prefix
+from resonator_daemon.base.host.text import coloured, printable
 
 
 def print_json(value: object) -> None:

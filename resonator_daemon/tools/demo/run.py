@@ -20,8 +20,8 @@ from rich.console import Console, RenderableType
 from rich.live import Live
 
 from resonator_daemon.base.errors import ExitCode, InterruptedCommandError, LossError, UserError
-from resonator_daemon.base.host.printable import print_note
 from resonator_daemon.base.host.signals import on_signals
+from resonator_daemon.base.host.text import print_note
 from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.board.config import Mqtt
 from resonator_daemon.mqtt.receiver import Arrival

@@ -12,8 +12,7 @@ from contextlib import ExitStack, suppress
 from typing import Final
 from urllib.parse import urlsplit
 
-from resonator_daemon.base.errors import UserError
-from resonator_daemon.base.host.system_limits import reason_of
+from resonator_daemon.base.errors import UserError, reason_of
 from resonator_daemon.mqtt.embedded_delivery import packet_ends
 from resonator_daemon.mqtt.receiver import Arrival
 

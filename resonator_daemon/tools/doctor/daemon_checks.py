@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from resonator_daemon.base.errors import UserError
-from resonator_daemon.base.host.documentation import page
 from resonator_daemon.base.host.load import REMEDY
+from resonator_daemon.base.host.text import page
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.config import Mqtt, load_config
 from resonator_daemon.board.links.table import parse_link

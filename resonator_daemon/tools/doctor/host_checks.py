@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import meaning_of
 from resonator_daemon.board.config import Recording
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding

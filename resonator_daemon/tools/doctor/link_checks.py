@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from typing import Final
 
 from firmware_protocol.messages import ResetCause
-from resonator_daemon.base.host.documentation import page
 from resonator_daemon.base.host.load import REMEDY
+from resonator_daemon.base.host.text import page
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.session.clock import TOLERANCE_PPM

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.base.host.documentation import page
+from resonator_daemon.base.host.text import page
 from resonator_daemon.board.links.port_holders import Holder, Holders, is_pseudo_terminal
 from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, not_checked
 from resonator_daemon.tools.doctor.host import Host

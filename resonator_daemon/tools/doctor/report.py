@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any, Final, TextIO
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.base.host.printable import Colour, coloured, printable
+from resonator_daemon.base.host.text import Colour, coloured, printable
 from resonator_daemon.tools.doctor.finding import FINE, Area, Finding, Outcome, Stage
 
 WIDTH: Final = 80

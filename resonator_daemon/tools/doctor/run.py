@@ -11,7 +11,7 @@ from typing import Final
 
 from resonator_daemon.base.entry_points import load_entries
 from resonator_daemon.base.errors import ConfigurationError, ExitCode, InterruptedCommandError, UserError
-from resonator_daemon.base.host.places import state_directory
+from resonator_daemon.base.host.files import state_directory
 from resonator_daemon.base.host.signals import interruptible
 from resonator_daemon.base.plate import Plate, load_plate, shipped_plates
 from resonator_daemon.base.reasons import ReasonCode

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.base.host.documentation import page
+from resonator_daemon.base.host.text import page
 from resonator_daemon.board.links.target import UsbId
 from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, not_checked
 from resonator_daemon.tools.doctor.host import Host

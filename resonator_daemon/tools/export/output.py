@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from resonator_daemon.base.host.new_file import NewFile
+from resonator_daemon.base.host.files import NewFile
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.config import Config
 from resonator_daemon.mqtt.codec import decoded

@@ -8,11 +8,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from resonator_daemon.base.errors import ExitCode, UsageError, UserError
-from resonator_daemon.base.host.new_file import check_new, takes_a_stream
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import ExitCode, UsageError, UserError, meaning_of
+from resonator_daemon.base.host.files import check_new, takes_a_stream
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.base.toml.reading import nearest
+from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.config import Config
 from resonator_daemon.mqtt.units import UNITS
 from resonator_daemon.tools.export.formats import format_class, formats

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import meaning_of
 from resonator_daemon.tools.live_page.recorded import Recorded
 from resonator_daemon.tools.live_page.requests import RefusedRequest
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final
 
+from resonator_daemon.base.errors import meaning_of
 from resonator_daemon.base.host.signals import ended_with_parent
-from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.tools.live_page.recording_entries import DONE, ENTRY, FAILED, PATHS, SCANNED, TIME
 
 _WORKER: Final = "resonator_daemon.tools.live_page.recording_worker"

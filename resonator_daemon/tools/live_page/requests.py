@@ -6,7 +6,7 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from resonator_daemon.base.toml.reading import shown
+from resonator_daemon.base.toml import shown
 from resonator_daemon.tools.live_page.broker_relay import STREAMS
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]

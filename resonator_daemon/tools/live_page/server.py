@@ -15,9 +15,8 @@ from typing import Any, Final
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
-from resonator_daemon.base.errors import ListenError, UsageError
+from resonator_daemon.base.errors import ListenError, UsageError, meaning_of
 from resonator_daemon.base.host.signals import on_signals
-from resonator_daemon.base.host.system_limits import meaning_of
 from resonator_daemon.base.host.systemd import ServiceManager
 from resonator_daemon.board.config.mqtt import is_this_computer
 from resonator_daemon.tools.live_page.access import Access

@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from resonator_daemon.base.errors import UsageError
-from resonator_daemon.base.toml.reading import nearest, shown
+from resonator_daemon.base.toml import nearest, shown
 from resonator_daemon.board.config import Mqtt, plate_name
 from resonator_daemon.mqtt.daemon_search import find_online, find_plate
 from resonator_daemon.mqtt.requests import ANSWER_S, execute, reach

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 from resonator_daemon.base.errors import UsageError
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.base.toml.reading import nearest
+from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.config import Config, load_config
 from resonator_daemon.tools.export.memory import MemoryOutput
 from resonator_daemon.tools.export.output import Recorded

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.base.errors import ExitCode, MissingLibraryError, UserError
-from resonator_daemon.base.host.printable import how_to_install
+from resonator_daemon.base.host.text import how_to_install
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.mqtt.topics import CONTACTS, DECODED_SUMMARY
 from resonator_daemon.mqtt.units import AXES

@@ -11,10 +11,9 @@ from typing import Any, Final, Literal, Self, TextIO
 
 import numpy as np
 
-from resonator_daemon.base.errors import ExitCode, UserError
-from resonator_daemon.base.host.new_file import NoNewFileError, check_new, takes_a_stream
-from resonator_daemon.base.host.printable import printable
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import ExitCode, UserError, meaning_of
+from resonator_daemon.base.host.files import NoNewFileError, check_new, takes_a_stream
+from resonator_daemon.base.host.text import printable
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config import Mqtt
 from resonator_daemon.mqtt.codec import Encoded, encode

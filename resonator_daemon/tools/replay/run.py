@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from resonator_daemon.base.errors import ConfigurationError, InterruptedCommandError, UsageError
-from resonator_daemon.base.host.printable import printable
 from resonator_daemon.base.host.signals import on_signals
+from resonator_daemon.base.host.text import printable
 from resonator_daemon.board.config import Config, Mqtt, plate_name
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.mqtt.payloads import Info

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from resonator_daemon.base.errors import ConfigurationError
-from resonator_daemon.base.host.printable import printable
+from resonator_daemon.base.host.text import printable
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.config.text import Settings, config_of, load_plate_text, load_settings_text

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 
 from resonator_daemon.base.errors import MissingLibraryError
-from resonator_daemon.base.host.printable import how_to_install
+from resonator_daemon.base.host.text import how_to_install
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from rich.console import Console
 from rich.text import Text
 
-from resonator_daemon.base.host.printable import printable
+from resonator_daemon.base.host.text import printable
 from resonator_daemon.daemon.monitoring.status import Status
 from resonator_daemon.daemon.monitoring.status_client import Answer
 from resonator_daemon.mqtt.payloads import Condition, Health, State

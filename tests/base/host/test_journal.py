@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon.base.host.journal import JournalHandler
+from resonator_daemon.base.host.systemd import JournalHandler
 
 SCRIPT = """
 import logging, sys
 from pathlib import Path
-from resonator_daemon.base.host import journal
+from resonator_daemon.base.host import systemd as journal
 journal.set_up_logging(logging.INFO, Path(sys.argv[1]))
 journal.tag_log("left-index")
 logging.getLogger("somewhere").warning("link %s", "lost", extra={"resonatord_link_state": "lost"})

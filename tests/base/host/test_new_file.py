@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.base.errors import UserError
-from resonator_daemon.base.host.new_file import NewFile
+from resonator_daemon.base.host.files import NewFile
 
 
 def test_a_file_gets_its_name_once_it_is_whole(tmp_path: Path) -> None:

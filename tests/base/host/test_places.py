@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon.base.host.places import make_private, runtime_directories, runtime_directory, state_directory
+from resonator_daemon.base.host.files import make_private, runtime_directories, runtime_directory, state_directory
 
 
 @pytest.fixture(autouse=True)

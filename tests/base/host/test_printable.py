@@ -1,6 +1,6 @@
 import pytest
 
-from resonator_daemon.base.host.printable import printable
+from resonator_daemon.base.host.text import printable
 
 
 @pytest.mark.parametrize(

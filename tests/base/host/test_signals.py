@@ -9,7 +9,7 @@ import pytest
 from observer import until
 
 from resonator_daemon.base.errors import InterruptedCommandError
-from resonator_daemon.base.host.new_file import NewFile
+from resonator_daemon.base.host.files import NewFile
 from resonator_daemon.base.host.signals import interruptible, on_signals
 
 

@@ -4,9 +4,8 @@ import logging
 
 import pytest
 
-from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.host.state_log import SINGLE_MAX, STEADY_S, SUM_S, StateLog
-from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
 
 LOG = logging.getLogger(__name__)
 WELL = (Condition.ONLINE, Reason(ReasonCode.MEASURING, "sites are read"))

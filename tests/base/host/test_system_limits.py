@@ -7,7 +7,7 @@ import socket
 import pytest
 from brokers import free_port
 
-from resonator_daemon.base.host.system_limits import reason_of
+from resonator_daemon.base.errors import reason_of
 
 
 @pytest.mark.parametrize(

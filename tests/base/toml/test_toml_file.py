@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.base.errors import ConfigurationError
-from resonator_daemon.base.toml.reading import MAX_BYTES, MAX_FINDINGS, Number, Table, load_model, read_toml
+from resonator_daemon.base.toml import MAX_BYTES, MAX_FINDINGS, Number, Table, load_model, read_toml
 
 
 class Leaf(Table):

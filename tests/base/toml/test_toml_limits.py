@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from resonator_daemon.base import toml_syntax as toml_limits
 from resonator_daemon.base.errors import ConfigurationError
-from resonator_daemon.base.toml import limits as toml_limits
-from resonator_daemon.base.toml.limits import (
+from resonator_daemon.base.toml import parse_toml
+from resonator_daemon.base.toml_syntax import (
     LONGEST_WORD,
     MAX_DEPTH,
     MAX_KEYS,
@@ -15,7 +16,6 @@ from resonator_daemon.base.toml.limits import (
     MAX_VALUES,
     excess,
 )
-from resonator_daemon.base.toml.reading import parse_toml
 
 PATH = Path("x.toml")
 

@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 import serial
 
-from resonator_daemon.base.host.documentation import page
+from resonator_daemon.base.host.text import page
 from resonator_daemon.base.reasons import Reason
 from resonator_daemon.board.links.carriers import serial as serial_link
 from resonator_daemon.board.links.carriers.serial import SerialTarget, open_serial

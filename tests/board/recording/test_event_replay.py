@@ -9,8 +9,7 @@ from listener import Listener, frames
 from recording_bench import PLATE, at, record, replayed, same
 
 from firmware_protocol.host import HostSession
-from resonator_daemon.base.conditions import Condition
-from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
 from resonator_daemon.board.links.carriers.recording import RecordingTarget
 from resonator_daemon.board.links.carriers.serial import SerialTarget
 from resonator_daemon.board.recording.event_replay import replay_of

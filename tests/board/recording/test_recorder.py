@@ -13,9 +13,8 @@ from mcap.writer import Writer
 from plates import with_counter
 from recording_bench import ONE_BATCH, PLATE, at, read, record
 
-from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
 from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.recording import writer as recording_writer
 from resonator_daemon.board.recording.reader import Origin, open_recording

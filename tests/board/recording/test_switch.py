@@ -15,10 +15,9 @@ from mcap.reader import make_reader
 from recording_bench import PLATE, at, marks, read, replayed, same, snapshot
 
 from firmware_protocol.messages import Configuration
-from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
 from resonator_daemon.board.links.carriers.serial import SerialTarget
 from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.board.recording import recorder as recording

@@ -3,9 +3,8 @@ import struct
 
 import pytest
 
-from resonator_daemon.base.conditions import Condition
 from resonator_daemon.base.host.load import LoadSample
-from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import (
     ControlRequested,

@@ -2,8 +2,7 @@
 
 import pytest
 
-from resonator_daemon.base.conditions import Condition
-from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.frames import Arrival, Outage
 from resonator_daemon.board.session.link_state import LinkState

@@ -3,7 +3,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from resonator_daemon.base.conditions import Condition
+from resonator_daemon.base.reasons import Condition
 from resonator_daemon.daemon.monitoring.liveness import LivenessMonitor
 
 WAITING = (Condition.WAITING, Condition.STALLED, Condition.LOST, Condition.REFUSED)

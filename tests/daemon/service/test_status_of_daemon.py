@@ -12,7 +12,7 @@ from brokers import Mosquitto, free_port
 from prometheus_client.parser import text_string_to_metric_families
 from service_bench import Bench
 
-from resonator_daemon.base.host.places import runtime_directory
+from resonator_daemon.base.host.files import runtime_directory
 from resonator_daemon.daemon.monitoring.status import Status
 from resonator_daemon.daemon.service.config_store import ConfigStore
 from resonator_daemon.daemon.service.daemon import Service

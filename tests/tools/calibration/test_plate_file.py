@@ -8,7 +8,7 @@ import pytest
 from emulated_loads import SHIPPED
 
 from resonator_daemon.base.errors import ConfigurationError, UsageError
-from resonator_daemon.base.host.new_file import NoNewFileError
+from resonator_daemon.base.host.files import NoNewFileError
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.tools.calibration.plate_file import (
     PlateFile,

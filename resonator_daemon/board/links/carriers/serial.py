@@ -16,8 +16,8 @@ import serial
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
-from resonator_daemon.base.host.documentation import page
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import meaning_of
+from resonator_daemon.base.host.text import page
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.links.link import FileDescriptorLink, LinkUnavailableError
 from resonator_daemon.board.links.port_holders import is_pseudo_terminal, port_holders

@@ -9,10 +9,10 @@ import time
 from dataclasses import dataclass
 from typing import Final, Self
 
-from resonator_daemon.base.host.documentation import page
-from resonator_daemon.base.host.system_limits import meaning_of
+from resonator_daemon.base.errors import meaning_of
+from resonator_daemon.base.host.text import page
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.base.toml.urls import split_url
+from resonator_daemon.base.toml import split_url
 from resonator_daemon.board.links.host_lookup import resolve_host
 from resonator_daemon.board.links.link import FileDescriptorLink, LinkUnavailableError
 from resonator_daemon.board.links.target import LinkTarget

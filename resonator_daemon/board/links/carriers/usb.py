@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Self
 from urllib.parse import quote
 
-from resonator_daemon.base.host.documentation import page
+from resonator_daemon.base.host.text import page
 from resonator_daemon.board.links.link import Link
 from resonator_daemon.board.links.port_holders import port_holders
 from resonator_daemon.board.links.target import FoundPort, LinkTarget, UsbId, options_of

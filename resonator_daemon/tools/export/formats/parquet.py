@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from resonator_daemon.base.errors import MissingLibraryError
-from resonator_daemon.base.host.printable import how_to_install
+from resonator_daemon.base.host.text import how_to_install
 from resonator_daemon.tools.export.columns import Column, Value
 from resonator_daemon.tools.export.table_output import Batch, TableOutput
 

@@ -9,15 +9,14 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar, get_args
+from urllib.parse import SplitResult, urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, Strict, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, InitErrorDetails
 
-from resonator_daemon.base.errors import ConfigurationError
-from resonator_daemon.base.host.system_limits import meaning_of
-from resonator_daemon.base.toml.advice import advice
-from resonator_daemon.base.toml.limits import excess
+from resonator_daemon.base.errors import ConfigurationError, meaning_of
+from resonator_daemon.base.toml_syntax import advice, excess
 
 KeyPath = tuple[int | str, ...]
 Model = TypeVar("Model", bound="Table")
@@ -305,3 +304,31 @@ def _lines_of_keys(text: str) -> Iterator[tuple[KeyPath, int]]:
 
 def _line_of(lines: dict[KeyPath, int], path: KeyPath) -> int | None:
     return next((lines[path[:end]] for end in range(len(path), 0, -1) if path[:end] in lines), None)
+
+
+_PART_MAX: Final = 63  # characters between the dots of a name (RFC 1035, section 2.3.4)
+
+
+def split_url(url: str) -> SplitResult:
+    """Split a URL; ValueError, without a password in it, where host or port cannot be read."""
+    try:
+        parts = urlsplit(url)
+        readable = url.isprintable() and " " not in url and parts.port != 0
+    except ValueError:
+        readable = False
+    if readable:
+        _check_host(parts.hostname or "")
+        return parts
+    advice = "; write signs such as # / @ in a password as %23 %2F %40" if "@" in url else ""
+    raise ValueError(f"host and port (1 to 65535) cannot be read{advice}")
+
+
+def _check_host(host: str) -> None:
+    """Raise ValueError for a name that no resolver takes: the look-up itself would fail in another way."""
+    names = host.removesuffix(".").split(".") if host else []
+    try:
+        encoded = [name if name.isascii() else name.encode("idna") for name in names]
+    except UnicodeError:
+        encoded = [""]
+    if not all(0 < len(name) <= _PART_MAX for name in encoded):
+        raise ValueError(f"no host is called {host!r}: each part between dots has 1 to {_PART_MAX} letters or digits")
