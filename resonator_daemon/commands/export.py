@@ -9,7 +9,7 @@ from pathlib import Path
 from resonator_daemon.base.errors import DifferenceError, ExitCode, NoRecordingError
 from resonator_daemon.base.host.text import print_note
 from resonator_daemon.tools.command_line.output import print_json
-from resonator_daemon.tools.export.formats import formats
+from resonator_daemon.tools.export import formats
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

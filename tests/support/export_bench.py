@@ -9,7 +9,7 @@ import numpy as np
 
 from resonator_daemon.board.config import Config
 from resonator_daemon.mqtt.codec import decoded
-from resonator_daemon.tools.export.formats import format_class
+from resonator_daemon.tools.export import format_class
 from resonator_daemon.tools.export.output import Output, Recorded
 from resonator_daemon.tools.replay.recorded_pipeline import Moment
 from resonator_daemon.tools.replay.source import open_replay

@@ -17,8 +17,8 @@ from resonator_daemon.base.host.files import replace_file
 from resonator_daemon.measure.sensors.calendar import utc_day
 from resonator_daemon.mqtt.codec import decoded
 from resonator_daemon.mqtt.payloads import Message
-from resonator_daemon.tools.export.formats import parquet
 from resonator_daemon.tools.export.output import Recorded
+from resonator_daemon.tools.export.parquet import ParquetFormat
 from resonator_daemon.tools.replay.recorded_pipeline import Moment
 
 REPORTS = "chunks"  # directory of the reports
@@ -74,7 +74,7 @@ class ChunkFiles:
         self._recorded = recorded
         (output / _PARTS).mkdir(exist_ok=True)
         self._parts = Path(tempfile.mkdtemp(prefix=f"{key}-", dir=output / _PARTS))
-        self._days: dict[str, parquet.Format] = {}
+        self._days: dict[str, ParquetFormat] = {}
         self.rows: Counter[str] = Counter()
 
     def add(self, moment: Moment) -> list[Message]:
@@ -86,11 +86,11 @@ class ChunkFiles:
             self.rows[topic.path] += 1
         return [message for _, message in made]
 
-    def _day(self, day: str) -> parquet.Format:
+    def _day(self, day: str) -> ParquetFormat:
         if day not in self._days:
             (self._parts / day).mkdir()
             # Two topics at least: the format then names the file of each after its topic.
-            self._days[day] = parquet.Format(self._parts / day / _NAME, ("", *self.topics), self._recorded)
+            self._days[day] = ParquetFormat(self._parts / day / _NAME, ("", *self.topics), self._recorded)
             self._days[day].begin()
         return self._days[day]
 

@@ -1,11 +1,15 @@
-"""The interface of the formats: from the moments of a recording to files that are complete or absent."""
+"""The interface of the formats: from the moments of a recording to files that are complete or absent.
 
+One is given messages, or, if its files are tables, batches of their rows.
+"""
+
+import math
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final, Protocol
 
 from resonator_daemon.base.host.files import NewFile
 from resonator_daemon.base.plate import Plate
@@ -13,7 +17,7 @@ from resonator_daemon.board.config import Config
 from resonator_daemon.mqtt.codec import decoded
 from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.topics import Topic
-from resonator_daemon.tools.export.tables import WITH_TABLE
+from resonator_daemon.tools.export.tables import WITH_TABLE, Column, Table, Value, make_table
 from resonator_daemon.tools.replay.recorded_pipeline import Moment
 
 
@@ -105,3 +109,70 @@ class Output(ABC):
         file = NewFile(self.place(self._path, self._topics, topic))
         self._files.append(file)
         return file
+
+
+BATCH_BYTES: Final = 8 << 20  # of numbers; Python holds them in about four times as much
+_SCALAR_BYTES: Final = 8
+
+Batch = Sequence[Sequence[Value]]
+"""A sequence of values for each column, all of one length."""
+
+
+class TableFile(Protocol):
+    """The file, or part of a file, that has one table."""
+
+    def write(self, batch: Batch) -> None: ...
+
+
+class TableOutput(Output):
+    """Output of tables, one for each topic.
+
+    Attributes
+    ----------
+    batch_bytes : int
+        Size of the numbers that are written at once.
+    """
+
+    batch_bytes = BATCH_BYTES
+
+    def begin(self) -> None:
+        self._open: dict[str, _OpenTable] = {}
+
+    @abstractmethod
+    def open_table(self, topic: str, columns: Sequence[Column]) -> TableFile:
+        """Begin the table of a topic."""
+
+    def put(self, topic: Topic[Any], message: Message, now_ns: int) -> None:
+        path = topic.path
+        if path not in self._open:
+            table = make_table(topic, self._recorded.plate, message)
+            self._open[path] = _OpenTable(table, self.open_table(path, table.columns), self.batch_bytes)
+        self.rows[path] += self._open[path].add(message)
+
+    def finish(self) -> None:
+        for table in self._open.values():
+            table.flush()
+
+
+class _OpenTable:
+    """A table that is being written."""
+
+    def __init__(self, table: Table, file: TableFile, batch_bytes: int) -> None:
+        self._table = table
+        self._file = file
+        row_bytes = sum(4 * math.prod(column.shape) if column.shape else _SCALAR_BYTES for column in table.columns)
+        self._batch_rows = max(1, batch_bytes // row_bytes)
+        self._waiting: list[Sequence[Value]] = []
+
+    def add(self, message: Message) -> int:
+        """Add the rows of a message; return how many."""
+        rows = list(self._table.rows(message))
+        self._waiting += rows
+        if len(self._waiting) >= self._batch_rows:
+            self.flush()
+        return len(rows)
+
+    def flush(self) -> None:
+        if self._waiting:
+            self._file.write(list(zip(*self._waiting, strict=True)))
+            self._waiting.clear()

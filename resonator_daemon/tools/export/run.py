@@ -14,7 +14,7 @@ from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.config import Config
 from resonator_daemon.mqtt.units import UNITS
-from resonator_daemon.tools.export.formats import format_class, formats
+from resonator_daemon.tools.export import format_class, formats
 from resonator_daemon.tools.export.output import Output, Recorded
 from resonator_daemon.tools.replay.recorded_pipeline import Moment, RecordingReplay, what_is_wrong
 from resonator_daemon.tools.replay.source import open_replay

@@ -11,9 +11,9 @@ from resonator_daemon.base.errors import UsageError
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.config import Config, load_config
-from resonator_daemon.tools.export.memory import MemoryOutput
 from resonator_daemon.tools.export.output import Recorded
 from resonator_daemon.tools.export.run import differences_in_words, file_metadata
+from resonator_daemon.tools.export.table_formats import MemoryOutput
 from resonator_daemon.tools.export.tables import WITH_ARRAYS, WITH_TABLE
 from resonator_daemon.tools.python_api.errors import RecordingError, RecordingWarning, readable_errors
 from resonator_daemon.tools.python_api.tables import Table

@@ -13,7 +13,7 @@ from resonator_daemon.base.host.text import how_to_install
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.mqtt.topics import CONTACTS, DECODED_SUMMARY
 from resonator_daemon.mqtt.units import AXES
-from resonator_daemon.tools.export.columns import Column
+from resonator_daemon.tools.export.tables import Column
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -3,7 +3,7 @@
 import pytest
 
 from resonator_daemon.mqtt.payloads import Contact, Contacts, Health
-from resonator_daemon.tools.export.columns import sources
+from resonator_daemon.tools.export.tables import sources
 
 
 def test_what_has_no_fixed_length_is_no_column() -> None:

@@ -9,8 +9,8 @@ import resource, sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from export_bench import write
-from resonator_daemon.tools.export.formats import formats
-from resonator_daemon.tools.export.table_output import TableOutput
+from resonator_daemon.tools.export import formats
+from resonator_daemon.tools.export.output import TableOutput
 
 TableOutput.batch_bytes = 100_000
 folder = Path(sys.argv[2])

@@ -12,7 +12,7 @@ import pytest
 from export_bench import Played, played, write
 
 from resonator_daemon.mqtt.units import NO_UNIT, unit_of
-from resonator_daemon.tools.export.table_output import TableOutput
+from resonator_daemon.tools.export.output import TableOutput
 
 OF_SITE = ("force_newton", "noise_newton", "systematic_newton", "unobserved_bound_newton")
 CASES = ("touches", "comb", "slide", "skin")

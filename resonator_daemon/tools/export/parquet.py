@@ -10,8 +10,8 @@ import numpy as np
 
 from resonator_daemon.base.errors import MissingLibraryError
 from resonator_daemon.base.host.text import how_to_install
-from resonator_daemon.tools.export.columns import Column, Value
-from resonator_daemon.tools.export.table_output import Batch, TableOutput
+from resonator_daemon.tools.export.output import Batch, TableOutput
+from resonator_daemon.tools.export.tables import Column, Value
 
 try:
     import pyarrow as pa
@@ -28,7 +28,7 @@ _TYPES: Final = {
 }
 
 
-class Format(TableOutput):
+class ParquetFormat(TableOutput):
     """Files with a type, unit and description for each column, compressed by zstd.
 
     What is missing is null, a number that is not known is NaN. Arrays are lists of fixed size, row by row; the column's
