@@ -23,7 +23,7 @@ from resonator_daemon.measure.decoder_process.supervisor import DecoderSuperviso
 from resonator_daemon.measure.latency import LatencyHistogram
 from resonator_daemon.measure.pipeline.frame_timeout import CONTACTS_END_S
 from resonator_daemon.measure.sensors.surface_decoding import SurfaceClient
-from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings
+from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame, SurfaceSettings
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.headers import MeasuredFields
 from resonator_daemon.mqtt.mqtt_messages import Incoming
@@ -42,7 +42,7 @@ from resonator_daemon.mqtt.topics import CONTACT_EVENT, DECODED, INFO, SIGNALS, 
 LOOK_S = 0.1
 
 Decoding = DecoderSupervisor[Signals] | ThreadDecoding[Signals]
-MakeDecoding = Callable[[str, SurfaceSettings, SurfaceClient[Signals]], Decoding]
+MakeDecoding = Callable[[SurfaceSettings, SurfaceClient[Signals], str], Decoding]
 
 
 class FollowedPlate:
@@ -123,12 +123,12 @@ class FollowedPlate:
         if decoder is None:
             return {plate.name: plate.health(waiting=0)}
         without_noise = decoder.skipped["no_noise"]
-        skipped = decoder.frames_skipped - without_noise
+        skipped = decoder.skipped.total() - without_noise
         return {plate.name: plate.health(waiting=decoder.waiting, skipped=skipped, unusable=without_noise)}
 
     def process_info(self) -> DecoderProcessInfo | None:
         """Return the counters of the decoder process; None while there is none."""
-        return self._decoder.info() if self._decoder is not None else None
+        return self._decoder.info() if isinstance(self._decoder, DecoderSupervisor) else None
 
     async def run(self) -> None:
         """Decode until cancelled; another `info` starts another decoder."""
@@ -155,7 +155,7 @@ class FollowedPlate:
             uncertainty=self._config.decoding.uncertainty,
             last_contact_id=last_contact_id,
         )
-        decoder = self._decoder = self._make_decoding(self._plate.name, settings, self)
+        decoder = self._decoder = self._make_decoding(settings, self, self._plate.name)
         self._note, self._decoder_has_ended, self._is_set_up = None, False, False
         running = asyncio.create_task(decoder.run(), name="decoding")
         changed = asyncio.create_task(self._changed.wait())
@@ -170,7 +170,7 @@ class FollowedPlate:
             running.cancel()
             await asyncio.wait((running, changed))
             without_noise = decoder.skipped["no_noise"]
-            self._plate.skipped += decoder.frames_skipped - without_noise + decoder.waiting
+            self._plate.skipped += decoder.skipped.total() - without_noise + decoder.waiting
             self._plate.unusable += without_noise
             self._decoder = None
             stopped = Reason(ReasonCode.STOPPED, "the decoder stopped")

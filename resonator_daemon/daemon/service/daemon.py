@@ -60,7 +60,7 @@ from resonator_daemon.mqtt.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE
 if TYPE_CHECKING:
     from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
     from resonator_daemon.measure.sensors.surface_decoding import SurfaceClient
-    from resonator_daemon.measure.sensors.surface_stream import SurfaceSettings
+    from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings
 
 log = logging.getLogger(__name__)
 
@@ -334,7 +334,7 @@ class Service:
     def _make_decoder(self, settings: "SurfaceSettings", client: "SurfaceClient[Any]") -> "DecoderSupervisor[Any]":
         from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor  # here: only a skin needs it
 
-        self._decoder = DecoderSupervisor(self._in_use.config.name or self._file_stem, settings, client)
+        self._decoder = DecoderSupervisor(settings, client, self._in_use.config.name or self._file_stem)
         return self._decoder
 
     def _publish(self, topic: Topic[Any], message: Message | Encoded) -> None:

@@ -11,7 +11,7 @@ from resonator_daemon.extensions.fleet.changes import STORED_TOPICS, Changes
 from resonator_daemon.extensions.fleet.chunk_files import ChunkFiles, cannot_write, read_report
 from resonator_daemon.extensions.fleet.chunks import Chunk, Job, Span, span_of
 from resonator_daemon.measure.sensors.surface_decoding import SequentialDecoding, SurfaceClient, SurfaceDecoding
-from resonator_daemon.measure.sensors.surface_stream import SurfaceSettings
+from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings
 from resonator_daemon.mqtt.topics import DECODED, FORCES
 from resonator_daemon.tools.export.output import Recorded
 from resonator_daemon.tools.export.run import table_metadata
@@ -90,7 +90,7 @@ def _decode(
     last_contact_id = chunk.begin_ns // _ID_STEP_NS
 
     def make_decoding(settings: SurfaceSettings, client: SurfaceClient[Any]) -> SurfaceDecoding[Any]:
-        return SequentialDecoding(replace(settings, last_contact_id=last_contact_id), client, cold_at_rest=True)
+        return SequentialDecoding(replace(settings, last_contact_id=last_contact_id, cold_at_rest=True), client)
 
     replaying = RecordingReplay(recording, config, boot_id, make_decoding)
     for moment in replaying.moments():

@@ -18,7 +18,7 @@ from resonator_daemon.measure.sensors.expected_tones import ExpectedTones, all_t
 from resonator_daemon.measure.sensors.output import MessageOutput
 from resonator_daemon.measure.sensors.skin_processing import SkinProcessing
 from resonator_daemon.measure.sensors.surface_decoding import MakeSurfaceDecoding, SequentialDecoding, SurfaceDecoding
-from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings
+from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame, SurfaceSettings
 from resonator_daemon.measure.sensors.usual_reasons import BOARD_RESTARTED
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.headers import MeasuredFields

@@ -1,22 +1,40 @@
-"""Interface of the decoding of a skin: frames are offered, their messages are delivered at once or later."""
+"""Decoding of a skin: frames are offered, their messages are delivered at once or later."""
 
 import logging
+import time
+from abc import ABC, abstractmethod
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Final, Generic, Literal, Protocol, TypeVar
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.estimate.surface.streaming import UndecodableError
-from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
+from resonator_daemon.measure.sensors.surface_worker import (
+    EndContacts,
+    Reply,
+    Request,
+    Results,
+    SetUpStep,
+    SurfaceFrame,
+    SurfaceSettings,
+    SurfaceWorker,
+    Undecodable,
+    Work,
+)
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.headers import MeasuredFields
-from resonator_daemon.mqtt.payloads import ContactEvent, Lost, Message
-from resonator_daemon.mqtt.topics import Topic
+from resonator_daemon.mqtt.payloads import ContactEvent, Contacts, EventContact, Lost, Message, Status
+from resonator_daemon.mqtt.topics import CONTACTS, DECODED, TOPICS, Topic
 
-log = logging.getLogger(__name__)
+WAIT_MAX_NS: Final = 30_000_000  # of a frame while newer ones are there: a rebuild lasts some 10 ms
+AGE_MAX_NS: Final = 100_000_000  # of a frame that is decoded, since it was offered
+_NO_LIMIT_NS: Final = 1 << 62
 
+Skipped = Literal["newer_frame", "too_old", "measured_late", "no_noise", "not_ready", "decoder_ended", "undecodable"]
 Origin = TypeVar("Origin")
 TakenOrigin = TypeVar("TakenOrigin", contravariant=True)
+
+log = logging.getLogger(__name__)
 
 
 class SurfaceClient(Protocol[TakenOrigin]):
@@ -29,7 +47,7 @@ class SurfaceClient(Protocol[TakenOrigin]):
         """Publish an event under the next number of its topic."""
 
     def announce(self, note: Reason | None) -> None:
-        """Report what is being set up, or why nothing is decoded; "" while frames are decoded."""
+        """Report what is being set up, or why nothing is decoded; None while frames are decoded."""
 
     def contacts_header(self, origin: TakenOrigin) -> MeasuredFields:
         """Return the header of one more message on `contacts`."""
@@ -38,101 +56,204 @@ class SurfaceClient(Protocol[TakenOrigin]):
         """Return the losses for the header of a frame whose decoding begins now."""
 
 
-class SurfaceDecoding(Protocol[TakenOrigin]):
-    """Decoding of the frames of one skin."""
+class SurfaceDecoding(ABC, Generic[Origin]):
+    """Decoding of the frames of one skin by a `SurfaceWorker`; to be used from one thread only.
 
-    @property
-    def frames_skipped(self) -> int:
-        """Number of frames that will never be decoded."""
-
-    @property
-    def frames_late(self) -> int:
-        """Number of those that were not decoded in time, because of the time that decoding takes."""
-
-    def offer(self, origin: TakenOrigin, frame: SurfaceFrame) -> None:
-        """Decode a frame, or skip it; never waits."""
-
-    def skip_late(self) -> None:
-        """Count a frame that is not offered because it was measured too late."""
-
-    def interrupt(self, reason: Reason) -> None:
-        """Release all contacts, because frames have stopped arriving; never waits. After `run`: at once."""
-
-    async def run(self) -> None:
-        """Decode until cancelled, or until it turns out that the sites cannot be decoded."""
-
-
-class SequentialDecoding(Generic[Origin]):
-    """Decoding of each frame within `offer`: the same frames give the same messages every time.
-
-    Contact physics prepares its matrices while it decodes. Steps of the set-up are not announced: they depend on the
-    cache.
+    At most one frame is with the worker; the next ones wait in order. A frame that has waited for more than 30 ms is
+    skipped if there is a newer one. Until the worker is ready this is no loss by overload, and has another cause.
+    At any instant, frames measured without fault = `decoded` + sum of `skipped` + `waiting`.
 
     Parameters
     ----------
     settings
     client
-    cold_at_rest
-        Whether the decoder starts cold at each frame at rest. What follows then does not depend on what was before.
+        Receives the messages.
+    name
+        Name of the plate, for the log.
 
     Attributes
     ----------
-    frames_skipped
-        Number of frames that came before the noise of each channel was measured, or whose sites cannot be decoded.
-    frames_late
-        Always 0.
+    decoded
+        Number of frames whose map was delivered.
+    skipped
+        Number of frames that were not decoded, by cause.
+    last_contact_id
+        The highest number of a contact so far.
     """
 
-    def __init__(self, settings: SurfaceSettings, client: SurfaceClient[Origin], *, cold_at_rest: bool = False) -> None:
-        options = replace(settings.options, background=False)
-        self._stream = SurfaceStream(replace(settings, options=options), self._publish, _log_step)
+    def __init__(self, settings: SurfaceSettings, client: SurfaceClient[Origin], name: str = "skin") -> None:
+        self._settings = settings
         self._client = client
-        self._cold_at_rest = cold_at_rest
-        self._origin: Origin | None = None
+        self._name = name
+        self._waiting: deque[tuple[Origin, SurfaceFrame, int]] = deque()  # with the time of its offer
+        self._present: Origin | None = None  # of the frame that the worker has, until its map is there
+        self._present_offered_ns = 0
+        self._last: Origin | None = None  # of the frame that the worker received last
+        self._contacts: tuple[EventContact, ...] = ()  # between onset and release
+        self._ready_ns: int | None = None  # since when the worker decodes
+        self._until_ready: Skipped = "not_ready"  # cause of frames that were offered before
+        self._interruption: Reason | None = None
         self._undecodable = False
-        self.frames_skipped = 0
-        self.frames_late = 0
+        self.decoded = 0
+        self.skipped: Counter[Skipped] = Counter()
+        self.last_contact_id = settings.last_contact_id
+
+    @abstractmethod
+    def _wake(self) -> None:
+        """Have the worker serve `_next_request` as soon as it can."""
+
+    @abstractmethod
+    async def run(self) -> None:
+        """Decode until cancelled, or until it turns out that the sites cannot be decoded."""
+
+    @property
+    def waiting(self) -> int:
+        """Number of frames that are being decoded, or wait."""
+        return (self._present is not None) + len(self._waiting)
+
+    @property
+    def frames_late(self) -> int:
+        """Number of frames that were not decoded in time, because of the time that decoding takes."""
+        return self.skipped["newer_frame"] + self.skipped["too_old"] + self.skipped["decoder_ended"]
+
+    def offer(self, origin: Origin, frame: SurfaceFrame) -> None:
+        """Queue a frame for decoding; it is skipped when it waits for too long. Never waits."""
+        if self._undecodable:
+            self.skipped["undecodable"] += 1
+            return
+        self._waiting.append((origin, frame, time.monotonic_ns()))
+        self._skip_old()
+        self._wake()
+
+    def skip_late(self) -> None:
+        """Count a frame that is not offered because it was measured too late."""
+        self.skipped["measured_late"] += 1
+
+    def interrupt(self, reason: Reason) -> None:
+        """Release all contacts, because frames have stopped arriving; never waits."""
+        self._interruption = reason
+        self._wake()
+
+    def release_contacts(self, reason: Reason) -> None:
+        """Release the contacts of a worker that has ended, as they were published last."""
+        if not self._contacts or self._last is None:
+            return
+        ended, self._contacts = self._contacts, ()
+        header, decoder_id = self._client.contacts_header(self._last), self._settings.decoder_id
+        because = {"reason_code": reason.code, "decoder_id": decoder_id}
+        for contact in ended:
+            event = ContactEvent(**header, event="release", reason=reason.text, contact=contact, **because)
+            self._client.deliver_event(self._last, event)
+        self._client.deliver(self._last, CONTACTS, Contacts(**header, status=Status.NO_SIGNAL, contacts=(), **because))
+
+    def _next_request(self) -> Request | None:
+        """Return what the worker is to do next; None if nothing waits."""
+        if self._interruption is not None:
+            reason, self._interruption = self._interruption, None
+            header = self._client.contacts_header(self._last) if self._contacts and self._last is not None else None
+            return EndContacts(header, reason)
+        if not self._waiting:
+            return None
+        self._skip_old()
+        origin, frame, self._present_offered_ns = self._waiting.popleft()
+        self._present = self._last = origin
+        frame.header["lost"] = self._client.lost(origin)  # with the frames skipped since it was offered
+        return Work(frame, self._present_offered_ns + AGE_MAX_NS)
+
+    def _skip_old(self) -> None:
+        """Skip frames that have waited for too long, but for the newest."""
+        oldest_ns = time.monotonic_ns() - WAIT_MAX_NS
+        while len(self._waiting) > 1 and self._waiting[0][2] < oldest_ns:
+            self._skip(self._waiting.popleft()[2], "newer_frame")
+
+    def _skip(self, offered_ns: int, cause: Skipped) -> None:
+        """Count a frame that the worker was too slow for, unless it came before the worker was ready."""
+        in_time = self._ready_ns is not None and offered_ns > self._ready_ns
+        self.skipped[cause if in_time else self._until_ready] += 1
+
+    def _skip_present(self, cause: Skipped) -> None:
+        if self._present is not None:
+            self.skipped[cause] += 1
+            self._present = None
+
+    def _skip_all(self) -> None:
+        """Count the frames that no worker will decode."""
+        cause: Skipped = "undecodable" if self._undecodable else "decoder_ended"
+        self._skip_present(cause)
+        while self._waiting:
+            self._waiting.pop()
+            self.skipped[cause] += 1
+
+    def _received(self, reply: Reply) -> None:
+        match reply:
+            case Results():
+                self._deliver(reply)
+            case SetUpStep():
+                self._set_up(reply.step)
+            case Undecodable():
+                self._undecodable = True
+                self._skip_present("undecodable")
+                log.error("%s: nothing is decoded: %s", self._name, reply.reason)
+                self._client.announce(Reason(ReasonCode.UNDECODABLE, f"nothing is decoded: {reply.reason}"))
+
+    def _set_up(self, step: str) -> None:
+        log.info("decoder of %s %s", self._name, f"is being set up: {step}" if step else "is ready")
+        if not step:
+            self._ready_ns = time.monotonic_ns()
+            self._client.announce(None)
+            return
+        if self._ready_ns is not None:  # set up again while it runs
+            self._ready_ns, self._until_ready = None, "not_ready"
+        self._client.announce(Reason(ReasonCode.DECODER_STARTING, f"decoder is being set up: {step}"))
+
+    def _deliver(self, results: Results) -> None:
+        origin = self._last
+        for path, message in results.messages:
+            if origin is None:
+                raise ValueError("results of no frame")
+            if isinstance(message, ContactEvent):
+                self.last_contact_id = max(self.last_contact_id, message.contact.id)
+                self._client.deliver_event(origin, message)
+                continue
+            topic = TOPICS[path]
+            if topic is DECODED:
+                self.decoded += 1
+                self._present = None
+            self._client.deliver(origin, topic, message)
+        if results.present is not None:
+            self._contacts = results.present
+        if results.outcome == "no_noise":
+            self._skip_present("no_noise")
+        elif results.outcome == "too_old":
+            self._skip(self._present_offered_ns, "too_old")
+            self._present = None
+
+
+class SequentialDecoding(SurfaceDecoding[Origin]):
+    """Decoding of each frame within `offer`: the same frames give the same messages every time.
+
+    Contact physics prepares its matrices while it decodes. Steps of the set-up are not announced: they depend on the
+    cache.
+    """
+
+    def __init__(self, settings: SurfaceSettings, client: SurfaceClient[Origin], name: str = "skin") -> None:
+        super().__init__(settings, client, name)
+        options = replace(settings.options, background=False)
+        self._worker = SurfaceWorker(replace(settings, options=options), self._received)
 
     async def run(self) -> None:
         """Return at once: all is done when it is offered."""
 
-    def offer(self, origin: Origin, frame: SurfaceFrame) -> None:
-        """Decode a frame."""
-        try:
-            ready = not self._undecodable and self._stream.prepare(frame)
-        except UndecodableError as error:
-            self._undecodable, ready = True, False
-            self._client.announce(Reason(ReasonCode.UNDECODABLE, f"nothing is decoded: {error}"))
-        if not ready:
-            self.frames_skipped += 1
-            return
-        self._origin = origin
-        if self._cold_at_rest and frame.at_rest:
-            self._stream.start_cold()
-        self._stream.decode(frame)
+    def _wake(self) -> None:
+        request = self._next_request()
+        if isinstance(request, Work):
+            request = Work(request.frame, _NO_LIMIT_NS)
+        if request is not None:
+            self._worker.serve(request)
 
-    def skip_late(self) -> None:
-        """Count a frame that is not offered because it was measured too late."""
-        self.frames_skipped += 1
-
-    def interrupt(self, reason: Reason) -> None:
-        """Release all contacts, because frames have stopped arriving."""
-        origin = self._origin
-        if origin is not None and not self._undecodable:
-            self._stream.end_contacts(lambda: self._client.contacts_header(origin), reason)
-
-    def _publish(self, topic: Topic[Any], message: Message) -> None:
-        if self._origin is None:
-            raise ValueError("no frame was decoded")
-        if isinstance(message, ContactEvent):
-            self._client.deliver_event(self._origin, message)
-        else:
-            self._client.deliver(self._origin, topic, message)
-
-
-def _log_step(step: str) -> None:
-    if step:
-        log.info("decoder is being set up: %s", step)
+    def _set_up(self, step: str) -> None:
+        if step:
+            log.info("decoder is being set up: %s", step)
 
 
 MakeSurfaceDecoding = Callable[[SurfaceSettings, SurfaceClient[Any]], SurfaceDecoding[Any]]

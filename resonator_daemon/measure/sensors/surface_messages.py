@@ -49,6 +49,11 @@ class SurfaceMessages:
         Of the process that decodes; None for the daemon itself.
     uncertainty
         Whether `decoded` has the traction's standard deviation.
+
+    Attributes
+    ----------
+    present
+        Each contact between its onset and its release as it was published last, by id.
     """
 
     def __init__(
@@ -66,7 +71,7 @@ class SurfaceMessages:
         self._grid = Grid(origin_m=(float(x), float(y)), pitch_m=pitch_m) if pitch_m is not None else None
         self._decoder_id = decoder_id
         self._uncertainty = uncertainty
-        self._spans_ns: dict[int, tuple[int, int]] = {}  # onset and last reading of the present contacts, by id
+        self.present: dict[int, EventContact] = {}
 
     def decoded(self, header: MeasuredFields, frame: "DecodedFrame") -> Decoded:
         return Decoded(
@@ -95,36 +100,46 @@ class SurfaceMessages:
 
     def contacts(self, header: MeasuredFields, surface: "SurfaceReading", *, numbered: bool = True) -> Contacts:
         """Return the contacts; `numbered` as of `summary`."""
-        frame = surface.decoded
-        for contact in surface.contacts:
-            if contact.id in self._spans_ns:
-                self._spans_ns[contact.id] = self._spans_ns[contact.id][0], header["t_ns"]
+        frame, present = surface.decoded, self.present
+        contacts = tuple(
+            Contact(**self._contact(contact, contact.id if numbered else None)) for contact in surface.contacts
+        )
+        for contact, message in zip(surface.contacts, contacts, strict=True):
+            if (before := present.get(contact.id)) is not None:
+                present[contact.id] = EventContact.model_construct(
+                    **dict(message),
+                    peak_newton=max(before.peak_newton, message.force_newton[2]),
+                    since_t_ns=before.since_t_ns,
+                    duration_s=(header["t_ns"] - before.since_t_ns) / _NS,
+                )
         return Contacts(
             **header,
             status=Status(str(frame.status)),
             reason_code=_code(frame),
-            contacts=tuple(
-                Contact(**self._contact(contact, contact.id if numbered else None)) for contact in surface.contacts
-            ),
+            contacts=contacts,
             decoder_id=self._decoder_id,
         )
 
     def event(self, header: MeasuredFields, event: "SkinEvent") -> ContactEvent:
         contact, middle_ns = event.contact, header["t_ns"]
-        since_ns, last_ns = self._spans_ns.pop(contact.id, (middle_ns, middle_ns))
+        before = self.present.pop(contact.id, None)
+        since_ns = before.since_t_ns if before is not None else middle_ns
+        duration_s = (middle_ns - since_ns) / _NS
+        if event.event == "release":
+            duration_s = before.duration_s if before is not None else 0.0
+        described = EventContact(
+            **self._contact(contact, contact.id),
+            peak_newton=rounded(contact.peak_newton, float(contact.patch.force_std_newton[2])),
+            since_t_ns=since_ns,
+            duration_s=duration_s,
+        )
         if event.event != "release":
-            last_ns = middle_ns
-            self._spans_ns[contact.id] = since_ns, last_ns
+            self.present[contact.id] = described
         return ContactEvent(
             **header,
             event=event.event,
             **reason_fields(event.reason),
-            contact=EventContact(
-                **self._contact(contact, contact.id),
-                peak_newton=rounded(contact.peak_newton, float(contact.patch.force_std_newton[2])),
-                since_t_ns=since_ns,
-                duration_s=(last_ns - since_ns) / _NS,
-            ),
+            contact=described,
             decoder_id=self._decoder_id,
         )
 

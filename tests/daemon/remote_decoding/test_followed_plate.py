@@ -1,19 +1,18 @@
 """Followed plates without a broker: the same results as in the daemon or alone, contacts that end, exact accounts."""
 
 import asyncio
-import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
 import numpy as np
 import pytest
-from decoder_bench import NOISE, NU, SITES_M, E, incoming, info, pressed, signals, until
+from decoder_bench import NOISE, NU, PITCH_M, SITES_M, E, incoming, info, pressed, signals, until
 from observer import running_task
 
 from resonator_daemon.board.config.decoder import DecoderConfig
 from resonator_daemon.board.config.tables import Decoding
-from resonator_daemon.daemon.remote_decoding import followed_plate, thread_decoding
+from resonator_daemon.daemon.remote_decoding import followed_plate
 from resonator_daemon.daemon.remote_decoding.followed_plate import FollowedPlate
 from resonator_daemon.daemon.remote_decoding.followed_plates import FollowedPlates
 from resonator_daemon.daemon.remote_decoding.plate import header_of
@@ -21,7 +20,15 @@ from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface import equal_skins
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
-from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
+from resonator_daemon.measure.sensors import surface_decoding
+from resonator_daemon.measure.sensors.surface_worker import (
+    Reply,
+    Results,
+    SurfaceFrame,
+    SurfaceSettings,
+    SurfaceWorker,
+    Work,
+)
 from resonator_daemon.mqtt.codec import Encoded, decode, encode
 from resonator_daemon.mqtt.payloads import ContactEvent, Info, Message, Signals
 from resonator_daemon.mqtt.topics import Topic
@@ -30,6 +37,28 @@ SKIN = Skin(HalfSpace(E, NU), SITES_M, 1e-3)
 LINEAR = DecodingOptions(contact_physics=False)
 REPRODUCIBLE = DecodingOptions(background=False)
 NOTHING = np.zeros((3, len(SITES_M)))
+
+
+def as_sent(path: str, message: Message | Encoded) -> tuple[str, bytes]:
+    if isinstance(message, ContactEvent):  # the publisher numbers events
+        message = message.model_copy(update={"seq": 0})
+    return path, encode(message)
+
+
+def alone(frames: list[Signals], options: DecodingOptions) -> list[tuple[str, bytes]]:
+    """Topic and payload of each message about a plate that is decoded without others."""
+    sent: list[tuple[str, bytes]] = []
+
+    def add(reply: Reply) -> None:
+        if isinstance(reply, Results):
+            sent.extend(as_sent(*message) for message in reply.messages)
+
+    worker = SurfaceWorker(SurfaceSettings(SKIN, options, np.arange(100, 244), PITCH_M, "host-1"), add)
+    for message in frames:
+        header, noise_std = header_of(message), message.noise_std.astype(np.float64)
+        frame = SurfaceFrame(header, message.seq, message.signals.astype(np.float64), noise_std)
+        worker.serve(Work(frame, 1 << 62))
+    return sent
 
 
 class Followed:
@@ -98,29 +127,17 @@ class Followed:
 @pytest.mark.parametrize("wanted", [LINEAR, REPRODUCIBLE], ids=["linear", "contact physics"])
 async def test_results_are_those_of_the_daemons_own_stage(wanted: DecodingOptions) -> None:
     frames = [signals(seq, pressed(seq)) for seq in range(8)] + [signals(seq, NOTHING) for seq in range(8, 13)]
-    noise = frames[0].noise_std.astype(np.float64)
-    expected: dict[str, list[bytes]] = {"decoded": [], "decoded/summary": [], "contacts": [], "contacts/event": []}
-    settings = SurfaceSettings(SKIN, wanted, np.arange(100, 244), info().grid.pitch_m, "host-1")  # type: ignore[union-attr]
-    stream = SurfaceStream(settings, lambda topic, message: expected[topic.path].append(encode(message)), [].append)
-    for number, frame in enumerate([signals(0, NOTHING), *frames]):
-        header = header_of(frame)
-        request = SurfaceFrame(header, header["seq"], frame.signals.astype(np.float64), noise)
-        stream.prepare(request)
-        stream.decode(request)
-        if number == 0:
-            for sent in expected.values():
-                sent.clear()
-
     async with Followed(wanted).running() as followed:
         await followed.prepare(info())
         for frame in frames:
             await followed.read(frame)
-    sent = {path: [encode(message) for message in followed.on(path)] for path in expected}
-    for path in ("decoded", "decoded/summary", "contacts"):
-        assert sent[path] == expected[path]
-    assert [event.seq for event in followed.on("contacts/event")] == list(range(len(expected["contacts/event"])))
-    for found, made in zip(sent["contacts/event"], expected["contacts/event"], strict=True):
-        assert json.loads(found) | {"seq": None} == json.loads(made) | {"seq": None}
+    expected = alone([signals(0, NOTHING), *frames], wanted)
+    events = followed.on("contacts/event")
+    for path in ("decoded", "decoded/summary", "contacts", "contacts/event"):
+        prepared = 0 if path == "contacts/event" else 1
+        sent = [as_sent(path, message) for message in followed.on(path)]
+        assert sent == [message for message in expected if message[0] == path][prepared:]
+    assert [event.seq for event in events] == list(range(len(events)))
     assert [event.event for event in followed.on("contacts/event")] == ["onset", "release"]
     assert {plate for plate, _, _ in followed.published} == {"hand"}
 
@@ -206,35 +223,17 @@ FRAMES = {
 FRAMES["right"][3].signals[1, 40] = np.nan  # a lost signal has a state of its own
 
 
-def as_sent(topic: Topic[Any], message: Message | Encoded) -> tuple[str, bytes]:
-    if isinstance(message, ContactEvent):  # the publisher numbers events
-        message = message.model_copy(update={"seq": 0})
-    return topic.path, message.payload if isinstance(message, Encoded) else encode(message)
-
-
-def alone(plate: str) -> list[tuple[str, bytes]]:
-    """Topic and payload of each message about a plate that is decoded without others."""
-    sent: list[tuple[str, bytes]] = []
-    settings = SurfaceSettings(SKIN, REPRODUCIBLE, np.arange(100, 244), 4e-4, "host-1")
-    stream = SurfaceStream(settings, lambda *message: sent.append(as_sent(*message)), [].append)
-    for message in FRAMES[plate]:
-        frame = SurfaceFrame(header_of(message), message.seq, message.signals.astype(float), NOISE)
-        stream.prepare(frame)
-        stream.decode(frame)
-    return sent
-
-
 async def test_each_plate_is_decoded_as_if_alone_with_matrices_built_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    expected = {plate: alone(plate) for plate in FRAMES}
+    expected = {plate: alone(FRAMES[plate], REPRODUCIBLE) for plate in FRAMES}
     built: list[int] = []
     set_up = equal_skins.set_up
     monkeypatch.setattr(equal_skins, "set_up", lambda skin, *rest: (built.append(1), set_up(skin, *rest))[1])
-    monkeypatch.setattr(thread_decoding, "AGE_MAX_NS", 10**11)  # both for busy computers
+    monkeypatch.setattr(surface_decoding, "AGE_MAX_NS", 10**11)  # both for busy computers
     monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 3600.0)
     sent: dict[str, list[tuple[str, bytes]]] = {"left": [], "right": [], "point": []}
     config = DecoderConfig(decoding=Decoding(plates=tuple(sent)))
     plates = FollowedPlates(
-        config, REPRODUCIBLE, "host-1", lambda plate, *message: sent[plate].append(as_sent(*message))
+        config, REPRODUCIBLE, "host-1", lambda plate, topic, message: sent[plate].append(as_sent(topic.path, message))
     )
     handlers = {subscription.topic_filter: subscription.handle for subscription in plates.subscriptions}
 

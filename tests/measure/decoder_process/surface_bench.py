@@ -13,7 +13,7 @@ from resonator_daemon.base.reasons import Reason
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
-from resonator_daemon.measure.sensors.surface_stream import SurfaceFrame, SurfaceSettings
+from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame, SurfaceSettings
 from resonator_daemon.mqtt.codec import decode, encode
 from resonator_daemon.mqtt.headers import MeasuredFields
 from resonator_daemon.mqtt.payloads import ContactEvent, Lost, Message
@@ -50,7 +50,7 @@ class Client:
     """A supervised decoder, and what it has delivered and announced."""
 
     def __init__(self, **options: Any) -> None:
-        self.supervisor = DecoderSupervisor[int]("hand", settings(**options), self)
+        self.supervisor = DecoderSupervisor[int](settings(**options), self, "hand")
         self.messages: list[tuple[int, str, Message]] = []
         self.events: list[ContactEvent] = []
         self.announced: list[Reason | None] = []

@@ -15,6 +15,7 @@ from surface_bench import NOTHING, SKIN, Client, frame
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.surface.skin import Skin
 from resonator_daemon.measure.decoder_process import supervisor
+from resonator_daemon.measure.sensors import surface_decoding
 
 
 async def test_frames_become_messages_of_their_topics_under_their_own_numbers() -> None:
@@ -37,7 +38,7 @@ async def test_frames_become_messages_of_their_topics_under_their_own_numbers() 
 async def test_frames_wait_in_order_and_of_those_that_wait_too_long_the_newest_is_decoded(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(supervisor, "WAIT_MAX_NS", 0)
+    monkeypatch.setattr(surface_decoding, "WAIT_MAX_NS", 0)
     client = Client()
     async with client.running():
         for _ in range(5):
@@ -51,7 +52,7 @@ async def test_frames_wait_in_order_and_of_those_that_wait_too_long_the_newest_i
         assert client.is_exact
         await until(lambda: client.supervisor.waiting == 0)
         assert client.supervisor.skipped["newer_frame"] == 28
-        monkeypatch.setattr(supervisor, "WAIT_MAX_NS", 10**12)
+        monkeypatch.setattr(surface_decoding, "WAIT_MAX_NS", 10**12)
         first = client.offered
         for _ in range(3):
             client.offer(NOTHING)

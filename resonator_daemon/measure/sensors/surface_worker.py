@@ -1,0 +1,211 @@
+"""Frames of a skin to messages about its surface: requests in, replies out, in whichever process or thread it runs."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.base.arrays import Floats
+from resonator_daemon.base.reasons import Reason
+from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
+from resonator_daemon.estimate.surface.streaming import SetUp, StreamingDecoder, UndecodableError
+from resonator_daemon.measure.sensors.surface_messages import SurfaceMessages
+from resonator_daemon.mqtt.codec import Encoded
+from resonator_daemon.mqtt.headers import MeasuredFields
+from resonator_daemon.mqtt.payloads import EventContact, Message
+from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY
+
+_PAUSE: Final = 2.4  # between rebuilds, times as long as one took: rebuilds take at most 30 % of a core
+
+Outcome = Literal["ready", "decoded", "too_old", "no_noise"]
+
+
+@dataclass(frozen=True)
+class SurfaceSettings:
+    """Settings from which the messages about one skin follow.
+
+    Attributes
+    ----------
+    skin, options
+    site_ids
+        Shape (n,).
+    pitch_m
+        Pitch of the grid that the sites form; None if they are scattered.
+    decoder_id
+        Key of the messages; None for a daemon.
+    uncertainty
+        Whether `decoded` has the traction's standard deviation.
+    last_contact_id
+        Number of the last contact so far; numbers go on from there.
+    cold_at_rest
+        Whether the decoder starts cold at each frame at rest. What follows then does not depend on what was before.
+    """
+
+    skin: Skin
+    options: DecodingOptions
+    site_ids: NDArray[np.integer]
+    pitch_m: float | None
+    decoder_id: str | None = None
+    uncertainty: bool = True
+    last_contact_id: int = 0
+    cold_at_rest: bool = False
+
+    def messages(self) -> SurfaceMessages:
+        """Return the maker of this skin's messages."""
+        return SurfaceMessages(
+            self.site_ids, self.skin.site_positions_m, self.pitch_m, self.decoder_id, uncertainty=self.uncertainty
+        )
+
+
+@dataclass(frozen=True)
+class SurfaceFrame:
+    """One frame to be decoded.
+
+    Attributes
+    ----------
+    header
+        Header of `decoded` and `decoded/summary`.
+    contacts_seq
+        Number `seq` of `contacts`.
+    signals, noise_std
+        Shape (3, n), dimensionless.
+    at_rest
+        Whether nothing has touched the skin for a while, as of a `SkinReading`.
+    """
+
+    header: MeasuredFields
+    contacts_seq: int
+    signals: Floats
+    noise_std: Floats
+    at_rest: bool = False
+
+
+@dataclass(frozen=True)
+class Work:
+    """Request to decode a frame, unless its time, by CLOCK_MONOTONIC, is over."""
+
+    frame: SurfaceFrame
+    until_ns: int
+
+
+@dataclass(frozen=True)
+class EndContacts:
+    """Request to release all contacts; `header` is that of the message on `contacts`, None if there are no contacts."""
+
+    header: MeasuredFields | None
+    reason: Reason
+
+
+@dataclass(frozen=True)
+class Results:
+    """Messages that follow from a request, by the path of their topic; the last reply to a request has its outcome.
+
+    Attributes
+    ----------
+    messages
+        The publisher numbers the events: their `seq` here is that of the frame.
+    outcome
+    present
+        The contacts between onset and release after these messages; None if they are the same as before.
+    """
+
+    messages: tuple[tuple[str, Message | Encoded], ...]
+    outcome: Outcome | None
+    present: tuple[EventContact, ...] | None = None
+
+
+@dataclass(frozen=True)
+class SetUpStep:
+    """A step of a set-up begins; "" when the set-up is done."""
+
+    step: str
+
+
+@dataclass(frozen=True)
+class Undecodable:
+    """The sites cannot be decoded, for the given reason; nothing more is served."""
+
+    reason: str
+
+
+Request = Work | EndContacts
+Reply = Results | SetUpStep | Undecodable
+
+
+class SurfaceWorker:
+    """Streaming decoder of one skin that serves one request after the other.
+
+    Parameters
+    ----------
+    settings
+    send
+        Called with each reply. The map of a frame is sent before its contacts are evaluated.
+    build
+        As of `StreamingDecoder`.
+    """
+
+    def __init__(self, settings: SurfaceSettings, send: Callable[[Reply], None], build: SetUp | None = None) -> None:
+        self._settings = settings
+        self._send = send
+        self._decoder = StreamingDecoder(
+            settings.skin, settings.options, lambda step: send(SetUpStep(step)), settings.last_contact_id, build
+        )
+        self._reporter = settings.messages()
+        self._rebuild_from_ns = 0  # monotonic time from which the next rebuild may begin
+
+    def serve(self, request: Request) -> None:
+        """Serve a request; if the decoder works in the background, then also update matrices for contacts that moved.
+
+        A request that arrives during an update waits.
+        """
+        if isinstance(request, EndContacts):
+            self._end_contacts(request)
+            return
+        try:
+            is_ready = self._decoder.prepare(request.frame.noise_std)
+        except UndecodableError as error:
+            self._send(Undecodable(str(error)))
+            return
+        if not is_ready:
+            self._send(Results((), "no_noise"))
+        elif time.monotonic_ns() > request.until_ns:
+            self._send(Results((), "too_old"))
+        else:
+            self._decode(request.frame)
+            if self._settings.options.background:
+                self._rebuild()
+
+    def _decode(self, frame: SurfaceFrame) -> None:
+        if self._settings.cold_at_rest and frame.at_rest:
+            self._decoder.start_cold()
+        header, reporter = frame.header, self._reporter
+        decoded = self._decoder.decode_map(frame.signals, frame.noise_std)
+        self._send(Results(((DECODED.path, reporter.decoded(header, decoded)),), None))
+        surface = self._decoder.read_contacts()
+        contacts_header = header.copy()
+        contacts_header["seq"] = frame.contacts_seq
+        messages = (
+            *((CONTACT_EVENT.path, reporter.event(header, event)) for event in surface.events),
+            (DECODED_SUMMARY.path, reporter.summary(header, surface)),
+            (CONTACTS.path, reporter.contacts(contacts_header, surface)),
+        )
+        self._send(Results(messages, "decoded", tuple(reporter.present.values())))
+
+    def _end_contacts(self, request: EndContacts) -> None:
+        surface, header, reporter = self._decoder.end_contacts(request.reason), request.header, self._reporter
+        messages: list[tuple[str, Message]] = []
+        if surface is not None:
+            if header is None:
+                raise ValueError("contacts ended of which no event was received")
+            messages += [(CONTACT_EVENT.path, reporter.event(header, event)) for event in surface.events]
+            messages.append((CONTACTS.path, reporter.contacts(header, surface)))
+        self._send(Results(tuple(messages), "ready", ()))
+
+    def _rebuild(self) -> None:
+        began_ns = time.monotonic_ns()
+        if began_ns >= self._rebuild_from_ns and self._decoder.rebuild():
+            now_ns = time.monotonic_ns()
+            self._rebuild_from_ns = now_ns + round(_PAUSE * (now_ns - began_ns))
