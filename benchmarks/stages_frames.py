@@ -106,7 +106,7 @@ def frequency_estimation(steps: list[bytes]) -> Stage:
         windows.restart()
         for payload in steps:
             block = windows.push(payload)
-            block.windows([STEP - 1], [min(10, block.held[STEP - 1][0])]).frequency_hz(0)
+            _ = block.window(STEP - 1, min(10, block.held[STEP - 1][0])).frequency_hz
 
     return Stage("frequency estimation", Work("", ours, USED), numbers_of(steps))
 

@@ -18,7 +18,6 @@ give it, to compare with. Means of frequencies are none of these: they throw awa
 
 import math
 from collections.abc import Iterable
-from itertools import pairwise
 from typing import Final, NamedTuple, Self
 
 from firmware_protocol.layouts import SingleToneRecord
@@ -68,24 +67,12 @@ def continues(earlier: PlainSums, later: PlainSums) -> bool:
     )
 
 
-def merge(parts: Iterable[Sums]) -> Sums:
-    """Add up adjacent parts, one or more, to the sums over all their stamps, as if one gate had taken them.
+def merge_adjacent(parts: Iterable[PlainSums]) -> Sums:
+    """Add up parts that are known to be adjacent to the sums over all their stamps, as if one gate had taken them.
 
     Second differences across the seams are not in the parts and stay out of `q2_ticks2`. Counters may wrap between any
-    two parts. Raises ValueError where a part does not continue the one before it.
+    two parts.
     """
-    checked = list(parts)
-    for previous, part in pairwise(checked):
-        if not continues(previous, part):
-            raise ValueError(
-                f"part at edge {part.first_edge} does not continue the one at edge {previous.first_edge}: "
-                f"{previous.stamps} stamps, stride {previous.stride_edges}"
-            )
-    return merge_adjacent(checked)
-
-
-def merge_adjacent(parts: Iterable[PlainSums]) -> Sums:
-    """Merge parts that are known to be adjacent."""
     rest = iter(parts)
     first_edge, first_ticks, stamps, stride_edges, span, s1, s2, q2, differences = next(rest)
     for _, part_ticks, count, _, part_span, part_s1, part_s2, part_q2, part_differences in rest:

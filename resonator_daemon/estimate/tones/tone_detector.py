@@ -18,7 +18,7 @@ from resonator_daemon.estimate.tones.frequency_estimators import (
     stamp_std_ticks,
 )
 from resonator_daemon.estimate.tones.tone_merging import SIGMA_HZ, merge_tones
-from resonator_daemon.estimate.tones.tone_windows import ToneWindows
+from resonator_daemon.estimate.tones.tone_windows import ToneWindows, Window
 
 READING_S: Final = 0.1
 PILOT_TOLERANCE: Final = 100e-6  # reference error and temperature together stay below it
@@ -117,10 +117,9 @@ class CapturedToneDetector:
     def push(self, frame: CapturedFrame) -> ToneReading | None:
         """Add a frame; return a reading with the last frame of each window. After a gap it has no frequency."""
         self._first = frame.index if self._first is None else self._first
-        block = self._windows.push(frame.payload)
-        faults = block.fault_names(0)
+        window = self._windows.push(frame.payload).window(0, self._frames)
         gate_hz, gate_std = np.full((2, CHANNEL_COUNT), math.nan)
-        for channel, (fault, record) in enumerate(zip(faults, frame.records, strict=True)):
+        for channel, (fault, record) in enumerate(zip(window.faults, frame.records, strict=True)):
             if fault is None:
                 sums = Sums.of(record)
                 gate_hz[channel], gate_std[channel] = frequency_hz(sums, self._reference_hz), counter_std(sums)
@@ -128,12 +127,11 @@ class CapturedToneDetector:
         count = frame.index - self._first + 1
         if count % self._frames:
             return None
-        window = block.windows([0], [self._frames]).sums(0)
-        return self._read(window, faults, (count - 0.5 * self._frames) * self._gate_s)
+        return self._read(window, (count - 0.5 * self._frames) * self._gate_s)
 
-    def _read(self, window: list[Sums | None], faults: list[str | None], time_s: float) -> ToneReading:
+    def _read(self, window: Window, time_s: float) -> ToneReading:
         hertz, std, scatter_radian = np.full((3, CHANNEL_COUNT), math.nan)
-        for channel, sums in enumerate(window):
+        for channel, sums in enumerate(window.sums):
             if sums is not None:
                 hertz[channel], std[channel] = frequency_hz(sums, self._reference_hz), counter_std(sums)
                 scatter_radian[channel] = 2.0 * math.pi * hertz[channel] * stamp_std_ticks(sums) / self._reference_hz
@@ -146,7 +144,7 @@ class CapturedToneDetector:
             oscillator_std(self._frames * self._gate_s),
             tuple(
                 None if sums is not None else fault or "no steady tone"
-                for sums, fault in zip(window, faults, strict=True)
+                for sums, fault in zip(window.sums, window.faults, strict=True)
             ),
             len(gate_hz) == self._frames,
             scatter_radian,

@@ -1,21 +1,172 @@
-"""Sliding windows of a single-tone counter: the last gates of each channel with continuous stamps."""
+"""Sliding windows of a single-tone counter: the last gates of each channel with continuous stamps.
+
+Gates are lists and plain floats: a step has few of them, for which arrays take longer.
+"""
 
 import math
-from typing import Final
-
-import numpy as np
+from collections import Counter
+from collections.abc import Sequence
+from typing import Final, NamedTuple
 
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag, SingleToneRecord
-from resonator_daemon.estimate.tones.few_gates import Column, FewGates
-from resonator_daemon.estimate.tones.frequency_estimators import FREQUENCY_JUMP, Sums, continues
-from resonator_daemon.estimate.tones.gate_block import GateBlock
-from resonator_daemon.estimate.tones.many_gates import ManyGates, as_arrays, begins
-from resonator_daemon.estimate.tones.record_checks import RECORD, Gate, read_gate, read_gates
+from resonator_daemon.estimate.tones.frequency_estimators import (
+    FREQUENCY_JUMP,
+    Sums,
+    continues,
+    frequency_hz,
+    merge_adjacent,
+)
+from resonator_daemon.estimate.tones.record_checks import FAULTS, Gate, read_gate
 
 _STRIDE_BREAK: Final = int(RecordFlag.STRIDE_BREAK)
 _FLAGS: Final = SingleToneRecord._fields.index("flags")
+_ATTENUATION: Final = SingleToneRecord._fields.index("attenuation_db256")
 _NOTHING: Final[Gate] = (Sums(*[0] * 9), math.nan, math.nan)
-FEW_GATES: Final = 16  # up to so many are taken one by one: arrays take longer
+
+
+class Column(NamedTuple):
+    """Gates of one channel: those of before, `before` of them, and those of the block.
+
+    `firsts` has, for each gate of the block, where the gates of its tone begin; behind itself if it has a fault.
+    """
+
+    gates: list[Gate]
+    before: int
+    firsts: list[int]
+
+
+class GateBlock:
+    """A block of adjacent gates, and the windows that end with each of them.
+
+    Attributes
+    ----------
+    held
+        By gate and channel: how many gates of the same tone there are, up to the length of the window.
+    faults
+        By gate and channel, as codes of `FAULTS`; empty where no record has one.
+    steady
+        All windows were full before, and no tone has changed.
+    """
+
+    def __init__(
+        self,
+        columns: Sequence[Column],
+        most: int,
+        faults: list[list[int]],
+        records: Sequence[tuple[int, ...]],
+        reference_hz: float,
+    ) -> None:
+        """Initialise with the gates of each channel, `most` of which make a window."""
+        self._columns = columns
+        self.faults = faults
+        self._records = records
+        self._reference_hz = reference_hz
+        self.steady = all(before == most and not firsts[-1] for _, before, firsts in columns)
+        if self.steady:
+            self.held = [[most] * len(columns)] * len(columns[0].firsts)
+            return
+        held = [
+            [min(end - first, most) for end, first in enumerate(firsts, before + 1)] for _, before, firsts in columns
+        ]
+        self.held = [list(row) for row in zip(*held, strict=True)]
+
+    def __len__(self) -> int:
+        return len(self.held)
+
+    def count_faults(self) -> Counter[str]:
+        """Count the records that gave no frequency, by cause."""
+        return Counter(str(FAULTS[code]) for codes in self.faults for code in codes if code)
+
+    def other_tones(self, pilot_hz: float, tolerance: float) -> list[list[bool]]:
+        """Return, by gate and channel, whether a tone is off the pilot by more than this ratio; empty: none is."""
+        low, high = -tolerance, tolerance
+        off = [
+            [not low < hertz / pilot_hz - 1.0 < high for _, hertz, _ in gates[before:]]
+            for gates, before, _ in self._columns
+        ]
+        return [list(row) for row in zip(*off, strict=True)] if any(map(any, off)) else []
+
+    def window(self, gate: int, frames: int) -> "Window":
+        """Return the window of `frames` gates that ends with `gate`."""
+        channels = len(self._columns)
+        return Window(
+            self._columns,
+            gate,
+            frames,
+            self.held[gate],
+            [FAULTS[code] for code in self.faults[gate]] if self.faults else [None] * channels,
+            self._records[gate * channels : (gate + 1) * channels],
+            self._reference_hz,
+        )
+
+
+class Window:
+    """What the channels have counted in the last gates of a block, up to one of them.
+
+    Attributes
+    ----------
+    frames
+        Gates of the window.
+    held
+        By channel: how many gates of the same tone there are, up to the length of a full window.
+    faults
+        By channel: the fault of the last gate; None where there is none.
+    """
+
+    def __init__(
+        self,
+        columns: Sequence[Column],
+        gate: int,
+        frames: int,
+        held: list[int],
+        faults: list[str | None],
+        records: Sequence[tuple[int, ...]],
+        reference_hz: float,
+    ) -> None:
+        self.frames = frames
+        self.held = held
+        self.faults = faults
+        self._columns = columns
+        self._gate = gate
+        self._records = records
+        self._reference_hz = reference_hz
+        self._sums: list[Sums | None] | None = None
+
+    @property
+    def frequency_hz(self) -> list[float]:
+        """Frequencies by channel; NaN where the window is not held."""
+        return [math.nan if part is None else frequency_hz(part, self._reference_hz) for part in self.sums]
+
+    @property
+    def sums(self) -> list[Sums | None]:
+        """Sums by channel; None where the window is not held."""
+        if self._sums is None:
+            self._sums = []
+            for gates, before, firsts in self._columns:
+                end = before + self._gate + 1
+                held = end - firsts[self._gate] >= self.frames
+                parts = [sums for sums, _, _ in gates[end - self.frames : end]] if held else []
+                self._sums.append(merge_adjacent(parts) if held else None)
+        return self._sums
+
+    @property
+    def attenuation_db(self) -> list[float]:
+        """Level of each channel below full scale."""
+        return [record[_ATTENUATION] / 256.0 for record in self._records]
+
+    @property
+    def gates(self) -> tuple[list[list[float]], list[list[float]]]:
+        """Frequencies of the gates, and the mean square that their lines leave at their ends, in ticks^2, by channel.
+
+        Valid for channels that hold the window.
+        """
+        held = [
+            gates[max(before + self._gate + 1 - self.frames, 0) : before + self._gate + 1]
+            for gates, before, _ in self._columns
+        ]
+        return [[hertz for _, hertz, _ in gates] for gates in held], [
+            [residual_ticks2 for _, _, residual_ticks2 in gates] for gates in held
+        ]
 
 
 class ToneWindows:
@@ -51,12 +202,9 @@ class ToneWindows:
         An unusable record empties the window of its channel; one that does not continue the last begins a new window.
         Raises ValueError where the payload is no whole number of gates, at least one.
         """
-        records = len(payload) / RECORD.itemsize
-        if not payload or records % self.channels:
-            raise ValueError(f"{records:g} records for {self.channels} channels")
-        return self._push_few(payload) if records <= FEW_GATES * self.channels else self._push_many(payload)
-
-    def _push_few(self, payload: bytes) -> FewGates:
+        count = len(payload) / SINGLE_TONE_STRUCT.size
+        if not payload or count % self.channels:
+            raise ValueError(f"{count:g} records for {self.channels} channels")
         records = list(SINGLE_TONE_STRUCT.iter_unpack(payload))
         channels, most, reference_hz, band_hz = self.channels, self.frames, self._reference_hz, self._band_hz
         columns: list[Column] = []
@@ -84,33 +232,4 @@ class ToneWindows:
             columns.append(Column(gates, before, firsts))
             self._gates[channel] = gates[max(first, len(gates) - most) :]
         faults = [codes[at : at + channels] for at in range(0, len(codes), channels)] if any(codes) else []
-        return FewGates(columns, most, faults, records, reference_hz)
-
-    def _push_many(self, payload: bytes) -> ManyGates:
-        records = np.frombuffer(payload, RECORD).reshape(-1, self.channels)
-        before, count = self.frames, len(records)
-        gates = read_gates(records, self._reference_hz, self._band_hz)
-        old_sums, old_lines = as_arrays(self._gates, before)
-        sums = np.concatenate((old_sums, gates.sums), axis=1)
-        lines = np.concatenate((old_lines, (gates.frequency_hz, gates.residual_ticks2)), axis=1)
-        new = begins(sums[:, before - 1 :], lines[0, before - 1 :]) | ((records["flags"] & _STRIDE_BREAK) != 0)
-        held = self._count_held(gates.fault.tolist(), new.tolist())
-        block = ManyGates(before, sums, lines, gates.fault, held, records["attenuation_db256"], self._reference_hz)
-        self._gates = [block.gates_held(channel, held[count - 1][channel]) for channel in range(self.channels)]
-        return block
-
-    def _count_held(self, faults: list[list[int]], begins: list[list[bool]]) -> list[list[int]]:
-        rows, held, most = [], [len(gates) for gates in self._gates], self.frames
-        full = [most] * self.channels
-        for bad, new in zip(faults, begins, strict=True):
-            if held is full and not any(bad) and not any(new):
-                rows.append(full)
-                continue
-            held = [
-                0 if unusable else 1 if begin else min(count + 1, most)
-                for unusable, begin, count in zip(bad, new, held, strict=True)
-            ]
-            if held == full:
-                held = full
-            rows.append(held)
-        return rows
+        return GateBlock(columns, most, faults, records, reference_hz)

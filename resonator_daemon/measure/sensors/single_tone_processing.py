@@ -18,13 +18,11 @@ from resonator_daemon.estimate.forces.readings import Compensation, CornerTone, 
 from resonator_daemon.estimate.forces.site_errors import SiteErrors
 from resonator_daemon.estimate.forces.site_identification import Match, Matcher, SiteForce
 from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
-from resonator_daemon.estimate.tones.gate_block import GateBlock
 from resonator_daemon.estimate.tones.record_checks import CAPTURE_SWITCH, FAULTS_IN_WORDS
 from resonator_daemon.estimate.tones.tone_count import NO_TONE, ToneCount, count_tone
 from resonator_daemon.estimate.tones.tone_detector import PILOT_TOLERANCE, capture_band_hz
-from resonator_daemon.estimate.tones.tone_windows import ToneWindows
+from resonator_daemon.estimate.tones.tone_windows import GateBlock, ToneWindows, Window
 from resonator_daemon.measure.sensors.corner_tones import CornerTones
-from resonator_daemon.measure.sensors.counted_window import CountedWindow
 from resonator_daemon.measure.sensors.usual_reasons import BOARD_RESTARTED, COMMON_MODE_PENDING
 
 BASELINE_READINGS: Final = 20  # untouched readings before the common mode counts as known
@@ -171,8 +169,6 @@ class SingleToneProcessing:
         step, count = self._step_frames, len(block)
         self._last = first_sequence + count - 1, board_ticks[-1]
         steps = range(-(first_sequence + 1) % step, count, step)
-        windows = self._windows_at(block, sorted({*steps, *changed}))
-        between: dict[int, CountedWindow] = {}  # of gates that may show an onset: made on request
         readings = []
         for gate in range(count):
             at_step = gate in steps
@@ -182,32 +178,19 @@ class SingleToneProcessing:
                 something_new = gate in (changed if self._tracker.any_open else others or ())
                 if not (something_new and self._common_mode.known):
                     continue
-            window = windows.get(gate) or between.get(gate)
-            if window is None:
-                others = others or []
-                between = self._windows_at(block, [later for later in others if later >= gate])
-                window = between[gate]
-            window.crowded = crowded[gate]
-            reading = self._read(first_sequence + gate, board_ticks[gate], window, at_step=at_step)
+            window = self._window_at(block, gate)
+            reading = self._read(first_sequence + gate, board_ticks[gate], window, crowded[gate], at_step=at_step)
             if at_step or reading.events:
                 readings.append(reading)
         return readings
 
-    def _windows_at(self, block: GateBlock, gates: Sequence[int]) -> dict[int, CountedWindow]:
-        """Return the windows that end with these gates, by gate."""
-        if not gates:
-            return {}
+    def _window_at(self, block: GateBlock, gate: int) -> Window:
+        """Return the window that ends with a gate."""
         # A window that has begun again grows from that of the fast path: a new tone is known at once, and better soon.
-        most, onset = self._window_frames, self._onset_frames
-        frames = [
-            most if min(held) == most else min([count for count in held if count >= onset], default=most)
-            for held in [block.held[gate] for gate in gates]
-        ]
-        sums = block.windows(gates, frames)
-        return {
-            gate: CountedWindow(block, gate, length, sums, index)
-            for index, (gate, length) in enumerate(zip(gates, frames, strict=True))
-        }
+        most, held = self._window_frames, block.held[gate]
+        if min(held) < most:
+            most = min([count for count in held if count >= self._onset_frames], default=most)
+        return block.window(gate, most)
 
     def _note(self, block: GateBlock) -> list[list[int]]:
         """Count unusable records; return for how many frames in a row no tone was the strongest on each channel."""
@@ -241,7 +224,9 @@ class SingleToneProcessing:
             if sum([other and count >= onset for other, count in zip(off, held, strict=True)]) >= 2
         ]
 
-    def _read(self, sequence: int, board_ticks: int, window: CountedWindow, *, at_step: bool) -> ForceReading:
+    def _read(
+        self, sequence: int, board_ticks: int, window: Window, crowded: list[int], *, at_step: bool
+    ) -> ForceReading:
         frames, measured_hz = window.frames, window.frequency_hz
         pilot_hz, tolerance, unknown = self._pilot_hz, PILOT_TOLERANCE, math.nan
         off = [f / pilot_hz - 1 for f in measured_hz]
@@ -268,7 +253,7 @@ class SingleToneProcessing:
             status, reason, forces = match.status, match.reason, match.forces
             if status == "ok" and any(count.others for count in counts):
                 status, reason = "possibly_more", _SECOND_TONE
-            elif status == "ok" and max(window.crowded) >= CROWDED_FRAMES:
+            elif status == "ok" and max(crowded) >= CROWDED_FRAMES:
                 status, reason = "possibly_more", self._tones_alike("two tones are alike", window)
         else:
             status, reason = self._silent(tones, pilots, window)
@@ -300,7 +285,7 @@ class SingleToneProcessing:
         )
 
     def _tones(
-        self, window: CountedWindow, measured_hz: Sequence[float], pilot: Sequence[float], forces: Sequence[SiteForce]
+        self, window: Window, measured_hz: Sequence[float], pilot: Sequence[float], forces: Sequence[SiteForce]
     ) -> tuple[CornerTone, ...]:
         counts = self._counted(window, measured_hz, self._no_pilot)  # the pilot's channels, too
         held = [fault is None for fault in window.faults]
@@ -308,7 +293,7 @@ class SingleToneProcessing:
         oscillator = oscillator_std(window.frames * self._gate_s)
         return self._corner_tones.tones(counts, pilot, held, forces, common_mode, oscillator)
 
-    def _follow(self, board_ticks: int, pilot: tuple[float, ...], window: CountedWindow, *, untouched: bool) -> None:
+    def _follow(self, board_ticks: int, pilot: tuple[float, ...], window: Window, *, untouched: bool) -> None:
         """Update the baseline with the pilot while nothing is touched; otherwise increase its uncertainty."""
         before = board_ticks if self._evaluated_ticks is None else self._evaluated_ticks
         self._evaluated_ticks = board_ticks
@@ -324,7 +309,7 @@ class SingleToneProcessing:
                 for g, before, now in zip(pilot, self._pilot_attenuation_db, window.attenuation_db, strict=True)
             ]
 
-    def _counted(self, window: CountedWindow, measured_hz: Sequence[float], pilot: Sequence[float]) -> list[ToneCount]:
+    def _counted(self, window: Window, measured_hz: Sequence[float], pilot: Sequence[float]) -> list[ToneCount]:
         """Return what each channel with another tone than the pilot counts, and how well."""
         counts = [NO_TONE] * len(pilot)
         attenuation_db = window.attenuation_db
@@ -391,12 +376,12 @@ class SingleToneProcessing:
             "off" if self._sites.response is None else "on",
         )
 
-    def _estimating(self, pilots: int, window: CountedWindow) -> tuple[SensorStatus, Reason | None]:
+    def _estimating(self, pilots: int, window: Window) -> tuple[SensorStatus, Reason | None]:
         if pilots == self._windows.channels or self._settling(window):
             return "settling", COMMON_MODE_PENDING
         return "pilot_lost", self._missing(window)
 
-    def _silent(self, tones: int, pilots: int, window: CountedWindow) -> tuple[SensorStatus, Reason | None]:
+    def _silent(self, tones: int, pilots: int, window: Window) -> tuple[SensorStatus, Reason | None]:
         """Return the status where too few channels have a signal to distinguish a touch from none."""
         if self._settling(window):
             return "settling", self._missing(window)
@@ -406,12 +391,12 @@ class SingleToneProcessing:
             return "rejected", self._tones_alike("no tone is the strongest for long", window)
         return ("pilot_lost" if pilots else "no_signal"), self._missing(window)
 
-    def _settling(self, window: CountedWindow) -> bool:
+    def _settling(self, window: Window) -> bool:
         return any(
             fault is None and held < self._window_frames for fault, held in zip(window.faults, window.held, strict=True)
         )
 
-    def _missing(self, window: CountedWindow) -> Reason | None:
+    def _missing(self, window: Window) -> Reason | None:
         """Name the channels that give no frequency, each with its cause; None if there are none."""
         if min(window.held) == self._window_frames:
             return None
@@ -423,6 +408,6 @@ class SingleToneProcessing:
         silent = any(fault is not None for fault in window.faults)
         return Reason(ReasonCode.CHANNELS_SILENT if silent else ReasonCode.WINDOW_NOT_FULL, ", ".join(causes))
 
-    def _tones_alike(self, text: str, window: CountedWindow) -> Reason:
+    def _tones_alike(self, text: str, window: Window) -> Reason:
         missing = self._missing(window)
         return Reason(ReasonCode.TONES_ALIKE, f"{text}: {missing.text if missing else ''}")

@@ -5,7 +5,7 @@ import pytest
 from brute_force_board import REFERENCE_HZ, Channel, payload_of
 
 from firmware_protocol.layouts import RecordFlag, SingleToneRecord
-from resonator_daemon.estimate.tones.frequency_estimators import Sums, frequency_hz, merge
+from resonator_daemon.estimate.tones.frequency_estimators import Sums, frequency_hz, merge_adjacent
 from resonator_daemon.estimate.tones.tone_windows import ToneWindows
 
 BAND_HZ = (9e6, 11e6)
@@ -25,7 +25,7 @@ def frames_of(frequencies_hz, flags=None, start_ticks=0):
 
 def expected(records):
     """Sums of adjacent records, by the definition, without where they begin."""
-    return merge([Sums.of(record) for record in records])._replace(first_edge=0, first_ticks=0)
+    return merge_adjacent([Sums.of(record) for record in records])._replace(first_edge=0, first_ticks=0)
 
 
 def without_start(sums):
@@ -36,7 +36,7 @@ def full_after(slide, records):
     """What each record has made of the window, all pushed at once."""
     block = slide.push(payload_of(records))
     return [
-        block.fault_names(gate)[0] or ("full" if block.held[gate][0] == slide.frames else "filling")
+        block.window(gate, 1).faults[0] or ("full" if block.held[gate][0] == slide.frames else "filling")
         for gate in range(len(block))
     ]
 
@@ -51,18 +51,17 @@ def test_a_window_has_the_sums_of_its_last_gates(frames):
         block = slide.push(payload_of(records[start:end]))
         gates = sorted({0, len(block) // 2, len(block) - 1})
         for last in {1, min(2, frames), frames}:
-            sums = block.windows(gates, [last] * len(gates))
-            for index, gate in enumerate(gates):
-                held = records[: start + gate + 1]
+            for gate in gates:
+                window, held = block.window(gate, last), records[: start + gate + 1]
                 if last > len(held):
-                    assert sums.sums(index) == [None]
-                    assert math.isnan(sums.frequency_hz(index)[0])
+                    assert window.sums == [None]
+                    assert math.isnan(window.frequency_hz[0])
                     continue
                 wanted = expected(held[-last:])
-                assert without_start(sums.sums(index)) == [wanted]
-                assert sums.frequency_hz(index) == [frequency_hz(wanted, REFERENCE_HZ)]
+                assert without_start(window.sums) == [wanted]
+                assert window.frequency_hz == [frequency_hz(wanted, REFERENCE_HZ)]
                 hertz = [frequency_hz(Sums.of(record), REFERENCE_HZ) for record in held[-last:]]
-                assert block.last(gate, last)[0] == [hertz]
+                assert window.gates[0] == [hertz]
         assert [held for (held,) in block.held] == [min(start + gate + 1, frames) for gate in range(len(block))]
 
 
@@ -82,23 +81,12 @@ def test_the_largest_gates_that_there_are_do_not_overflow():
             attenuation_db256=0,
             flags=0,
         )
-        for k in range(40)
+        for k in range(4)
     ]
     hertz = REFERENCE_HZ / interval
-    for count in (4, 40):  # few and many
-        block = ToneWindows(1, 4, REFERENCE_HZ, (0.9 * hertz, 1.1 * hertz)).push(payload_of(records[:count]))
-        sums = block.windows([count - 1], [4])
-        assert without_start(sums.sums(0)) == [expected(records[count - 4 : count])]
-        assert sums.frequency_hz(0) == pytest.approx([hertz], rel=1e-15)
-
-
-def test_end_residuals_are_those_of_the_gates():
-    # The line through 0, 1000, 2000, 3004 at 0, 1, 2, 3 is -0.8 + 1001.2 k.
-    offsets = [0, 1000, 2000, 3004]
-    record = SingleToneRecord(0, 0, 4, 10, 3004, sum(offsets), sum(k * t for k, t in enumerate(offsets)), 16, 0, 0)
-    few, many = windows().push(payload_of([record])), windows().push(payload_of([record] * 40))
-    assert few.last(0, 1)[1][0] == pytest.approx([(0.8**2 + 1.2**2) / 2])
-    assert many.last(20, 1) == few.last(0, 1)
+    window = ToneWindows(1, 4, REFERENCE_HZ, (0.9 * hertz, 1.1 * hertz)).push(payload_of(records)).window(3, 4)
+    assert without_start(window.sums) == [expected(records)]
+    assert window.frequency_hz == pytest.approx([hertz], rel=1e-15)
 
 
 def test_a_flagged_gate_empties_the_window_and_the_next_starts_anew():
@@ -138,8 +126,8 @@ def test_another_length_keeps_the_newest_gates():
     slide.resize(5)
     block = slide.push(payload_of(records[5:7]))
     assert block.held == [[4], [5]]
-    assert without_start(block.windows([1], [5]).sums(0)) == [expected(records[2:7])]
+    assert without_start(block.window(1, 5).sums) == [expected(records[2:7])]
     slide.resize(2)
     block = slide.push(payload_of(records[7:8]))
     assert block.held == [[2]]
-    assert without_start(block.windows([0], [2]).sums(0)) == [expected(records[6:8])]
+    assert without_start(block.window(0, 2).sums) == [expected(records[6:8])]
