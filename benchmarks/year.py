@@ -26,7 +26,7 @@ from simulated_daemon import STEP_NS, S, Seen, SimulatedBoard, SimulatedDaemon, 
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.config import Decoding, Measurement
 from resonator_daemon.board.config.text import config_of
-from resonator_daemon.board.links.table import parse_link
+from resonator_daemon.board.links.carriers import parse_link
 
 _KEPT_THOUSANDS = 0.03  # a day: the samples and events of this benchmark
 _SLOPES = (("rss_mb", "MB", KEPT_MB), ("blocks_thousand", "thousand blocks", FLAT_THOUSANDS), ("descriptors", "", FLAT))

@@ -22,8 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.board.links.carriers import all_carriers
     from resonator_daemon.board.links.link import LinkUnavailableError
-    from resonator_daemon.board.links.table import all_carriers
 
     places: list[FoundPort] = []
     for carrier in all_carriers():

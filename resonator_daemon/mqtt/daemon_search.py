@@ -6,7 +6,7 @@ from typing import Final
 
 from resonator_daemon.base.errors import ConfigurationError, ExitCode, UserError
 from resonator_daemon.board.config import Client, Mqtt
-from resonator_daemon.board.links.table import parse_link
+from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.mqtt.payloads import Condition, Info, State
 from resonator_daemon.mqtt.subscriber import subscribe
 from resonator_daemon.mqtt.topics import INFO, STATE_DAEMON, TOPICS

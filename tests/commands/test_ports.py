@@ -11,7 +11,7 @@ from emulation import emulated
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
-from resonator_daemon.board.links import usb_devices
+from resonator_daemon.board.links import usb_link as usb_devices
 from resonator_daemon.board.links.carriers import serial as serial_carrier
 from resonator_daemon.board.links.port_holders import Holders
 from resonator_daemon.board.session import probe as port_inquiry

@@ -14,8 +14,8 @@ from usb_bench import HostError, UsbHost
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.messages import CounterKind, Description, Identity
 from resonator_daemon.base.reasons import ReasonCode
+from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.board.links.link import Link, LinkLostError, LinkUnavailableError
-from resonator_daemon.board.links.table import parse_link
 from simulators import links as device_links
 from simulators.usb_link import UsbLink
 
@@ -136,7 +136,7 @@ class RemoteHost:
         self._host = host
         self._opened = 0
         host.run("import os")
-        host.run("from resonator_daemon.board.links.table import parse_link")
+        host.run("from resonator_daemon.board.links.carriers import parse_link")
         host.run(f"target = parse_link({link!r})")
 
     def open(self) -> Link:

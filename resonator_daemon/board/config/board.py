@@ -26,7 +26,7 @@ from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.base.toml import Table, TomlFile, check_with, finding, load_model, read_toml
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.config.tables import Commands, Decoding, Measurement, Metrics, Recording, plate_name
-from resonator_daemon.board.links.table import link_forms, parse_link
+from resonator_daemon.board.links.carriers import link_forms, parse_link
 from resonator_daemon.board.links.target import LinkTarget
 
 _EXAMPLE = """\

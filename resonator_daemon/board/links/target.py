@@ -77,7 +77,7 @@ class LinkTarget(ABC):
         """Return a function that opens the link any number of times."""
         return self.open
 
-    def leads_to_the_same(self, other: "LinkTarget") -> bool:
+    def same_board(self, other: "LinkTarget") -> bool:
         """Return whether both lead to one board, by whatever name."""
         return self == other
 

@@ -137,7 +137,6 @@ class BoardReader:
         self._watch.wake()
         if self._thread.ident is not None:
             self._thread.join()
-        self._watch.close()
 
     def pop_arrivals(self) -> list[Arrival]:
         """Return what has arrived since the last call, in order."""

@@ -52,7 +52,7 @@ def positive(text: str) -> float:
 
 def link_target(text: str) -> object:
     """Parse the address of a link, as serial:PATH?baud=N."""
-    from resonator_daemon.board.links.table import parse_link
+    from resonator_daemon.board.links.carriers import parse_link
 
     try:
         return parse_link(text)

@@ -14,7 +14,7 @@ from resonator_daemon.base.host.load import REMEDY
 from resonator_daemon.base.host.text import page
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.config import Mqtt, load_config
-from resonator_daemon.board.links.table import parse_link
+from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.daemon.monitoring.status_client import Answer, ask_all
 from resonator_daemon.mqtt.payloads import Condition, Info
@@ -209,7 +209,7 @@ def _has(status: Mapping[str, Any], link: LinkTarget, config_path: Path | None) 
     try:
         if config_path is not None and file.samefile(config_path):
             return True
-        return "link" not in config.get("needs_restart", ()) and load_config(file).link.leads_to_the_same(link)
+        return "link" not in config.get("needs_restart", ()) and load_config(file).link.same_board(link)
     except (OSError, ValueError, UserError):
         return False  # its file is not for this user to read, or has changed since
 
@@ -243,6 +243,6 @@ async def published_status(broker: Mqtt, name: str | None, link: LinkTarget) -> 
 
 def _names(text: str, link: LinkTarget) -> bool:
     try:
-        return parse_link(text).leads_to_the_same(link)
+        return parse_link(text).same_board(link)
     except ValueError:
         return False  # a later version's kind of link

@@ -10,11 +10,11 @@ from plates import plate_head, site
 
 from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.board.config import example_config, load_config
+from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.board.links.carriers.recording import RecordingTarget
 from resonator_daemon.board.links.carriers.serial import SerialTarget
 from resonator_daemon.board.links.carriers.tcp import TcpTarget
 from resonator_daemon.board.links.carriers.usb import UsbTarget
-from resonator_daemon.board.links.table import parse_link
 from resonator_daemon.board.links.target import LinkTarget
 
 MINIMAL = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'

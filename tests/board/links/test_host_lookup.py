@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from resonator_daemon.board.links import host_lookup as port_lookup
-from resonator_daemon.board.links.host_lookup import resolve_host
+from resonator_daemon.board.links.carriers import tcp as port_lookup
+from resonator_daemon.board.links.carriers.tcp import resolve_host
 
 AMPLE_S = 20.0
 

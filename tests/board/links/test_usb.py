@@ -10,8 +10,7 @@ from usb_bench import LINK, HostError, UsbHost, usb_host
 from resonator_daemon.board.links import usb_link
 from resonator_daemon.board.links.carriers.usb import UsbTarget
 from resonator_daemon.board.links.link import LinkUnavailableError
-from resonator_daemon.board.links.usb_devices import UsbBoard
-from resonator_daemon.board.links.usb_link import open_usb
+from resonator_daemon.board.links.usb_link import UsbBoard, open_usb
 from simulators.usb_link import UsbLink
 
 UNSUPPORTED = "Operation not supported or unimplemented on this platform"
@@ -22,9 +21,9 @@ from usb.core import USBError
 from resonator_daemon.board.links import usb_link
 from resonator_daemon.board.links import usb_transfers
 from resonator_daemon.board.links.port_holders import Holder, Holders
-from resonator_daemon.board.links.usb_devices import present_boards
+from resonator_daemon.board.links.usb_link import present_boards
 from resonator_daemon.board.links.usb_link import open_usb
-from resonator_daemon.board.links.table import parse_link
+from resonator_daemon.board.links.carriers import parse_link
 
 def open_link(text):
     global link
@@ -211,3 +210,15 @@ def test_what_a_system_does_not_support_ends_a_link(
     board.link.stall()
     assert loss(host, source) == reason
     host.run("link._backend.release_interface = unsupported; link.close()")
+
+
+def test_a_device_that_shows_no_descriptors_hides_no_board(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Backend:
+        def enumerate_devices(self) -> Iterator[object]:
+            return iter(["strange"])
+
+        def get_device_descriptor(self, device: object) -> object:
+            raise NotImplementedError(UNSUPPORTED)
+
+    monkeypatch.setattr(usb_link, "usb_backend", Backend)
+    assert usb_link.present_boards() == []

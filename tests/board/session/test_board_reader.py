@@ -13,9 +13,9 @@ from listener import DEADLINE_S, Listener, check_bytes, check_indices, frames, g
 from firmware_protocol.device import DeviceSession
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.base.reasons import ReasonCode
+from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.board.links.carriers.serial import SerialTarget
 from resonator_daemon.board.links.link import Link, LinkLostError
-from resonator_daemon.board.links.table import parse_link
 from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.board.session.frames import (
     BoardOnline,

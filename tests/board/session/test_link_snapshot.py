@@ -9,7 +9,7 @@ from recording_bench import replayed, same
 
 from firmware_protocol.packets import Packet, PacketDecoder
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.board.links.table import parse_link
+from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.switch import RecordingSwitch
 from resonator_daemon.board.session.connection import Connection

@@ -11,7 +11,7 @@ from emulation import emulated
 from firmware_protocol.host import PacketRefusal
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.plate import Plate, load_plate
-from resonator_daemon.board.links.table import parse_link
+from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.tools.doctor.capture import Capture, capture_board
 from resonator_daemon.tools.doctor.finding import Area, Finding, Outcome
 from resonator_daemon.tools.doctor.host import Host

@@ -3,14 +3,16 @@
 import array
 import errno
 import fcntl
+import logging
 import os
+import struct
 import termios
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import NamedTuple, Self
 
 import serial
 from serial.tools import list_ports
@@ -21,15 +23,20 @@ from resonator_daemon.base.host.text import page
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.links.link import FileDescriptorLink, LinkUnavailableError
 from resonator_daemon.board.links.port_holders import is_pseudo_terminal, port_holders
-from resonator_daemon.board.links.port_identity import PortIdentity, find_port, port_identity, serial_ports
 from resonator_daemon.board.links.target import FoundPort, LinkTarget, options_of
-from resonator_daemon.board.links.tty_settings import configure_tty, overrun_count, shorten_latency_timer
+
+log = logging.getLogger(__name__)
 
 _LAST_BYTES_S = 0.05
 BY_ID = Path("/dev/serial/by-id")
 _BAUD = 4_000_000  # proposed for a port that is found
 _OWN_IDS = frozenset({(0x1209, 0x0001)})  # those that the installed udev rules name
 _OWN_WORDS = ("resonat", "rd board")  # in the strings of a USB device
+_TIOCGICOUNT = 0x545D
+_COUNTS = struct.Struct("@20i")
+_OVERRUN, _BUFFER_OVERRUN = 7, 10
+SYS_TTY = Path("/sys/class/tty")
+_logged: set[Path] = set()  # timers that were logged: once in the life of a process
 
 
 @dataclass(frozen=True)
@@ -71,7 +78,7 @@ class SerialTarget(LinkTarget):
 
         return open_again
 
-    def leads_to_the_same(self, other: LinkTarget) -> bool:
+    def same_board(self, other: LinkTarget) -> bool:
         return other.serial_port is not None and os.path.realpath(self.path) == os.path.realpath(other.serial_port)
 
     @property
@@ -88,7 +95,7 @@ class SerialTarget(LinkTarget):
 
     @classmethod
     def discover(cls) -> list[FoundPort]:
-        by_id = _by_id()
+        by_id = {os.path.realpath(link): str(link) for link in sorted(BY_ID.glob("*"), reverse=True)}
         ports = []
         for port in serial_ports():
             path = by_id.get(os.path.realpath(port.device))
@@ -248,5 +255,96 @@ def _looks_like_a_board(port: ListPortInfo) -> bool:
     return (port.vid, port.pid) in _OWN_IDS or any(word in strings for word in _OWN_WORDS)
 
 
-def _by_id() -> dict[str, str]:
-    return {os.path.realpath(link): str(link) for link in sorted(BY_ID.glob("*"), reverse=True)}
+class PortIdentity(NamedTuple):
+    """Identity of a USB adapter; `interface` distinguishes the ports of one adapter, "" where it has one."""
+
+    vendor_id: int
+    product_id: int
+    serial_number: str
+    interface: str
+
+
+def port_identity(path: str) -> PortIdentity | None:
+    """Return who is behind a port; None for what is not USB, is not there or has no serial number of its own."""
+    device = os.path.realpath(path)
+    return next((identity for port, identity in _identified() if port == device), None)
+
+
+def find_port(identity: PortIdentity, configured: str) -> str | None:
+    """Return the device that is this adapter now, as /dev/ttyACM1; None where it is not present.
+
+    Parameters
+    ----------
+    identity
+        From `port_identity`, while the port was there.
+    configured
+        The path that the configuration names. While there is something at it, or where it is a link that udev or an
+        emulator keeps, the answer is None: what was named is what is meant.
+    """
+    if os.path.lexists(configured) or os.path.dirname(os.path.abspath(configured)) != "/dev":
+        return None
+    found = [port for port, candidate in _identified() if candidate == identity]
+    return found[0] if len(found) == 1 else None
+
+
+def serial_ports() -> list[ListPortInfo]:
+    """Return the serial ports present, those that vanish while they are looked at left out."""
+    try:
+        return sorted(list_ports.comports())
+    except (OSError, TypeError, ValueError):  # pyserial's, of what sysfs no longer has
+        return []
+
+
+def _identified() -> list[tuple[str, PortIdentity]]:
+    return [
+        (port.device, PortIdentity(port.vid, port.pid, port.serial_number, (port.location or "").partition(":")[2]))
+        for port in serial_ports()
+        if port.vid is not None and port.pid is not None and port.serial_number
+    ]
+
+
+def configure_tty(descriptor: int) -> None:
+    """Keep DTR as it is when the port is closed, and distinguish an empty port from one that is gone.
+
+    Many boards restart when DTR falls and rises. With the minimum of 0 bytes that pyserial sets, a read that finds
+    nothing returns no bytes, as does a read from a port that was hung up.
+    """
+    settings = termios.tcgetattr(descriptor)
+    settings[2] &= ~termios.HUPCL
+    settings[6][termios.VMIN] = 1
+    termios.tcsetattr(descriptor, termios.TCSANOW, settings)
+
+
+def shorten_latency_timer(path: str, sys_tty: Path = SYS_TTY) -> None:
+    """Set the timer of an adapter that collects bytes before it delivers them to 1 ms; log it where that fails."""
+    name = os.path.basename(os.path.realpath(path))
+    timer = sys_tty / name / "device" / "latency_timer"
+    try:
+        timer_ms = int(timer.read_text())
+    except (OSError, ValueError):
+        return  # no such adapter
+    if timer_ms <= 1:
+        return
+    try:
+        timer.write_text("1")
+    except OSError as error:
+        if timer not in _logged:
+            _logged.add(timer)
+            log.info(
+                "%s delivers bytes only every %d ms (%s); a udev rule corrects it: "
+                'ACTION=="add", SUBSYSTEM=="usb-serial", ATTR{latency_timer}="1"',
+                path,
+                timer_ms,
+                meaning_of(error),
+            )
+
+
+def overrun_count(descriptor: int) -> int | None:
+    """Return how often driver and terminal have lost bytes, modulo 2^32; None where they do not count."""
+    counts = bytearray(_COUNTS.size)
+    try:
+        fcntl.ioctl(descriptor, _TIOCGICOUNT, counts)
+    except OSError:
+        return None
+    values = _COUNTS.unpack(counts)
+    return int(values[_OVERRUN]) + int(values[_BUFFER_OVERRUN])

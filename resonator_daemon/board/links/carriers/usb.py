@@ -51,7 +51,7 @@ class UsbTarget(LinkTarget):
 
         return open_usb(self)
 
-    def leads_to_the_same(self, other: LinkTarget) -> bool:
+    def same_board(self, other: LinkTarget) -> bool:
         if other.usb_id is None or self.usb_id[:2] != other.usb_id[:2]:
             return False
         numbers = (self.serial_number, other.usb_id.serial_number)
@@ -73,7 +73,7 @@ class UsbTarget(LinkTarget):
 
     @classmethod
     def discover(cls) -> list[FoundPort]:
-        from resonator_daemon.board.links.usb_devices import present_boards  # loads libusb
+        from resonator_daemon.board.links.usb_link import present_boards
 
         ports = []
         for board in present_boards():

@@ -1,5 +1,8 @@
-"""The same adapter under another name, told by what it says of itself."""
+"""Adapters behind serial ports: the same one under another name, and the latency timer of one that collects bytes."""
 
+import errno
+import logging
+import os
 from pathlib import Path
 from typing import Any
 
@@ -7,9 +10,16 @@ import pytest
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
-from resonator_daemon.board.links.port_identity import PortIdentity, find_port, port_identity, serial_ports
+from resonator_daemon.board.links.carriers.serial import (
+    PortIdentity,
+    find_port,
+    port_identity,
+    serial_ports,
+    shorten_latency_timer,
+)
 
 BOARD = PortIdentity(0x1209, 0x0002, "0042", "1.0")
+GONE = "/dev/ttyACM9"  # as configured, and not there
 
 
 def port(device: str, **attributes: Any) -> ListPortInfo:
@@ -49,14 +59,13 @@ def test_it_is_found_under_its_new_name(present: list[ListPortInfo]) -> None:
         port("/dev/ttyACM2", location="2-3:1.2"),  # the other port of the same board
         port("/dev/ttyACM1", location="2-3:1.0"),  # in another socket
     ]
-    assert find_port(BOARD) == "/dev/ttyACM1"
-    assert find_port(BOARD, "/dev/ttyACM9") == "/dev/ttyACM1"
-    assert find_port(BOARD._replace(serial_number="0044")) is None
+    assert find_port(BOARD, GONE) == "/dev/ttyACM1"
+    assert find_port(BOARD._replace(serial_number="0044"), GONE) is None
 
 
 def test_two_that_say_the_same_are_not_guessed_between(present: list[ListPortInfo]) -> None:
     present += [port("/dev/ttyACM1"), port("/dev/ttyACM2", location="2-1:1.0")]
-    assert find_port(BOARD) is None
+    assert find_port(BOARD, GONE) is None
 
 
 def test_a_configured_path_that_is_there_or_belongs_to_udev_is_left_to_itself(
@@ -81,4 +90,50 @@ def test_ports_that_vanish_while_they_are_listed_are_no_crash(
 
     monkeypatch.setattr(list_ports, "comports", comports)
     assert serial_ports() == []
-    assert find_port(BOARD) is None
+    assert find_port(BOARD, GONE) is None
+
+
+PATH = "/dev/ttyUSB7"
+
+
+@pytest.fixture
+def timer(tmp_path: Path) -> Path:
+    """The latency timer of the adapter behind PATH, at 16 ms."""
+    timer = tmp_path / "ttyUSB7" / "device" / "latency_timer"
+    timer.parent.mkdir(parents=True)
+    timer.write_text("16\n")
+    return timer
+
+
+def test_a_timer_is_shortened(timer: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    shorten_latency_timer(PATH, timer.parents[2])
+    assert timer.read_text() == "1"
+    assert not caplog.records
+
+
+def test_a_timer_that_may_not_be_shortened_is_reported_once_with_the_rule(
+    timer: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refuse(_path: Path, _text: str) -> None:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(Path, "write_text", refuse)
+    caplog.set_level(logging.INFO)
+    shorten_latency_timer(PATH, timer.parents[2])
+    shorten_latency_timer(PATH, timer.parents[2])
+    (record,) = caplog.records
+    assert record.levelno == logging.INFO
+    assert f"{PATH} delivers bytes only every 16 ms" in record.getMessage()
+    assert 'ATTR{latency_timer}="1"' in record.getMessage()
+
+
+@pytest.mark.parametrize("text", ["1\n", "0", "none"])
+def test_a_timer_that_is_short_or_unreadable_is_left_alone(
+    timer: Path, text: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    timer.write_text(text)
+    caplog.set_level(logging.INFO)
+    shorten_latency_timer(PATH, timer.parents[2])
+    assert timer.read_text() == text
+    assert not caplog.records
