@@ -15,7 +15,7 @@ from resonator_daemon.board.config import Config
 from resonator_daemon.board.links.link import LinkLostError
 from resonator_daemon.board.session import link_events as wire
 from resonator_daemon.board.session.frame_queue import FrameQueue
-from resonator_daemon.board.session.frames import in_blocks
+from resonator_daemon.board.session.frames import group_adjacent
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
@@ -291,7 +291,7 @@ class SimulatedDaemon:
         self.link.run(seconds, self._handle, fault)
 
     def _handle(self) -> None:
-        for arrival in in_blocks(self.link.queue.pop_all(), BLOCK):
+        for arrival in group_adjacent(self.link.queue.pop_all(), BLOCK):
             self.pipeline.handle(arrival)
 
     def _publish(self, topic: Topic[Any], message: Any) -> None:

@@ -1,7 +1,8 @@
 """Limits of a broker: those it declares when it accepts a connection, and those it shows by ending one."""
 
 from collections import deque
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterable
+from typing import Any, Final, NamedTuple, Protocol
 
 SUSPECT_BYTES_MIN: Final = 1024
 SUSPECT_S: Final = 2.0
@@ -45,6 +46,16 @@ def packet_bytes(topic: str, payload_bytes: int, qos: int, properties_bytes: int
     return _FIXED_BYTES + 2 + len(topic.encode()) + 2 * qos + properties_bytes + payload_bytes
 
 
+class SentMessage(Protocol):
+    """A message that was written to the socket."""
+
+    @property
+    def topic(self) -> str: ...
+
+    @property
+    def size_bytes(self) -> int: ...
+
+
 class _Largest(NamedTuple):
     """A message larger than all before it."""
 
@@ -69,14 +80,14 @@ class LargestMessages:
         self._awaited: deque[int] = deque()  # serial numbers of what is to be acknowledged
         self._received_bytes = 0
         self._suspect: _Largest | None = None
-        self._bytes_max: int | None = None
+        self.limit_bytes = _PACKET_BYTES_MAX
         self._since_s = 0.0
 
     def bytes_max(self, now_s: float) -> int:
-        """Return the largest size of a packet that may be sent."""
-        if self._bytes_max is not None and now_s - self._since_s > EXPIRY_S:
-            self._bytes_max = None
-        return _PACKET_BYTES_MAX if self._bytes_max is None else self._bytes_max
+        """Return the largest size of a packet that may be sent: `limit_bytes` until that expires."""
+        if now_s - self._since_s > EXPIRY_S:
+            self.limit_bytes = _PACKET_BYTES_MAX
+        return self.limit_bytes
 
     def connected(self, *, at_once: bool) -> None:
         """Begin a connection; `at_once`: by the first attempt since the last one ended, else the broker was away."""
@@ -84,16 +95,19 @@ class LargestMessages:
         self._awaited.clear()
         if not at_once:  # another broker may be there, or this one with another limit
             self._suspect = None
-            self._bytes_max = None
+            self.limit_bytes = _PACKET_BYTES_MAX
             self._received_bytes = 0
 
-    def sent(self, size_bytes: int, topic: str, now_s: float, *, awaited: bool) -> None:
-        """Count a message; `awaited`: the broker will acknowledge it."""
-        self._serial += 1
-        if size_bytes > (self._largest[-1].size_bytes if self._largest else self._received_bytes):
-            self._largest.append(_Largest(self._serial, size_bytes, topic, now_s))
-        if awaited:
-            self._awaited.append(self._serial)
+    def sent(self, messages: Iterable[SentMessage], now_s: float, *, awaited: bool = False) -> None:
+        """Count messages; `awaited`: the broker will acknowledge them."""
+        largest_bytes = self._largest[-1].size_bytes if self._largest else self._received_bytes
+        for message in messages:
+            self._serial += 1
+            if message.size_bytes > largest_bytes:
+                largest_bytes = message.size_bytes
+                self._largest.append(_Largest(self._serial, largest_bytes, message.topic, now_s))
+            if awaited:
+                self._awaited.append(self._serial)
 
     def acknowledged(self) -> None:
         """Mark the oldest message to be acknowledged, and all before it, as received by the broker."""
@@ -112,5 +126,5 @@ class LargestMessages:
         if previous is None:
             return None
         smaller = min(previous, self._suspect, key=lambda suspect: suspect.size_bytes)
-        self._bytes_max, self._since_s = smaller.size_bytes - 1, now_s
+        self.limit_bytes, self._since_s = smaller.size_bytes - 1, now_s
         return smaller.topic, smaller.size_bytes

@@ -3,6 +3,7 @@
 import io
 import math
 from collections.abc import Callable, Hashable, Mapping
+from enum import StrEnum
 from functools import cache
 from typing import Any, Final, NamedTuple, TypeVar, cast
 
@@ -17,7 +18,6 @@ from resonator_daemon.mqtt.payloads import WITH_ARRAYS, Measured, Message
 _TAG_ARRAY: Final = 40  # multi-dimensional array, row-major: [shape, elements]
 _TAG_FLOAT32: Final = 85  # typed array of little-endian IEEE 754 binary32
 _DIMENSIONS_MAX: Final = 3
-_AS_IT_IS: Final = frozenset({int, float, str, bool, type(None)})
 
 MessageT = TypeVar("MessageT", bound=Message)
 
@@ -34,7 +34,7 @@ def encode(message: Message | Encoded) -> bytes:
     if isinstance(message, Encoded):
         return message.payload
     if isinstance(message, WITH_ARRAYS):
-        return cbor2.dumps(_plain(message))
+        return cbor2.dumps(_fields(message))
     return message.model_dump_json().encode()
 
 
@@ -106,24 +106,25 @@ def read_arrays(payload: bytes) -> Any:
     return fields
 
 
-def _plain(value: Any) -> Any:
-    """Return a field as CBOR has it; the encoder looks up each other type again in every message."""
-    kind = type(value)
-    if kind in _AS_IT_IS:
-        return value
-    if kind is np.ndarray:
-        return cbor2.CBORTag(_TAG_ARRAY, [value.shape, cbor2.CBORTag(_TAG_FLOAT32, value.tobytes())])
-    if isinstance(value, str):  # a word of a closed set
-        return str(value)
-    if isinstance(value, BaseModel):
-        left_out = _left_out(cast(Hashable, kind))
-        fields = value.__dict__.items()
-        return {name: _plain(field) for name, field in fields if name not in left_out or not left_out[name](field)}
-    return value
+def _fields(message: BaseModel) -> dict[str, Any]:
+    """Return the fields of a model as CBOR has them; the encoder looks up each other type again in every message."""
+    omits = _omits(cast(Hashable, type(message)))
+    fields: dict[str, Any] = {}
+    for name, value in message.__dict__.items():
+        if name in omits and omits[name](value):
+            continue
+        if isinstance(value, np.ndarray):
+            value = cbor2.CBORTag(_TAG_ARRAY, [value.shape, cbor2.CBORTag(_TAG_FLOAT32, value.tobytes())])
+        elif isinstance(value, StrEnum):
+            value = str(value)
+        elif isinstance(value, BaseModel):
+            value = _fields(value)
+        fields[name] = value
+    return fields
 
 
 @cache
-def _left_out(kind: Any) -> dict[str, Callable[[Any], bool]]:
+def _omits(kind: Any) -> dict[str, Callable[[Any], bool]]:
     """Return the optional keys of a model, each with the function that finds it without a value."""
     return {name: field.exclude_if for name, field in kind.model_fields.items() if field.exclude_if is not None}
 

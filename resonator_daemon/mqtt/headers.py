@@ -81,10 +81,6 @@ class Headers:
             "board_boot_id": self.board_boot_id,
         }
 
-    def measured(self, topic: Topic[Any], t_ns: int, t_uncertainty_ns: int, board_ticks: int) -> MeasuredFields:
-        """Return the header of a message about a window, as of `of_window`."""
-        return {"seq": self.next_seq(topic), **self.of_window(t_ns, t_uncertainty_ns, board_ticks)}
-
     def of_window(self, t_ns: int, t_uncertainty_ns: int, board_ticks: int) -> WindowFields:
         """Return what headers of messages about a window share: the UTC of its middle, the board's ticks at its end."""
         return {

@@ -3,7 +3,7 @@
 import asyncio
 import logging
 from collections import deque
-from collections.abc import Collection, Iterator, KeysView
+from collections.abc import Collection, KeysView
 from itertools import chain
 from pathlib import Path
 from time import monotonic
@@ -62,41 +62,36 @@ ItemT = TypeVar("ItemT", bound=_Sized)
 
 
 class BoundedQueue(Generic[ItemT]):
-    """First in, first out; what would exceed the bounds pushes the oldest out, and is itself always taken."""
+    """First in, first out; what would exceed the bounds pushes the oldest out, and is itself always taken.
+
+    `items` are in their order, to be looked at only.
+    """
 
     def __init__(self, count_max: int, bytes_max: int) -> None:
         self._count_max = count_max
         self._bytes_max = bytes_max
-        self._items: deque[ItemT] = deque()
+        self.items: deque[ItemT] = deque()
         self.size_bytes = 0
-
-    def __len__(self) -> int:
-        return len(self._items)
-
-    def __iter__(self) -> Iterator[ItemT]:
-        return iter(self._items)
 
     def put(self, item: ItemT) -> list[ItemT]:
         """Append an item; return those that had to go for it, the oldest first."""
         pushed_out = []
-        while self._items and (
-            len(self._items) >= self._count_max or self.size_bytes + item.size_bytes > self._bytes_max
+        while self.items and (
+            len(self.items) >= self._count_max or self.size_bytes + item.size_bytes > self._bytes_max
         ):
-            pushed_out.append(self.pop())
-        self._items.append(item)
+            pushed_out += self.pop(1)
+        self.items.append(item)
         self.size_bytes += item.size_bytes
         return pushed_out
 
-    def pop(self) -> ItemT:
-        item = self._items.popleft()
-        self.size_bytes -= item.size_bytes
-        return item
-
-    def clear(self) -> list[ItemT]:
-        items = list(self._items)
-        self._items.clear()
-        self.size_bytes = 0
-        return items
+    def pop(self, count: int) -> list[ItemT]:
+        """Remove and return the oldest items, as many as there are."""
+        popped: list[ItemT] = []
+        while self.items and len(popped) < count:
+            item = self.items.popleft()
+            self.size_bytes -= item.size_bytes
+            popped.append(item)
+        return popped
 
 
 class Outbox:
@@ -139,8 +134,8 @@ class Outbox:
 
     @property
     def queued(self) -> int:
-        streams = len(self._reports) + len(self._streams)
-        return len(self._states) + self.events.waiting + len(self._answers) + streams
+        streams = len(self._reports.items) + len(self._streams.items)
+        return len(self._states) + self.events.waiting + len(self._answers.items) + streams
 
     @property
     def waiting(self) -> int:
@@ -162,7 +157,9 @@ class Outbox:
         self.pump_soon()
 
     def put_answer(self, packet: Packet) -> None:
-        self._put(self._answers, packet)
+        for pushed_out in self._answers.put(packet):
+            self._account.drop(Cause.QUEUE_FULL, pushed_out.topic)
+        self.pump_soon()
 
     def put_stream(self, packets: StreamPackets, payload: bytes) -> None:
         """Queue a message of QoS 0; a perishable one is skipped if it has waited too long."""
@@ -171,13 +168,17 @@ class Outbox:
             self._account.drop(Cause.NO_CONNECTION, packets.topic)
             return
         packet, now_s = packets.packet(payload, is_mqtt_5=client.version is MQTT_5), monotonic()
-        stream = _Stream(packets.topic, packet, len(packet), now_s)
-        if stream.size_bytes > self._size_max(client, now_s):
-            self._drop_too_large(packets.topic, stream.size_bytes, client.limits.packet_bytes_max)
-        elif packets.perishable:
-            self._put(self._streams, stream)
-        else:
-            self._put(self._reports, stream)
+        size_bytes, limit_bytes = len(packet), client.limits.packet_bytes_max
+        if size_bytes > limit_bytes or (
+            size_bytes > self._largest.limit_bytes and size_bytes > self._largest.bytes_max(now_s)
+        ):
+            self._drop_too_large(packets.topic, size_bytes, limit_bytes)
+            return
+        queue = self._streams if packets.perishable else self._reports
+        for pushed_out in queue.put(_Stream(packets.topic, packet, size_bytes, now_s)):
+            self._account.drop(Cause.QUEUE_FULL, pushed_out.topic)
+        if not self._pumping:
+            self.pump_soon()
 
     def connected(self, client: BrokerConnection, *, at_once: bool) -> None:
         self._client = client
@@ -256,7 +257,10 @@ class Outbox:
 
     def _pump(self) -> None:
         """Send while the socket takes it; acknowledged messages first, as they are few, but only some at a time."""
-        self._drop_late(monotonic())
+        now_s = monotonic()
+        oldest_s = now_s - self.stream_wait_max_s
+        while self._streams.items and self._streams.items[0].since_s < oldest_s:  # too late to be of use
+            self._drop_late()
         try:
             for _ in range(_TOGETHER):
                 client = self._client
@@ -281,18 +285,17 @@ class Outbox:
             if not self._send(client, packet, 1, event):
                 self.events.done(event)
             return True
-        if self._answers:
-            packet = self._answers.pop()
+        if self._answers.items:
+            (packet,) = self._answers.pop(1)
             self._send(client, packet, 1, packet)
             return True
         return False
 
     def _send_streams(self, client: BrokerConnection) -> bool:
         """Send the streams that wait, as many as one write should hold; return whether more can be sent now."""
-        now_s = monotonic()
         packets: list[bytes] = []
         size_bytes = 0
-        for stream in chain(self._reports, self._streams):
+        for stream in chain(self._reports.items, self._streams.items):
             packets.append(stream.packet)
             size_bytes += stream.size_bytes
             if size_bytes >= _SEND_BYTES:
@@ -300,12 +303,12 @@ class Outbox:
         if not packets:
             return False
         begun, complete = client.send_streams(packets)
-        for _ in range(begun):
-            stream = (self._reports or self._streams).pop()
-            self._largest.sent(stream.size_bytes, stream.topic, now_s, awaited=False)
+        sent = self._reports.pop(begun) if self._reports.items else []
+        sent += self._streams.pop(begun - len(sent))
+        self._largest.sent(sent, monotonic())
         self._account.written += complete
         self._moved.set()
-        return complete == len(packets) and bool(self._reports or self._streams)
+        return complete == len(packets) and bool(self._reports.items or self._streams.items)
 
     def _send(self, client: BrokerConnection, packet: Packet, qos: int, token: object, *, retain: bool = False) -> bool:
         """Write a message to the socket; False: the broker would not take one of this size."""
@@ -314,7 +317,7 @@ class Outbox:
             packet.topic, len(packet.payload), qos, len(properties.pack()) if properties is not None else 0
         )
         now_s = monotonic()
-        if size_bytes > self._size_max(client, now_s):
+        if size_bytes > min(client.limits.packet_bytes_max, self._largest.bytes_max(now_s)):
             self._drop_too_large(packet.topic, size_bytes, client.limits.packet_bytes_max)
             return False
         qos = min(qos, client.limits.qos_max)
@@ -323,7 +326,7 @@ class Outbox:
         except ValueError:  # not a topic that can be published to: of an answer, whose topic others choose
             self._account.drop(Cause.REFUSED, packet.topic)
             return False
-        self._largest.sent(size_bytes, packet.topic, now_s, awaited=qos > 0)
+        self._largest.sent((_Stream(packet.topic, b"", size_bytes, now_s),), now_s, awaited=qos > 0)
         return True
 
     def _drop_too_large(self, topic: str, size_bytes: int, limit_bytes: int) -> None:
@@ -338,25 +341,11 @@ class Outbox:
                 limit_bytes,
             )
 
-    def _drop_late(self, now_s: float) -> None:
-        """Drop the streams that have waited too long to be of use."""
-        if not self._streams:
-            return
-        oldest_s = now_s - self.stream_wait_max_s
-        while self._streams and next(iter(self._streams)).since_s < oldest_s:
-            self._account.drop(Cause.LATE, self._streams.pop().topic)
-            self._moved.set()
-
-    def _size_max(self, client: BrokerConnection, now_s: float) -> int:
-        """Return the size of the largest packet that the broker takes."""
-        return min(client.limits.packet_bytes_max, self._largest.bytes_max(now_s))
-
-    def _put(self, queue: BoundedQueue[WaitingT], packet: WaitingT) -> None:
-        for pushed_out in queue.put(packet):
-            self._account.drop(Cause.QUEUE_FULL, pushed_out.topic)
-        if not self._pumping:
-            self.pump_soon()
+    def _drop_late(self) -> None:
+        for stream in self._streams.pop(1):
+            self._account.drop(Cause.LATE, stream.topic)
+        self._moved.set()
 
     def _drop(self, queue: BoundedQueue[WaitingT], cause: Cause) -> None:
-        for packet in queue.clear():
+        for packet in queue.pop(len(queue.items)):
             self._account.drop(cause, packet.topic)

@@ -80,13 +80,9 @@ class StreamPackets:
     def packet(self, payload: bytes, *, is_mqtt_5: bool) -> bytes:
         """Return a whole packet."""
         head = self._head_5 if is_mqtt_5 else self._head_3
-        return b"".join((_fixed_header(len(head) + len(payload)), head, payload))
-
-
-def _fixed_header(remaining_bytes: int) -> bytes:
-    header = [_PUBLISH]
-    while remaining_bytes > 0x7F:
-        header.append(remaining_bytes & 0x7F | 0x80)
-        remaining_bytes >>= 7
-    header.append(remaining_bytes)
-    return bytes(header)
+        fixed, remaining_bytes = [_PUBLISH], len(head) + len(payload)
+        while remaining_bytes > 0x7F:
+            fixed.append(remaining_bytes & 0x7F | 0x80)
+            remaining_bytes >>= 7
+        fixed.append(remaining_bytes)
+        return b"".join((bytes(fixed), head, payload))

@@ -5,6 +5,8 @@ readers of JSON hold numbers as doubles, exact only to 2^53.
 """
 
 import math
+from functools import partial
+from operator import is_, not_
 from typing import Annotated, Any, Final
 
 import numpy as np
@@ -136,20 +138,12 @@ class CounterType(Word):
 
 def optional(description: str) -> Any:
     """Return the field of a key that a message leaves out where it has no value: None here."""
-    return Field(None, exclude_if=_is_none, description=description)
+    return Field(None, exclude_if=partial(is_, None), description=description)
 
 
 def optional_number(description: str) -> Any:
     """Return the field of a key that a message leaves out where its number is 0."""
-    return Field(0, exclude_if=_is_zero, description=description)
-
-
-def _is_none(value: object) -> bool:
-    return value is None
-
-
-def _is_zero(value: object) -> bool:
-    return value == 0
+    return Field(0, exclude_if=not_, description=description)
 
 
 class Message(BaseModel):
@@ -212,15 +206,10 @@ class Measured(Header):
 
 def rounded(value: float, std: float) -> float:
     """Return `value` to a hundredth of its standard deviation or better, unchanged where that is not known."""
-    places = _places(std)
-    return value if places is None else round(value, places)
+    return round(value, _DIGITS - math.floor(math.log10(std))) if 0.0 < std < math.inf else value
 
 
 def rounded_std(std: float) -> float:
     """Return a standard deviation, or another number of its own scale, to three digits."""
-    places = _places(abs(std))
-    return std if places is None else round(std, places)
-
-
-def _places(std: float) -> int | None:
-    return _DIGITS - math.floor(math.log10(std)) if 0.0 < std < math.inf else None
+    size = abs(std)
+    return round(std, _DIGITS - math.floor(math.log10(size))) if 0.0 < size < math.inf else std

@@ -56,15 +56,10 @@ class _Stream:
 
     def __init__(self, base: str, topic: Topic[Any]) -> None:
         paths = (topic.path,) if topic.slow_hz is None else (topic.path, topic.slow_path)
-        self._packets = tuple(
+        self.packets = tuple(
             StreamPackets(f"{base}/{path}", properties_of(topic), perishable=topic.perishable) for path in paths
         )
-        self._decimator = None if topic.slow_hz is None else Decimator(topic.slow_hz)
-
-    def wanted(self, t_ns: int) -> tuple[StreamPackets, ...]:
-        """Return the packets that a message of this time goes into."""
-        decimated = self._decimator is not None and self._decimator.lets_pass(t_ns)
-        return self._packets if decimated else self._packets[:1]
+        self.decimator = None if topic.slow_hz is None else Decimator(topic.slow_hz)
 
 
 class Publisher:
@@ -98,6 +93,11 @@ class Publisher:
         How long a measured message may wait for the socket, in seconds; older ones are skipped.
     times
         Of the connections.
+
+    Attributes
+    ----------
+    counts
+        Messages by outcome, but for those that wait; `account` is complete.
     """
 
     def __init__(
@@ -127,8 +127,8 @@ class Publisher:
         self._attempt: BrokerConnection | None = None  # to connect, the last one
         self._limits = BrokerLimits()  # that attempts have shown since the last connection, for the next last will
         self._connections = 0
-        self._account = Account()
-        self._outbox = Outbox(self._account, spool_directory, stream_wait_max_s, boot_id=boot_id)
+        self.counts = Account()
+        self._outbox = Outbox(self.counts, spool_directory, stream_wait_max_s, boot_id=boot_id)
         self._announce = announce
         self._retained = RetainedTopics(self._restore)
         self._streams: dict[tuple[str, str], _Stream] = {}  # by base and path
@@ -157,16 +157,16 @@ class Publisher:
         Streams before the first connection, states that a newer one replaced before they were sent, and late messages
         count in `account.dropped` only.
         """
-        return self._account.missed
+        return self.counts.missed
 
     @property
     def skipped_late(self) -> int:
         """Number of messages that waited too long for the socket; part of `lost.skipped_late` of those to come."""
-        return self._account.late
+        return self.counts.late
 
     @property
     def account(self) -> MessageAccount:
-        account = self._account
+        account = self.counts
         return MessageAccount(
             enqueued=account.enqueued,
             republished=account.republished,
@@ -238,7 +238,7 @@ class Publisher:
             try:
                 await self._outbox.events.close()
             finally:
-                self._account.close()
+                self.counts.close()
                 self._ended.set()
 
     async def close(
@@ -276,9 +276,9 @@ class Publisher:
 
     def _make(self, topic: str, refused: Cause | None) -> bool:
         """Count a message; return whether it may be queued."""
-        self._account.enqueued += 1
+        self.counts.enqueued += 1
         if refused is not None:
-            self._account.drop(refused, topic)
+            self.counts.drop(refused, topic)
         return refused is None
 
     def _put_retained(self, packet: Packet) -> None:
@@ -303,14 +303,16 @@ class Publisher:
         stream = self._streams.get((base, topic.path))
         if stream is None:
             stream = self._streams[base, topic.path] = _Stream(base, topic)
-        wanted = stream.wanted(message.t_ns if isinstance(message, (Encoded, Header)) else 0)
-        self._account.enqueued += len(wanted)
+        t_ns = message.t_ns if isinstance(message, (Encoded, Header)) else 0
+        is_decimated = stream.decimator is not None and stream.decimator.lets_pass(t_ns)
+        wanted = stream.packets if is_decimated else stream.packets[:1]
+        self.counts.enqueued += len(wanted)
         if self._closed or self._client is None:
             absent = Cause.NO_CONNECTION if self._connections else Cause.NOT_CONNECTED_YET
             for packets in wanted:
-                self._account.drop(Cause.CLOSED if self._closed else absent, packets.topic)
+                self.counts.drop(Cause.CLOSED if self._closed else absent, packets.topic)
             return
-        payload = encode(message)
+        payload = message.payload if isinstance(message, Encoded) else encode(message)
         for packets in wanted:
             self._outbox.put_stream(packets, payload)
 

@@ -18,9 +18,9 @@ def test_the_newest_that_fit_are_kept_in_order_and_nothing_gets_lost(sizes, coun
     pushed_out = []
     for item in items:
         pushed_out += queue.put(item)
-        assert len(queue) <= count_max
-        assert queue.size_bytes <= bytes_max or len(queue) == 1
-    kept = [queue.pop() for _ in range(len(queue))]
+        assert len(queue.items) <= count_max
+        assert queue.size_bytes <= bytes_max or len(queue.items) == 1
+    kept = queue.pop(count_max)
     assert pushed_out + kept == items
     assert queue.size_bytes == 0
     if kept and pushed_out and len(kept) < count_max:

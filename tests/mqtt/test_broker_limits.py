@@ -9,6 +9,8 @@ from mqtt_helpers import LEFT, Messages, publishing, scripted_broker, until
 
 from resonator_daemon.mqtt import topics
 from resonator_daemon.mqtt.broker_limits import EXPIRY_S, LargestMessages
+from resonator_daemon.mqtt.outbox import Packet
+from resonator_daemon.mqtt.packets import pack
 
 PACKET_SIZE = b"\x27"  # Maximum Packet Size, 4 bytes
 RECEIVE_MAXIMUM = b"\x21"  # 2 bytes
@@ -119,9 +121,9 @@ async def test_a_broker_that_ends_the_connection_upon_a_large_stream_is_not_aske
 
 def ending(largest: LargestMessages, at_s: float, *, at_once: bool = True) -> object:
     largest.connected(at_once=at_once)
-    largest.sent(300, "small", at_s, awaited=True)
+    largest.sent([Packet("small", bytes(300), pack())], at_s, awaited=True)
     largest.acknowledged()
-    largest.sent(40_000, "large", at_s, awaited=False)
+    largest.sent([Packet("large", bytes(40_000), pack())], at_s)
     return largest.ended(at_s + 0.1)
 
 

@@ -1,6 +1,6 @@
 """What a reader passes on: frames with their time, gaps, and events of board and link."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -181,17 +181,17 @@ Arrival = (
 )
 
 
-def in_blocks(arrivals: Iterable[Arrival], most: int) -> Iterator[Arrival | list[Frame]]:
-    """Yield arrivals in their order, adjacent frames together, up to `most` of them."""
+def group_adjacent(arrivals: Iterable[Arrival], most: int) -> list[Arrival | list[Frame]]:
+    """Return arrivals in their order, adjacent frames together, up to `most` of them."""
+    groups: list[Arrival | list[Frame]] = []
     block: list[Frame] = []
     for arrival in arrivals:
-        frame = arrival if isinstance(arrival, Frame) else None
-        if block and (frame is None or frame.index != block[-1].index + 1 or len(block) == most):
-            yield block
+        if not isinstance(arrival, SingleToneFrame | ChannelisedFrame):
+            groups.append(arrival)
             block = []
-        if frame is None:
-            yield arrival
+        elif block and len(block) < most and arrival.index == block[-1].index + 1:
+            block.append(arrival)
         else:
-            block.append(frame)
-    if block:
-        yield block
+            block = [arrival]
+            groups.append(block)
+    return groups

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from typing import Final
 
-from resonator_daemon.board.session.frames import Arrival, Frame, in_blocks
+from resonator_daemon.board.session.frames import Arrival, Frame, group_adjacent
 
 PART_ARRIVALS: Final = 50
 
@@ -44,6 +44,7 @@ class ArrivalLoop:
         self._loop = asyncio.get_running_loop()
         self._arrivals: deque[Arrival | list[Frame]] = deque()
         self._pending = False
+        self._arrived = False  # since the last `pop`
         self._event = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
         self._loop.add_reader(self._event, self._begin)
 
@@ -62,6 +63,7 @@ class ArrivalLoop:
     def _begin(self) -> None:
         os.eventfd_read(self._event)
         self._pending = False
+        self._arrived = True
         if not self._arrivals:  # else the next part is scheduled already
             self._handle_next()
 
@@ -80,10 +82,12 @@ class ArrivalLoop:
         """Return whether no arrival was left."""
         handled = 0
         while handled < PART_ARRIVALS and not self._over.done():
-            if not self._arrivals:  # also after the last one: `_begin` ignores what comes while others are handled
-                self._arrivals.extend(in_blocks(self._pop(), PART_ARRIVALS))
-                if not self._arrivals:
+            if not self._arrivals:
+                if not self._arrived:
                     return True
+                self._arrived = False
+                self._arrivals.extend(group_adjacent(self._pop(), PART_ARRIVALS))
+                continue
             arrival = self._arrivals.popleft()
             self._handle(arrival)
             handled += len(arrival) if isinstance(arrival, list) else 1

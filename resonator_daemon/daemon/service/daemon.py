@@ -109,18 +109,17 @@ class Service:
         self._recording = RecordingSwitch()
         self.daemon_boot_id = secrets.token_hex(4)
         self._decoder: DecoderSupervisor[Any] | None = None
+        self._plate_publisher = PlatePublisher(config, self.daemon_boot_id, self._make_offline)
         self._pipeline = BoardPipeline(
             config,
             self.daemon_boot_id,
             self._publish,
-            lambda: self._plate_publisher.losses,
+            self._plate_publisher.losses,
             loop.call_later,
             self._make_decoder,
             is_late=self._is_late,
         )
-        self._arrivals = ArrivalLoop(
-            lambda: self._reader.pop_arrivals(), self._handle, lambda: self._plate_publisher.batch(), self._over
-        )
+        self._arrivals = ArrivalLoop(self._pop_arrivals, self._handle, self._plate_publisher.batch, self._over)
         self._reader = BoardReader(
             config.link,
             config.plate,
@@ -133,7 +132,6 @@ class Service:
         self._control_requests = ControlRequests(self._reader.request_control)
         self._recorded = RecordedMessages(self._recording.publish, include_messages=config.recording.include_messages)
         self._recordings: RecordingCommands | None = None
-        self._plate_publisher = PlatePublisher(config, self.daemon_boot_id, self._make_offline)
         self._step_ns = round(1e9 * self._pipeline.sensor.step_s)
         self._tasks = asyncio.TaskGroup()
         self._monitor = HealthMonitor()
@@ -284,11 +282,14 @@ class Service:
 
     def _is_late(self, gate_middle: Instant) -> bool:
         """Return whether a message about this instant is late, and a newer one can be made, or it is far too late."""
-        if self._reader.replays:
+        age_ns = time.monotonic_ns() - gate_middle.monotonic_ns
+        if age_ns <= _LATE_NS or self._reader.replays:
             return False
         newer_ns = self._reader.newest_monotonic_ns - gate_middle.monotonic_ns
-        limit_ns = _LATE_NS if newer_ns >= self._step_ns else _TOO_LATE_NS
-        return time.monotonic_ns() - gate_middle.monotonic_ns > limit_ns
+        return newer_ns >= self._step_ns or age_ns > _TOO_LATE_NS
+
+    def _pop_arrivals(self) -> list[Arrival]:
+        return self._reader.pop_arrivals()
 
     def _handle(self, arrival: Arrival | list[Frame]) -> None:
         match arrival:

@@ -70,10 +70,12 @@ class PlatePublisher:
         """Where the messages went."""
         return self._publisher.account if self._publisher else MessageAccount()
 
-    @property
     def losses(self) -> tuple[int, int]:
-        """Numbers of messages that were dropped, and of those that were skipped as late."""
-        return (self._publisher.dropped, self._publisher.skipped_late) if self._publisher else (0, 0)
+        """Return the numbers of messages that were dropped, and of those that were skipped as late."""
+        if self._publisher is None:
+            return 0, 0
+        counts = self._publisher.counts
+        return counts.missed, counts.late
 
     @property
     def command_counts(self) -> dict[str, int]:

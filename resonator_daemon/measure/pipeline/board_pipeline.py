@@ -123,8 +123,9 @@ class BoardPipeline:
         """Publish what follows from an arrival, or from adjacent frames; events for the daemon alone are ignored."""
         match arrival:
             case list():
-                self._pass_frames(arrival[:1])
-                self.publish(arrival, self.measure(arrival))
+                if self._frame_timeout.due_utc_ns is not None:
+                    self._arrive(arrival[0].gate_middle.utc_ns)
+                self.publish(arrival, self.sensor.measure(arrival))
             case SingleToneFrame() | ChannelisedFrame():
                 self.handle([arrival])
             case Gap():
@@ -151,12 +152,8 @@ class BoardPipeline:
             case BoardLogLine():
                 log.log(min(arrival.level, logging.ERROR), "board: %s", arrival.text)
 
-    def measure(self, frames: Sequence[Frame]) -> Sequence[Reading]:
-        """Measure adjacent frames; `publish` is to follow for all of them."""
-        return self.sensor.measure(frames)
-
     def publish(self, frames: Sequence[Frame], readings: Sequence[Reading]) -> None:
-        """Publish readings that end with one of these adjacent frames, and let the time of the frames pass."""
+        """Publish the sensor's readings that end with one of these adjacent frames; let the time of the frames pass."""
         first, start = frames[0].index, 0
         for reading in readings:
             end = reading.sequence - first + 1
@@ -169,7 +166,8 @@ class BoardPipeline:
     def pass_time(self, utc_ns: int) -> None:
         """Advance the time of the host that reads, or read, the board."""
         self._now_utc_ns = utc_ns
-        self._frame_timeout.passed(utc_ns)
+        if self._frame_timeout.due_utc_ns is not None:
+            self._frame_timeout.passed(utc_ns)
         day = utc_ns // DAY_NS
         if day != self._day:
             self._day = day
@@ -178,10 +176,14 @@ class BoardPipeline:
     def _pass_frames(self, frames: Sequence[Frame]) -> Instant:
         """Advance the time by adjacent frames; return the middle of the last gate."""
         middle = frames[-1].gate_middle
-        if middle.utc_ns // DAY_NS != self._day:
+        utc_ns = middle.utc_ns
+        if utc_ns // DAY_NS == self._day and self._frame_timeout.due_utc_ns is None:
+            self._arrived_utc_ns = self._now_utc_ns = utc_ns
+            return middle
+        if utc_ns // DAY_NS != self._day:
             for frame in frames[:-1]:
                 self._arrive(frame.gate_middle.utc_ns)
-        self._arrive(middle.utc_ns)
+        self._arrive(utc_ns)
         return middle
 
     def _arrive(self, utc_ns: int) -> None:

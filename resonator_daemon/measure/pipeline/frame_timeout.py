@@ -26,13 +26,18 @@ class FrameTimeout:
         Called with the reason.
     call_later
         Of the event loop, for which the present counts; None if all time passes by `passed`.
+
+    Attributes
+    ----------
+    due_utc_ns
+        When it calls back, unless frames come; None while they do.
     """
 
     def __init__(self, expire: Callable[[Reason], None], call_later: CallLater | None) -> None:
         self._expire = expire
         self._call_later = call_later
         self._timer: Timer | None = None
-        self._due_utc_ns: int | None = None
+        self.due_utc_ns: int | None = None
         self._waiting = False
 
     def watch(self, link_state: Condition, utc_ns: int) -> None:
@@ -42,13 +47,13 @@ class FrameTimeout:
             self.stop()
         elif not self._waiting:
             self._waiting = True
-            self._due_utc_ns = utc_ns + round(CONTACTS_END_S * 1e9)
+            self.due_utc_ns = utc_ns + round(CONTACTS_END_S * 1e9)
             if self._call_later is not None:
                 self._timer = self._call_later(CONTACTS_END_S, self._run_out)
 
     def passed(self, utc_ns: int) -> None:
         """End the contacts if the time limit has passed at this moment."""
-        if self._due_utc_ns is not None and utc_ns >= self._due_utc_ns:
+        if self.due_utc_ns is not None and utc_ns >= self.due_utc_ns:
             self._run_out()
 
     def stop(self) -> None:
@@ -61,7 +66,7 @@ class FrameTimeout:
         self._expire(Reason(ReasonCode.NO_FRAMES, f"no frames for {CONTACTS_END_S:g} s"))
 
     def _end(self) -> None:
-        self._due_utc_ns = None
+        self.due_utc_ns = None
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

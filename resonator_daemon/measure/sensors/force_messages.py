@@ -40,24 +40,23 @@ class ForceMessages:
         self._lost_fields: dict[str, int] = {}
 
     def header(self, reading: ForceReading, gate_middle: Instant) -> dict[str, Any]:
-        """Return what both messages about a reading share; `gate_middle` is that of the last gate in the window."""
-        middle_ns = self._output.window_middle_ns(reading, gate_middle)
-        header = self._headers.of_window(middle_ns, gate_middle.uncertainty_ns, reading.board_ticks)
-        lost = header["lost"]
+        """Return what all messages about a reading share; `gate_middle` is that of the last gate in the window."""
+        window = self._output.window(reading, gate_middle)
+        lost = window["lost"]
         if lost is not self._lost:  # hundreds of messages repeat the last one
             self._lost, self._lost_fields = lost, {cause: count for cause, count in vars(lost).items() if count}
-        fields = {**header, "lost": self._lost_fields, "status": _STATUS[reading.status]}
+        fields = {**window, "lost": self._lost_fields, "status": _STATUS[reading.status]}
         if reading.reason is not None:
             fields["reason_code"] = reading.reason.code
         return fields
 
     def forces(self, header: dict[str, Any], reading: ForceReading, gate_middle: Instant) -> Encoded:
         fields = {
-            "name": self._headers.name,
+            "name": header["name"],
             "seq": self._headers.next_seq(FORCES),
             **header,
             "window_s": reading.window_s,
-            "sites": tuple([self._site_force(force, gate_middle) for force in reading.sites]),
+            "sites": tuple([self._site_force(force, gate_middle) for force in reading.sites]) if reading.sites else (),
         }
         if reading.reason is not None:
             fields["reason"] = reading.reason.text
@@ -67,26 +66,29 @@ class ForceMessages:
 
     def contacts(self, header: dict[str, Any], reading: ForceReading, gate_middle: Instant) -> Encoded:
         fields = {
-            "name": self._headers.name,
+            "name": header["name"],
             "seq": self._headers.next_seq(CONTACTS),
             **header,
-            "contacts": tuple([self._contact(contact, gate_middle) for contact in reading.contacts]),
+            "contacts": (),
         }
+        if reading.contacts:
+            fields["contacts"] = tuple([self._contact(contact, gate_middle) for contact in reading.contacts])
         return encode_fields(Contacts, fields)
 
     def event(self, event: measured.ContactEvent, reading: ForceReading, gate_middle: Instant) -> ContactEvent:
-        contact = event.contact
+        contact, window = event.contact, self._output.window(reading, gate_middle)
         since_utc_ns = self._since_utc_ns.get(contact.id)
         if since_utc_ns is None:
             # Fixed once: computed again from the board's nominal rate, it would wander by milliseconds an hour.
             age_s = (reading.board_ticks - contact.since_ticks) / self._plate.counter.reference_hz
-            since_utc_ns = self._output.window_middle_ns(reading, gate_middle) - round(age_s * _NS)
+            since_utc_ns = window["t_ns"] - round(age_s * _NS)
             self._since_utc_ns[contact.id] = since_utc_ns
         if event.event == "release":
             del self._since_utc_ns[contact.id]
         peak_newton = rounded(contact.peak_newton, contact.peak_noise_newton)
         return ContactEvent(
-            **self._output.header(CONTACT_EVENT, reading, gate_middle),
+            seq=self._headers.next_seq(CONTACT_EVENT),
+            **window,
             event=event.event,
             **reason_fields(event.reason),
             contact=EventContact(

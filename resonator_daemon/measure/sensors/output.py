@@ -9,7 +9,7 @@ from resonator_daemon.estimate.forces.readings import ForceReading, SkinReading
 from resonator_daemon.measure.latency import Latencies
 from resonator_daemon.measure.sensors.sensor_state import SensorState
 from resonator_daemon.mqtt.codec import Encoded
-from resonator_daemon.mqtt.headers import Headers, MeasuredFields
+from resonator_daemon.mqtt.headers import Headers, WindowFields
 from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.topics import Topic
 
@@ -69,12 +69,7 @@ class MessageOutput:
         self.headers.skip(*topics)
         self.skipped_late += len(topics)
 
-    def header(self, topic: Topic[Any], reading: ForceReading | SkinReading, gate_middle: Instant) -> MeasuredFields:
-        """Return the header of a message about a reading whose last gate has this middle."""
-        return self.headers.measured(
-            topic, self.window_middle_ns(reading, gate_middle), gate_middle.uncertainty_ns, reading.board_ticks
-        )
-
-    def window_middle_ns(self, reading: ForceReading | SkinReading, gate_middle: Instant) -> int:
-        """Return the UTC of the middle of a reading's window."""
-        return gate_middle.utc_ns - round((reading.window_s - self._gate_s) * _NS / 2)
+    def window(self, reading: ForceReading | SkinReading, gate_middle: Instant) -> WindowFields:
+        """Return the header of all messages about a reading whose last gate has this middle, without `seq`."""
+        t_ns = gate_middle.utc_ns - round((reading.window_s - self._gate_s) * _NS / 2)
+        return self.headers.of_window(t_ns, gate_middle.uncertainty_ns, reading.board_ticks)

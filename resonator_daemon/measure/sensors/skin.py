@@ -7,6 +7,7 @@ from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.compatibility import oscillator_hz
+from resonator_daemon.board.session.frame_assembly import variance_of
 from resonator_daemon.board.session.frames import BoardOnline, ChannelisedFrame, Frame
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.forces.readings import SkinReading
@@ -147,11 +148,14 @@ class SkinSensor(Sensor[SkinReading]):
         processing = self._processing
         if processing is None:
             return ()
-        return [
-            processing.push(frame.index, frame.board_ticks, frame.offset_hz16, frame.variance_hz2)
-            for frame in frames
-            if isinstance(frame, ChannelisedFrame)
-        ]
+        readings = []
+        for frame in frames:
+            if isinstance(frame, ChannelisedFrame):
+                tones = frame.tones
+                readings.append(
+                    processing.push(frame.index, frame.board_ticks, tones["offset_hz16"], variance_of(tones))
+                )
+        return readings
 
     def publish(self, reading: SkinReading, gate_middle: Instant) -> None:
         output = self._output
@@ -163,23 +167,24 @@ class SkinSensor(Sensor[SkinReading]):
                 output.skip(*_SURFACE)
                 decoding.skip_late()
             return
-        output.publish(SIGNALS, self._signals(reading, gate_middle))
+        window, next_seq = output.window(reading, gate_middle), output.headers.next_seq
+        output.publish(
+            SIGNALS,
+            Signals(
+                seq=next_seq(SIGNALS),
+                **window,
+                signals=reading.signals,
+                noise_std=reading.noise_std,
+                status=Status(reading.status),
+            ),
+        )
         if decoding is not None:
             # If the frame is skipped, these numbers `seq` are missing.
-            header = output.header(DECODED, reading, gate_middle)
-            contacts_seq = output.headers.next_seq(CONTACTS)
+            header: MeasuredFields = {"seq": next_seq(DECODED), **window}
             decoding.offer(
                 (reading, gate_middle),
-                SurfaceFrame(header, contacts_seq, reading.signals, reading.noise_std, reading.at_rest),
+                SurfaceFrame(header, next_seq(CONTACTS), reading.signals, reading.noise_std, reading.at_rest),
             )
-
-    def _signals(self, reading: SkinReading, gate_middle: Instant) -> Signals:
-        return Signals(
-            **self._output.header(SIGNALS, reading, gate_middle),
-            signals=reading.signals,
-            noise_std=reading.noise_std,
-            status=Status(reading.status),
-        )
 
     def end_contacts(self, reason: Reason) -> None:
         if self._decoding is not None:
@@ -222,7 +227,7 @@ class SkinSensor(Sensor[SkinReading]):
 
     def contacts_header(self, origin: Origin) -> MeasuredFields:
         """Return the header of one more message on `contacts` about a frame."""
-        return self._output.header(CONTACTS, *origin)
+        return {"seq": self._output.headers.next_seq(CONTACTS), **self._output.window(*origin)}
 
 
 SENSOR: Final = SkinSensor

@@ -11,7 +11,7 @@ from resonator_daemon.board.recording.event_replay import Replay
 from resonator_daemon.board.recording.reader import Mark, Recording, damage_in_words
 from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.board.session.frame_queue import FrameQueue
-from resonator_daemon.board.session.frames import Arrival, BoardRefused, Frame, in_blocks
+from resonator_daemon.board.session.frames import Arrival, BoardRefused, Frame, group_adjacent
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import WireEvent
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
@@ -134,7 +134,7 @@ class RecordingReplay:
 
     def _apply_arrivals(self, event: WireEvent, arrivals: list[Arrival]) -> Iterator[Moment]:
         """Give what follows from an event and its arrivals, measured by themselves."""
-        for arrival in in_blocks(arrivals, _BLOCK_FRAMES):
+        for arrival in group_adjacent(arrivals, _BLOCK_FRAMES):
             if isinstance(arrival, BoardRefused):
                 self.refused = tuple(problem.text for problem in arrival.problems)
             self._board.handle(arrival)
@@ -144,7 +144,7 @@ class RecordingReplay:
         """Measure the frames that wait, together; give what follows from each of their events."""
         waiting, self._waiting = self._waiting, []
         frames, self._waiting_frames = self._waiting_frames, []
-        readings = deque(self._board.measure(frames) if frames else ())
+        readings = deque(self._board.sensor.measure(frames) if frames else ())
         start = 0
         for now, arrivals in waiting:
             if arrivals:

@@ -54,7 +54,7 @@ class SkinReporter:
         return self._surface.event(self._header(reading, middle), event)
 
     def _header(self, reading: SkinReading, middle: Instant) -> MeasuredFields:
-        return self.messages.output.header(DECODED, reading, middle)
+        return {"seq": self.messages.headers.next_seq(DECODED), **self.messages.output.window(reading, middle)}
 
 
 @pytest.fixture
