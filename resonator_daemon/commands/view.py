@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     import asyncio
 
     try:
-        from resonator_daemon.tools.live_page.credentials import read_token, tls_of
+        from resonator_daemon.tools.live_page.access import read_token, tls_of
         from resonator_daemon.tools.live_page.hub import Sources
         from resonator_daemon.tools.live_page.server import LivePageOptions, serve
     except ModuleNotFoundError as error:

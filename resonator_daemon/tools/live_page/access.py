@@ -1,23 +1,33 @@
-"""Who may open the live page: checks of host, origin and token of each request, and headers of each answer."""
+"""Who may open the live page: host, origin and token of each request, headers of each answer, and secrets in files."""
 
 import hmac
 import json
 import re
 import secrets
+import ssl
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable
 from ipaddress import IPv6Address
+from pathlib import Path
 from typing import Final
 from urllib.parse import parse_qs
 
 from aiohttp import hdrs, web
 
+from resonator_daemon.base.errors import ConfigurationError
+from resonator_daemon.board.config.broker_files import (
+    BrokerFile,
+    UnusableFileError,
+    read_certificates,
+    read_key,
+    read_password,
+)
 from resonator_daemon.board.config.mqtt import is_this_computer
+from resonator_daemon.mqtt.tls import LEAST_VERSION
 
 COOKIE: Final = "resonatord_view_{}"  # with the port: browsers send the cookies of a host to all of its ports
 LOGIN: Final = "/login"
 TOKEN_CHARACTERS_MIN: Final = 16
-
 _SESSIONS_MAX: Final = 1000
 _HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([0-9a-z._-]+))(?::(\d{1,5}))?", re.ASCII | re.IGNORECASE)
 _PORT_MAX: Final = 65535
@@ -151,3 +161,47 @@ def _refused(status: int, code: str, message: str) -> web.Response:
 
 def _form(status: int, sentence: str) -> web.Response:
     return web.Response(status=status, text=_FORM.format(sentence), content_type="text/html")
+
+
+def read_token(path: Path) -> str:
+    """Return the token in a file, alone on one line.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be read, or the token can be guessed.
+    """
+    try:
+        token = read_password(BrokerFile(str(path), path), "token")
+    except UnusableFileError as error:
+        raise ConfigurationError(f"--token-file {error}") from None
+    if len(token) < TOKEN_CHARACTERS_MIN or not token.isascii():
+        raise ConfigurationError(
+            f"--token-file {path}: the token has {len(token)} characters; at least {TOKEN_CHARACTERS_MIN}, all ASCII, "
+            f"are needed. Make one: openssl rand -hex 16 > {path}"
+        )
+    return token
+
+
+def tls_of(certificate: Path, key: Path) -> ssl.SSLContext:
+    """Return the context of a server with this certificate and key.
+
+    Raises
+    ------
+    ConfigurationError
+        One of both cannot be used.
+    """
+    certificate_file, key_file = BrokerFile(str(certificate), certificate), BrokerFile(str(key), key)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = LEAST_VERSION
+    try:
+        read_certificates(certificate_file)
+        read_key(key_file)
+        context.load_cert_chain(certificate, key)
+    except UnusableFileError as error:
+        raise ConfigurationError(f"--tls-certificate, --tls-key: {error}") from None
+    except ssl.SSLError as error:
+        raise ConfigurationError(
+            f"--tls-key {key}: cannot be used with {certificate} ({error.reason}); name both of a pair"
+        ) from None
+    return context

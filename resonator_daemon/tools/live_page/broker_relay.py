@@ -14,12 +14,12 @@ from resonator_daemon.mqtt.mqtt_messages import Incoming
 from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
 from resonator_daemon.mqtt.subscriber import EVERY_PLATE, topic_filters
 from resonator_daemon.mqtt.topics import TOPICS, full_topic, split_topic
+from resonator_daemon.tools.live_page.protocol import STREAMS
 
 CONNECTING, CONNECTED, DENIED = "connecting", "connected", "denied"
 NO_BROKER, REFUSED, LOST = "no_broker", "broker_refuses", "connection_lost"
 RETAINED_S: Final = 1.0  # after a subscription: retained messages that have not arrived by then are gone
 ROUND_S: Final = 1 / 60  # a display shows no more
-STREAMS: Final = frozenset(path for path, topic in TOPICS.items() if topic.qos == 0)
 
 log = logging.getLogger(__name__)
 

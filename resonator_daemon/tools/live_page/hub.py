@@ -18,13 +18,12 @@ from resonator_daemon.mqtt.payloads import Condition
 from resonator_daemon.mqtt.requests import request as send_command
 from resonator_daemon.mqtt.topics import INFO, STATE_DAEMON, TOPICS
 from resonator_daemon.tools.live_page.broker_relay import CONNECTING, BrokerRelay
-from resonator_daemon.tools.live_page.client import Client
-from resonator_daemon.tools.live_page.frames import LIVE, payload_frame, text_frame
+from resonator_daemon.tools.live_page.browser import Browser
 from resonator_daemon.tools.live_page.library import Library
 from resonator_daemon.tools.live_page.player import Player, play
-from resonator_daemon.tools.live_page.presses import Board, Emulators, Touches
-from resonator_daemon.tools.live_page.recorded import Recorded
-from resonator_daemon.tools.live_page.requests import (
+from resonator_daemon.tools.live_page.presses import Board, Emulators
+from resonator_daemon.tools.live_page.protocol import (
+    LIVE,
     Command,
     Open,
     Play,
@@ -35,6 +34,8 @@ from resonator_daemon.tools.live_page.requests import (
     Request,
     Seek,
     Watch,
+    payload_frame,
+    text_frame,
 )
 
 COMMANDS: Final = ("tare", "mark", "start_recording", "stop_recording")
@@ -67,36 +68,12 @@ class Sources:
     allow_commands: bool = False
 
 
-class _Browser:
-    """What belongs to one browser besides its connection."""
-
-    def __init__(self, client: Client) -> None:
-        self.touches = Touches()
-        self.opened: Sequence[Path] = ()
-        self.players: dict[str, Player] = {}
-        self.openings = 0
-        self._client = client
-
-    def show(self, opened: Sequence[Path], recordings: Sequence[Recorded]) -> None:
-        """Play other recordings, all from their beginnings."""
-        client = self._client
-        for source in self.players:
-            client.outgoing.clear_streams(f"{source}/")
-            client.watched.pop(source, None)
-        self.opened = opened
-        self.players = {
-            source: Player(source, recorded, client.outgoing, client.watches)
-            for source, recorded in zip("ab", recordings, strict=False)
-        }
-        self.openings += 1
-
-
 class Hub:
     """The sources of a page and its browsers, as long as `run` lasts."""
 
     def __init__(self, sources: Sources) -> None:
         self._sources = sources
-        self._browsers: dict[Client, _Browser] = {}
+        self._browsers: set[Browser] = set()
         self._retained: dict[tuple[str, str], bytes] = {}  # by plate and path: messages to the page
         self._named: dict[str, Board] = {}  # by plate: the board that it names in `info`
         self._measuring: set[str] = set()  # plates whose daemon is online, and no replay
@@ -122,27 +99,26 @@ class Hub:
                 if self._relay is not None:
                     tasks.create_task(self._relay.run())
         finally:
-            for browser in self._browsers.values():
+            for browser in self._browsers:
                 browser.show((), self._library.exchange(browser.opened, ()))
             await self._library.close()
 
     async def connect(self, request: web.Request) -> web.StreamResponse:
         """Serve a browser until it disconnects."""
-        client = Client(self._answer)
-        browser = _Browser(client)
+        browser = Browser(self._answer)
         recordings = self._sources.recordings
         browser.show(recordings, self._library.exchange((), recordings))
-        client.outgoing.put(self._hello(browser))
+        browser.outgoing.put(self._hello(browser))
         if self._relay is not None:
-            client.outgoing.put(text_frame("broker", self._status))
+            browser.outgoing.put(text_frame("broker", self._status))
         for message in self._retained.values():
-            client.outgoing.put(message)
-        self._browsers[client] = browser
+            browser.outgoing.put(message)
+        self._browsers.add(browser)
         playing = asyncio.create_task(play(lambda: browser.players.values()))
         try:
-            return await client.run(request)
+            return await browser.run(request)
         finally:
-            del self._browsers[client]
+            self._browsers.discard(browser)
             browser.touches.release_all()
             playing.cancel()
             self._library.exchange(browser.opened, ())
@@ -150,10 +126,10 @@ class Hub:
 
     async def disconnect_all(self) -> None:
         """End the connections to all browsers."""
-        for client in list(self._browsers):
-            await client.close(WSCloseCode.GOING_AWAY, "stopping")
+        for browser in list(self._browsers):
+            await browser.close(WSCloseCode.GOING_AWAY, "stopping")
 
-    def _hello(self, browser: _Browser) -> str:
+    def _hello(self, browser: Browser) -> str:
         sources: list[dict[str, Any]] = []
         if self._sources.broker is not None:
             sources.append({"source": LIVE, "url": self._sources.broker.anonymous().url})
@@ -169,12 +145,12 @@ class Hub:
         return text_frame("hello", hello)
 
     def _send_hello(self) -> None:
-        for client, browser in self._browsers.items():
-            client.outgoing.put(self._hello(browser))
+        for browser in self._browsers:
+            browser.outgoing.put(self._hello(browser))
 
     def _send_to_all(self, message: str | bytes) -> None:
-        for client in self._browsers:
-            client.outgoing.put(message)
+        for browser in self._browsers:
+            browser.outgoing.put(message)
 
     def _relay_message(self, plate: str, path: str, payload: bytes) -> None:
         message = payload_frame(LIVE, plate, path, payload)
@@ -182,9 +158,9 @@ class Hub:
             return
         if not TOPICS[path].qos:
             stream = f"{LIVE}/{plate}/{path}"
-            for client in self._browsers:
-                if client.watches(LIVE, plate, path):
-                    client.outgoing.put_newest(stream, message)
+            for browser in self._browsers:
+                if browser.watches(LIVE, plate, path):
+                    browser.outgoing.put_newest(stream, message)
             return
         if TOPICS[path].retained:
             self._retained.pop((plate, path), None)
@@ -221,22 +197,21 @@ class Hub:
         for plate in [plate for plate, its_board in self._boards.items() if its_board == board]:
             content = {"plate": plate, "t_ns": truth["t_ns"], "contacts": truth["contacts"], "traction_pascal": None}
             message = text_frame("truth", content)
-            for client in self._browsers:
-                if (watched := client.watched.get(LIVE)) is not None and watched[0] == plate:
-                    client.outgoing.put_newest("truth", message)
+            for browser in self._browsers:
+                if (watched := browser.watched.get(LIVE)) is not None and watched[0] == plate:
+                    browser.outgoing.put_newest("truth", message)
 
     async def _report(self) -> None:
         while True:
             await asyncio.sleep(_REPORT_S)
-            for client in self._browsers:
-                content = {"count": len(self._browsers), "skipped": client.outgoing.skipped}
-                client.outgoing.put_newest("clients", text_frame("clients", content))
+            for browser in self._browsers:
+                content = {"count": len(self._browsers), "skipped": browser.outgoing.skipped}
+                browser.outgoing.put_newest("clients", text_frame("clients", content))
 
-    async def _answer(self, client: Client, request: Request) -> dict[str, Any]:
-        browser = self._browsers[client]
+    async def _answer(self, browser: Browser, request: Request) -> dict[str, Any]:
         match request.content:
             case Watch() as watch:
-                self._watch(client, browser, watch)
+                self._watch(browser, watch)
             case Command() as command:
                 return await self._command(command)
             case Press() | Release() as press:
@@ -248,34 +223,34 @@ class Hub:
             case Recordings():
                 return await self._library.listing()
             case Open() as wanted:
-                await self._open(client, browser, wanted.names)
+                await self._open(browser, wanted.names)
         return {}
 
-    async def _open(self, client: Client, browser: _Browser, names: Sequence[str]) -> None:
+    async def _open(self, browser: Browser, names: Sequence[str]) -> None:
         found = await self._library.find(names)
         browser.show(found, self._library.exchange(browser.opened, found))
-        client.outgoing.put(self._hello(browser))
+        browser.outgoing.put(self._hello(browser))
 
-    def _player(self, browser: _Browser, source: str) -> Player:
+    def _player(self, browser: Browser, source: str) -> Player:
         if source not in browser.players:
             raise RefusedRequest("unknown_source", f"source: {source!r} is no recording of this page")
         return browser.players[source]
 
-    def _watch(self, client: Client, browser: _Browser, watch: Watch) -> None:
+    def _watch(self, browser: Browser, watch: Watch) -> None:
         if watch.source != LIVE:
             player = self._player(browser, watch.source)
         elif self._relay is None:
             raise RefusedRequest("unknown_source", "source: this page shows recordings, and no broker's plates")
         if any(sign in watch.plate for sign in "/+#\0"):
             raise RefusedRequest("unknown_plate", f"plate: {watch.plate!r} is no name of a plate")
-        client.outgoing.clear_streams(f"{watch.source}/")
-        client.watched[watch.source] = (watch.plate, watch.topics)
+        browser.outgoing.clear_streams(f"{watch.source}/")
+        browser.watched[watch.source] = (watch.plate, watch.topics)
         if watch.source != LIVE:
             player.watch()
         self._update_watched()
 
     def _update_watched(self) -> None:
-        watched = [client.watched[LIVE] for client in self._browsers if LIVE in client.watched]
+        watched = [browser.watched[LIVE] for browser in self._browsers if LIVE in browser.watched]
         self._emulators.wanted = {self._boards[plate] for plate, _ in watched if plate in self._boards}
         if self._relay is not None:
             self._relay.watch({(plate, path) for plate, paths in watched for path in paths})
@@ -293,7 +268,7 @@ class Hub:
             raise RefusedRequest(error.code, str(error)) from None
         return {key: value for key, value in answer.items() if key != "id"}
 
-    async def _press(self, browser: _Browser, press: Press | Release) -> dict[str, Any]:
+    async def _press(self, browser: Browser, press: Press | Release) -> dict[str, Any]:
         board = self._boards.get(press.plate)
         path = None if board is None else self._emulators.boards.get(board)
         if path is None:

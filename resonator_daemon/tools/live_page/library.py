@@ -1,20 +1,179 @@
 """Recordings of a page: those of its directory, by name, and those that browsers have open, each decoded once."""
 
 import asyncio
+import json
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import signal
+import struct
+import sys
+import tempfile
+from asyncio.subprocess import DEVNULL, PIPE, Process
+from bisect import bisect_right
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 from resonator_daemon.base.errors import meaning_of
-from resonator_daemon.tools.live_page.recorded import Recorded
-from resonator_daemon.tools.live_page.requests import RefusedRequest
+from resonator_daemon.base.host.signals import ended_with_parent
+from resonator_daemon.mqtt.topics import TOPICS
+from resonator_daemon.tools.live_page.protocol import RefusedRequest
 
 OPEN_MAX: Final = 4  # of all browsers together: each is decoded by a process into a temporary file
 LISTED_MAX: Final = 1000
 
 _SUFFIX: Final = ".mcap"
+
+# What the process that decodes writes about each message.
+PATHS: Final = tuple(TOPICS)
+ENTRY: Final = struct.Struct("<Bqqi")  # index of the path, time since the beginning in ns, offset and length
+SCANNED, DONE, FAILED, TIME = 255, 254, 253, 252  # instead of a path; all but TIME are followed by JSON of this length
+
+_WORKER: Final = "resonator_daemon.tools.live_page.recording_worker"
+_ENDED: Final = "its decoding ended before its end; all before that is shown"
+_UNREAD: Final = "its decoding ended before anything was read"
+
+
+@dataclass
+class Track:
+    """Messages of one topic in order: times since the beginning, and where the payloads are."""
+
+    times_ns: list[int] = field(default_factory=list)
+    places: list[tuple[int, int]] = field(default_factory=list)  # offset and length
+
+    def up_to(self, t_ns: int) -> int:
+        """Return how many messages there are until a time, included."""
+        return bisect_right(self.times_ns, t_ns)
+
+
+class Recorded:
+    """One recording; `run` decodes it.
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    on_change
+        Called when plate, duration and marks are known, or the failure.
+
+    Attributes
+    ----------
+    plate
+        Name that its messages are shown under.
+    truncated
+        What is wrong with the file; None: nothing, or it is not known yet.
+    failure
+        Why nothing of the file can be shown; None: something can, or it is not known yet.
+    decoded_ns
+        Time since the beginning up to which messages are there.
+    complete
+        Whether no more messages come.
+    """
+
+    def __init__(self, path: Path, on_change: Callable[[], None]) -> None:
+        self.plate = ""
+        self.truncated: str | None = None
+        self.failure: str | None = None
+        self.decoded_ns = 0
+        self.complete = False
+        self.tracks = {path: Track() for path in PATHS}
+        self._path = path
+        self._on_change = on_change
+        self._duration_s: float | None = None
+        self._marks: list[dict[str, Any]] = []
+        self._file: IO[bytes] | None = None
+
+    def describe(self) -> dict[str, Any]:
+        """Return its entry in `sources` of `hello`, but for the source."""
+        return {
+            "file": self._path.name,
+            "plate": self.plate or None,
+            "duration_s": self._duration_s,
+            "marks": self._marks,
+            "failure": self.failure,
+        }
+
+    @property
+    def end_ns(self) -> int:
+        """Time of the end: of the messages that there are once all are, else of the recording."""
+        return self.decoded_ns if self.complete else max(self.decoded_ns, round((self._duration_s or 0.0) * 1e9))
+
+    def read(self, path: str, number: int) -> bytes:
+        """Return the payload of a message."""
+        offset, length = self.tracks[path].places[number]
+        return b"" if self._file is None else os.pread(self._file.fileno(), length, offset)
+
+    async def run(self) -> None:
+        """Decode, then keep the messages until cancelled."""
+        try:
+            with tempfile.TemporaryFile() as self._file:
+                await self._decode(self._file.fileno())
+                if not self.plate and self.failure is None:
+                    self._fail(_UNREAD)
+                self.complete = True
+                await asyncio.get_running_loop().create_future()
+        except OSError as error:  # descriptors, memory or the disk
+            self._fail(meaning_of(error))
+
+    def _fail(self, failure: str) -> None:
+        self.failure = failure
+        self.complete = True
+        self._on_change()
+
+    async def _decode(self, number: int) -> None:
+        starting = asyncio.ensure_future(
+            asyncio.create_subprocess_exec(
+                *(sys.executable, "-P", "-m", _WORKER, str(self._path), str(number)),
+                stdin=DEVNULL,
+                stdout=PIPE,
+                pass_fds=(number,),
+                start_new_session=True,  # Ctrl-C is for the server
+                preexec_fn=ended_with_parent(signal.SIGKILL),
+            )
+        )
+        try:
+            process = await asyncio.shield(starting)  # asyncio loses a process if its start or its end is cancelled
+            if process.stdout is not None:
+                await self._receive(process.stdout)
+        finally:
+            ending = asyncio.ensure_future(_end(starting))
+            try:
+                await asyncio.shield(ending)
+            finally:
+                await ending
+
+    async def _receive(self, stream: asyncio.StreamReader) -> None:
+        try:
+            while True:
+                kind, t_ns, offset, length = ENTRY.unpack(await stream.readexactly(ENTRY.size))
+                if kind < len(PATHS):
+                    track = self.tracks[PATHS[kind]]
+                    track.times_ns.append(t_ns)
+                    track.places.append((offset, length))
+                elif kind == TIME:
+                    self.decoded_ns = t_ns
+                else:
+                    content = json.loads(await stream.readexactly(length))
+                    if kind == FAILED:
+                        self._fail(content["failure"])
+                        return
+                    if content["truncated"] is not None:
+                        self.truncated = content["truncated"]
+                    if kind == DONE:
+                        return
+                    if kind == SCANNED:
+                        self.plate, self._duration_s = content["plate"], content["duration_s"]
+                        self._marks = content["marks"]
+                        self._on_change()
+        except asyncio.IncompleteReadError:
+            self.truncated = self.truncated or _ENDED
+
+
+async def _end(starting: Awaitable[Process]) -> None:
+    process = await starting
+    if process.returncode is None:
+        process.kill()
+    await process.wait()
 
 
 @dataclass

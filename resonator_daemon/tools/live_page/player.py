@@ -5,9 +5,8 @@ from collections.abc import Callable, Collection
 from typing import Any, Final
 
 from resonator_daemon.mqtt.topics import TOPICS
-from resonator_daemon.tools.live_page.frames import payload_frame, text_frame
-from resonator_daemon.tools.live_page.outgoing import Outgoing
-from resonator_daemon.tools.live_page.recorded import Recorded
+from resonator_daemon.tools.live_page.library import Recorded
+from resonator_daemon.tools.live_page.protocol import Outgoing, payload_frame, text_frame
 
 TURN_S: Final = 1 / 60
 POSITION_S: Final = 0.1

@@ -11,10 +11,9 @@ from page_client import browser, served
 
 from resonator_daemon.board.recording.reader import open_recording
 from resonator_daemon.tools.live_page.hub import Sources
-from resonator_daemon.tools.live_page.library import Library
-from resonator_daemon.tools.live_page.outgoing import Outgoing
+from resonator_daemon.tools.live_page.library import Library, Recorded
 from resonator_daemon.tools.live_page.player import Player
-from resonator_daemon.tools.live_page.recorded import Recorded
+from resonator_daemon.tools.live_page.protocol import Outgoing
 
 CORPUS = Path(__file__).parents[2] / "corpus"
 WHOLE, CUT_OFF = CORPUS / "touches" / "recording.mcap", CORPUS / "cut-off" / "recording.mcap"
@@ -96,7 +95,7 @@ async def test_the_process_that_decodes_a_closed_recording_ends_with_the_page() 
     assert not psutil.Process().children()
 
 
-def test_messages_of_the_first_moment_are_sent_once_they_are_decoded() -> None:
+async def test_messages_of_the_first_moment_are_sent_once_they_are_decoded() -> None:
     recorded, outgoing = Recorded(WHOLE, lambda: None), Outgoing()
     player = Player("a", recorded, outgoing, lambda *_: True)
     for path in ("state/link", "info"):  # none is decoded at the first turn; the second has the time of the first
@@ -104,4 +103,5 @@ def test_messages_of_the_first_moment_are_sent_once_they_are_decoded() -> None:
         recorded.tracks[path].times_ns.append(0)
         recorded.tracks[path].places.append((0, 0))
     player.advance(0)
-    assert [outgoing.pop() for _ in range(3)] == [b"\x0da//state/link", b"\x07a//info", None]
+    outgoing.put_newest("stream", "last")
+    assert [await outgoing.get() for _ in range(3)] == [b"\x0da//state/link", b"\x07a//info", "last"]

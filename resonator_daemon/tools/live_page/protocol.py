@@ -1,13 +1,94 @@
-"""Requests of the page: one JSON object per message, checked; malformed ones are refused with a code."""
+"""The page's protocol: messages to a browser, which wait in its queue, and requests of it, which are checked."""
 
+import asyncio
 import json
 import re
+from collections import deque
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from resonator_daemon.base.toml import shown
-from resonator_daemon.tools.live_page.broker_relay import STREAMS
+from resonator_daemon.mqtt.topics import TOPICS
+
+STREAMS: Final = frozenset(path for path, topic in TOPICS.items() if topic.qos == 0)
+LIVE: Final = "live"  # the source that is a broker; recordings are `a` and `b`
+ADDRESS_MAX: Final = 255  # bytes, which one byte counts
+WAITING_MAX: Final = 2000  # messages other than streams
+WAITING_BYTES_MAX: Final = 64 << 20
+
+
+def payload_frame(source: str, plate: str, path: str, payload: bytes) -> bytes | None:
+    """Return a binary message: one byte n, n bytes `source/plate/path`, the payload.
+
+    None: the address is too long.
+    """
+    address = f"{source}/{plate}/{path}".encode()
+    if len(address) > ADDRESS_MAX:
+        return None
+    return b"".join((bytes((len(address),)), address, payload))
+
+
+def text_frame(key: str, content: Any) -> str:
+    """Return a text message: a JSON object with one key."""
+    return json.dumps({key: content}, separators=(",", ":"))
+
+
+class Outgoing:
+    """Messages for one browser, which its sender takes one after the other; nothing here waits.
+
+    Attributes
+    ----------
+    skipped
+        Messages of streams that were replaced by newer ones before they were sent.
+    overflowed
+        Whether a message other than those of streams was dropped, because too many waited: the browser has to begin
+        again.
+    """
+
+    def __init__(self) -> None:
+        self.skipped = 0
+        self.overflowed = False
+        self._others: deque[bytes | str] = deque()
+        self._bytes = 0
+        self._streams: dict[str, bytes | str] = {}
+        self._some = asyncio.Event()
+
+    def put(self, message: bytes | str) -> None:
+        """Append a message that must arrive."""
+        if len(self._others) >= WAITING_MAX or self._bytes + len(message) > WAITING_BYTES_MAX:
+            self.overflowed = True
+        else:
+            self._others.append(message)
+            self._bytes += len(message)
+        self._some.set()
+
+    def put_newest(self, stream: str, message: bytes | str) -> None:
+        """Put a message of a stream in the place of the one that waits."""
+        self.skipped += stream in self._streams
+        self._streams[stream] = message
+        self._some.set()
+
+    def clear_streams(self, prefix: str) -> None:
+        """Discard what waits of the streams whose names begin with `prefix`."""
+        self._streams = {name: message for name, message in self._streams.items() if not name.startswith(prefix)}
+
+    async def get(self) -> bytes | str | None:
+        """Remove and return the next message, once there is one; None if one was dropped.
+
+        Streams come last, the one that has waited longest first.
+        """
+        while not self.overflowed:
+            if self._others:
+                message = self._others.popleft()
+                self._bytes -= len(message)
+                return message
+            if self._streams:
+                return self._streams.pop(next(iter(self._streams)))
+            self._some.clear()
+            await self._some.wait()
+        return None
+
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Source = Literal["live", "a", "b"]
