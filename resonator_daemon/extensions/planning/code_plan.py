@@ -17,8 +17,7 @@ from resonator_daemon.estimate.forces.codes import CodeOverlap
 from resonator_daemon.extensions.planning.code_ladder import ForceNoise, GuardBand
 from resonator_daemon.extensions.planning.code_trials import Outcomes
 from resonator_daemon.extensions.planning.figures import write_code_figure
-from resonator_daemon.tools.view.pages import number_table
-from resonator_daemon.tools.view.words import quantity
+from resonator_daemon.tools.view.words import number_table, quantity
 
 BITS_A_BYTE: Final = 10  # on a serial line: start bit, 8 data bits, stop bit
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.tools.view.pages import make_figure
+from resonator_daemon.tools.view.words import make_figure
 
 _PANELS_IN_A_ROW: Final = 4
 _PANEL_INCHES: Final = (2.6, 3.4)

@@ -16,8 +16,7 @@ from resonator_daemon.estimate.elastic.sensor_resolution import LOADS, Load, Sen
 from resonator_daemon.estimate.elastic.sensor_sets import SensorSet
 from resonator_daemon.extensions.planning.figures import write_density_figure
 from resonator_daemon.tools.view.maps import side_by_side, traction_map
-from resonator_daemon.tools.view.pages import number_table
-from resonator_daemon.tools.view.words import UNKNOWN, quantity
+from resonator_daemon.tools.view.words import UNKNOWN, number_table, quantity
 
 FEATURES_M: Final = (0.5e-3, 1e-3, 2e-3, 4e-3)
 

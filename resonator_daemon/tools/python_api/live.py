@@ -15,7 +15,7 @@ from resonator_daemon.mqtt.subscriber import EVERY_PLATE, Received
 from resonator_daemon.mqtt.subscriber import subscribe as subscribe_at
 from resonator_daemon.mqtt.topics import TOPICS
 from resonator_daemon.mqtt.verbs import Answer
-from resonator_daemon.tools.python_api.errors import readable_errors
+from resonator_daemon.tools.python_api import readable_errors
 
 
 async def subscribe(

@@ -15,7 +15,7 @@ from resonator_daemon.tools.export.output import Recorded
 from resonator_daemon.tools.export.run import differences_in_words, file_metadata
 from resonator_daemon.tools.export.table_formats import MemoryOutput
 from resonator_daemon.tools.export.tables import WITH_ARRAYS, WITH_TABLE
-from resonator_daemon.tools.python_api.errors import RecordingError, RecordingWarning, readable_errors
+from resonator_daemon.tools.python_api import RecordingError, RecordingWarning, readable_errors
 from resonator_daemon.tools.python_api.tables import Table
 from resonator_daemon.tools.replay.source import open_replay
 from resonator_daemon.tools.replay.span import find_span

@@ -15,7 +15,7 @@ from resonator_daemon.mqtt.payloads import ContactEvent, Contacts
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS
 from resonator_daemon.tools.replay.recorded_pipeline import RecordingReplay, what_is_wrong
 from resonator_daemon.tools.replay.source import open_replay
-from resonator_daemon.tools.view.pages import make_figure, number_table
+from resonator_daemon.tools.view.words import make_figure, number_table
 
 
 class Touch(NamedTuple):

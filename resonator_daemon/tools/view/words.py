@@ -1,8 +1,16 @@
-"""Text of quantities: values with units, and "-" for unknown ones."""
+"""Parts of pages: quantities as text, with units and "-" for unknown ones, tables of numbers, and empty figures."""
 
 import math
 from collections.abc import Mapping
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+from rich.table import Table
+
+from resonator_daemon.base.errors import MissingLibraryError
+from resonator_daemon.base.host.text import how_to_install
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 UNKNOWN: Final = "-"
 
@@ -58,3 +66,23 @@ def losses_in_words(counts: Mapping[str, int]) -> str:
     ]
     others = [f"{counts[cause]} {what}" for cause, what in _NOT_FRAMES.items() if counts.get(cause)]
     return "; ".join([f"frames lost: {', '.join(frames)}" if frames else "no frame lost", *others])
+
+
+def number_table(first: str, *others: str) -> Table:
+    """Return a table without lines, numbers at the right of each column but the first."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column(first, overflow="fold")
+    for name in others:
+        table.add_column(name, justify="right", overflow="fold")
+    return table
+
+
+def make_figure(inches: tuple[float, float]) -> "Figure":
+    """Return an empty figure, which `savefig` writes in the format of a file's suffix; UserError without matplotlib."""
+    try:
+        from matplotlib.figure import Figure
+    except ModuleNotFoundError as error:
+        raise MissingLibraryError(
+            f"--picture needs {error.name}, which is not installed: {how_to_install('matplotlib')}"
+        ) from error
+    return Figure(figsize=inches, layout="constrained")

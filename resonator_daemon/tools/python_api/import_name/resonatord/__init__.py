@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     )
     from resonator_daemon.mqtt.requests import BrokerUnreachableError, NoAnswerError, RefusedError
     from resonator_daemon.mqtt.subscriber import Received
-    from resonator_daemon.tools.python_api.errors import RecordingError, RecordingWarning
+    from resonator_daemon.tools.python_api import RecordingError, RecordingWarning
     from resonator_daemon.tools.python_api.live import command, subscribe
     from resonator_daemon.tools.python_api.recordings import LoadedRecording, Mark, load_recording
     from resonator_daemon.tools.python_api.tables import Table
@@ -73,7 +73,7 @@ _MODULES: Final = {
     ),
     "resonator_daemon.mqtt.requests": ("BrokerUnreachableError", "NoAnswerError", "RefusedError"),
     "resonator_daemon.mqtt.subscriber": ("Received",),
-    "resonator_daemon.tools.python_api.errors": ("RecordingError", "RecordingWarning"),
+    "resonator_daemon.tools.python_api": ("RecordingError", "RecordingWarning"),
     "resonator_daemon.tools.python_api.live": ("command", "subscribe"),
     "resonator_daemon.tools.python_api.recordings": ("LoadedRecording", "Mark", "load_recording"),
     "resonator_daemon.tools.python_api.tables": ("Table",),
