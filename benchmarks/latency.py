@@ -22,7 +22,7 @@ import cbor2
 import numpy as np
 
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.board.config import Measurement
+from resonator_daemon.board.config.tables import Measurement
 from resonator_daemon.mqtt.receiver import Arrival
 from resonator_daemon.mqtt.topics import DECODED, FORCES, full_topic
 from resonator_daemon.tools.demo.processes import local_broker, raise_if_ended, start_daemon, start_emulator

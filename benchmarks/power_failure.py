@@ -29,7 +29,7 @@ from typing import Any, Final, NamedTuple
 from parts import COMMAND, child, emulated_board
 
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.board.config.text import plate_text
+from resonator_daemon.board.config.values import plate_text
 from resonator_daemon.board.recording.reader import RecordingUnusableError, open_recording
 from resonator_daemon.mqtt.spool import FILE, Progress, Spool
 from resonator_daemon.tools.calibration.plate_file import Session, write_plate_file

@@ -27,7 +27,7 @@ from firmware_protocol.layouts import CHANNEL_COUNT, SINGLE_TONE_STRUCT
 from firmware_protocol.messages import CounterKind, Description, Identity
 from firmware_protocol.packets import PacketDecoder
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.writer import RecordingWriter
 from resonator_daemon.board.session.host_time import HostTime

@@ -24,8 +24,8 @@ from long_run_judge import FLAT, FLAT_THOUSANDS, KEPT_MB, Row, print_rows, rises
 from simulated_daemon import STEP_NS, S, Seen, SimulatedBoard, SimulatedDaemon, SimulatedHost, World
 
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.board.config import Decoding, Measurement
-from resonator_daemon.board.config.text import config_of
+from resonator_daemon.board.config.tables import Decoding, Measurement
+from resonator_daemon.board.config.values import config_of
 from resonator_daemon.board.links.carriers import parse_link
 
 _KEPT_THOUSANDS = 0.03  # a day: the samples and events of this benchmark

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.board.config.text import plate_text
+from resonator_daemon.board.config.values import plate_text
 from resonator_daemon.tools.calibration.plate_file import Session
 from resonator_daemon.tools.calibration.run import accept_staged
 

@@ -10,7 +10,7 @@ from resonator_daemon.base.host.text import printable
 from resonator_daemon.tools.command_line.output import print_json
 
 if TYPE_CHECKING:
-    from resonator_daemon.board.config import Client
+    from resonator_daemon.board.config.clients import Client
 
 _AGAIN_S: Final = 0.5
 

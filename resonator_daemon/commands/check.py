@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.board.config.decoder import is_decoders_own, load_decoder_config
+    from resonator_daemon.board.config.clients import is_decoders_own, load_decoder_config
     from resonator_daemon.daemon.service.config_store import load_checked
 
     head: dict[str, object] = {"file": str(arguments.config)}

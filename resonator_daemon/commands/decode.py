@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> ExitCode:
     import asyncio
 
-    from resonator_daemon.board.config.decoder import load_decoder_config
+    from resonator_daemon.board.config.clients import load_decoder_config
     from resonator_daemon.daemon.remote_decoding.service import serve
 
     asyncio.run(serve(load_decoder_config(arguments.config)))

@@ -4,7 +4,7 @@ import json
 from functools import cache
 from typing import Any, Final
 
-from resonator_daemon.board.config import DECODER
+from resonator_daemon.board.config.tables import DECODER
 from resonator_daemon.mqtt.json_schemas import REF, schemas_of_cbor, schemas_of_json, schemas_of_requests
 from resonator_daemon.mqtt.message_examples import (
     ANSWER_EXAMPLES,

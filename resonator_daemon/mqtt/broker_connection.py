@@ -13,7 +13,7 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.properties import Properties
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt import connection_errors
 from resonator_daemon.mqtt.broker_limits import BrokerLimits, limits_of
 from resonator_daemon.mqtt.connection_errors import BrokerError

@@ -5,7 +5,8 @@ from contextlib import aclosing
 from typing import Final
 
 from resonator_daemon.base.errors import ConfigurationError, ExitCode, UserError
-from resonator_daemon.board.config import Client, Mqtt
+from resonator_daemon.board.config.clients import Client
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.mqtt.payloads import Condition, Info, State
 from resonator_daemon.mqtt.subscriber import subscribe

@@ -13,7 +13,7 @@ from paho.mqtt.client import topic_matches_sub
 from paho.mqtt.enums import MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes, Will
 from resonator_daemon.mqtt.broker_limits import BrokerLimits
 from resonator_daemon.mqtt.codec import Encoded, encode

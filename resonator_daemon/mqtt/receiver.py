@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import aiomqtt
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt import connection_errors
 from resonator_daemon.mqtt.broker_connection import ConnectionTimes
 from resonator_daemon.mqtt.connection_errors import BrokerError

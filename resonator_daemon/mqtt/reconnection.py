@@ -9,7 +9,7 @@ from typing import Any
 from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.base.errors import reason_of
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt import connection_errors
 from resonator_daemon.mqtt.broker_connection import MQTT_3, MQTT_5, BrokerConnection, ConnectionTimes
 from resonator_daemon.mqtt.connection_errors import BrokerError

@@ -11,7 +11,7 @@ from paho.mqtt.enums import MQTTProtocolVersion
 from resonator_daemon.base.entry_points import load_entries
 from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.base.reasons import Condition
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import BrokerConnection
 from resonator_daemon.mqtt.mqtt_messages import Incoming
 from resonator_daemon.mqtt.reconnection import connection_session, keep_connected

@@ -9,7 +9,7 @@ from typing import Any, Final
 from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.base.errors import ExitCode, UserError, reason_of
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, BrokerConnection
 from resonator_daemon.mqtt.mqtt_messages import Incoming
 from resonator_daemon.mqtt.reconnection import connection_session, keep_connected

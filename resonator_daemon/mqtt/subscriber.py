@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from pydantic import ValidationError
 
 from resonator_daemon.base.host.text import printable
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.codec import decode
 from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.receiver import Arrival, Receiver

@@ -14,7 +14,7 @@ import tomlkit
 
 from resonator_daemon.base.errors import ConfigurationError, ExitCode
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.board.config.text import plate_text
+from resonator_daemon.board.config.values import plate_text
 from resonator_daemon.commands import main
 from resonator_daemon.daemon.service.config_store import ConfigStore
 from resonator_daemon.daemon.service.daemon import Service

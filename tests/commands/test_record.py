@@ -18,7 +18,7 @@ from recording_bench import read, replayed
 
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.config import load_config
-from resonator_daemon.board.config.text import load_plate_text
+from resonator_daemon.board.config.values import load_plate_text
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import open_recording
 from resonator_daemon.board.session.board_reader import BoardReader

@@ -20,8 +20,8 @@ from typing import Final
 
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.plate import Plate, load_plate
-from resonator_daemon.board.config import Measurement
-from resonator_daemon.board.config.text import config_of, load_settings_text, plate_text, settings_text
+from resonator_daemon.board.config.tables import Measurement
+from resonator_daemon.board.config.values import config_of, load_settings_text, plate_text, settings_text
 from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.switch import RecordingSwitch

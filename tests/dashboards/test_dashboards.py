@@ -17,7 +17,7 @@ import aiomqtt
 import pytest
 from brokers import Mosquitto, free_port
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.message_examples import EXAMPLES
 from resonator_daemon.mqtt.payloads import Condition, Status
 

@@ -11,7 +11,7 @@ from contextlib import asynccontextmanager
 from functools import cache
 from pathlib import Path
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 DEADLINE_S = 30.0  # far beyond what any wait takes: it ends a test that hangs

@@ -6,7 +6,7 @@ import aiomqtt
 import numpy as np
 from example_messages import example, header
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import ContactEvent, Decoded, Forces, Grid, Message, SiteForce
 

@@ -9,7 +9,7 @@ from brokers import Mosquitto
 from commanded import commanded, state
 from example_programs import DEADLINE_S, EXAMPLES
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.topics import STATE_DAEMON
 from resonator_daemon.mqtt.verbs import Ping, Pong
 

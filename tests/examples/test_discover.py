@@ -14,7 +14,7 @@ from report_makers import Messages, configured
 
 from firmware_protocol.messages import Configuration, Description, Identity
 from resonator_daemon.base.plate import Plate, load_plate
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.session.frames import BoardOnline
 from resonator_daemon.mqtt.payloads import Info, State
 

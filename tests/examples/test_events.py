@@ -14,7 +14,7 @@ from example_programs import DEADLINE_S, EXAMPLES, next_line
 from published import event
 from relay import relay
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.commands import CommandRefusedError, Handler
 from resonator_daemon.mqtt.payloads import ContactEvent

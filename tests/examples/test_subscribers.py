@@ -14,7 +14,7 @@ from example_programs import LANGUAGES, next_line, running
 from published import decoded, event, force, forces, publish
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import Grid
 

@@ -14,7 +14,7 @@ from observer import until as until
 from sample_messages import HEADER as HEADER
 from sample_messages import Messages as Messages
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import ConnectionTimes
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.mqtt_messages import Outgoing

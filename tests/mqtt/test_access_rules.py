@@ -15,7 +15,7 @@ from paho.mqtt.client import topic_matches_sub
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, BrokerConnection, Will
 from resonator_daemon.mqtt.connection_errors import BrokerError
 from resonator_daemon.mqtt.mqtt_messages import Incoming

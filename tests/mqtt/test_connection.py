@@ -8,7 +8,7 @@ import pytest
 from brokers import Mosquitto
 from mqtt_helpers import QUICK, publishing, said, scripted_broker, until
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection
 from resonator_daemon.mqtt.mqtt_messages import Incoming
 

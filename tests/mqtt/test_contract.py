@@ -12,7 +12,7 @@ from brokers import Amqtt, Mosquitto
 from mqtt_helpers import LEFT, Messages, publishing, until
 from relay import relay
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt import asyncapi
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.publisher import Publisher

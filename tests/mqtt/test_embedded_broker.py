@@ -10,7 +10,7 @@ import pytest
 from mqtt_helpers import until
 
 from resonator_daemon.base.errors import UserError
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.embedded_broker import embedded_broker
 
 

@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.embedded_broker import embedded_broker
 from resonator_daemon.mqtt.embedded_delivery import UNREAD_BYTES_MAX, PacketReader
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from mqtt_helpers import LEFT, Messages, publishing
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt import asyncapi, payloads, topics
 from resonator_daemon.mqtt.codec import decode, encode
 from resonator_daemon.mqtt.message_examples import EXAMPLES

@@ -13,7 +13,7 @@ from mosquitto_passwords import password_line
 from mqtt_helpers import LEFT, Messages, publishing, until
 from observer import Observer, observe
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt import topics
 from resonator_daemon.mqtt.removal import NoPlateError, NotOfflineError, remove_plate
 from resonator_daemon.mqtt.requests import DeniedError

@@ -12,7 +12,7 @@ from observer import observe
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.commands import Handler
 from resonator_daemon.mqtt.requests import BrokerUnreachableError, DeniedError, NoAnswerError, request
 from resonator_daemon.mqtt.verbs import Mark, MarkAnswer

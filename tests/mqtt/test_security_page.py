@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from brokers import Mosquitto
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, BrokerConnection
 from resonator_daemon.mqtt.connection_errors import BrokerError
 

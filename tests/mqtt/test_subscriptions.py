@@ -5,7 +5,7 @@ import pytest
 from mqtt_helpers import LEFT, Messages, publishing, scripted_broker, until
 from relay import relay
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt import topics
 from resonator_daemon.mqtt.mqtt_messages import Incoming
 from resonator_daemon.mqtt.publisher import Subscription

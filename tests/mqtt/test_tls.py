@@ -16,7 +16,7 @@ from mosquitto_passwords import password_line
 from mqtt_helpers import QUICK, said, until
 from paho.mqtt.enums import MQTTProtocolVersion
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import BrokerConnection
 from resonator_daemon.mqtt.mqtt_messages import Incoming
 from resonator_daemon.mqtt.packets import StreamPackets, pack

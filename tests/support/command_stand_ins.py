@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from resonator_daemon.base.errors import UserError
-from resonator_daemon.board.config import Config, Measurement
+from resonator_daemon.board.config import Config
+from resonator_daemon.board.config.tables import Measurement
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.switch import NothingRecordedError, RecordingNow, RecordingSummary

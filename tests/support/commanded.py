@@ -6,7 +6,7 @@ from contextlib import asynccontextmanager
 
 from example_messages import header
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.commands import Commands, Handler
 from resonator_daemon.mqtt.mqtt_messages import Outgoing
 from resonator_daemon.mqtt.payloads import State

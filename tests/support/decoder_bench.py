@@ -13,7 +13,7 @@ import numpy as np
 from observer import until as until
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.board.config.decoder import load_decoder_config
+from resonator_daemon.board.config.clients import load_decoder_config
 from resonator_daemon.daemon.remote_decoding.service import DecoderProcess
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.mqtt_messages import Incoming

@@ -8,7 +8,7 @@ import numpy as np
 
 from firmware_protocol.layouts import TONE_FIELDS
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.board.config import Measurement
+from resonator_daemon.board.config.tables import Measurement
 from resonator_daemon.board.session.compatibility import gate_ticks, oscillator_hz
 from resonator_daemon.estimate.forces.readings import ForceReading
 from resonator_daemon.measure.sensors.force_sensor import ForceSensor

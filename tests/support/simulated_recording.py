@@ -6,7 +6,7 @@ from threadpoolctl import threadpool_limits
 
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
-from resonator_daemon.board.config.text import config_of, load_settings_text, plate_text, settings_text
+from resonator_daemon.board.config.values import config_of, load_settings_text, plate_text, settings_text
 from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.writer import RecordingWriter

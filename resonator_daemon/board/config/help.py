@@ -10,8 +10,8 @@ from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from resonator_daemon.board.config.board import Config
-from resonator_daemon.board.config.changes import takes_live
+from resonator_daemon.board.config import Config
+from resonator_daemon.board.config.values import takes_live
 
 _UNITS: Final = {"ms": "milliseconds", "minutes": "minutes", "mb": "megabytes, 10^6 bytes"}
 _ROOM_MIN: Final = 20  # columns for text: a terminal that is narrower wraps by itself

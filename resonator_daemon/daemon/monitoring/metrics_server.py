@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 from prometheus_client import CollectorRegistry, make_wsgi_app
 
 from resonator_daemon.base.errors import meaning_of
-from resonator_daemon.board.config import Listen
+from resonator_daemon.board.config.tables import Listen
 from resonator_daemon.daemon.monitoring.metrics import StatusCollector
 from resonator_daemon.daemon.monitoring.status import Status
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.board.config.decoder import DecoderConfig
+from resonator_daemon.board.config.clients import DecoderConfig
 from resonator_daemon.daemon.remote_decoding.plate import (
     NO_SIGNALS,
     WAITS_AFTER_S,

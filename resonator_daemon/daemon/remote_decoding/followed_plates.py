@@ -8,7 +8,7 @@ from typing import Final
 from threadpoolctl import threadpool_limits
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.board.config.decoder import DecoderConfig
+from resonator_daemon.board.config.clients import DecoderConfig
 from resonator_daemon.daemon.remote_decoding.followed_plate import FollowedPlate
 from resonator_daemon.daemon.remote_decoding.plate import Publish
 from resonator_daemon.daemon.remote_decoding.thread_decoding import DecodingThread, ThreadDecoding

@@ -18,8 +18,8 @@ from resonator_daemon.base.host.load import ProcessUsage
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.systemd import ServiceManager
 from resonator_daemon.base.reasons import Reason, ReasonCode, joined
-from resonator_daemon.board.config import DECODER
-from resonator_daemon.board.config.decoder import DecoderConfig
+from resonator_daemon.board.config.clients import DecoderConfig
+from resonator_daemon.board.config.tables import DECODER
 from resonator_daemon.daemon.monitoring.liveness import LivenessMonitor
 from resonator_daemon.daemon.remote_decoding.followed_plate import FollowedPlate
 from resonator_daemon.daemon.remote_decoding.followed_plates import FollowedPlates

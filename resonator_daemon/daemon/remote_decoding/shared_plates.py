@@ -15,8 +15,8 @@ from threadpoolctl import threadpool_limits
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.board.config import plate_name
-from resonator_daemon.board.config.decoder import DecoderConfig
+from resonator_daemon.board.config.clients import DecoderConfig
+from resonator_daemon.board.config.tables import plate_name
 from resonator_daemon.daemon.remote_decoding.plate import (
     NO_SIGNALS,
     WAITS_AFTER_S,

@@ -6,7 +6,8 @@ from collections.abc import Awaitable, Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, get_args
 
-from resonator_daemon.board.config import Config, Measurement, timing_problems
+from resonator_daemon.board.config import Config, timing_problems
+from resonator_daemon.board.config.tables import Measurement
 from resonator_daemon.daemon.service.recording_commands import RecordingCommands, as_json_text
 from resonator_daemon.measure.pipeline import control_requests
 from resonator_daemon.measure.pipeline.control_requests import Control

@@ -6,7 +6,7 @@ import logging
 from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config import Config
-from resonator_daemon.board.config.changes import Changes, applied, changes, values_in_words
+from resonator_daemon.board.config.values import Changes, applied, changes, values_in_words
 from resonator_daemon.daemon.monitoring.status import ConfigChange, ConfigStatus
 from resonator_daemon.daemon.service.config_store import ConfigStore, Loaded
 from resonator_daemon.daemon.service.recording_commands import as_json_text

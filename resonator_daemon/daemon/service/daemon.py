@@ -20,7 +20,8 @@ from resonator_daemon.base.host.state_log import StateLog
 from resonator_daemon.base.host.systemd import ServiceManager, tag_log
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.board.config import Config, plate_name
+from resonator_daemon.board.config import Config
+from resonator_daemon.board.config.tables import plate_name
 from resonator_daemon.board.recording.event_replay import replay_of
 from resonator_daemon.board.recording.switch import RecordingSwitch
 from resonator_daemon.board.session.board_reader import BoardReader

@@ -6,7 +6,7 @@ from typing import Final
 
 from resonator_daemon.base.errors import UserError, reason_of
 from resonator_daemon.board.config import Config
-from resonator_daemon.board.config.text import plate_text, settings_text
+from resonator_daemon.board.config.values import plate_text, settings_text
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.switch import (

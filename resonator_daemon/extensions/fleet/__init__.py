@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.base.host.signals import interruptible
     from resonator_daemon.base.plate import load_plate
-    from resonator_daemon.board.config.text import load_settings_text, plate_text
+    from resonator_daemon.board.config.values import load_settings_text, plate_text
     from resonator_daemon.extensions.fleet.chunks import Job, recordings_of
     from resonator_daemon.extensions.fleet.redecoding import chosen_topics, decode_all
 

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 
 from resonator_daemon.base.errors import NoRecordingError
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.board.config import Config, Decoding
-from resonator_daemon.board.config.text import Settings, load_plate_text, load_settings_text
+from resonator_daemon.board.config import Config
+from resonator_daemon.board.config.tables import Decoding
+from resonator_daemon.board.config.values import Settings, load_plate_text, load_settings_text
 from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.recording.event_replay import Replay
 from resonator_daemon.board.recording.outline import PartStart, read_outline

@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> ExitCode:
     import asyncio
 
-    from resonator_daemon.board.config import Listen, plate_name
+    from resonator_daemon.board.config.tables import Listen, plate_name
     from resonator_daemon.extensions.foxglove.server import serve
 
     if arguments.plate is not None:

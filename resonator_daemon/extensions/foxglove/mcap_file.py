@@ -3,7 +3,7 @@
 import json
 from typing import Any
 
-from resonator_daemon.board.config.text import plate_text, settings_text
+from resonator_daemon.board.config.values import plate_text, settings_text
 from resonator_daemon.board.recording.reader import MARKS, PLATE_FILE, SETTINGS_FILE, Mark, encode_mark
 from resonator_daemon.extensions.clouds import Geometry
 from resonator_daemon.extensions.foxglove.messages import ChannelMessage, FoxgloveMessages

@@ -14,7 +14,8 @@ from typing import Any, Final
 from resonator_daemon.base.errors import ListenError, MissingLibraryError
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.text import how_to_install
-from resonator_daemon.board.config import Listen, Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
+from resonator_daemon.board.config.tables import Listen
 from resonator_daemon.extensions.clouds import Geometry
 from resonator_daemon.extensions.foxglove.messages import ChannelMessage, FoxgloveMessages
 from resonator_daemon.mqtt.payloads import Condition, Info, Message, State

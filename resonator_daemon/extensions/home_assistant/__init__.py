@@ -5,7 +5,7 @@ import json
 import re
 from typing import Any, Final
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.payloads import Condition, CounterType, Info
 from resonator_daemon.mqtt.topics import CONTACTS, HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
 

@@ -14,7 +14,7 @@ from contextlib import aclosing, suppress
 from typing import Any, Final
 
 from resonator_daemon.base.host.signals import on_signals
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.extensions.clouds import Geometry
 from resonator_daemon.extensions.ros2.message_types import DIAGNOSTICS, make_typestore
 from resonator_daemon.extensions.ros2.messages import (

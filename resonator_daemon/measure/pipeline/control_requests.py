@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, Field, TypeAdapter
 
-from resonator_daemon.board.config import Measurement
+from resonator_daemon.board.config.tables import Measurement
 
 
 class Tare(BaseModel):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason
-from resonator_daemon.board.config import Decoding, Measurement
+from resonator_daemon.board.config.tables import Decoding, Measurement
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.frames import BoardOnline, Frame
 from resonator_daemon.estimate.forces.readings import ForceReading, SkinReading

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason
-from resonator_daemon.board.config import Measurement
+from resonator_daemon.board.config.tables import Measurement
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.compatibility import oscillator_hz
 from resonator_daemon.board.session.frames import BoardOnline, Frame

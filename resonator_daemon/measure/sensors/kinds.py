@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import Any
 
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.board.config import Decoding, Measurement
+from resonator_daemon.board.config.tables import Decoding, Measurement
 from resonator_daemon.measure.sensors.base import Sensor
 
 

@@ -8,7 +8,8 @@ from resonator_daemon.base.errors import UsageError
 from resonator_daemon.tools.command_line.argument_types import add_config_argument
 
 if TYPE_CHECKING:
-    from resonator_daemon.board.config import Client, Mqtt
+    from resonator_daemon.board.config.clients import Client
+    from resonator_daemon.board.config.mqtt import Mqtt
 
 
 def add_broker(parser: argparse.ArgumentParser, *, config_is_argument: bool = False) -> None:
@@ -23,7 +24,8 @@ def add_broker(parser: argparse.ArgumentParser, *, config_is_argument: bool = Fa
 
 def broker_of(arguments: argparse.Namespace) -> "Mqtt":
     """Return the broker that is meant; UserError where it cannot be used."""
-    from resonator_daemon.board.config import Mqtt, load_client
+    from resonator_daemon.board.config.clients import load_client
+    from resonator_daemon.board.config.mqtt import Mqtt
     from resonator_daemon.tools.view.watch import broker_at
 
     if arguments.config is None:
@@ -52,7 +54,8 @@ def client_of(arguments: argparse.Namespace) -> "Client":
     UserError
         They name none, or contradict each other, or the configuration cannot be used.
     """
-    from resonator_daemon.board.config import Client, load_client, plate_name
+    from resonator_daemon.board.config.clients import Client, load_client
+    from resonator_daemon.board.config.tables import plate_name
 
     name = arguments.name
     if name is None and arguments.config is None:

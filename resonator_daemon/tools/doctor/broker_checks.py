@@ -12,7 +12,7 @@ from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.base.errors import meaning_of, reason_of
 from resonator_daemon.base.host.text import page
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt import connection_errors
 from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes
 from resonator_daemon.mqtt.mqtt_messages import Incoming

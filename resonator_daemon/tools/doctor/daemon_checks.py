@@ -13,7 +13,8 @@ from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.host.load import REMEDY
 from resonator_daemon.base.host.text import page
 from resonator_daemon.base.reasons import ReasonCode
-from resonator_daemon.board.config import Mqtt, load_config
+from resonator_daemon.board.config import load_config
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.daemon.monitoring.status_client import Answer, ask_all

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from resonator_daemon.base.errors import meaning_of
-from resonator_daemon.board.config import Recording
+from resonator_daemon.board.config.tables import Recording
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding
 from resonator_daemon.tools.doctor.host import Host

@@ -15,7 +15,8 @@ from resonator_daemon.base.host.files import state_directory
 from resonator_daemon.base.host.signals import interruptible
 from resonator_daemon.base.plate import Plate, load_plate, shipped_plates
 from resonator_daemon.base.reasons import ReasonCode
-from resonator_daemon.board.config import Config, Mqtt, load_config
+from resonator_daemon.board.config import Config, load_config
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.links.port_holders import Holders, port_holders
 from resonator_daemon.board.links.target import LinkTarget

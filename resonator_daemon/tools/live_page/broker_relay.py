@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from paho.mqtt.enums import MQTTProtocolVersion
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import MQTT_3, BrokerConnection
 from resonator_daemon.mqtt.connection_errors import UNSUPPORTED_VERSION, RefusalError, code_of
 from resonator_daemon.mqtt.mqtt_messages import Incoming

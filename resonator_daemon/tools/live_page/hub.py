@@ -13,7 +13,7 @@ from aiohttp import WSCloseCode, web
 
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.reasons import ReasonCode
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.payloads import Condition
 from resonator_daemon.mqtt.requests import request as send_command
 from resonator_daemon.mqtt.topics import INFO, STATE_DAEMON, TOPICS

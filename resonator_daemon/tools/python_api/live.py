@@ -8,7 +8,8 @@ from pydantic import ValidationError
 
 from resonator_daemon.base.errors import UsageError
 from resonator_daemon.base.toml import nearest, shown
-from resonator_daemon.board.config import Mqtt, plate_name
+from resonator_daemon.board.config.mqtt import Mqtt
+from resonator_daemon.board.config.tables import plate_name
 from resonator_daemon.mqtt.daemon_search import find_online, find_plate
 from resonator_daemon.mqtt.requests import ANSWER_S, execute, reach
 from resonator_daemon.mqtt.subscriber import EVERY_PLATE, Received

@@ -15,7 +15,7 @@ from resonator_daemon.base.errors import ExitCode, UserError, meaning_of
 from resonator_daemon.base.host.files import NoNewFileError, check_new, takes_a_stream
 from resonator_daemon.base.host.text import printable
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.codec import Encoded, encode
 from resonator_daemon.mqtt.daemon_state import DaemonSnapshot, DaemonState
 from resonator_daemon.mqtt.headers import Headers

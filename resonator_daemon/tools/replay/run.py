@@ -13,7 +13,9 @@ from typing import Any, Final
 from resonator_daemon.base.errors import ConfigurationError, InterruptedCommandError, UsageError
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.text import printable
-from resonator_daemon.board.config import Config, Mqtt, plate_name
+from resonator_daemon.board.config import Config
+from resonator_daemon.board.config.mqtt import Mqtt
+from resonator_daemon.board.config.tables import plate_name
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.mqtt.payloads import Info
 from resonator_daemon.mqtt.topics import Topic

@@ -10,7 +10,7 @@ from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.base.host.text import printable
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.config import Config
-from resonator_daemon.board.config.text import Settings, config_of, load_plate_text, load_settings_text
+from resonator_daemon.board.config.values import Settings, config_of, load_plate_text, load_settings_text
 from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.board.recording.reader import PLATE_FILE, SETTINGS_FILE, Recording, open_recording
 from resonator_daemon.tools.replay.recorded_pipeline import RecordingReplay

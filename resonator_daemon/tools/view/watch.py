@@ -18,7 +18,7 @@ from rich.text import Text
 from resonator_daemon.base.errors import UsageError
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.toml import shown
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.subscriber import subscribe
 from resonator_daemon.tools.view.plate_view import PlateView

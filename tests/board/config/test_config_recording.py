@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from config_files import loaded, refusals
 
-from resonator_daemon.board.config import Listen
+from resonator_daemon.board.config.tables import Listen
 
 BASE = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
 

@@ -8,8 +8,14 @@ from plates import with_counter
 
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.base.plate_tables import Coupling
-from resonator_daemon.board.config import Mqtt
-from resonator_daemon.board.config.text import config_of, load_plate_text, load_settings_text, plate_text, settings_text
+from resonator_daemon.board.config.mqtt import Mqtt
+from resonator_daemon.board.config.values import (
+    config_of,
+    load_plate_text,
+    load_settings_text,
+    plate_text,
+    settings_text,
+)
 from resonator_daemon.board.links.carriers.recording import RecordingTarget
 
 ORIGIN = Path("run.mcap/plate.toml")

@@ -6,7 +6,7 @@ import pytest
 
 from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.board.config import example_config
-from resonator_daemon.board.config.decoder import DecoderConfig, load_decoder_config
+from resonator_daemon.board.config.clients import DecoderConfig, load_decoder_config
 
 
 def loaded(tmp_path: Path, text: str) -> DecoderConfig:

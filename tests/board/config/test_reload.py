@@ -7,8 +7,7 @@ from config_files import loaded
 from plates import with_counter
 
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.board.config.changes import Changes, applied, changes
-from resonator_daemon.board.config.text import plate_text
+from resonator_daemon.board.config.values import Changes, applied, changes, plate_text
 
 BASE = 'name = "left"\nplate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
 

@@ -10,7 +10,7 @@ import pytest
 from decoder_bench import NOISE, NU, PITCH_M, SITES_M, E, incoming, info, pressed, signals, until
 from observer import running_task
 
-from resonator_daemon.board.config.decoder import DecoderConfig
+from resonator_daemon.board.config.clients import DecoderConfig
 from resonator_daemon.board.config.tables import Decoding
 from resonator_daemon.daemon.remote_decoding import followed_plate
 from resonator_daemon.daemon.remote_decoding.followed_plate import FollowedPlate

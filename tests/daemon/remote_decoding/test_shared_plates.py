@@ -12,7 +12,7 @@ from decoder_bench import incoming, info, signals, until
 from observer import running_task
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.board.config.decoder import DecoderConfig
+from resonator_daemon.board.config.clients import DecoderConfig
 from resonator_daemon.board.config.tables import Decoding
 from resonator_daemon.daemon.remote_decoding import shared_plates
 from resonator_daemon.daemon.remote_decoding.shared_plates import SharedPlates

@@ -12,7 +12,7 @@ from published_schema import ALWAYS, check_all
 from service_bench import Bench
 
 from resonator_daemon.base.host.files import state_directory
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.requests import request
 from resonator_daemon.mqtt.verbs import VERBS
 

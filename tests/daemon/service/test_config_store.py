@@ -10,7 +10,7 @@ import pytest
 
 from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.board.config.text import plate_text
+from resonator_daemon.board.config.values import plate_text
 from resonator_daemon.daemon.service.config_store import ConfigStore
 
 GOOD = (

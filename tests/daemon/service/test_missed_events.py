@@ -7,7 +7,7 @@ from observer import observe
 from scenarios import IDEAL, touch_text
 from service_bench import Bench, events
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.requests import request
 
 TOUCHES = "period_s = 0.5\n" + IDEAL + touch_text(0.1, 1.0, 0.2, site=7)

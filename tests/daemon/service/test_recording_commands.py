@@ -9,7 +9,7 @@ import pytest
 from command_stand_ins import configured
 
 from resonator_daemon.board.config import Config
-from resonator_daemon.board.config.text import load_plate_text, load_settings_text
+from resonator_daemon.board.config.values import load_plate_text, load_settings_text
 from resonator_daemon.board.links.carriers.recording import RecordingTarget
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import Origin, open_recording

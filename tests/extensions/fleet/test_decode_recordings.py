@@ -18,7 +18,7 @@ import pytest
 from simulated_recording import record
 from small_disk import small_disk
 
-from resonator_daemon.board.config.text import plate_text
+from resonator_daemon.board.config.values import plate_text
 from resonator_daemon.commands import main
 from resonator_daemon.extensions.fleet.chunk_files import REPORTS
 from resonator_daemon.tools.replay.source import open_replay

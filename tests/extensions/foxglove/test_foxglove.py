@@ -26,7 +26,8 @@ from scipy.spatial.transform import Rotation
 from websockets.asyncio.client import ClientConnection, connect
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.board.config import Listen, Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
+from resonator_daemon.board.config.tables import Listen
 from resonator_daemon.commands import main
 from resonator_daemon.extensions.clouds import Geometry
 from resonator_daemon.extensions.foxglove.messages import FoxgloveMessages

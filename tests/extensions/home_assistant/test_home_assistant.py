@@ -12,7 +12,7 @@ from observer import Observer, observe
 from scenarios import IDEAL, touch_text
 from service_bench import Bench
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.extensions.home_assistant import discovery
 from resonator_daemon.mqtt.payloads import Condition, CounterType, Info
 from resonator_daemon.mqtt.removal import remove_plate

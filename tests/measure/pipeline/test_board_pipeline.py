@@ -8,7 +8,7 @@ from report_makers import configured
 from test_pipeline_messages import FORCE_PLATE as PLATE
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.board.config import Measurement
+from resonator_daemon.board.config.tables import Measurement
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.counters import FrameLoss
 from resonator_daemon.board.session.frames import Arrival, Gap, LinkChange, Outage

@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from resonator_daemon.board.config import Measurement
+from resonator_daemon.board.config.tables import Measurement
 from resonator_daemon.measure.pipeline.control_requests import ControlRequests, SetWindow, Tare, parse_request
 
 

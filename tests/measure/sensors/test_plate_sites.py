@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from resonator_daemon.base.plate import Plate, load_plate
-from resonator_daemon.board.config import Measurement
+from resonator_daemon.board.config.tables import Measurement
 from resonator_daemon.measure.sensors.kinds import sensor_of
 from resonator_daemon.measure.sensors.plate_sites import force_sites
 

@@ -7,7 +7,7 @@ import pytest
 from brokers import Mosquitto
 from relay import relay
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import ConnectionTimes
 from resonator_daemon.tools.doctor import broker_checks
 from resonator_daemon.tools.doctor.broker_checks import check_broker

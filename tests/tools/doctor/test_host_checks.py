@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 from made_up_host import MadeUpHost
 
-from resonator_daemon.board.config import Recording
+from resonator_daemon.board.config.tables import Recording
 from resonator_daemon.tools.doctor.finding import Outcome
 from resonator_daemon.tools.doctor.host import Host
 from resonator_daemon.tools.doctor.host_checks import check_clock, check_disk, check_service

@@ -11,7 +11,7 @@ from made_up_host import MadeUpHost
 from observer import Observer, observe
 from service_bench import Bench
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.links.carriers.serial import SerialTarget
 from resonator_daemon.board.links.carriers.tcp import TcpTarget
 from resonator_daemon.board.links.carriers.usb import UsbTarget

@@ -18,7 +18,7 @@ from page_client import Browser, browser, served
 from wire_host import opened
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.commands import main
 from resonator_daemon.tools.live_page.hub import Sources
 from simulators.emulator import EmulatorOptions

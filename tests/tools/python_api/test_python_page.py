@@ -14,7 +14,7 @@ from brokers import Mosquitto
 from commanded import commanded, state
 from example_messages import example
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import Forces, SiteForce
 from resonator_daemon.mqtt.topics import STATE_DAEMON

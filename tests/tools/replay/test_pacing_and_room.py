@@ -7,7 +7,7 @@ from brokers import Mosquitto
 from observer import observe
 
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.recording.reader import Mark, Origin
 from resonator_daemon.board.recording.recorder import Recorder
 from resonator_daemon.board.session.host_time import HostTime

@@ -10,7 +10,7 @@ from plates import SMALL_SKIN
 from scenarios import IDEAL, touch_text
 from service_bench import Bench, events
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.daemon.service.config_store import ConfigStore
 from resonator_daemon.daemon.service.daemon import Service
 from resonator_daemon.mqtt.codec import decode

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from view_messages import NOW_NS, S, decoded, forces, info, site_force, state
 
-from resonator_daemon.board.config import Mqtt
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt import topics
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.mqtt_messages import Outgoing

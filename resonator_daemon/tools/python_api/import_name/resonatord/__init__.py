@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from resonator_daemon.base.errors import UserError
-    from resonator_daemon.board.config import Mqtt
+    from resonator_daemon.board.config.mqtt import Mqtt
     from resonator_daemon.mqtt.daemon_search import NoDaemonError
     from resonator_daemon.mqtt.payloads import (
         ContactEvent,

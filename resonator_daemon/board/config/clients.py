@@ -1,14 +1,56 @@
-"""Configuration of a decoder process: a file of its own, or its part of the daemon's file."""
+"""Configuration of clients and decoder processes: a file of their own, or their part of the daemon's file."""
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
-from pydantic import AfterValidator, Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo, field_validator
 
-from resonator_daemon.base.toml import Table, read_toml
-from resonator_daemon.board.config.board import load_part
+from resonator_daemon.base.toml import Table, load_model, read_toml
+from resonator_daemon.board.config import Config, config_from
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.config.tables import Decoding, plate_name
+from resonator_daemon.board.links.carriers import parse_link
+from resonator_daemon.board.links.target import LinkTarget
+
+_Part = TypeVar("_Part", bound=Table)
+
+
+class Client(Table):
+    """Configuration of a client: the broker, and the daemon by its name or its link."""
+
+    name: Annotated[str, Field(max_length=100), AfterValidator(plate_name)] | None = None
+    link: Annotated[LinkTarget, PlainValidator(parse_link)] | None = None
+    mqtt: Mqtt = Mqtt()
+
+
+def load_client(path: Path) -> Client:
+    """Load a client's configuration from the daemon's file, which is checked as a whole, or from a file of its own.
+
+    Raises
+    ------
+    ConfigurationError
+        One message for each finding.
+    """
+    file = read_toml(path)
+    if "plate" not in file.content:
+        return load_part(Client, path)
+    config = config_from(file, path.parent)
+    return Client.model_construct(name=config.name, link=config.link, mqtt=config.mqtt)
+
+
+def load_part(model: type[_Part], path: Path) -> _Part:
+    """Load the keys of a model from a configuration file; keys of the daemon alone are ignored.
+
+    Raises
+    ------
+    ConfigurationError
+        One message for each finding.
+    """
+    file = read_toml(path)
+    of_the_daemon = Config.model_fields.keys() - model.model_fields.keys()
+    content = {key: value for key, value in file.content.items() if key not in of_the_daemon}
+    return load_model(model, replace(file, content=content), context=path.parent)
 
 
 class DecoderConfig(Table):
