@@ -1,20 +1,25 @@
-"""Codes of sites from known masses: f0, signed K, scatter and response; doubtful steps are named."""
+"""Codes of sites from known masses, f0, signed K, scatter and response, and temperature terms from a sweep.
+
+Doubtful steps and exchanged loads are named.
+"""
 
 import math
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Final
 
 import numpy as np
-from scipy.special import fdtri
+from scipy.special import chdtri, fdtri
 
 from resonator_daemon.base.arrays import Floats, Indices
 from resonator_daemon.estimate.forces.loading_fit import LoadingFit, LoadingProblem
-from resonator_daemon.estimate.forces.loadings import Readings, Steps
+from resonator_daemon.estimate.forces.loadings import Readings, StepMeans, Steps
 from resonator_daemon.estimate.forces.site_response import SiteResponse
-from resonator_daemon.estimate.forces.swapped_loads import swapped_steps
 
-CHANCE: Final = 1e-3  # that a calibration without a bad loading has a doubtful one
-RIVAL_GAP: Final = 13.8  # of chi2, between the bad step and another that it may be: odds of 1000 : 1
+CHANCE: Final = 1e-3  # that a calibration without a bad loading has a doubtful one, or exchanged ones
+RIVAL_GAP: Final = 13.8  # of chi2, between two explanations: odds of 1000 : 1
+
+LOAD_STD: Final = (0.03, 0.01)  # relative to the load, to the largest load: scatter and hysteresis need no exchange
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -143,3 +148,87 @@ def _site_response(fit: LoadingFit) -> SiteResponse | None:
     hysteresis_std, fraction_std, log_time_std = np.sqrt(np.diag(fit.response.covariance)).tolist()
     time_s = math.exp(log_time)
     return SiteResponse(hysteresis, fraction, time_s, hysteresis_std, fraction_std, time_s * log_time_std)
+
+
+def swapped_steps(means: StepMeans, sensitivity: Floats) -> tuple[int, int] | None:
+    """Two steps of one site whose loads were exchanged, of the site that shows it most; None where no site does.
+
+    `sensitivity` (s, channels) is that of the plate file: of two loads, or of three at equal distances, the line goes
+    through the exchanged ones as well, but with the sign of K reversed on all channels.
+    """
+    found: list[tuple[float, tuple[int, int]]] = []
+    for site, expected in enumerate(sensitivity):
+        rows = np.flatnonzero(means.site == site)
+        shift, force = means.mean[rows], means.force[rows]
+        if means.held[site]:
+            continue
+        gate = chdtri(max((len(rows) - 2) * shift.shape[1], 1), CHANCE)
+        as_stated = _chi2(shift, force, expected)
+        if as_stated <= gate:
+            continue
+        exchanged = [
+            (_chi2(shift, _exchange(force, i, j), expected), (int(means.step[rows[i]]), int(means.step[rows[j]])))
+            for i, j in combinations(range(len(rows)), 2)
+            if force[i] != force[j]
+        ]
+        best, pair = min(exchanged)
+        if best <= gate and as_stated - best > RIVAL_GAP:
+            found.append((best - as_stated, pair))
+    return min(found)[1] if found else None
+
+
+def _exchange(force: Floats, i: int, j: int) -> Floats:
+    result = force.copy()
+    result[[i, j]] = force[[j, i]]
+    return result
+
+
+def _chi2(shift: Floats, force: Floats, expected: Floats) -> float:
+    """Return chi2 of a line through shifts (k, channels) over loads (k,); infinite if no slope has the right sign."""
+    weight = 1.0 / np.hypot(LOAD_STD[0] * force, LOAD_STD[1] * force.max()) ** 2
+    off = force - weight @ force / weight.sum()
+    slope = (weight * off) @ shift / ((weight * off) @ off)
+    if (slope * expected < 0).all():
+        return math.inf
+    residual = shift - weight @ shift / weight.sum() - off[:, None] * slope
+    return float((weight @ (residual / slope) ** 2).sum())
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class TemperatureFit:
+    """Coefficients (m, 3) of d, d^2 and d^3 in 1/K, 1/K^2 and 1/K^3, with their standard deviations."""
+
+    coefficient: Floats
+    coefficient_std: Floats
+
+
+def fit_temperature(
+    plate_kelvin: Floats,
+    shift: Floats,
+    shift_std: Floats,
+    default: Floats,
+    default_std: Floats,
+    reference_kelvin: float,
+) -> TemperatureFit:
+    """Fit the shifts of sites untouched, or all the while under one load, at different plate temperatures.
+
+    Parameters
+    ----------
+    plate_kelvin
+        (n,) temperatures, changing so slowly that plate and thermometer agree.
+    shift, shift_std
+        (n, m) y = 1 - f0 / f by site, and its standard deviation (m,), relative. A constant is fitted to each site too.
+    default, default_std
+        (3,) coefficients of such plates and how they differ. They carry what the span of the sweep leaves open.
+    """
+    powers = (plate_kelvin - reference_kelvin)[:, None] ** np.array([1, 2, 3])
+    centred = powers - powers.mean(axis=0)  # takes each site's constant out
+    off_default = shift - shift.mean(axis=0) - (centred @ default)[:, None]
+    scaled = centred * default_std
+    # In units of default_std the prior is the identity.
+    information = (scaled.T @ scaled) / shift_std[:, None, None] ** 2 + np.eye(3)
+    right = (scaled.T @ off_default / shift_std**2).T
+    covariance = np.linalg.inv(information)
+    std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    step = (covariance @ right[:, :, None])[:, :, 0]
+    return TemperatureFit(default + step * default_std, std * default_std)

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
 
 from resonator_daemon.base.arrays import Floats, Indices
-from resonator_daemon.estimate.forces.loading_solution import LoadingSolution, StepMeans
-from resonator_daemon.estimate.forces.loadings import Readings, Steps, felt_newton
+from resonator_daemon.estimate.forces.loadings import LoadingSolution, Readings, StepMeans, Steps, felt_newton
 
 DEFAULT_SCATTER: Final = 0.015  # of K F from touch to touch, where there are too few loadings
 LITTLE_SCATTER: Final = 1e-3  # nobody lays masses on better than that, so less is no reason to doubt one of them

@@ -10,13 +10,14 @@ nearly independent, because theta is found again from many sites in every frame.
 (2, 2) for theta and g are enough, and the cost of a frame grows with the number of sites.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from resonator_daemon.base.arrays import Bools, Floats
-from resonator_daemon.estimate.forces.random_walk import RandomWalks
 
 THETA_START_KELVIN: Final = 20.0  # a plate at any temperature of a room, or on a warm robot
 REFERENCE_START: Final = 3e-5  # crystal without compensation
@@ -39,6 +40,32 @@ SITES_MIN: Final = 3  # fewer do not outvote a press
 HUBER_SIGMAS: Final = 1.5
 FIT_STEPS: Final = 20
 FIT_TOLERANCE: Final = 0.2  # of a standard deviation: what is left after such a step is far less
+
+
+class RandomWalks:
+    """Independent random walks; `mean` and `variance` have the shape (n,), infinite variance for one never measured."""
+
+    def __init__(self, count: int, start_std: float = math.inf) -> None:
+        self._start_std = start_std
+        self.mean: Floats = np.zeros(count)
+        self.variance: Floats = np.full(count, start_std**2)
+
+    def reset(self) -> None:
+        self.mean[:] = 0.0
+        self.variance[:] = self._start_std**2
+
+    def advance(self, step_variance: Floats | float) -> None:
+        """Predict: add `step_variance` to the variances."""
+        self.variance += step_variance
+
+    def measure(self, reading: Floats, reading_variance: Floats | float, where: NDArray[np.bool_]) -> None:
+        """Update with readings (n,) of the walks in `where`."""
+        total = self.variance + reading_variance
+        known = np.isfinite(total) & (total > 0)
+        gain = np.where(known, self.variance / np.where(known, total, 1.0), 1.0)
+        after = np.where(known, gain * reading_variance, reading_variance)
+        self.mean = np.where(where, self.mean + gain * (reading - self.mean), self.mean)
+        self.variance = np.where(where, after, self.variance)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,21 +1,39 @@
-"""Force that presses from the force that a site feels: response inverted, with all systematic errors."""
+"""Force that presses from the force that a site feels: response inverted, with all systematic errors.
+
+A contact that is warmer or colder than the plate changes its site's frequency. The site's temperature follows the
+contact's with one time constant: dT(t) = D (1 - exp(-t / tau)) for a contact that differs from the plate by D, and what
+is there at release decays alike. The relative shift is static and transient, a dT + a~ d(dT)/dt; the transient term is
+that of Ballato, IEEE Trans. Sonics and Ultrasonics 26, 299 (1979). Only the spread of D is known, so the shift is a
+standard deviation.
+"""
 
 import math
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.base.arrays import Floats, Indices
-from resonator_daemon.estimate.forces.contact_thermal import warmed_shift, warming_std
 from resonator_daemon.estimate.forces.force_sites import ForceSites
 from resonator_daemon.estimate.forces.site_response import ResponseInverse
+
+_Number = TypeVar("_Number", float, NDArray[np.float64])
 
 # Of quartz force sensors whose response nobody has measured: half width of hysteresis, of the largest force, and creep.
 DEFAULT_HYSTERESIS: Final = 0.01
 DEFAULT_CREEP: Final = 0.005
 PROVEN_HYSTERESES: Final = 4.0  # a press that large leaves a site where any press leaves it
 RANGE_MARGIN: Final = 0.02  # of the largest calibrated force, before a force counts as outside
+
+
+def warmed_shift(left: _Number, slope_per_kelvin: _Number, transient_s: float, relaxation_s: float) -> _Number:
+    """Relative shift by a contact one kelvin warmer, of whose difference from the site the share `left` is left."""
+    return slope_per_kelvin * (1.0 - left) + transient_s / relaxation_s * left
+
+
+def warming_std(held_s: float, slope_per_kelvin: float, transient_s: float, relaxation_s: float) -> float:
+    """Relative shift by a contact one kelvin warmer or colder, after `held_s` of it; `slope_per_kelvin` is a."""
+    return abs(warmed_shift(math.exp(-held_s / relaxation_s), slope_per_kelvin, transient_s, relaxation_s))
 
 
 class Pressed(NamedTuple):

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Final, Literal, NamedTuple
 
@@ -10,22 +10,20 @@ import numpy as np
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode, joined
-from resonator_daemon.estimate.forces.channel_groups import (
-    SITES_ALIKE,
-    Explanation,
-    detected_alone,
-    explain_groups,
-    join,
-    leave_one_out,
-)
 from resonator_daemon.estimate.forces.code_fit import (
     RUNNER_UP_GAP,
+    SITES_ALIKE,
     Code,
     CodeFit,
     Codes,
+    Explanation,
     Reading,
+    detected_alone,
+    explain_groups,
     fit_code,
     gates,
+    join,
+    leave_one_out,
     uncertainty_newton,
 )
 
@@ -276,3 +274,26 @@ def _reading(
     ]
     frequency, variance, inverse = (list(part) for part in zip(*known, strict=True))
     return Reading(frequency, variance, inverse, oscillator, common_mode)
+
+
+class OverloadLatch:
+    """Latch that holds an overload until the pilot returns or its sites are within their range.
+
+    A force that grows past the range moves the tone onto the next site's code, where it would look like a light touch.
+    """
+
+    def __init__(self) -> None:
+        self._held: Match | None = None
+
+    def release(self) -> None:
+        """Release the overload: the pilot has returned."""
+        self._held = None
+
+    def apply(self, match: Match) -> Match:
+        """Return `match`, or the held overload if `match` does not name its sites."""
+        if self._held and not {force.site for force in self._held.forces} <= {force.site for force in match.forces}:
+            return self._held
+        overloaded = tuple(force for force in match.forces if force.status == "overload")
+        # Forces of other sites are those of this reading alone.
+        self._held = replace(match, forces=overloaded) if overloaded else None
+        return match

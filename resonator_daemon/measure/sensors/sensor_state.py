@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 
 from resonator_daemon.base.reasons import Reason, ReasonCode, joined
 from resonator_daemon.board.session.clock import Instant
-from resonator_daemon.estimate.forces.drift_watch import DriftWatch
+from resonator_daemon.estimate.forces.baseline import DriftWatch
 from resonator_daemon.estimate.forces.readings import Compensation
 from resonator_daemon.measure.sensors.usual_reasons import COMMON_MODE_PENDING, NO_TONE
 from resonator_daemon.mqtt.payloads import Condition

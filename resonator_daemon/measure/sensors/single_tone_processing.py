@@ -11,12 +11,10 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.session.frames import Frame, SingleToneFrame
 from resonator_daemon.estimate.forces.baseline import CommonMode
 from resonator_daemon.estimate.forces.contacts import ContactEvent, ContactTracker, Touch, touch_of
-from resonator_daemon.estimate.forces.force import cell_std_m, hidden_fraction
-from resonator_daemon.estimate.forces.force_sites import ForceSites
-from resonator_daemon.estimate.forces.overload_latch import OverloadLatch
+from resonator_daemon.estimate.forces.force_sites import ForceSites, cell_std_m, hidden_fraction
 from resonator_daemon.estimate.forces.readings import Compensation, CornerTone, ForceReading, SensorStatus
 from resonator_daemon.estimate.forces.site_errors import SiteErrors
-from resonator_daemon.estimate.forces.site_identification import Match, Matcher, SiteForce
+from resonator_daemon.estimate.forces.site_identification import Match, Matcher, OverloadLatch, SiteForce
 from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
 from resonator_daemon.estimate.tones.record_checks import CAPTURE_SWITCH, FAULTS_IN_WORDS
 from resonator_daemon.estimate.tones.tone_count import NO_TONE, ToneCount, count_tone

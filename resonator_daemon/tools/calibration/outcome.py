@@ -10,11 +10,10 @@ import numpy as np
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.estimate.forces.calibration_fit import CalibrationFit, fit_calibration
+from resonator_daemon.estimate.forces.calibration_fit import CalibrationFit, fit_calibration, fit_temperature
 from resonator_daemon.estimate.forces.loading_fit import RESPONSE_DEFAULT
 from resonator_daemon.estimate.forces.loadings import Readings, Steps
 from resonator_daemon.estimate.forces.site_response import SiteResponse
-from resonator_daemon.estimate.forces.temperature_fit import fit_temperature
 from resonator_daemon.tools.calibration.coupling import compare_with_width, find_coupling
 from resonator_daemon.tools.calibration.load_procedure import Loading, LoadProcedure
 from resonator_daemon.tools.calibration.load_readings import site_codes
