@@ -18,13 +18,18 @@ from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection, Co
 from resonator_daemon.mqtt.mqtt_messages import Incoming
 from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
 from resonator_daemon.mqtt.topics import full_topic
-from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, excused, not_checked
-from resonator_daemon.tools.doctor.host import Host, Load
+from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, downgraded, not_checked
+from resonator_daemon.tools.doctor.host_checks import BusyCheck, Host
 
 RESOLVES: Final = Check("broker.name", Area.SOFTWARE, "name of the broker")
 LISTENS: Final = Check("broker.listens", Area.SOFTWARE, "broker listens")
 ACCEPTS: Final = Check("broker.accepts", Area.SOFTWARE, "broker takes this user")
-ROUND_TRIP: Final = Check("broker.round_trip", Area.SOFTWARE, "round trip to the broker")
+ROUND_TRIP: Final = Check(
+    "broker.round_trip",
+    Area.SOFTWARE,
+    "round trip to the broker",
+    "the broker, or the network to it, is slow: look at its load, or use a nearer one",
+)
 
 _CONNECT_S: Final = 5.0
 ACCEPT_S: Final = 8.0
@@ -65,9 +70,9 @@ async def check_broker(broker: Mqtt, host: Host, times: ConnectionTimes | None =
     writer.close()
     with contextlib.suppress(OSError):
         await writer.wait_closed()
-    with Load(host) as load:
+    with BusyCheck(host) as busy_check:
         probe, last_text = await _measure(broker, times)
-    return [resolved, LISTENS.ok(where), *_findings(broker, probe, last_text, load.busy())]
+    return [resolved, LISTENS.ok(where), *_findings(broker, probe, last_text, busy_check.reason())]
 
 
 class _Probe:
@@ -179,7 +184,7 @@ def _findings(broker: Mqtt, probe: _Probe, last_text: str, busy: str) -> Iterato
             f"none of {len(probe.sent)} messages came back: its access rules may deny them, which MQTT does not report"
         )
         return
-    yield excused(_round_trip(times_s, len(probe.sent)), busy)
+    yield downgraded(_round_trip(times_s, len(probe.sent)), busy)
 
 
 def _round_trip(by_number: dict[int, float], sent: int) -> Finding:
@@ -188,22 +193,20 @@ def _round_trip(by_number: dict[int, float], sent: int) -> Finding:
     evidence = f"{median_ms:.1f} ms median, {worst_ms:.1f} ms at worst, of {len(times_s)}"
     spikes = sum(time_s > _SPIKE_S for number, time_s in by_number.items() if number % 3 == 2)  # the later of a pair
     slow = sum(time_s > _SLOW_S for time_s in times_s)
+    many = _SPIKES_SHARE * len(times_s)
     if len(times_s) < sent:
         return ROUND_TRIP.fault(
             f"{evidence}; {sent - len(times_s)} of {sent} did not come back within {ANSWER_S:g} s",
             "the broker, or the network to it, takes less than it is sent: look at its load and its limits",
             Amount(float(sent - len(times_s)), 0.0, "messages"),
         )
-    if spikes >= _SPIKES_SHARE * len(times_s) and spikes > 0.5 * slow:
+    if spikes >= many and spikes > 0.5 * slow:
         return ROUND_TRIP.warning(
             f"{evidence}; {spikes} took about 40 ms: small messages wait for acknowledgements (Nagle)",
             "set_tcp_nodelay true in mosquitto.conf, or what other brokers call it",
-            Amount(float(spikes), _SPIKES_SHARE * len(times_s), "messages"),
+            Amount(float(spikes), many, "messages"),
         )
-    if slow > _SPIKES_SHARE * len(times_s):
-        return ROUND_TRIP.warning(
-            f"{evidence}; {slow} took longer than {1e3 * _SLOW_S:g} ms",
-            "the broker, or the network to it, is slow: look at its load, or use a nearer one",
-            Amount(median_ms, 1e3 * _SLOW_S, "ms"),
-        )
-    return ROUND_TRIP.ok(evidence, Amount(median_ms, 1e3 * _SLOW_S, "ms"))
+    amount = Amount(median_ms, 1e3 * _SLOW_S, "ms")
+    if slow > many:
+        return ROUND_TRIP.warning(f"{evidence}; {slow} took longer than {1e3 * _SLOW_S:g} ms", "", amount)
+    return ROUND_TRIP.ok(evidence, amount)

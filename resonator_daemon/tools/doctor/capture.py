@@ -1,28 +1,67 @@
-"""Measurement of some seconds of a board: its tones, and the outcome of its bytes."""
+"""Measurement of some seconds of a board: its tones against those that the plate should send, and its bytes."""
 
+import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Final
 
-from firmware_protocol.layouts import MessageType
+import numpy as np
+
+from firmware_protocol.layouts import CHANNEL_COUNT, MessageType
 from firmware_protocol.messages import BoardStatus, MalformedMessageError, decode_message
 from firmware_protocol.packets import Packet, PacketDecoder
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason
 from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.board.session.frames import BoardRefused, ChannelisedFrame, LinkChange, SingleToneFrame
 from resonator_daemon.board.session.link_events import Received, WireEvent
+from resonator_daemon.estimate.tones.tone_detector import ToneReading
 from resonator_daemon.measure.pipeline.tone_capture import ToneCapture
 from resonator_daemon.measure.sensors.expected_tones import ExpectedTones
 from resonator_daemon.measure.sensors.kinds import sensor_of
-from resonator_daemon.tools.doctor.host import Host, Load
-from resonator_daemon.tools.doctor.plate_readings import FEWEST_FRAMES, PlateReading, plate_reading
+from resonator_daemon.tools.doctor.host_checks import BusyCheck, Host
 
 OPEN_S: Final = 6.0  # in which a board must count
+FEWEST_FRAMES: Final = 3  # of a reading
+PAIRS: Final = tuple(combinations(range(CHANNEL_COUNT), 2))
+_TONES_PAIRED: Final = 64  # more add nothing about two channels
 
-Progress = Callable[[str], None]
+
+@dataclass(frozen=True, slots=True)
+class PlateReading:
+    """A tenth of a second: of t tones that were expected, arrays (t, 4); NaN where one was not counted.
+
+    Attributes
+    ----------
+    shift
+        Relative, against the plate file: f / f0 - 1.
+    std
+        Relative, that noise of counter and oscillator give it.
+    strange_hz
+        (4,): frequency that is neither an expected tone nor a site's; NaN where there is none.
+    pair_noise
+        (6,): mean square of the difference between two channels from gate to gate, over what their noise gives.
+    touched
+        Whether a site is counted in the place of the pilot.
+    scatter_radian
+        (4,): standard deviation of an edge, as phase of the tone; NaN of a counter that has no edges.
+    gates_counted
+        (4,): share of gates in which a channel counts a tone, whether it runs on from the gate before or not.
+    """
+
+    time_s: float
+    shift: Floats
+    std: Floats
+    strange_hz: Floats
+    pair_noise: Floats
+    touched: bool
+    scatter_radian: Floats
+    gates_counted: Floats
 
 
 @dataclass
@@ -70,47 +109,37 @@ class Capture:
         return self.seconds > 0.0
 
 
-class _StatusDecoder:
-    """Collects the status messages of a board; called from the reader's thread."""
-
-    def __init__(self) -> None:
-        self._decoder = PacketDecoder(from_board=True)
-        self.messages: list[BoardStatus] = []
-
-    def put(self, event: WireEvent) -> None:
-        if not isinstance(event, Received):
-            return
-        for packet in self._decoder.feed(event.data):
-            if isinstance(packet, Packet) and packet.type == MessageType.STATUS:
-                try:
-                    self.messages.append(decode_message(BoardStatus, packet.payload))
-                except MalformedMessageError:
-                    continue  # the link's account has it
-
-
-def capture_board(target: LinkTarget, plate: Plate, seconds: float, progress: Progress, host: Host) -> Capture:
+def capture_board(
+    target: LinkTarget, plate: Plate, seconds: float, progress: Callable[[str], None], host: Host
+) -> Capture:
     """Capture `seconds` of a board from its first frame on.
 
     Raises
     ------
     Exception
-        What the reader's thread failed with, which is a mistake of ours.
+        What the reader's thread failed with.
     """
-    status = _StatusDecoder()
-    tones = ToneCapture(target, plate, fewest_frames=FEWEST_FRAMES, on_event=status.put)
     capture = Capture(plate.counter.frame_rate_hz, sensor_of(plate).expected_tones)
-    with Load(host) as load, tones:
+    decoder = PacketDecoder(from_board=True)
+
+    def read_temperature(event: WireEvent) -> None:  # in the reader's thread
+        for packet in decoder.feed(event.data) if isinstance(event, Received) else ():
+            if isinstance(packet, Packet) and packet.type == MessageType.STATUS:
+                with suppress(MalformedMessageError):  # the link counts it
+                    millikelvin = decode_message(BoardStatus, packet.payload).temperature_millikelvin
+                    capture.temperatures_kelvin += [] if millikelvin is None else [millikelvin * 1e-3]
+
+    tones = ToneCapture(target, plate, fewest_frames=FEWEST_FRAMES, on_event=read_temperature)
+    with BusyCheck(host) as busy_check, tones:
         _capture(tones, capture, seconds, progress)
-    capture.busy = load.busy()
+    capture.busy = busy_check.reason()
     capture.after = tones.reader.counters()
     if not capture.counted:
         capture.before = capture.after
-    kelvin = (message.temperature_millikelvin for message in status.messages)
-    capture.temperatures_kelvin = [value * 1e-3 for value in kelvin if value is not None]
     return capture
 
 
-def _capture(tones: ToneCapture, capture: Capture, seconds: float, progress: Progress) -> None:
+def _capture(tones: ToneCapture, capture: Capture, seconds: float, progress: Callable[[str], None]) -> None:
     begun_s = time.monotonic()
     first_s: float | None = None
     for arrival, reading in tones.arrivals():
@@ -137,3 +166,48 @@ def _capture(tones: ToneCapture, capture: Capture, seconds: float, progress: Pro
                     return
             case None if time.monotonic() - begun_s > OPEN_S:
                 return
+
+
+def plate_reading(reading: ToneReading, expected: ExpectedTones) -> PlateReading:
+    """Return a tone reading against the tones of a plate."""
+    shift = reading.frequency_hz / expected.f0_hz - 1.0
+    std = np.hypot(reading.std, reading.oscillator_std)
+    strange_hz = np.full(CHANNEL_COUNT, math.nan)
+    gate_hz, touched = reading.gate_hz, False
+    if expected.pressed_hz is not None:
+        lowest_hz, highest_hz = expected.pressed_hz
+        (tone_hz,), off = reading.frequency_hz, np.abs(shift[0]) >= expected.band[0]
+        of_site = off & ((lowest_hz <= tone_hz) & (tone_hz <= highest_hz)).any(axis=0)
+        touched = bool(of_site.any())
+        strange_hz = np.where(off & ~of_site, tone_hz, math.nan)
+        shift, std = np.where(off, math.nan, shift), np.where(off, math.nan, std)
+        gate_hz = np.where(np.abs(gate_hz / expected.f0_hz.T - 1.0) < expected.band, gate_hz, math.nan)
+    return PlateReading(
+        reading.time_s,
+        shift,
+        std,
+        strange_hz,
+        _pair_noise(gate_hz, reading.gate_std_hz),
+        touched,
+        reading.scatter_radian,
+        np.isfinite(reading.gate_hz).mean(axis=(0, 2)),
+    )
+
+
+def _pair_noise(gate_hz: Floats, std_hz: Floats) -> Floats:
+    """Return the square of the difference of each two channels over that of their noise, (6,); arrays (k, 4, t).
+
+    Differences of following gates take out what moves slowly, and the oscillator that both channels count.
+    """
+    first, second = np.transpose(PAIRS)
+    gate_hz, std_hz = gate_hz[:, :, :_TONES_PAIRED], std_hz[1:, :, :_TONES_PAIRED]
+    steps = np.diff(gate_hz[:, first] - gate_hz[:, second], axis=0)  # (k - 1, 6, t)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = steps**2 / (2.0 * (std_hz[:, first] ** 2 + std_hz[:, second] ** 2))
+    return known_mean(known_mean(ratio, axis=0), axis=1)
+
+
+def known_mean(values: Floats, axis: int) -> Floats:
+    """Return the mean of the finite values along an axis, NaN where there is none."""
+    mean: Floats = np.ma.masked_invalid(values).mean(axis=axis).filled(math.nan)
+    return mean

@@ -1,16 +1,15 @@
 """The daemon that has a link already: how it is found, and the findings by its own status."""
 
 import asyncio
-import math
 import os
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import aclosing
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
 from resonator_daemon.base.errors import UserError
-from resonator_daemon.base.host.load import REMEDY
 from resonator_daemon.base.host.text import page
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.config import load_config
@@ -22,7 +21,7 @@ from resonator_daemon.mqtt.payloads import Condition, Info
 from resonator_daemon.mqtt.subscriber import subscribe
 from resonator_daemon.mqtt.topics import TOPICS
 from resonator_daemon.tools.doctor import link_checks, sensor_checks
-from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, excused, graded, not_checked
+from resonator_daemon.tools.doctor.finding import Area, Check, Finding, downgraded, not_checked
 from resonator_daemon.tools.doctor.link_checks import ERRORS_FAULT
 
 RUNS: Final = Check("daemon.runs", Area.SOFTWARE, "running daemon")
@@ -31,9 +30,10 @@ LINK: Final = Check("daemon.link", Area.WIRING, "link, as the daemon reports it"
 SENSOR: Final = Check("daemon.sensor", Area.SENSOR, "sensor, as the daemon reports it")
 BROKER: Final = Check("daemon.broker", Area.SOFTWARE, "broker, as the daemon reports it")
 
+# Who moves a board plugs it in again; a loose plug does so all day.
+_REOPENED: Final = replace(link_checks.STEADY, unit="1/h", warning_above=3.0, fault_above=None)
 _FRAMES_MIN: Final = 100
 _DAMAGE: Final = ("damaged", "link_gap")  # causes of loss that a cable can have
-_REOPENINGS_PER_HOUR: Final = 3.0  # who moves a board plugs it in again; a loose plug does so all day
 _WATCHED: Final = (Condition.DRIFTING, Condition.UNCALIBRATED)  # states in which a sensor measures on
 _REMEDIES: Final[Mapping[Any, str]] = {
     Condition.PRESSED_AT_START: "take everything off the plate: measuring begins once it is untouched",
@@ -67,15 +67,14 @@ def check_status(status: Mapping[str, Any], where: str) -> Iterator[Finding]:
     link = _table(status, "link")
     busy = str(link.get("reason", "")) if link.get("reason_code") == ReasonCode.COMPUTER_BUSY else ""
     if busy:
-        yield link_checks.COMPUTER_BUSY.fault(busy, REMEDY)
+        yield link_checks.COMPUTER_BUSY.fault(busy)
     if link.get("state") == Condition.ONLINE:
         yield LINK.ok(f"online {link.get('reason', '')}".strip())
         yield from _losses(_table(status, "health"), _table(link, "last_outage"))
     else:
         remedy = f"see the reason and {page('how-to/connect.md')}"
-        yield excused(
-            LINK.fault(f"{link.get('state')}: {link.get('reason')}", remedy), "the computer is busy" * bool(busy)
-        )
+        found = LINK.fault(f"{link.get('state')}: {link.get('reason')}", remedy)
+        yield downgraded(found, "the computer is busy" if busy else "")
     yield _sensor(_table(status, "sensor"), online=link.get("state") == Condition.ONLINE)
     broker = _table(status, "broker")
     if broker.get("connected"):
@@ -123,22 +122,14 @@ def _losses(health: Mapping[str, Any], last_outage: Mapping[str, Any]) -> Iterat
     if not in_outages:  # of an earlier version of the daemon
         hit = max(hit - int(last_outage.get("frames_lost", 0)), 0)
     frames = int(present.get("frames", 0)) + hit
-    evidence = (
-        f"{hit} of {frames} frames damaged or lost outside outages, since the later start of daemon and board "
-        f"(limit {ERRORS_FAULT:g})"
-    )
     if frames < _FRAMES_MIN:
         few = f"{frames} frames, at least {_FRAMES_MIN} are needed"
         yield from not_checked((link_checks.ERRORS, link_checks.OVERFLOW), few)
         return
     dropped = max(beside.get("board_overflow", 0), 0)
     yield link_checks.overflow(dropped, frames + dropped)
-    yield link_checks.ERRORS.judged(
-        graded(hit / frames, 0.0, ERRORS_FAULT),
-        evidence,
-        link_checks.CABLE,
-        Amount(hit / frames, ERRORS_FAULT),
-    )
+    since = f"outside outages, since the later start of daemon and board (limit {ERRORS_FAULT:g})"
+    yield link_checks.ERRORS.judged(hit / frames, f"{hit} of {frames} frames damaged or lost {since}")
 
 
 def _steady(health: Mapping[str, Any], last_outage: Mapping[str, Any]) -> Finding:
@@ -151,13 +142,7 @@ def _steady(health: Mapping[str, Any], last_outage: Mapping[str, Any]) -> Findin
             f"the last outage, of {last_outage.get('frames_lost')} frames, ended at "
             f"{utc_text(last_outage.get('end_t_ns'))}: {last_outage.get('reason')}"
         )
-    evidence = f"opened again {reopened} times since the daemon's start; {outage}"
-    return link_checks.STEADY.judged(
-        graded(per_hour, _REOPENINGS_PER_HOUR, math.inf),
-        evidence,
-        link_checks.PLUG,
-        Amount(per_hour, _REOPENINGS_PER_HOUR, "1/h"),
-    )
+    return _REOPENED.judged(per_hour, f"opened again {reopened} times since the daemon's start; {outage}")
 
 
 def _table(status: Mapping[str, Any], name: str) -> Mapping[str, Any]:
@@ -180,7 +165,7 @@ async def find_daemon(link: LinkTarget, config_path: Path | None, pids: Collecti
     return None
 
 
-async def works_by(config_path: Path) -> str:
+async def config_used_by(config_path: Path) -> str:
     """Return what configuration a daemon goes on with whose file cannot be used; empty where none runs."""
     for answer in await ask_all(config_path.stem):
         config = (answer.status or {}).get("config")

@@ -1,18 +1,24 @@
-"""Result of one check: its subject, the evidence with its limit, the outcome, and what to do."""
+"""Findings of the doctor: each check as a row, what it found, and the report of all findings with its verdict."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+import re
+import textwrap
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass
 from enum import StrEnum
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple, TextIO
+
+from resonator_daemon.base.errors import ExitCode
+from resonator_daemon.base.host.text import Colour, coloured, printable
 
 
 class Outcome(StrEnum):
-    """How a check ended."""
+    """How a check ended, the worst last."""
 
+    NOT_CHECKED = "not_checked"
     OK = "ok"
     WARNING = "warning"
     FAULT = "fault"
-    NOT_CHECKED = "not_checked"
 
 
 class Area(StrEnum):
@@ -21,9 +27,6 @@ class Area(StrEnum):
     WIRING = "wiring"
     SENSOR = "sensor"
     SOFTWARE = "software"
-
-
-FINE = "fine"
 
 
 class Stage(StrEnum):
@@ -91,47 +94,186 @@ class Finding:
         """Where the cause lies; `computer` for its clock, its service and the daemon."""
         return _STAGES.get(self.id) or _STAGES.get(self.id.partition(".")[0]) or Stage.COMPUTER
 
+    @property
+    def bad(self) -> bool:
+        """Whether something is wrong."""
+        return self.outcome in (Outcome.WARNING, Outcome.FAULT)
+
+    def __str__(self) -> str:
+        return f"{self.id} ({self.title}): {self.evidence}"
+
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """Subject of a check; `id` stays the same from version to version."""
+    """Row of the table of checks; `id` stays the same from version to version.
+
+    Attributes
+    ----------
+    remedy
+        What to do, where a finding has no remedy of its own.
+    unit, warning_above, fault_above
+        Of a value of which less is better. An amount that is a plain number has this unit and the first limit above 0.
+    """
 
     id: str
     area: Area
     title: str
+    remedy: str = ""
+    unit: str = ""
+    warning_above: float | None = None
+    fault_above: float | None = None
 
-    def ok(self, evidence: str, amount: Amount | None = None) -> Finding:
-        return self.judged(Outcome.OK, evidence, "", amount)
+    def ok(self, evidence: str, amount: Amount | float | None = None) -> Finding:
+        return self._finding(Outcome.OK, evidence, "", amount)
 
-    def warning(self, evidence: str, remedy: str, amount: Amount | None = None) -> Finding:
-        return self.judged(Outcome.WARNING, evidence, remedy, amount)
+    def warning(self, evidence: str, remedy: str = "", amount: Amount | float | None = None) -> Finding:
+        return self._finding(Outcome.WARNING, evidence, remedy or self.remedy, amount)
 
-    def fault(self, evidence: str, remedy: str, amount: Amount | None = None) -> Finding:
-        return self.judged(Outcome.FAULT, evidence, remedy, amount)
+    def fault(self, evidence: str, remedy: str = "", amount: Amount | float | None = None) -> Finding:
+        return self._finding(Outcome.FAULT, evidence, remedy or self.remedy, amount)
 
     def not_checked(self, reason: str) -> Finding:
-        return self.judged(Outcome.NOT_CHECKED, reason, "")
+        return self._finding(Outcome.NOT_CHECKED, reason, "", None)
 
-    def judged(self, outcome: Outcome, evidence: str, remedy: str, amount: Amount | None = None) -> Finding:
-        """Return a finding with an outcome that was weighed from numbers; a remedy belongs to what is not ok."""
-        remedy = "" if outcome is Outcome.OK else remedy
+    def judged(self, value: float, evidence: str, *, remedy: str = "", amount: Amount | float | None = None) -> Finding:
+        """Return the finding on a value by the limits of this check; `amount` replaces the value in the report."""
+        shown = value if amount is None else amount
+        if self.fault_above is not None and value > self.fault_above:
+            return self.fault(evidence, remedy, shown)
+        if self.warning_above is not None and value > self.warning_above:
+            return self.warning(evidence, remedy, shown)
+        return self.ok(evidence, shown)
+
+    def _finding(self, outcome: Outcome, evidence: str, remedy: str, amount: Amount | float | None) -> Finding:
+        if isinstance(amount, int | float):
+            amount = Amount(float(amount), self.warning_above or self.fault_above, self.unit)
         return Finding(self.id, self.area, self.title, outcome, evidence, remedy, *(amount or Amount(None)))
 
 
-def excused(finding: Finding, excuse: str) -> Finding:
+def downgraded(finding: Finding, excuse: str) -> Finding:
     """Return that it could not be checked, where something else than what it names explains what was seen."""
-    if not excuse or finding.outcome not in (Outcome.WARNING, Outcome.FAULT):
+    if not excuse or not finding.bad:
         return finding
-    return Finding(finding.id, finding.area, finding.title, Outcome.NOT_CHECKED, f"{excuse}; seen: {finding.evidence}")
-
-
-def graded(value: float, warning_above: float, fault_above: float) -> Outcome:
-    """Return how bad a value is of which less is better."""
-    if value > fault_above:
-        return Outcome.FAULT
-    return Outcome.WARNING if value > warning_above else Outcome.OK
+    evidence = f"{excuse}; seen: {finding.evidence}"
+    return Finding(finding.id, finding.area, finding.title, Outcome.NOT_CHECKED, evidence)
 
 
 def not_checked(checks: Iterable[Check], reason: str) -> list[Finding]:
     """Return a finding for each of these: it could not be checked."""
     return [check.not_checked(reason) for check in checks]
+
+
+FINE: Final = "fine"  # the verdict without a fault
+WIDTH: Final = 80
+_MARKS: Final = {Outcome.OK: "ok", Outcome.WARNING: "WARNING", Outcome.FAULT: "FAULT", Outcome.NOT_CHECKED: "-"}
+_MARK_WIDTH: Final = 9
+_OUTCOME: Final = re.compile(r"(?<=^  )(ok|WARNING|FAULT)|(?<=^verdict: )\w+", re.MULTILINE)
+_COLOURS: Final[Mapping[str, Colour]] = {"ok": "green", FINE: "green", "WARNING": "yellow"}  # others red
+
+
+class Report:
+    """All findings, in the order of causes; those of one stage in the order of the checks."""
+
+    def __init__(self, findings: Iterable[Finding]) -> None:
+        self.findings = sorted(findings, key=lambda finding: list(Stage).index(finding.stage))
+
+    @property
+    def faulty(self) -> tuple[Area, ...]:
+        """Areas with a fault, the first cause first."""
+        faults = (finding.area for finding in self.findings if finding.outcome is Outcome.FAULT)
+        return tuple(dict.fromkeys(faults))
+
+    @property
+    def verdict(self) -> str:
+        """`wiring`, `sensor`, `software` or `fine`: who must act first."""
+        return self.faulty[0].value if self.faulty else FINE
+
+    @property
+    def cause(self) -> Finding | None:
+        """The first fault: what explains the others, where anything does."""
+        return next((finding for finding in self.findings if finding.outcome is Outcome.FAULT), None)
+
+    @property
+    def exit_code(self) -> ExitCode:
+        return ExitCode.FAILED if self.faulty else ExitCode.DONE
+
+    @property
+    def verdict_text(self) -> str:
+        """The verdict in words, with the first fault."""
+        if self.cause is None:
+            return self.verdict
+        others = "".join(f", then {area.value}" for area in self.faulty[1:])
+        return f"{self.verdict}{others}; first: {self.cause}"
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "verb": "doctor",
+            "ok": not self.faulty,
+            "verdict": self.verdict,
+            "faulty": list(self.faulty),
+            "cause": self.cause.id if self.cause else None,
+            "findings": [asdict(finding) for finding in self.findings],
+        }
+
+    def as_text(self, *, whole: bool = True) -> str:
+        """Return the lines of the text output; without a verdict where not everything was checked."""
+        ending = self._ending() if whole else ()
+        return "\n".join([*self._lines(), *ending]) + "\n"
+
+    def write(self, stream: TextIO, *, whole: bool = True) -> None:
+        """Write the text output, on a terminal with the outcomes and the verdict in colour."""
+
+        def paint(found: re.Match[str]) -> str:
+            return coloured(found[0], _COLOURS.get(found[0], "red"), stream)
+
+        stream.write(_OUTCOME.sub(paint, self.as_text(whole=whole)))
+
+    def _lines(self) -> Iterator[str]:
+        shared = {reason: found for reason, found in self._omitted().items() if len(found) > 1}
+        for stage in Stage:
+            own = [f for f in self.findings if f.stage is stage and f not in shared.get(f.evidence, ())]
+            if own:
+                yield stage.value
+            for finding in own:
+                yield from _wrapped(f"  {_MARKS[finding.outcome]:<{_MARK_WIDTH}}", str(finding))
+                if finding.remedy:
+                    yield from _wrapped(" " * (_MARK_WIDTH + 2), f"-> {finding.remedy}")
+            if own:
+                yield ""
+        if shared:
+            yield "not checked"
+        for reason, found in shared.items():
+            ids = ", ".join(finding.id for finding in found)
+            yield from _wrapped(f"  {_MARKS[Outcome.NOT_CHECKED]:<{_MARK_WIDTH}}", f"{reason}: {ids}")
+        if shared:
+            yield ""
+
+    def _ending(self) -> Iterator[str]:
+        counts = Counter(finding.outcome for finding in self.findings)
+        yield (
+            f"{len(self.findings)} checks: {counts[Outcome.FAULT]} faults, {counts[Outcome.WARNING]} warnings, "
+            f"{counts[Outcome.OK]} ok, {counts[Outcome.NOT_CHECKED]} not checked"
+        )
+        for reason, omitted in self._omitted().items():
+            stages = ", ".join(dict.fromkeys(finding.stage.value for finding in omitted))
+            yield from _wrapped("not checked: ", f"{len(omitted)} of {stages}: {reason}")
+        yield from _wrapped("verdict: ", self.verdict_text)
+
+    def _omitted(self) -> dict[str, list[Finding]]:
+        """Return what was not checked, by the reason."""
+        omitted: dict[str, list[Finding]] = {}
+        for finding in self.findings:
+            if finding.outcome is Outcome.NOT_CHECKED:
+                omitted.setdefault(finding.evidence, []).append(finding)
+        return omitted
+
+
+def _wrapped(head: str, text: str) -> Iterable[str]:
+    return textwrap.wrap(
+        printable(" ".join(text.split())),
+        WIDTH,
+        initial_indent=head,
+        subsequent_indent=" " * len(head),
+        break_long_words=False,
+        break_on_hyphens=False,
+    )

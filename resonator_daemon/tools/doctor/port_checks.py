@@ -1,4 +1,4 @@
-"""The serial port: is it there, may it be opened, who has it, and which helpers of the system disturb it."""
+"""The port of a link: serial port or USB device, who may open it and who has it open, and what disturbs it."""
 
 import os
 import re
@@ -9,22 +9,58 @@ from typing import Final
 
 from resonator_daemon.base.host.text import page
 from resonator_daemon.board.links.port_holders import Holder, Holders, is_pseudo_terminal
+from resonator_daemon.board.links.target import UsbId
 from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, not_checked
-from resonator_daemon.tools.doctor.host import Host
-from resonator_daemon.tools.doctor.usb_checks import usb_device_of
+from resonator_daemon.tools.doctor.host_checks import Host
 
+_RULES_FILE: Final = f"the rules of {page('how-to/connect.md')}, or: resonatord install"
 EXISTS: Final = Check("port.exists", Area.WIRING, "port")
 PERMISSION: Final = Check("port.permission", Area.WIRING, "permission on the port")
-HOLDER: Final = Check("port.holder", Area.WIRING, "who else has the port open")
-MODEM_MANAGER: Final = Check("port.modem_manager", Area.SOFTWARE, "ModemManager")
-BRLTTY: Final = Check("port.brltty", Area.SOFTWARE, "brltty")
-LATENCY_TIMER: Final = Check("port.latency_timer", Area.SOFTWARE, "latency timer of the adapter")
+HOLDER: Final = Check(
+    "port.holder", Area.WIRING, "who else has the port open", "end that program, or have it use another port"
+)
+MODEM_MANAGER: Final = Check(
+    "port.modem_manager",
+    Area.SOFTWARE,
+    "ModemManager",
+    f"{_RULES_FILE}; or, where there is no modem: sudo systemctl disable --now ModemManager",
+)
+BRLTTY: Final = Check(
+    "port.brltty",
+    Area.SOFTWARE,
+    "brltty",
+    "sudo apt-get remove brltty, or take the line with these ids out of its rules",
+)
+LATENCY_TIMER: Final = Check(
+    "port.latency_timer",
+    Area.SOFTWARE,
+    "latency timer of the adapter",
+    'a udev rule: ACTION=="add", SUBSYSTEM=="usb-serial", ATTR{latency_timer}="1"',
+    "ms",
+    warning_above=1.0,
+)
+DEVICE: Final = Check("usb.device", Area.WIRING, "USB device")
+AUTOSUSPEND: Final = Check(
+    "usb.autosuspend",
+    Area.SOFTWARE,
+    "USB autosuspend",
+    f'a udev rule: TEST=="power/control", ATTR{{power/control}}="on" ({page("how-to/connect.md")}, or: resonatord '
+    "install)",
+)
+SPEED: Final = Check("usb.speed", Area.WIRING, "USB speed")
+HUBS: Final = Check(
+    "usb.hubs",
+    Area.WIRING,
+    "USB path",
+    "connect it nearer to the computer: each hub adds delay, and shares its power and bandwidth",
+    "hubs",
+    warning_above=2.0,
+)
 
-_OF_A_PORT: Final = (PERMISSION, HOLDER, MODEM_MANAGER, BRLTTY, LATENCY_TIMER)
-_LATENCY_LIMIT_MS: Final = 1
 _IGNORED: Final = re.compile(r"^E:ID_MM_(PORT|DEVICE)_IGNORE=1$", re.MULTILINE)
-_RULES: Final = ("/etc/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.d")
-_RULES_FILE: Final = f"the rules of {page('how-to/connect.md')}, or: resonatord install"
+_FULL_SPEED_MBIT: Final = 12
+_FULL_SPEED_USABLE: Final = 0.6  # of the bits; the rest are frames, polls and other devices
+_DEVICES: Final = "/sys/bus/usb/devices"
 
 
 def check_port(port: str, host: Host, holders: Holders) -> Iterator[Finding]:
@@ -33,7 +69,7 @@ def check_port(port: str, host: Host, holders: Holders) -> Iterator[Finding]:
     absent = _absent(path, port, host)
     if absent is not None:
         yield absent
-        yield from not_checked(_OF_A_PORT, "the port is not there")
+        yield from not_checked((PERMISSION, HOLDER, MODEM_MANAGER, BRLTTY, LATENCY_TIMER), "the port is not there")
         return
     device = os.path.realpath(path)
     pseudo = is_pseudo_terminal(device)
@@ -49,16 +85,10 @@ def check_port(port: str, host: Host, holders: Holders) -> Iterator[Finding]:
     yield _latency_timer(name, host)
 
 
-def others(holders: Holders) -> tuple[Holder, ...]:
-    """Return who holds a port besides this process; of a pseudo-terminal's, those that locked it."""
-    return tuple(holder for holder in holders.processes if holder.pid != os.getpid())
-
-
 def _absent(path: Path, name: str, host: Host) -> Finding | None:
     if os.path.lexists(path) and not os.path.exists(path):
-        return EXISTS.fault(
-            f"{name} is a link to {os.readlink(path)}, which is not there", "plug the board in, or restart it"
-        )
+        target = os.readlink(path)
+        return EXISTS.fault(f"{name} is a link to {target}, which is not there", "plug the board in, or restart it")
     if not os.path.exists(path):
         present = sorted(str(entry.name) for entry in host.at("/dev/serial/by-id").glob("*"))
         instead = (
@@ -82,21 +112,20 @@ def _permission(path: Path, name: str, host: Host) -> Finding:
         group = path.group()
     except KeyError:  # a number without a name, as in a container
         group = ""
-    mode = f"mode {stat.S_IMODE(status.st_mode):04o}, group {group or status.st_gid}"
+    evidence = f"{name} may not be opened (mode {stat.S_IMODE(status.st_mode):04o}, group {group or status.st_gid})"
     if group in ("", "root") or not status.st_mode & stat.S_IWGRP:
-        return PERMISSION.fault(f"{name} may not be opened ({mode})", f"give it to a group of this user: {_RULES_FILE}")
-    return PERMISSION.fault(f"{name} may not be opened ({mode})", f"sudo usermod -aG {group} $USER, then log in again")
+        return PERMISSION.fault(evidence, f"give it to a group of this user: {_RULES_FILE}")
+    return PERMISSION.fault(evidence, f"sudo usermod -aG {group} $USER, then log in again")
 
 
 def check_holder(holders: Holders, name: str, *, pseudo: bool = False) -> Finding:
     """Return who else has a port or a USB device open; of a pseudo-terminal the other end has it, too."""
-    found = [holder for holder in others(holders) if holder.locks or not pseudo]
-    if found:
-        who = " and ".join(str(holder) for holder in found)
-        return HOLDER.fault(f"{name} is held by {who}", "end that program, or have it use another port")
-    if not holders.all_seen:
-        return HOLDER.ok(f"nobody that this user may see; as root: fuser -v {name}")
-    return HOLDER.ok("nobody")
+    others: list[Holder] = [
+        holder for holder in holders.processes if holder.pid != os.getpid() and (holder.locks or not pseudo)
+    ]
+    if others:
+        return HOLDER.fault(f"{name} is held by {' and '.join(map(str, others))}")
+    return HOLDER.ok("nobody" if holders.all_seen else f"nobody that this user may see; as root: fuser -v {name}")
 
 
 def _modem_manager(device: str, name: str, host: Host) -> Finding:
@@ -108,36 +137,25 @@ def _modem_manager(device: str, name: str, host: Host) -> Finding:
     known = host.text(f"/run/udev/data/c{os.major(number)}:{os.minor(number)}") or ""
     if _IGNORED.search(known):
         return MODEM_MANAGER.ok("it runs, and a udev rule keeps it away from this port")
-    return MODEM_MANAGER.warning(
-        "it runs, and no udev rule keeps it away: it sends to the board for seconds whenever that is plugged in",
-        f"{_RULES_FILE}; or, where there is no modem: sudo systemctl disable --now ModemManager",
-    )
+    return MODEM_MANAGER.warning("it runs, and no udev rule excludes this port: it sends to a new board for seconds")
 
 
 def _brltty(name: str, host: Host) -> Finding:
-    device = usb_device_of(name, host)
     rules = _brltty_rules(host)
     if not rules and not host.running("brltty"):
         return BRLTTY.ok("it is not installed")
-    ids = None if device is None else (host.text(device / "idVendor"), host.text(device / "idProduct"))
-    if ids is not None and None not in ids and _claims(rules, f"{ids[0]}", f"{ids[1]}"):
-        return BRLTTY.warning(
-            f"its udev rules take adapters {ids[0]}:{ids[1]} for braille displays, and the port away with them",
-            "sudo apt-get remove brltty, or take the line with these ids out of its rules",
-        )
+    device = usb_device_of(name, host)
+    ids = "" if device is None else f"{host.text(device / 'idVendor')}/{host.text(device / 'idProduct')}"
+    # Rules name ids without leading zeros, as PRODUCT=="1a86/7523/*".
+    claimed = "/".join(part.lstrip("0").lower() for part in ids.split("/"))
+    if ids and f"{claimed}/" in rules.lower():
+        return BRLTTY.warning(f"its udev rules take adapters {ids} for braille displays, and the port away with them")
     return BRLTTY.ok("it is installed, and its rules do not name this adapter")
 
 
 def _brltty_rules(host: Host) -> str:
-    files = [file for directory in _RULES for file in host.at(directory).glob("*brltty*.rules")]
-    lines = [line for file in files for line in file.read_text(errors="replace").splitlines()]
+    lines = [line for file in host.rules("brltty") for line in file.read_text(errors="replace").splitlines()]
     return "\n".join(line for line in lines if not line.lstrip().startswith("#"))
-
-
-def _claims(rules: str, vendor: str, product: str) -> bool:
-    """Return whether rules name these ids, as `PRODUCT=="1a86/7523/*"` does, without leading zeros."""
-    vendor, product = (text.lstrip("0").lower() for text in (vendor, product))
-    return f"{vendor}/{product}/" in rules.lower()
 
 
 def _latency_timer(name: str, host: Host) -> Finding:
@@ -145,13 +163,101 @@ def _latency_timer(name: str, host: Host) -> Finding:
     text = host.text(file)
     if text is None or not text.isdecimal():
         return LATENCY_TIMER.ok("this adapter has none")
-    timer_ms = int(text)
-    if timer_ms <= _LATENCY_LIMIT_MS:
-        return LATENCY_TIMER.ok(f"{timer_ms} ms", Amount(float(timer_ms), float(_LATENCY_LIMIT_MS), "ms"))
-    if host.may_use(host.at(file)):
-        return LATENCY_TIMER.ok(f"{timer_ms} ms; it is set to {_LATENCY_LIMIT_MS} ms when the port is opened")
-    return LATENCY_TIMER.warning(
-        f"bytes wait up to {timer_ms} ms in the adapter, at most {_LATENCY_LIMIT_MS} ms is meant",
-        'a udev rule: ACTION=="add", SUBSYSTEM=="usb-serial", ATTR{latency_timer}="1"',
-        Amount(float(timer_ms), float(_LATENCY_LIMIT_MS), "ms"),
+    limit = f"{LATENCY_TIMER.warning_above:g} ms"
+    found = LATENCY_TIMER.judged(int(text), f"bytes wait up to {text} ms in the adapter, at most {limit} is meant")
+    if found.bad and host.may_use(host.at(file)):
+        return LATENCY_TIMER.ok(f"{text} ms; it is set to {limit} when the port is opened")
+    return found
+
+
+def usb_device_of(tty: str, host: Host) -> Path | None:
+    """Return the directory of the USB device behind a terminal as /sys has it; None where it is none."""
+    place = host.at(f"/sys/class/tty/{tty}/device")
+    if not place.exists():
+        return None
+    root = Path(os.path.realpath(host.root))
+    for directory in (here := Path(os.path.realpath(place)), *here.parents):
+        if (directory / "idVendor").exists():
+            return Path("/") / directory.relative_to(root)
+    return None
+
+
+def usb_node(link: UsbId, host: Host) -> Path | None:
+    """Return the device file of the device that a USB link names; None where it is none, or not the only one."""
+    found = list(_named(link, host))
+    return host.at(_node(found[0], host)) if len(found) == 1 else None
+
+
+def _node(device: Path, host: Host) -> str:
+    bus, number = (host.text(device / name) or "0" for name in ("busnum", "devnum"))
+    return f"/dev/bus/usb/{int(bus):03d}/{int(number):03d}"
+
+
+def _named(link: UsbId, host: Host) -> Iterator[Path]:
+    for directory in sorted(host.at(_DEVICES).glob("*")):
+        device = Path(_DEVICES) / directory.name
+        ids = host.text(device / "idVendor"), host.text(device / "idProduct")
+        if ids == (f"{link.vendor_id:04x}", f"{link.product_id:04x}") and (
+            link.serial_number in (None, host.text(device / "serial"))
+        ):
+            yield device
+
+
+def check_usb_link(link: UsbId, host: Host, load_bit_per_s: float | None) -> Iterator[Finding]:
+    """Yield the findings on the device that a USB link names."""
+    found = list(_named(link, host))
+    wanted = f"{link.vendor_id:04x}:{link.product_id:04x}" + (
+        f", serial {link.serial_number}" if link.serial_number else ""
     )
+    if len(found) != 1:
+        if found:
+            yield DEVICE.fault(f"{len(found)} USB devices are {wanted}", "name one by `?serial=` in `link`")
+        else:
+            remedy = "plug the board in, check cable and power, or correct `link`"
+            yield DEVICE.fault(f"no USB device {wanted} is present", remedy)
+        yield from not_checked((AUTOSUSPEND, SPEED, HUBS), "the device of the link is not known")
+        return
+    node = _node(found[0], host)
+    if host.may_use(host.at(node)):
+        yield DEVICE.ok(f"{wanted} is there, and this user may open it")
+    else:
+        yield DEVICE.fault(f"{wanted} is there, and this user may not open {node}", f"udev rules: {_RULES_FILE}")
+    yield from check_usb_device(found[0], host, load_bit_per_s)
+
+
+def check_usb_device(device: Path, host: Host, load_bit_per_s: float | None) -> Iterator[Finding]:
+    """Yield how a device is connected; `load_bit_per_s` is what the plate's frames need, None where it is not known."""
+    yield _autosuspend(device, host)
+    yield _speed(device, host, load_bit_per_s)
+    hubs = device.name.count(".")
+    way = "straight to the computer" if not hubs else f"through {hubs} hub(s), at most {HUBS.warning_above:g} are meant"
+    yield HUBS.judged(hubs, f"{device.name}: {way}")
+
+
+def _autosuspend(device: Path, host: Host) -> Finding:
+    control = host.text(device / "power/control")
+    if control is None:
+        return AUTOSUSPEND.not_checked("the kernel does not report it")
+    delay_ms = host.text(device / "power/autosuspend_delay_ms") or ""
+    if control == "on" or delay_ms.startswith("-"):
+        return AUTOSUSPEND.ok("off")
+    delay = f"the device may be put to sleep after {delay_ms or '?'} ms without traffic"
+    return AUTOSUSPEND.warning(f"on (power/control = {control}): {delay}")
+
+
+def _speed(device: Path, host: Host, load_bit_per_s: float | None) -> Finding:
+    try:
+        speed_mbit = float(host.text(device / "speed") or "")
+    except ValueError:
+        return SPEED.not_checked("the kernel does not report it")
+    usable_mbit = _FULL_SPEED_USABLE * speed_mbit
+    if load_bit_per_s is None:
+        return SPEED.ok(f"{speed_mbit:g} Mbit/s", Amount(speed_mbit, None, "Mbit/s"))
+    needed_mbit = load_bit_per_s * 1e-6
+    evidence = f"{speed_mbit:g} Mbit/s, of which {usable_mbit:g} can be counted on; the frames need {needed_mbit:.2g}"
+    amount = Amount(needed_mbit, usable_mbit, "Mbit/s")
+    if needed_mbit <= usable_mbit:
+        return SPEED.ok(evidence, amount)
+    faster = "connect it to a port, and by a cable, of a higher speed"
+    slower = "lower counter.frame_rate_hz of the plate"
+    return SPEED.fault(evidence, slower if speed_mbit > _FULL_SPEED_MBIT else faster, amount)

@@ -27,16 +27,21 @@ from resonator_daemon.tools.doctor.capture import Capture, capture_board
 from resonator_daemon.tools.doctor.daemon_checks import (
     check_daemon,
     check_status,
+    config_used_by,
     find_daemon,
     published_status,
-    works_by,
 )
-from resonator_daemon.tools.doctor.finding import Area, Check, Finding, Outcome, not_checked
-from resonator_daemon.tools.doctor.host import Host, Load
-from resonator_daemon.tools.doctor.host_checks import check_clock, check_disk, check_service
-from resonator_daemon.tools.doctor.port_checks import HOLDER, check_holder, check_port
-from resonator_daemon.tools.doctor.report import Report
-from resonator_daemon.tools.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of, usb_node
+from resonator_daemon.tools.doctor.finding import Area, Check, Finding, Outcome, Report, not_checked
+from resonator_daemon.tools.doctor.host_checks import BusyCheck, Host, check_clock, check_disk, check_service
+from resonator_daemon.tools.doctor.port_checks import (
+    HOLDER,
+    check_holder,
+    check_port,
+    check_usb_device,
+    check_usb_link,
+    usb_device_of,
+    usb_node,
+)
 
 _BITS_PER_BYTE: Final = 8
 _DAEMON_HAS_IT: Final = "a daemon has the link; stop it to have the board itself looked at"
@@ -80,22 +85,20 @@ def doctor(options: DoctorOptions) -> ExitCode:
     InterruptedCommandError
         Ctrl-C came before all was looked at; what was found by then is printed.
     """
-    try:
-        diagnosis = _Diagnosis(options)
-    except ConfigurationError as error:
-        bad_file = None if isinstance(error, _NoBoardError) else options.config_path
-        runs = "" if bad_file is None else asyncio.run(works_by(bad_file))
-        raise UnusableConfigError(*error.messages, *filter(None, [runs])) from error
+    config = None if options.config_path is None else _load_config(options.config_path)
+    link = options.link or (config.link if config else None)
+    if link is not None and link.recording_path is not None:
+        raise UnusableConfigError(f"link: {link} is a recording, which has no wiring; name the link of a board")
     found: list[Finding] = []
     try:
         with interruptible(""):
-            found.extend(diagnosis.findings())
+            found.extend(_Diagnosis(options, config, link).findings())
     except InterruptedCommandError:
         report = Report(found)
         if found and not options.json:
             report.write(sys.stdout, whole=False)
-        words = f"interrupted: {len(found)} things were looked at, which is not all"
-        raise InterruptedCommandError(words, so_far={"findings": report.as_json()["findings"]}) from None
+        text = f"interrupted after {len(found)} findings; not everything was examined"
+        raise InterruptedCommandError(text, so_far={"findings": report.as_json()["findings"]}) from None
     report = Report(found)
     if not options.json:
         report.write(sys.stdout)
@@ -106,18 +109,19 @@ def doctor(options: DoctorOptions) -> ExitCode:
     return ExitCode.DONE
 
 
-class _NoBoardError(ConfigurationError):
-    """The configuration can be used, and there is nothing to check."""
+def _load_config(path: Path) -> Config:
+    try:
+        return load_config(path)
+    except ConfigurationError as error:
+        runs = asyncio.run(config_used_by(path))
+        raise UnusableConfigError(*error.messages, *filter(None, [runs])) from error
 
 
 class _Diagnosis:
-    def __init__(self, options: DoctorOptions) -> None:
+    def __init__(self, options: DoctorOptions, config: Config | None, link: LinkTarget | None) -> None:
         self._options = options
         self._host = options.host
-        self._config: Config | None = None if options.config_path is None else load_config(options.config_path)
-        link = options.link or (self._config.link if self._config else None)
-        if link is not None and link.recording_path is not None:
-            raise _NoBoardError(f"link: {link} is a recording, which has no wiring; name the link of a board")
+        self._config = config
         self._link = link
         self._captured: Capture | None = None
 
@@ -215,22 +219,20 @@ class _Diagnosis:
         try:
             yield link_checks.OPENS.ok(f"{link} is open")
             self._show("asking the board who it is")
-            with Load(self._host) as load:
+            with BusyCheck(self._host) as busy_check:
                 probed = probe(opened)
-            busy = load.busy()
         except NoBoardError as error:
             if error.refused is not None:
-                yield link_checks.MESSAGES.fault(str(error), link_checks.FIRMWARE)
+                yield link_checks.MESSAGES.fault(str(error))
             elif error.lost is ReasonCode.PORT_IN_USE:
                 yield link_checks.ANSWERS.fault(str(error), "stop the program that is connected to the board")
             else:
-                check = link_checks.RESPONDS if error.is_a_board else link_checks.ANSWERS
-                yield check.fault(str(error), "check power, cable and baud rate, and that it is this port")
+                yield (link_checks.RESPONDS if error.is_a_board else link_checks.ANSWERS).fault(str(error))
             yield from not_checked(_AFTER_OPENING, "no board answers")
             return
         finally:
             opened.close()
-        yield from self._capture(link, probed, busy)
+        yield from self._capture(link, probed, busy_check.reason())
 
     def _capture(self, link: LinkTarget, probed: ProbeResult, busy: str) -> Iterator[Finding]:
         plate = self._plate(probed)

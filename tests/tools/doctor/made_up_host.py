@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from resonator_daemon.tools.doctor.host import Host
+from resonator_daemon.tools.doctor.host_checks import Host
 
 USB = "sys/devices/pci0/usb1/1-1/1-1.4"
 

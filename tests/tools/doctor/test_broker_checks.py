@@ -12,7 +12,7 @@ from resonator_daemon.mqtt.broker_connection import ConnectionTimes
 from resonator_daemon.tools.doctor import broker_checks
 from resonator_daemon.tools.doctor.broker_checks import check_broker
 from resonator_daemon.tools.doctor.finding import Finding, Outcome
-from resonator_daemon.tools.doctor.host import Host
+from resonator_daemon.tools.doctor.host_checks import Host
 
 HOST = Host(Path("/none"))  # which tells of no load
 HALTED = "this computer is busy"

@@ -8,7 +8,7 @@ import pytest
 from made_up_host import MadeUpHost
 
 from resonator_daemon.base.host import load
-from resonator_daemon.tools.doctor.host import Load
+from resonator_daemon.tools.doctor.host_checks import BusyCheck
 
 
 @pytest.mark.parametrize(("waited_ns", "busy"), [(64_000, False), (66_000, True)])
@@ -19,15 +19,15 @@ def test_a_computer_whose_programs_wait_for_processors_is_busy(
     now_ns = 10**12
     monkeypatch.setattr(load, "time", SimpleNamespace(monotonic_ns=lambda: now_ns))
     computer.write(schedstat, "1000 1000 5")
-    measured = Load(computer.host())
-    assert measured.busy() == ""
+    measured = BusyCheck(computer.host())
+    assert measured.reason() == ""
     now_ns += 10**9
     computer.write(schedstat, f"{101_000 - waited_ns} {1000 + waited_ns} 9")
-    assert bool(measured.busy()) is busy
+    assert bool(measured.reason()) is busy
 
 
 def test_a_computer_that_halts_a_program_is_busy(tmp_path: Path) -> None:
-    with Load(MadeUpHost(tmp_path).host()) as measured:
+    with BusyCheck(MadeUpHost(tmp_path).host()) as measured:
         halt = ctypes.PyDLL(None).usleep  # keeps the interpreter's lock: no thread of this program goes on meanwhile
         halt(80_000)
-    assert measured.busy().startswith("this computer is busy: a program that could run waited for")
+    assert measured.reason().startswith("this computer is busy: a program that could run waited for")

@@ -11,8 +11,7 @@ from emulation import emulated
 
 from resonator_daemon.commands import main
 from resonator_daemon.tools.doctor import broker_checks, host_checks, link_checks, sensor_checks
-from resonator_daemon.tools.doctor.finding import FINE, Area
-from resonator_daemon.tools.doctor.report import WIDTH, Report
+from resonator_daemon.tools.doctor.finding import FINE, WIDTH, Area, Report
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 

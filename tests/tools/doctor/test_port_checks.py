@@ -9,7 +9,7 @@ from made_up_host import USB, MadeUpHost
 
 from resonator_daemon.board.links.port_holders import Holder, Holders
 from resonator_daemon.tools.doctor.finding import Finding, Outcome
-from resonator_daemon.tools.doctor.host import Host
+from resonator_daemon.tools.doctor.host_checks import Host
 from resonator_daemon.tools.doctor.port_checks import check_port
 
 PORT = "/dev/ttyUSB0"

@@ -12,12 +12,10 @@ from firmware_protocol.host import PacketRefusal
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.board.links.carriers import parse_link
-from resonator_daemon.tools.doctor.capture import Capture, capture_board
-from resonator_daemon.tools.doctor.finding import Area, Finding, Outcome
-from resonator_daemon.tools.doctor.host import Host
+from resonator_daemon.tools.doctor.capture import Capture, PlateReading, capture_board
+from resonator_daemon.tools.doctor.finding import Area, Finding, Outcome, Report
+from resonator_daemon.tools.doctor.host_checks import Host
 from resonator_daemon.tools.doctor.link_checks import check_capture
-from resonator_daemon.tools.doctor.plate_readings import PlateReading
-from resonator_daemon.tools.doctor.report import Report
 from resonator_daemon.tools.doctor.sensor_checks import check_calibration, check_plate
 from simulators.emulator import EmulatorOptions
 

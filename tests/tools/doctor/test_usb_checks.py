@@ -7,8 +7,8 @@ from made_up_host import USB, MadeUpHost
 
 from resonator_daemon.board.links.carriers.usb import UsbTarget
 from resonator_daemon.tools.doctor.finding import Finding, Outcome
-from resonator_daemon.tools.doctor.host import Host
-from resonator_daemon.tools.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of
+from resonator_daemon.tools.doctor.host_checks import Host
+from resonator_daemon.tools.doctor.port_checks import check_usb_device, check_usb_link, usb_device_of
 
 LOAD_BIT_PER_S = 2.04e6
 
