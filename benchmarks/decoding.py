@@ -24,10 +24,9 @@ from resonator_daemon.base.plate import load_plate
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface import FourierDecoder, OpenPlaneDecoder
 from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDecoder
-from resonator_daemon.estimate.surface.prior import Prior
-from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
+from resonator_daemon.estimate.surface.decoder_setup import set_up
+from resonator_daemon.estimate.surface.skin import DecodingOptions, Prior, Skin
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder
-from resonator_daemon.estimate.surface.streaming import set_up
 from simulators.contact import hertz_parts, pixel_tractions
 from simulators.half_space_fields import hertz_fields
 

@@ -17,8 +17,8 @@ from resonator_daemon.estimate.elastic.profiles import paraboloid
 from resonator_daemon.estimate.surface import OpenPlaneDecoder
 from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDecoder
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
-from resonator_daemon.estimate.surface.fitting.contact_start import ContactStart
-from resonator_daemon.estimate.surface.fitting.slip import SlipWatch
+from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart
+from resonator_daemon.estimate.surface.fitting.slip_fitter import SlipWatch
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder
 

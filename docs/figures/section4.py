@@ -29,7 +29,7 @@ from scene import (
     tractions,
 )
 
-from resonator_daemon.estimate.surface.fitting.contact_start import ContactStart
+from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart
 from resonator_daemon.estimate.surface.fitting.shape import ShapeFitter
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scene import BODY, DEPTH_M, FRICTION, PITCH_M, RADIUS_M, SITES_M, noise_rms, signals
 
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
-from resonator_daemon.estimate.surface.fitting.contact_start import ContactStart, Friction
+from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart, Friction
 from resonator_daemon.estimate.surface.fitting.slip_fitter import fit_partial_slip
 from resonator_daemon.estimate.surface.patches import PatchFinder
 

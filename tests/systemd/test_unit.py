@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.estimate.surface.setup_cache import cached
+from resonator_daemon.estimate.surface.decoder_setup import cached
 
 DIRECTORY = Path(__file__).parents[2] / "systemd"
 UNITS = {path.name: path.read_text() for path in DIRECTORY.glob("*.service")}

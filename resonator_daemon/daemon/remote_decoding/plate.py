@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.elastic import HalfSpace
-from resonator_daemon.estimate.surface.prior import Prior
-from resonator_daemon.estimate.surface.skin import Skin
+from resonator_daemon.estimate.surface.skin import Prior, Skin
 from resonator_daemon.mqtt.codec import Encoded, decode
 from resonator_daemon.mqtt.headers import MeasuredFields
 from resonator_daemon.mqtt.payloads import DecoderPlateHealth, GridInfo, Info, Signals, Status

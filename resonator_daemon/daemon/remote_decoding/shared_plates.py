@@ -26,9 +26,10 @@ from resonator_daemon.daemon.remote_decoding.plate import (
     error_text,
     header_of,
 )
+from resonator_daemon.estimate.surface.decoder_setup import CANNOT_DECODE, set_up
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
-from resonator_daemon.estimate.surface.streaming import CANNOT_DECODE, failed, set_up
+from resonator_daemon.estimate.surface.streaming import failed
 from resonator_daemon.measure.latency import LatencyHistogram
 from resonator_daemon.measure.sensors.surface_messages import SurfaceMessages
 from resonator_daemon.mqtt.mqtt_messages import Incoming

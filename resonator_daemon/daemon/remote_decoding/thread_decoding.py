@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import TypeVar
 
-from resonator_daemon.estimate.surface.equal_skins import EqualSkins
+from resonator_daemon.estimate.surface.decoder_setup import EqualSkins
 from resonator_daemon.measure.sensors.surface_decoding import Origin, SurfaceClient, SurfaceDecoding
 from resonator_daemon.measure.sensors.surface_worker import Reply, SurfaceSettings, SurfaceWorker
 

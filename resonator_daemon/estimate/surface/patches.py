@@ -12,8 +12,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from resonator_daemon.base.arrays import Bools, Floats, Indices, Labels
+from resonator_daemon.estimate.surface.decoded import positions, positive
 from resonator_daemon.estimate.surface.layout import as_grid, at_border, neighbours, spacing_m
-from resonator_daemon.estimate.surface.parameters import positions, positive
 
 _THRESHOLD = 0.15  # of the map's peak pressure: what belongs to a patch
 _PEAK = 0.25  # of the map's peak pressure: what a patch must reach ...

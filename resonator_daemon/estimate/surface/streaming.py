@@ -9,17 +9,13 @@ import numpy as np
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.surface.decoded import Decoded
-from resonator_daemon.estimate.surface.setup_cache import cached
+from resonator_daemon.estimate.surface.decoder_setup import CANNOT_DECODE, SetUp, set_up
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.surface.skin_contacts import SkinEvent
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 
 log = logging.getLogger(__name__)
 
-
-CANNOT_DECODE = (ValueError, ArithmeticError, MemoryError)
-
-SetUp = Callable[[Skin, DecodingOptions, Floats, Callable[[str], None]], SkinDecoder]
 
 _LOGGED_MAX = 20
 _logged: set[str] = set()  # failures that were logged
@@ -138,17 +134,6 @@ class StreamingDecoder:
         if self._decoder is None:
             raise ValueError("no decoder is set up")
         return self._decoder
-
-
-def set_up(skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]) -> SkinDecoder:
-    """Build a decoder, or load it from the cache; raises one of CANNOT_DECODE if neither succeeds."""
-    try:
-        return cached((skin, options, noise_std), lambda: SkinDecoder(skin, options, noise_std, progress))
-    except CANNOT_DECODE:
-        raise
-    except Exception as error:  # a skin from the network may be anything; others can be decoded
-        log.exception("decoder could not be set up")
-        raise ValueError(f"decoder could not be set up: {error!r}") from error
 
 
 def failed(decoder: SkinDecoder, error: Exception) -> SurfaceReading:

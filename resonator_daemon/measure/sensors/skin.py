@@ -11,8 +11,7 @@ from resonator_daemon.board.session.frame_assembly import variance_of
 from resonator_daemon.board.session.frames import BoardOnline, ChannelisedFrame, Frame
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.forces.readings import SkinReading
-from resonator_daemon.estimate.surface.prior import Prior
-from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin, refuse_undecodable
+from resonator_daemon.estimate.surface.skin import DecodingOptions, Prior, Skin, refuse_undecodable
 from resonator_daemon.estimate.tones.tone_detector import MultitoneDetector, ToneDetector
 from resonator_daemon.measure.sensors.base import Sensor
 from resonator_daemon.measure.sensors.expected_tones import ExpectedTones, all_tones

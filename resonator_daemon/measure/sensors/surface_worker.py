@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason
+from resonator_daemon.estimate.surface.decoder_setup import SetUp
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
-from resonator_daemon.estimate.surface.streaming import SetUp, StreamingDecoder, UndecodableError
+from resonator_daemon.estimate.surface.streaming import StreamingDecoder, UndecodableError
 from resonator_daemon.measure.sensors.surface_messages import SurfaceMessages
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.headers import MeasuredFields

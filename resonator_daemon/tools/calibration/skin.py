@@ -18,7 +18,7 @@ from resonator_daemon.base.plate_tables import Skin
 from resonator_daemon.board.config import Config, load_config
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface.open_plane.prior_fit import PriorFit, fit_prior, has_load
-from resonator_daemon.estimate.surface.prior import DEFAULT_PRIOR
+from resonator_daemon.estimate.surface.skin import DEFAULT_PRIOR
 from resonator_daemon.mqtt.payloads import Signals
 from resonator_daemon.mqtt.requests import reach
 from resonator_daemon.mqtt.subscriber import subscribe

@@ -17,7 +17,7 @@ from resonator_daemon.daemon.remote_decoding.followed_plate import FollowedPlate
 from resonator_daemon.daemon.remote_decoding.followed_plates import FollowedPlates
 from resonator_daemon.daemon.remote_decoding.plate import header_of
 from resonator_daemon.estimate.elastic import HalfSpace
-from resonator_daemon.estimate.surface import equal_skins
+from resonator_daemon.estimate.surface import decoder_setup
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.measure.sensors import surface_decoding
@@ -226,8 +226,8 @@ FRAMES["right"][3].signals[1, 40] = np.nan  # a lost signal has a state of its o
 async def test_each_plate_is_decoded_as_if_alone_with_matrices_built_once(monkeypatch: pytest.MonkeyPatch) -> None:
     expected = {plate: alone(FRAMES[plate], REPRODUCIBLE) for plate in FRAMES}
     built: list[int] = []
-    set_up = equal_skins.set_up
-    monkeypatch.setattr(equal_skins, "set_up", lambda skin, *rest: (built.append(1), set_up(skin, *rest))[1])
+    set_up = decoder_setup.set_up
+    monkeypatch.setattr(decoder_setup, "set_up", lambda skin, *rest: (built.append(1), set_up(skin, *rest))[1])
     monkeypatch.setattr(surface_decoding, "AGE_MAX_NS", 10**11)  # both for busy computers
     monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 3600.0)
     sent: dict[str, list[tuple[str, bytes]]] = {"left": [], "right": [], "point": []}

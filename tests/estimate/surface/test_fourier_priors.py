@@ -13,7 +13,7 @@ from resonator_daemon.base.arrays import Complexes, Floats
 from resonator_daemon.estimate.elastic import HalfSpace, SpectralGrid
 from resonator_daemon.estimate.surface import FourierDecoder
 from resonator_daemon.estimate.surface.fourier.spectra import prior_root, weighted_norm
-from resonator_daemon.estimate.surface.prior import Prior
+from resonator_daemon.estimate.surface.skin import Prior
 
 SKIN = HalfSpace(E, 0.5)
 ODD = (5, 7)  # no Nyquist frequencies

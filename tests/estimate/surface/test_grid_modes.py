@@ -6,13 +6,12 @@ import pytest
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface.layout import Grid
 from resonator_daemon.estimate.surface.open_plane.decoder import SiteCovariance
-from resonator_daemon.estimate.surface.open_plane.estimate_power import FIELDS
+from resonator_daemon.estimate.surface.open_plane.estimate_power import CLASSES, FIELDS
 from resonator_daemon.estimate.surface.open_plane.grid_bases import Bases, Reduction
 from resonator_daemon.estimate.surface.open_plane.grid_modes import LEVELS, GridCovariance, GridModes
 from resonator_daemon.estimate.surface.open_plane.modes import DenseModes
-from resonator_daemon.estimate.surface.open_plane.parity import CLASSES
 from resonator_daemon.estimate.surface.open_plane.prior_tables import StationaryPrior
-from resonator_daemon.estimate.surface.prior import Prior
+from resonator_daemon.estimate.surface.skin import Prior
 
 PRIOR = StationaryPrior(HalfSpace(2e5, 0.3), Prior(1e-3, 0.3), 10.0)
 DEPTH = 1e-3

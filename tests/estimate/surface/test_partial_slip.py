@@ -9,8 +9,7 @@ from contact_scenes import DEPTH_M, NU, SITES_M, Contact, E, disc_model, noise_s
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
-from resonator_daemon.estimate.surface.fitting.contact_start import ContactStart, Friction
-from resonator_daemon.estimate.surface.fitting.partial_slip import PartialSlip, stick_ratio
+from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart, Friction, PartialSlip, stick_ratio
 from resonator_daemon.estimate.surface.fitting.slip_fitter import fit_partial_slip
 
 SCENE = Contact((3e-4, -1.1e-3), 2.4e-3, 0.6, 0.8)

@@ -8,7 +8,7 @@ from resonator_daemon.base.arrays import Floats
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.estimate.surface.open_plane.prior_fit import fit_prior, has_load
-from resonator_daemon.estimate.surface.prior import Prior
+from resonator_daemon.estimate.surface.skin import Prior
 
 SKIN = HalfSpace(E, 0.5)
 SITES_M = grid_positions((8, 8))

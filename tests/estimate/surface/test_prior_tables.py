@@ -7,7 +7,7 @@ from scipy.special import jv
 
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface.open_plane.prior_tables import StationaryPrior
-from resonator_daemon.estimate.surface.prior import Prior
+from resonator_daemon.estimate.surface.skin import Prior
 
 L, Z, RATIO, STD = 1.3e-3, 0.8e-3, 0.3, 700.0
 

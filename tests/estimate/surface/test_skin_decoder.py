@@ -13,8 +13,7 @@ from skin_scenes import SKIN as SKIN_LONG
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface import FourierDecoder, OpenPlaneDecoder
-from resonator_daemon.estimate.surface.prior import Prior
-from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
+from resonator_daemon.estimate.surface.skin import DecodingOptions, Prior, Skin
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 
 SHAPE, SITES = (12, 12), 144

@@ -6,8 +6,8 @@ from contact_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, E, disc_model, noise
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
-from resonator_daemon.estimate.surface.fitting.contact_start import ContactStart, Friction
-from resonator_daemon.estimate.surface.fitting.slip import SlipEvent, SlipWatch
+from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart, Friction
+from resonator_daemon.estimate.surface.fitting.slip_fitter import SlipEvent, SlipWatch
 from simulators.contact import pressed_signals
 
 CENTRE_M, RADIUS_M, MU = (-6e-4, 9e-4), 2.4e-3, 0.6

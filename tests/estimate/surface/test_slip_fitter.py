@@ -7,8 +7,7 @@ import pytest
 from contact_scenes import Contact, disc_model, noise_std
 
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
-from resonator_daemon.estimate.surface.fitting.contact_start import ContactStart, Friction
-from resonator_daemon.estimate.surface.fitting.partial_slip import PartialSlip
+from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart, Friction, PartialSlip
 from resonator_daemon.estimate.surface.fitting.slip_fitter import SlipFitter, fit_partial_slip
 
 

@@ -13,8 +13,7 @@ from skin_scenes import noisy, press
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.elastic import HalfSpace
-from resonator_daemon.estimate.surface import Decoded
-from resonator_daemon.estimate.surface import streaming as streaming_module
+from resonator_daemon.estimate.surface import Decoded, decoder_setup
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.surface.skin_contacts import SkinEvent
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder, SurfaceReading
@@ -65,8 +64,8 @@ def substitute(monkeypatch: pytest.MonkeyPatch) -> Callable[[type[SubstituteDeco
     """Put another decoder in the place of the real one, and keep none in files."""
 
     def put(decoder: type[SubstituteDecoder]) -> None:
-        monkeypatch.setattr(streaming_module, "SkinDecoder", decoder)
-        monkeypatch.setattr(streaming_module, "cached", lambda _, build: build())
+        monkeypatch.setattr(decoder_setup, "SkinDecoder", decoder)
+        monkeypatch.setattr(decoder_setup, "cached", lambda _, build: build())
 
     return put
 

@@ -1,13 +1,11 @@
-"""Tests of the problem on a support: dense algebra in double precision, and loads drawn from its own prior."""
-
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
-from resonator_daemon.estimate.surface.contact_physics.friction_cone import project_on_cone
 from resonator_daemon.estimate.surface.contact_physics.net_load import LoadSums
 from resonator_daemon.estimate.surface.contact_physics.pixels import PixelLattice, PixelPrior
 from resonator_daemon.estimate.surface.contact_physics.signal_rows import SignalRows
-from resonator_daemon.estimate.surface.contact_physics.support_problem import SupportProblem
+from resonator_daemon.estimate.surface.contact_physics.support_problem import SupportProblem, project_on_cone
 from resonator_daemon.estimate.surface.contact_physics.support_rows import Model
 
 LENGTH_M, RATIO, STD_PASCAL, NOISE_STD = 1e-3, 0.3, 50.0, 1.7
@@ -194,3 +192,20 @@ def test_without_noise_the_error_of_a_load_is_that_of_its_pixels(scene):
     np.testing.assert_allclose(load.force_std_newton, np.array([3e-4, 3e-4, 2e-4]) * force)
     np.testing.assert_allclose(load.moment_std_newton_m, np.array([2e-4, 2e-4, 3e-4]) * lever_m * force)
     np.testing.assert_allclose(load.centroid_std_m, 2e-4 * np.sqrt(1.6e-7 * problem.pixels.size / np.pi))
+
+
+@pytest.mark.parametrize("friction", [0.3, 1.0, 3.0])
+def test_projection_is_the_nearest_traction_in_the_cone(friction):
+    rng = np.random.default_rng(1)
+    outside = rng.standard_normal((3, 40)).astype(np.float32)
+    projected = project_on_cone(outside, friction)
+    for before, after in zip(outside.T.astype(float), projected.T, strict=True):
+        # In polar coordinates of the shear the cone is two straight bounds, which a general optimiser can take.
+        best = minimize(
+            lambda p, f=before: (p[0] - np.hypot(f[0], f[1])) ** 2 + (p[1] - f[2]) ** 2,
+            [0.0, 1.0],
+            constraints={"type": "ineq", "fun": lambda p: [friction * p[1] - p[0], p[0], p[1]]},
+            options={"ftol": 1e-14},
+        )
+        direction = before[:2] / np.hypot(*before[:2])
+        np.testing.assert_allclose(after, [*(best.x[0] * direction), best.x[1]], atol=2e-5)

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from resonator_daemon.base.arrays import Floats, Indices
 from resonator_daemon.base.reasons import Reason, ReasonCode, joined
-from resonator_daemon.estimate.surface.contact_physics.friction_cone import project_on_cone
 from resonator_daemon.estimate.surface.contact_physics.hypothesis import (
     UNKNOWN_FRICTION,
     Bounds,
@@ -22,8 +21,9 @@ from resonator_daemon.estimate.surface.contact_physics.hypothesis import (
     examine,
     solve,
 )
+from resonator_daemon.estimate.surface.contact_physics.pixels import SurfaceView
+from resonator_daemon.estimate.surface.contact_physics.support_problem import project_on_cone
 from resonator_daemon.estimate.surface.contact_physics.support_search import Frame, Located, SupportSearch, load_support
-from resonator_daemon.estimate.surface.contact_physics.surface_view import SurfaceView
 from resonator_daemon.estimate.surface.decoded import Decoded, stated
 from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.estimate.surface.open_plane.linear_map import Estimate

@@ -8,7 +8,7 @@ import numpy as np
 
 from resonator_daemon.base.arrays import Bools, Singles
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.estimate.surface.contact_physics.friction_cone import project_on_cone
+from resonator_daemon.estimate.surface.contact_physics.support_problem import project_on_cone
 from resonator_daemon.estimate.surface.contact_physics.support_search import Frame, Located, SupportSearch
 
 Bounds = Literal["all", "cone", "none"]  # kept: all; a cone of unknown friction; none

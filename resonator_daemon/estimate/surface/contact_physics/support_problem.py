@@ -12,7 +12,6 @@ import numpy as np
 from scipy.linalg import blas, lapack
 
 from resonator_daemon.base.arrays import Bools, Floats, Indices, Singles
-from resonator_daemon.estimate.surface.contact_physics.friction_cone import project_on_cone
 from resonator_daemon.estimate.surface.contact_physics.support_rows import (
     CHANGED,
     Change,
@@ -27,8 +26,21 @@ _RELAXATION = np.float32(1.6)
 _SOLVED = 1e-3  # relative residual at which the solution without bounds is good enough
 _MOST_STEPS = 60
 _TINY = 1e-30
-
 _SMALL = 64  # rows of a matrix that is not worth halving
+
+
+def project_on_cone(traction: Singles, friction_coefficient: float) -> Singles:
+    """Return the nearest tractions (3, n) in the friction cone."""
+    mu = np.float32(friction_coefficient)
+    normal = traction[2]
+    shear = np.sqrt(traction[0] ** 2 + traction[1] ** 2)
+    on_cone = np.maximum((mu * shear + normal) / (1 + mu * mu), 0)
+    slips = shear > mu * normal
+    projected = np.empty_like(traction)
+    scale = np.where(slips, mu * on_cone / (shear + _TINY), 1)
+    np.multiply(traction[:2], scale, out=projected[:2])
+    projected[2] = np.where(slips, on_cone, normal)
+    return projected
 
 
 class SupportProblem:

@@ -10,16 +10,20 @@ from scipy import ndimage
 
 from resonator_daemon.base.arrays import Bools, Floats, Labels, Singles
 from resonator_daemon.estimate.surface.contact_physics.net_load import LoadSums
-from resonator_daemon.estimate.surface.contact_physics.pixels import Interpolation, PixelLattice, PixelPrior
-from resonator_daemon.estimate.surface.contact_physics.signal_rows import LostRows, SignalRows
-from resonator_daemon.estimate.surface.contact_physics.site_kernel import site_kernel
+from resonator_daemon.estimate.surface.contact_physics.pixels import (
+    Interpolation,
+    PixelLattice,
+    PixelPrior,
+    SurfacePlaces,
+    SurfaceView,
+)
+from resonator_daemon.estimate.surface.contact_physics.signal_rows import LostRows, SignalRows, site_kernel
 from resonator_daemon.estimate.surface.contact_physics.support_problem import SupportProblem
 from resonator_daemon.estimate.surface.contact_physics.support_rows import Model, SupportRows
-from resonator_daemon.estimate.surface.contact_physics.surface_view import SurfacePlaces, SurfaceView
+from resonator_daemon.estimate.surface.decoded import GAIN_FLOOR
 from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.estimate.surface.open_plane.linear_map import Estimate
-from resonator_daemon.estimate.surface.open_plane.surface import Surface
-from resonator_daemon.estimate.surface.parameters import GAIN_FLOOR
+from resonator_daemon.estimate.surface.open_plane.modes import Surface
 
 _PRIOR_VARIANCE = 0.24  # of f_z in the support, over the linear map's mean square ...
 _PRIOR_SNR = 8.0  # ... at low ratios of signal to noise; half at this one, because contacts are smooth

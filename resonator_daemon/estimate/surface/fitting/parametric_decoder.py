@@ -8,20 +8,20 @@ from numpy.typing import ArrayLike
 from resonator_daemon.base.arrays import Bools, Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.elastic import HalfSpace
-from resonator_daemon.estimate.surface.decoded import Decoded, stated
-from resonator_daemon.estimate.surface.fitting.centre_search import CentreSearch
-from resonator_daemon.estimate.surface.fitting.contact_fit import Fit, fit
-from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
-from resonator_daemon.estimate.surface.layout import at_border, gap_m, refuse_duplicates
-from resonator_daemon.estimate.surface.parameters import (
+from resonator_daemon.estimate.surface.decoded import (
     GAIN_FLOOR,
     KNOWN_LIMIT,
     SIGNAL_LIMIT,
+    Decoded,
     check_gain,
     noise_of_signals,
     positions,
     positive,
+    stated,
 )
+from resonator_daemon.estimate.surface.fitting.contact_fit import CentreSearch, Fit, fit
+from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
+from resonator_daemon.estimate.surface.layout import at_border, gap_m, refuse_duplicates
 from resonator_daemon.estimate.surface.patches import Patch
 
 FEWEST_SITES = 40  # with fewer, a linear map peaks at the nearest site

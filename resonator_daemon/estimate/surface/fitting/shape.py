@@ -9,13 +9,12 @@ from numpy.typing import ArrayLike
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.surface.decoded import SIGNAL_LIMIT
 from resonator_daemon.estimate.surface.fitting.contact_fit import Fit, fit
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
-from resonator_daemon.estimate.surface.fitting.contact_start import ContactStart, disc_starts
-from resonator_daemon.estimate.surface.fitting.partial_slip import PartialSlip
+from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart, PartialSlip, disc_starts
 from resonator_daemon.estimate.surface.fitting.slip_fitter import fit_partial_slip
 from resonator_daemon.estimate.surface.fitting.slip_signals import FORCE_Z, RADIUS
-from resonator_daemon.estimate.surface.parameters import SIGNAL_LIMIT
 
 Kind = Literal["paraboloid", "flat", "edge"]
 

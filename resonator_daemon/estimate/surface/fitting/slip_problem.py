@@ -13,9 +13,10 @@ import numpy as np
 from scipy.linalg import lapack
 
 from resonator_daemon.base.arrays import Bools, Floats, Singles
+from resonator_daemon.estimate.surface.decoded import SIGNAL_LIMIT
 from resonator_daemon.estimate.surface.fitting.contact_fit import Expansion, minimise
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
-from resonator_daemon.estimate.surface.fitting.contact_start import ContactStart, Friction, bounds, clipped
+from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart, Friction, bounds, clipped
 from resonator_daemon.estimate.surface.fitting.slip_signals import (
     FORCE_X,
     FORCE_Z,
@@ -24,7 +25,6 @@ from resonator_daemon.estimate.surface.fitting.slip_signals import (
     ROWS,
     slope_rows,
 )
-from resonator_daemon.estimate.surface.parameters import SIGNAL_LIMIT
 
 FULL_STICK = 1.0 - 1e-4  # above it the margin leaves no trace in the signals, and 1 - m no digits
 _MARGIN_STARTS = (0.15, 0.6)  # of which one leads to the least chi-square

@@ -22,18 +22,26 @@ from numpy.typing import ArrayLike
 from resonator_daemon.base.arrays import Bools, Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.elastic import HalfSpace, SpectralGrid
-from resonator_daemon.estimate.surface.decoded import Decoded, stated
-from resonator_daemon.estimate.surface.fourier.extension import ExtendedTransform, ExtensionName
-from resonator_daemon.estimate.surface.fourier.spectra import Spectra, prior_root, sliding, spectra_of, white
-from resonator_daemon.estimate.surface.fourier.wiener import AveragedWiener, SpectralWiener, product
-from resonator_daemon.estimate.surface.parameters import (
+from resonator_daemon.estimate.surface.decoded import (
     CHI2_LIMIT,
     KNOWN_LIMIT,
     SIGNAL_LIMIT,
     UNEXPLAINED_LIMIT,
+    Decoded,
     noise_of_signals,
+    stated,
 )
-from resonator_daemon.estimate.surface.prior import DEFAULT_PRIOR, Prior
+from resonator_daemon.estimate.surface.fourier.spectra import (
+    ExtendedTransform,
+    ExtensionName,
+    Spectra,
+    prior_root,
+    sliding,
+    spectra_of,
+    white,
+)
+from resonator_daemon.estimate.surface.fourier.wiener import AveragedWiener, SpectralWiener, product
+from resonator_daemon.estimate.surface.skin import DEFAULT_PRIOR, Prior
 
 _SCALES = np.logspace(
     -1.0, 5.0, 30

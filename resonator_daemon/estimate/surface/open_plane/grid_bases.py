@@ -9,8 +9,13 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from resonator_daemon.base.arrays import Floats, Indices
 from resonator_daemon.estimate.surface.layout import Grid
-from resonator_daemon.estimate.surface.open_plane.estimate_power import AxisPower, frequencies
-from resonator_daemon.estimate.surface.open_plane.parity import CLASSES, parities, unfold
+from resonator_daemon.estimate.surface.open_plane.estimate_power import (
+    CLASSES,
+    AxisPower,
+    frequencies,
+    parities,
+    unfold,
+)
 from resonator_daemon.estimate.surface.open_plane.prior_tables import Field
 
 _FEWEST = 150  # products of a class: fewer save no time

@@ -10,10 +10,9 @@ import numpy as np
 
 from resonator_daemon.base.arrays import Floats, Indices, Singles
 from resonator_daemon.estimate.surface.layout import Grid
-from resonator_daemon.estimate.surface.open_plane.estimate_power import EstimatePower
+from resonator_daemon.estimate.surface.open_plane.estimate_power import CLASSES, EstimatePower, offset_table
 from resonator_daemon.estimate.surface.open_plane.grid_bases import Bases, Reduction
 from resonator_daemon.estimate.surface.open_plane.modes import Modes
-from resonator_daemon.estimate.surface.open_plane.parity import CLASSES, offset_table
 from resonator_daemon.estimate.surface.open_plane.prior_tables import Field, StationaryPrior
 
 

@@ -11,17 +11,17 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from resonator_daemon.base.arrays import Bools, Floats, Indices, Singles
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.estimate.surface.decoded import Decoded, stated
-from resonator_daemon.estimate.surface.open_plane.modes import Modes
-from resonator_daemon.estimate.surface.open_plane.scale_grid import Choice, Choices, ScaleGrid, row_energies
-from resonator_daemon.estimate.surface.open_plane.surface import Surface, SurfaceStack
-from resonator_daemon.estimate.surface.parameters import (
+from resonator_daemon.estimate.surface.decoded import (
     CHI2_LIMIT,
     GAIN_FLOOR,
     KNOWN_LIMIT,
     SIGNAL_LIMIT,
     UNEXPLAINED_LIMIT,
+    Decoded,
+    stated,
 )
+from resonator_daemon.estimate.surface.open_plane.modes import Modes, Surface, SurfaceStack
+from resonator_daemon.estimate.surface.open_plane.scale_grid import Choice, Choices, ScaleGrid, row_energies
 
 _SIGNIFICANT = 3.0  # standard deviations
 _LOST_SETS = 8  # sets of lost signals of which the solution is kept

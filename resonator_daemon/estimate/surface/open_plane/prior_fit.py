@@ -8,10 +8,10 @@ from numpy.typing import ArrayLike
 
 from resonator_daemon.base.arrays import Bools, Floats, Indices
 from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.surface.decoded import SIGNAL_LIMIT, noise_of_signals
 from resonator_daemon.estimate.surface.layout import as_grid
 from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder
-from resonator_daemon.estimate.surface.parameters import SIGNAL_LIMIT, noise_of_signals
-from resonator_daemon.estimate.surface.prior import DEFAULT_PRIOR, Prior
+from resonator_daemon.estimate.surface.skin import DEFAULT_PRIOR, Prior
 
 Place = tuple[int, int]  # in finest steps of log l and log r from the usual prior
 Progress = Callable[[int, float, float], None]

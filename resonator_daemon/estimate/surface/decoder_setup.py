@@ -1,4 +1,7 @@
-"""Keeps what takes seconds to set up in the user's cache directory, under a hash of all that it depends on."""
+"""Set-up of decoders: from the cache in the user's directory, or with matrices that equal skins share.
+
+What takes seconds to set up is kept under a hash of all that it depends on.
+"""
 
 import contextlib
 import hashlib
@@ -11,20 +14,39 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy
 
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.errors import meaning_of, reason_of
+from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
+from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder
 
 log = logging.getLogger(__name__)
 
 Built = TypeVar("Built")
 
+CANNOT_DECODE = (ValueError, ArithmeticError, MemoryError)
+
+SetUp = Callable[[Skin, DecodingOptions, Floats, Callable[[str], None]], SkinDecoder]
+
 _KEPT = 4  # files of some 80 MB
 _LEFT_S = 3600.0
 _CHECKSUM_BYTES = 4
 _CODE = Path(__file__).parent, Path(__file__).parent.parent / "elastic"
+
+
+def set_up(skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]) -> SkinDecoder:
+    """Build a decoder, or load it from the cache; raises one of CANNOT_DECODE if neither succeeds."""
+    try:
+        return cached((skin, options, noise_std), lambda: SkinDecoder(skin, options, noise_std, progress))
+    except CANNOT_DECODE:
+        raise
+    except Exception as error:  # a skin from the network may be anything; others can be decoded
+        log.exception("decoder could not be set up")
+        raise ValueError(f"decoder could not be set up: {error!r}") from error
 
 
 def cached(depends_on: Any, build: Callable[[], Built]) -> Built:
@@ -98,3 +120,42 @@ def _keep(path: Path, content: bytes) -> None:
     by_age = sorted(path.parent.glob("*.pickle"), key=lambda file: file.stat().st_mtime)
     for file in by_age[:-_KEPT]:
         file.unlink(missing_ok=True)
+
+
+class _Matrices:
+    """Read-only arrays of a decoder that has not decoded yet."""
+
+    def __init__(self, skin: Skin, options: DecodingOptions, decoder: SkinDecoder) -> None:
+        self._geometry, self._options, self._decoder = skin.geometry(), options, decoder
+        arrays: list[pickle.PickleBuffer] = []
+        self._rest = pickle.dumps(decoder, protocol=5, buffer_callback=arrays.append)
+        self._arrays = [array.raw().toreadonly() for array in arrays]
+
+    def match(self, skin: Skin, options: DecodingOptions, noise_std: Floats) -> bool:
+        """Return whether a decoder with these matrices decodes signals of such noise, (3, n), under a skin."""
+        return skin.geometry() == self._geometry and options == self._options and bool(self._decoder.fits(noise_std))
+
+    def decoder(self) -> SkinDecoder:
+        """Return another decoder with these matrices, in its initial state."""
+        decoder: SkinDecoder = pickle.loads(self._rest, buffers=self._arrays)
+        return decoder
+
+
+class EqualSkins:
+    """Set-up of decoders whose matrices equal skins share; matrices are released with the last decoder that has them.
+
+    A decoder returns the same values as one that is alone, if both were set up for the same noise.
+    """
+
+    def __init__(self) -> None:
+        self._matrices: WeakKeyDictionary[SkinDecoder, _Matrices] = WeakKeyDictionary()
+
+    def set_up(
+        self, skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
+    ) -> SkinDecoder:
+        """Return a decoder with the matrices of an equal skin of similar noise; without one, as `set_up`."""
+        known = (each for each in list(self._matrices.values()) if each.match(skin, options, noise_std))
+        matrices = next(known, None) or _Matrices(skin, options, set_up(skin, options, noise_std, progress))
+        decoder = matrices.decoder()
+        self._matrices[decoder] = matrices
+        return decoder

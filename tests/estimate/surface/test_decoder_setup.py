@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from resonator_daemon.estimate.elastic import HalfSpace
-from resonator_daemon.estimate.surface.setup_cache import cached
+from resonator_daemon.estimate.surface.decoder_setup import cached
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 
 
