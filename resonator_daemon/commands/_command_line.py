@@ -24,7 +24,7 @@ from resonator_daemon.base.errors import (
 )
 from resonator_daemon.base.host.systemd import set_up_logging
 from resonator_daemon.base.host.text import coloured, with_pages
-from resonator_daemon.tools.command_line.output import print_error, print_failure
+from resonator_daemon.tools.command_line import print_error, print_failure
 
 _ONE_OF: Final = "one of the arguments "
 

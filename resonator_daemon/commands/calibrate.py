@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from resonator_daemon.base.errors import ExitCode, UsageError
-from resonator_daemon.tools.command_line.argument_types import options_of, positive, whole_number
+from resonator_daemon.tools.command_line import options_of, positive, whole_number
 
 _OF_BOTH: Final = {"words", "config", "json", "command", "run"}
 _OF_SKIN: Final = {"seconds"}

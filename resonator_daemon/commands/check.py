@@ -7,8 +7,7 @@ import argparse
 
 from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.base.host.text import print_note
-from resonator_daemon.tools.command_line.argument_types import add_config
-from resonator_daemon.tools.command_line.output import print_json
+from resonator_daemon.tools.command_line import add_config, print_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

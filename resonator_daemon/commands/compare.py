@@ -11,8 +11,7 @@ import logging
 from pathlib import Path
 
 from resonator_daemon.base.errors import DifferenceError, ExitCode, NoRecordingError
-from resonator_daemon.tools.command_line.argument_types import picture
-from resonator_daemon.tools.command_line.output import print_json, print_page
+from resonator_daemon.tools.command_line import picture, print_json, print_page
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

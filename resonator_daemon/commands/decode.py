@@ -6,7 +6,7 @@ Example: resonatord decode left-index.toml
 import argparse
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.tools.command_line.argument_types import add_config
+from resonator_daemon.tools.command_line import add_config
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -12,7 +12,7 @@ import logging
 import sys
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.tools.command_line.argument_types import check_plate_name, positive
+from resonator_daemon.tools.command_line import check_plate_name, positive
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

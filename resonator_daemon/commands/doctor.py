@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from resonator_daemon.base.errors import ExitCode, UsageError, UserError
-from resonator_daemon.tools.command_line.argument_types import link_or_config, positive, separate_config
+from resonator_daemon.tools.command_line import link_or_config, positive, separate_config
 
 _SECONDS: Final = 10.0
 

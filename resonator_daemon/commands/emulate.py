@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from resonator_daemon.base.errors import ExitCode, UsageError, UserError, reason_of
-from resonator_daemon.tools.command_line.argument_types import check_plate_name, host_and_port, options_of, positive
+from resonator_daemon.tools.command_line import check_plate_name, host_and_port, options_of, positive
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from resonator_daemon.base.errors import DifferenceError, ExitCode, NoRecordingError
 from resonator_daemon.base.host.text import print_note
-from resonator_daemon.tools.command_line.output import print_json
+from resonator_daemon.tools.command_line import print_json
 from resonator_daemon.tools.export import formats
 
 

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from resonator_daemon.base.errors import ExitCode, IncompatibleBoardError, UsageError, UserError
-from resonator_daemon.tools.command_line.argument_types import link_or_config, separate_config
-from resonator_daemon.tools.command_line.output import print_json
+from resonator_daemon.tools.command_line import link_or_config, print_json, separate_config
 
 if TYPE_CHECKING:
     from resonator_daemon.base.reasons import ReasonCode

@@ -4,20 +4,177 @@ Example: sudo /opt/resonatord/bin/resonatord install
 """
 
 import argparse
+import re
+import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.commands._installation import made_files, report
+from resonator_daemon.base.host.text import print_note, with_pages
+from resonator_daemon.tools.command_line import print_json
+
+if TYPE_CHECKING:
+    from resonator_daemon.base.host.install import Action, Installation
+
+SHARE: Final = "/usr/local/share"
+COMPLETION_FILES: Final = {
+    "bash": f"{SHARE}/bash-completion/completions/resonatord",
+    "zsh": f"{SHARE}/zsh/site-functions/_resonatord",
+    "fish": f"{SHARE}/fish/vendor_completions.d/resonatord.fish",
+}
+MANUAL_DIRECTORY: Final = f"{SHARE}/man/man1"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dry-run", action="store_true", help="print what would be done, and do nothing")
-    parser.add_argument("--prefix", type=Path, metavar="DIR", help="write below it, and run nothing: for an image")
+    parser.add_argument("--prefix", type=Path, metavar="DIR", help="work below it, and run nothing: for an image")
     parser.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.base.host.install import install
+    """Print what was done; InstallError where a step failed."""
+    from resonator_daemon.base.host.install import EXAMPLE, InstallError, install, uninstall
+    from resonator_daemon.board.config import example_config
 
-    done = install(arguments.prefix, made_files(), dry_run=arguments.dry_run)
-    return report("install", done, arguments.prefix, dry_run=arguments.dry_run, as_json=arguments.json)
+    verb, prefix, dry_run = arguments.command, arguments.prefix, arguments.dry_run
+    made_here = {EXAMPLE: with_pages(example_config()), **dict(completions()), **dict(manual())}
+    done = (install if verb == "install" else uninstall)(prefix, made_here, dry_run=dry_run)
+    result = {
+        "program": str(done.program),
+        "warning": done.warning,
+        "dry_run": dry_run,
+        "files": [{"path": str(file.path), "action": file.action} for file in done.placed],
+        "commands": [
+            {"command": " ".join(command), "done": done.run and error is None, "error": error}
+            for command, error in done.commands
+        ],
+    }
+    if not arguments.json:
+        if done.warning:
+            print_note(f"warning: {done.warning}")
+        sys.stdout.writelines(f"{line}\n" for line in _lines(verb, done))
+        if verb == "install" and prefix is None and not done.warning:
+            sys.stdout.write(
+                f"next: copy {EXAMPLE} to /etc/resonatord/NAME.toml, then: systemctl enable --now resonatord@NAME\n"
+            )
+    if failed := [f"{' '.join(command)}: {error}" for command, error in done.commands if error]:
+        raise InstallError(*failed, so_far=result)
+    if arguments.json:
+        print_json({"verb": verb, "ok": True, **result})
+    return ExitCode.DONE
+
+
+def _lines(verb: str, done: "Installation") -> Iterator[str]:
+    from resonator_daemon.base.host.install import Action
+
+    elsewhere = "; `resonatord install --prefix DIR` writes the new one elsewhere" if verb == "install" else ""
+    more = {
+        Action.READ_ONLY: "left out: this file system is read-only",
+        Action.KEPT: f"kept: it was changed here{elsewhere}",
+    }
+    for place, action in _places(done):
+        yield f"{place}: {more.get(action) or action.replace('_', ' ')}"
+    for command, error in done.commands:
+        yield f"{' '.join(command)}: {error or ('done' if done.run else 'would be run')}"
+
+
+def _places(done: "Installation") -> "Iterator[tuple[str, Action]]":
+    """Yield each file with what is done with it; pages of the manual as one where they fare alike."""
+    pages = [file for file in done.placed if file.path.parent.name == "man1"]
+    alike = len({file.action for file in pages}) == 1
+    for file in done.placed:
+        if not alike or file not in pages:
+            yield str(file.path), file.action
+    if alike:
+        yield f"{pages[0].path.parent}, {len(pages)} pages", pages[0].action
+
+
+def completions() -> Iterator[tuple[str, str]]:
+    """Yield path and text of the completion script of each shell."""
+    import shtab
+
+    from resonator_daemon.commands._command_line import make_parser, parsers
+
+    root = make_parser()
+    for _, parser in parsers(root):
+        parser.description = (parser.description or "").partition(". ")[0]  # next to each command in the shell
+        for action in parser._actions:  # noqa: SLF001 - argparse has no other way to list arguments
+            if "--plate" in action.option_strings and action.choices is None:
+                action.complete = _plates_and_files()  # type: ignore[attr-defined]
+            elif (kind := _kind(action)) is not None:
+                action.complete = getattr(shtab, kind)  # type: ignore[attr-defined]
+    for shell, path in COMPLETION_FILES.items():
+        yield path, shtab.complete(root, shell)
+
+
+def _plates_and_files() -> dict[str, object]:
+    """Return the completion of plate names and files for each shell."""
+    from resonator_daemon.base.plate import shipped_plates
+
+    names, function = " ".join(shipped_plates()), "_resonatord_plate_files"  # bash quotes names of _file functions
+    return {
+        "bash": function,
+        "zsh": function,
+        "fish": f"{names} (__fish_complete_path (commandline -ct))",
+        "preamble": {
+            "bash": f'{function}() {{ compgen -W "{names}" -- "$1"; compgen -f -- "$1"; }}',
+            "zsh": f"{function}() {{ compadd {names}; _files; }}",
+        },
+    }
+
+
+def _kind(action: argparse.Action) -> str | None:
+    name = action.metavar if isinstance(action.metavar, str) else ""
+    if "DIR" in name:
+        return "DIRECTORY"
+    return "FILE" if "FILE" in name or name in ("OUT", "LINKPATH") else None
+
+
+def manual() -> Iterator[tuple[str, str]]:
+    """Yield path and text of a manual page for `resonatord`, for each command, and for each group of commands."""
+    from importlib.metadata import version
+
+    from resonator_daemon.commands._command_line import make_parser, parsers
+
+    release = version("resonatord")
+    for words, parser in parsers(make_parser()):
+        vars(parser)["color"] = False  # of Python 3.14, on a terminal
+        name = words.replace(" ", "-")
+        yield f"{MANUAL_DIRECTORY}/{name}.1", "\n".join(_page(name, parser, release)) + "\n"
+
+
+def _page(name: str, parser: argparse.ArgumentParser, release: str) -> Iterator[str]:
+    description = parser.description or ""
+    usage = " ".join(parser.format_usage().removeprefix("usage: ").split())
+    yield f'.TH {_text(name.upper())} 1 "" "resonatord {release}" "resonatord"'
+    yield from (".SH NAME", f"{_text(name)} \\- {_text(re.split(r'[.:] ', description)[0].removesuffix('.'))}")
+    yield from (".SH SYNOPSIS", f".B {_text(usage)}")
+    yield from (".SH DESCRIPTION", _text(description))
+    for group in parser._action_groups:  # noqa: SLF001 - argparse has no other way to list arguments
+        actions = [action for action in group._group_actions if action.help is not argparse.SUPPRESS]  # noqa: SLF001
+        if actions:
+            yield f".SH {_text((group.title or 'arguments').upper())}"
+        for action in actions:
+            yield from _entries(parser, action)
+    if parser.epilog:
+        yield from (".SH NOTES", _text(parser.epilog))
+    if " " in parser.prog:
+        yield from (".SH SEE ALSO", r".BR resonatord (1)")
+
+
+def _entries(parser: argparse.ArgumentParser, action: argparse.Action) -> Iterator[str]:
+    if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001
+        for choice in action._choices_actions:  # noqa: SLF001 - the help of commands is nowhere else
+            page = f"{parser.prog} {choice.dest}".replace(" ", "-")
+            yield from (".TP", f".BR {_text(page)} (1)", _text(choice.help or ""))
+        return
+    formatter = parser._get_formatter()  # noqa: SLF001
+    yield from (".TP", f".B {_text(formatter._format_action_invocation(action))}")  # noqa: SLF001
+    yield _text(formatter._expand_help(action)) if action.help else ""  # noqa: SLF001 - with its defaults
+
+
+def _text(text: str) -> str:
+    """Return a line of text with the signs escaped that roff takes as commands."""
+    escaped = with_pages(text).replace("\\", "\\e").replace("-", "\\-").replace('"', "\\(dq").replace("`", "\\(ga")
+    return f"\\&{escaped}" if escaped.startswith((".", "'")) else escaped

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.base.host.text import page, print_note
-from resonator_daemon.tools.command_line.output import print_error, print_json
+from resonator_daemon.tools.command_line import print_error, print_json
 
 if TYPE_CHECKING:
     from resonator_daemon.board.links.target import FoundPort

@@ -7,8 +7,7 @@ import argparse
 from pathlib import Path
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.tools.command_line.argument_types import add_config, options_of, positive
-from resonator_daemon.tools.command_line.output import print_json
+from resonator_daemon.tools.command_line import add_config, options_of, positive, print_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from resonator_daemon.base.errors import ConfigurationError, ExitCode, UserError
 from resonator_daemon.base.host.text import printable
-from resonator_daemon.tools.command_line.output import print_json
+from resonator_daemon.tools.command_line import print_json
 
 if TYPE_CHECKING:
     from resonator_daemon.daemon.monitoring.status_client import Answer

@@ -10,8 +10,7 @@ import sys
 
 from resonator_daemon.base.errors import ExitCode, UsageError
 from resonator_daemon.base.host.text import printable
-from resonator_daemon.tools.command_line.broker_arguments import add_broker, add_daemon, client_of
-from resonator_daemon.tools.command_line.output import print_json
+from resonator_daemon.tools.command_line import add_broker, add_daemon, client_of, print_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -13,8 +13,7 @@ from typing import Final
 
 from resonator_daemon.base.errors import DifferenceError, ExitCode, NoRecordingError, UsageError
 from resonator_daemon.base.host.text import print_note
-from resonator_daemon.tools.command_line.argument_types import options_of
-from resonator_daemon.tools.command_line.output import print_json
+from resonator_daemon.tools.command_line import options_of, print_json
 
 _DEFAULT_URL: Final = "mqtt://127.0.0.1:1883"
 

@@ -13,9 +13,8 @@ from pathlib import Path
 
 from resonator_daemon.base.errors import ConfigurationError, ExitCode
 from resonator_daemon.base.host.text import print_note
-from resonator_daemon.commands._answers import print_answer, send_command
-from resonator_daemon.tools.command_line.argument_types import number
-from resonator_daemon.tools.command_line.broker_arguments import add_broker, add_daemon, client_of
+from resonator_daemon.commands.command import print_answer, send_command
+from resonator_daemon.tools.command_line import add_broker, add_daemon, client_of, number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

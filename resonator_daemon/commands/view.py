@@ -14,9 +14,7 @@ from pathlib import Path
 
 from resonator_daemon.base.errors import ExitCode, MissingLibraryError, NoRecordingError, UsageError
 from resonator_daemon.base.host.text import how_to_install
-from resonator_daemon.tools.command_line.argument_types import host_and_port
-from resonator_daemon.tools.command_line.broker_arguments import add_broker, broker_of
-from resonator_daemon.tools.command_line.output import print_json
+from resonator_daemon.tools.command_line import add_broker, broker_of, host_and_port, print_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

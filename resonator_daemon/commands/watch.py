@@ -8,7 +8,7 @@ Example: resonatord watch --url mqtt://127.0.0.1:1883
 import argparse
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.tools.command_line.broker_arguments import add_broker, broker_of
+from resonator_daemon.tools.command_line import add_broker, broker_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

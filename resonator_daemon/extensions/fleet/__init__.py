@@ -14,8 +14,7 @@ from typing import Any, Final
 
 from resonator_daemon.base.errors import ConfigurationError, DifferenceError, ExitCode, UsageError
 from resonator_daemon.base.host.text import print_note
-from resonator_daemon.tools.command_line.argument_types import number, whole_number
-from resonator_daemon.tools.command_line.output import print_json
+from resonator_daemon.tools.command_line import number, print_json, whole_number
 
 _NO_MAPS: Final = "; force plates have no maps: name forces or contacts"
 _NO_ROWS: Final = {

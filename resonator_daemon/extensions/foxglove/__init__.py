@@ -13,9 +13,7 @@ import argparse
 import sys
 
 from resonator_daemon.base.errors import ExitCode, UsageError
-from resonator_daemon.tools.command_line.argument_types import host_and_port
-from resonator_daemon.tools.command_line.broker_arguments import add_broker, broker_of
-from resonator_daemon.tools.command_line.output import print_json
+from resonator_daemon.tools.command_line import add_broker, broker_of, host_and_port, print_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

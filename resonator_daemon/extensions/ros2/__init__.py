@@ -13,8 +13,7 @@ import os
 import re
 
 from resonator_daemon.base.errors import ExitCode, UsageError
-from resonator_daemon.tools.command_line.argument_types import whole_number
-from resonator_daemon.tools.command_line.broker_arguments import add_broker, broker_of
+from resonator_daemon.tools.command_line import add_broker, broker_of, whole_number
 
 _DOMAIN_MAX = 232  # beyond it, DDS has no ports
 

@@ -58,14 +58,14 @@ def test_a_board_that_vanished_is_noticed_by_what_it_does_not_acknowledge(listen
         cut_off(board)
         link.write(b"who are you?")
         with pytest.raises(LinkLostError, match="Connection timed out"):
-            assert link.read(AMPLE_S) == b""
+            link.read(AMPLE_S)
     link.close()
 
 
 def test_a_board_that_vanished_without_a_word_is_noticed(connected: Connected) -> None:
     cut_off(connected.board)
     with pytest.raises(LinkLostError, match="Connection timed out"):
-        assert connected.link.read(AMPLE_S) == b""
+        connected.link.read(AMPLE_S)
 
 
 def test_a_board_that_serves_another_program_is_not_unplugged(connected: Connected) -> None:

@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.tools.command_line.argument_types import number, picture, whole_number
-from resonator_daemon.tools.command_line.output import print_json, print_page
+from resonator_daemon.tools.command_line import number, picture, print_json, print_page, whole_number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -13,8 +13,7 @@ import argparse
 import logging
 
 from resonator_daemon.base.errors import ExitCode, UsageError
-from resonator_daemon.tools.command_line.argument_types import picture
-from resonator_daemon.tools.command_line.output import print_json, print_page
+from resonator_daemon.tools.command_line import picture, print_json, print_page
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,4 +1,0 @@
-"""Print an example of the configuration file, the meaning of a key, or the schema for editors.
-
-Example: resonatord config explain mqtt.url
-"""

@@ -1,0 +1,222 @@
+"""What commands share, those of extensions too: types of arguments, the arguments for a broker, output."""
+
+import argparse
+import dataclasses
+import io
+import json
+import math
+import os.path
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from resonator_daemon.base.errors import ConfigurationError, UsageError, UserError
+from resonator_daemon.base.host.systemd import error_prefix
+from resonator_daemon.base.host.text import coloured, printable
+
+if TYPE_CHECKING:
+    from resonator_daemon.board.config.clients import Client
+    from resonator_daemon.board.config.mqtt import Mqtt
+
+T = TypeVar("T")
+
+
+def number(low: float, high: float) -> Callable[[str], float]:
+    """Return a parser of numbers from `low` to `high`."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a number from {low:g} to {high:g}")
+        return value
+
+    return parse
+
+
+def whole_number(low: int, high: int) -> Callable[[str], int]:
+    """Return a parser of whole numbers from `low` to `high`."""
+
+    def parse(text: str) -> int:
+        if not (text.isascii() and text.isdecimal() and len(text) < 19 and low <= int(text) <= high):
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {low} to {high:g}")
+        return int(text)
+
+    return parse
+
+
+def positive(text: str) -> float:
+    """Parse a number above 0 and below 1e9."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0 and below 1e9")
+    return value
+
+
+def link_target(text: str) -> object:
+    """Parse the address of a link, as serial:PATH?baud=N."""
+    from resonator_daemon.board.links.carriers import parse_link
+
+    try:
+        return parse_link(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r}: {error}") from error
+
+
+def add_config(parser: argparse.ArgumentParser, meaning: str) -> None:
+    """Add the configuration file as an argument and, likewise, as `--config`; one of them has to be given."""
+    group = parser.add_mutually_exclusive_group(required=True)
+    group.add_argument("--config", type=Path, metavar="FILE", help="the same as FILE")
+    add_config_argument(group, meaning)
+
+
+def add_config_argument(group: Any, meaning: str) -> None:
+    """Add the configuration file as an argument to a group that has it as `--config`."""
+
+    def path(text: str) -> Path | str:
+        return text if text is argparse.SUPPRESS else Path(text)  # its default leaves --config as it is
+
+    group.add_argument("config", type=path, nargs="?", default=argparse.SUPPRESS, metavar="FILE", help=meaning)
+
+
+def link_or_config(text: str) -> object:
+    """Parse the address of a link, or the name of a configuration file, which ends in .toml."""
+    return Path(text) if text.endswith(".toml") else link_target(text)
+
+
+def separate_config(arguments: argparse.Namespace) -> None:
+    """Move the configuration file of `link_or_config` from `link` to `config`; UsageError where both are given."""
+    if isinstance(arguments.link, Path):
+        if arguments.config is not None:
+            raise UsageError(f"{arguments.link} and --config {arguments.config}: give one configuration")
+        arguments.config, arguments.link = arguments.link, None
+
+
+def check_plate_name(name: str) -> None:
+    """Raise UsageError where `--plate` names neither a shipped plate nor a file."""
+    from resonator_daemon.base.plate import load_plate, shipped_plates
+
+    try:
+        if name not in shipped_plates() and not os.path.exists(name):
+            load_plate(name)
+    except ConfigurationError as error:
+        raise UsageError(f"--plate: {error}") from error
+
+
+def picture(text: str) -> Path:
+    """Parse the name of a picture file."""
+    path = Path(text)
+    if path.suffix not in (".svg", ".png", ".pdf"):
+        raise argparse.ArgumentTypeError(f"{text!r} must end in .svg, .png or .pdf")
+    return path
+
+
+def options_of(kind: Callable[..., T], arguments: argparse.Namespace, **others: Any) -> T:
+    """Return a dataclass of options: the arguments with the names of its fields, and `others`.
+
+    An argument that was not given, and has no default, leaves the field its own.
+    """
+    names = [field.name for field in dataclasses.fields(kind) if hasattr(arguments, field.name)]  # type: ignore[arg-type]
+    return kind(**{name: getattr(arguments, name) for name in names} | others)
+
+
+def host_and_port(text: str) -> tuple[str, int]:
+    """Parse HOST:PORT, where port 0 selects a free one."""
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdecimal() or int(port) > 65_535:
+        raise argparse.ArgumentTypeError(f"{text!r} is not HOST:PORT (try 127.0.0.1:0; port 0 selects a free one)")
+    return host.strip("[]"), int(port)
+
+
+def add_broker(parser: argparse.ArgumentParser, *, config_is_argument: bool = False) -> None:
+    """Add `--url`, `--config` and `--prefix`; with `config_is_argument` the file may stand alone, too."""
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--url", help="the broker (default: mqtt://127.0.0.1:1883)")
+    where.add_argument("--config", type=Path, metavar="FILE", help="a configuration, whose [mqtt] names the broker")
+    if config_is_argument:
+        add_config_argument(where, "a configuration, whose [mqtt] names broker, prefix and credentials")
+    parser.add_argument("--prefix", help="first level of the topics (default: that of the configuration, or resonator)")
+
+
+def broker_of(arguments: argparse.Namespace) -> "Mqtt":
+    """Return the broker that is meant; UserError where it cannot be used."""
+    from resonator_daemon.board.config.clients import load_client
+    from resonator_daemon.board.config.mqtt import Mqtt
+    from resonator_daemon.tools.view.watch import broker_at
+
+    if arguments.config is None:
+        return broker_at(arguments.url or Mqtt().url, arguments.prefix or Mqtt().prefix)
+    broker = load_client(arguments.config).mqtt
+    if arguments.prefix is None:
+        return broker
+    return broker.model_copy(update={"prefix": broker_at(Mqtt().url, arguments.prefix).prefix})
+
+
+def add_daemon(parser: argparse.ArgumentParser, *, required: bool = True) -> None:
+    """Add `NAME|FILE`, which names a daemon; unless `required`, `--config` of `add_broker` may name it instead."""
+    parser.add_argument(
+        "name",
+        nargs=None if required else "?",
+        metavar="NAME|FILE",
+        help="that the daemon publishes under; or its configuration, as left-index.toml, which also names the broker",
+    )
+
+
+def client_of(arguments: argparse.Namespace) -> "Client":
+    """Return name and broker of the daemon that `NAME|FILE` and the options of `add_broker` name.
+
+    Raises
+    ------
+    UserError
+        They name none, or contradict each other, or the configuration cannot be used.
+    """
+    from resonator_daemon.board.config.clients import Client, load_client
+    from resonator_daemon.board.config.tables import plate_name
+
+    name = arguments.name
+    if name is None and arguments.config is None:
+        raise UsageError("give NAME|FILE or --config")
+    if name is not None and name.endswith(".toml"):
+        if arguments.config is not None or arguments.url is not None:
+            raise UsageError(f"{name} names the broker; leave --config and --url out")
+        arguments.config, name = Path(name), None
+    if name is None:
+        return load_client(arguments.config).model_copy(update={"mqtt": broker_of(arguments)})
+    try:
+        name = plate_name(name)
+    except ValueError as error:
+        raise UsageError(f"NAME: got {name!r}; {error}") from None
+    return Client.model_construct(name=name, link=None, mqtt=broker_of(arguments))
+
+
+def print_json(value: object) -> None:
+    """Print a value as one line of JSON."""
+    sys.stdout.write(json.dumps(value) + "\n")
+
+
+def print_failure(command: str, error: UserError) -> None:
+    """Print the JSON object of a command that failed: what there is of its result, and why."""
+    why = {"code": error.code, "message": str(error), "hint": error.hint}  # a daemon's refusal has its own
+    print_json({"verb": command, "ok": False, "error": why} | {**error.so_far, "ok": False})
+
+
+def print_page(page: Any) -> None:
+    """Print a renderable of rich; characters that the terminal's encoding lacks become question marks."""
+    from rich.console import Console
+
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
+    Console(highlight=False).print(page)
+
+
+def print_error(*messages: str) -> None:
+    """Print each message as one line to the standard error."""
+    for message in messages:
+        program = coloured("resonatord:", "red", sys.stderr)
+        sys.stderr.write(f"{error_prefix()}{program} {printable(message)}\n")
