@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PARTS = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "docs/", "firmware_protocol/", "systemd/")
-PACKAGE = [f"resonator_daemon.tools.python_api.{module}" for module in ("recordings", "tables", "live", "errors")]
+PACKAGE = [f"resonator_daemon.tools.python_api{module}" for module in (".recordings", ".tables", ".live", "")]
 API = {
     "python-package": ("Python package resonatord", *PACKAGE),
     "python-elastic": ("Elastic half-space", "resonator_daemon.estimate.elastic"),

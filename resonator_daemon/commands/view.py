@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     try:
         from resonator_daemon.tools.live_page.access import read_token, tls_of
         from resonator_daemon.tools.live_page.hub import Sources
-        from resonator_daemon.tools.live_page.server import LivePageOptions, serve
+        from resonator_daemon.tools.live_page.server import LivePage, serve
     except ModuleNotFoundError as error:
         raise MissingLibraryError(f"the live page needs {error.name}: {how_to_install('aiohttp')}") from error
 
@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     directory = next((path for path in arguments.recordings if path.is_dir()), None)
     needs_broker = not arguments.recordings or arguments.url or arguments.config
     host, port = arguments.listen
-    options = LivePageOptions(
+    page = LivePage(
         Sources(
             broker_of(arguments) if needs_broker else None,
             [] if directory else arguments.recordings,
@@ -74,10 +74,10 @@ def run(arguments: argparse.Namespace) -> ExitCode:
             arguments.press,
             arguments.allow_commands,
         ),
-        host,
-        port,
-        None if arguments.token_file is None else read_token(arguments.token_file),
-        None if arguments.tls_key is None else tls_of(arguments.tls_certificate, arguments.tls_key),
+        host=host,
+        port=port,
+        token=None if arguments.token_file is None else read_token(arguments.token_file),
+        tls=None if arguments.tls_key is None else tls_of(arguments.tls_certificate, arguments.tls_key),
     )
 
     def print_address(url: str) -> None:
@@ -87,7 +87,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
             sys.stdout.write(f"live page: {url}\nstop with Ctrl-C\n")
         sys.stdout.flush()
 
-    asyncio.run(serve(options, print_address))
+    asyncio.run(serve(page, print_address))
     return ExitCode.DONE
 
 

@@ -4,12 +4,12 @@ import asyncio
 import json
 import os
 import signal
-import struct
 import sys
 import tempfile
 from asyncio.subprocess import DEVNULL, PIPE, Process
 from bisect import bisect_right
 from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final
@@ -23,15 +23,10 @@ OPEN_MAX: Final = 4  # of all browsers together: each is decoded by a process in
 LISTED_MAX: Final = 1000
 
 _SUFFIX: Final = ".mcap"
-
-# What the process that decodes writes about each message.
-PATHS: Final = tuple(TOPICS)
-ENTRY: Final = struct.Struct("<Bqqi")  # index of the path, time since the beginning in ns, offset and length
-SCANNED, DONE, FAILED, TIME = 255, 254, 253, 252  # instead of a path; all but TIME are followed by JSON of this length
-
 _WORKER: Final = "resonator_daemon.tools.live_page.recording_worker"
 _ENDED: Final = "its decoding ended before its end; all before that is shown"
 _UNREAD: Final = "its decoding ended before anything was read"
+_LINE_BYTES_MAX: Final = 1 << 26  # of all marks
 
 
 @dataclass
@@ -76,7 +71,7 @@ class Recorded:
         self.failure: str | None = None
         self.decoded_ns = 0
         self.complete = False
-        self.tracks = {path: Track() for path in PATHS}
+        self.tracks = {path: Track() for path in TOPICS}
         self._path = path
         self._on_change = on_change
         self._duration_s: float | None = None
@@ -126,6 +121,7 @@ class Recorded:
                 *(sys.executable, "-P", "-m", _WORKER, str(self._path), str(number)),
                 stdin=DEVNULL,
                 stdout=PIPE,
+                limit=_LINE_BYTES_MAX,
                 pass_fds=(number,),
                 start_new_session=True,  # Ctrl-C is for the server
                 preexec_fn=ended_with_parent(signal.SIGKILL),
@@ -143,30 +139,26 @@ class Recorded:
                 await ending
 
     async def _receive(self, stream: asyncio.StreamReader) -> None:
-        try:
-            while True:
-                kind, t_ns, offset, length = ENTRY.unpack(await stream.readexactly(ENTRY.size))
-                if kind < len(PATHS):
-                    track = self.tracks[PATHS[kind]]
-                    track.times_ns.append(t_ns)
-                    track.places.append((offset, length))
-                elif kind == TIME:
-                    self.decoded_ns = t_ns
-                else:
-                    content = json.loads(await stream.readexactly(length))
-                    if kind == FAILED:
-                        self._fail(content["failure"])
-                        return
-                    if content["truncated"] is not None:
-                        self.truncated = content["truncated"]
-                    if kind == DONE:
-                        return
-                    if kind == SCANNED:
-                        self.plate, self._duration_s = content["plate"], content["duration_s"]
-                        self._marks = content["marks"]
+        """Read what `recording_worker` writes; a line that is cut off ends it."""
+        with suppress(ValueError):
+            async for line in stream:
+                match json.loads(line):
+                    case [path, t_ns, offset, length]:
+                        track = self.tracks[path]
+                        track.times_ns.append(t_ns)
+                        track.places.append((offset, length))
+                    case [t_ns]:
+                        self.decoded_ns = t_ns
+                    case {"plate": plate, "duration_s": duration_s, "marks": marks, "truncated": cut}:
+                        self.plate, self._duration_s, self._marks, self.truncated = plate, duration_s, marks, cut
                         self._on_change()
-        except asyncio.IncompleteReadError:
-            self.truncated = self.truncated or _ENDED
+                    case {"failure": failure}:
+                        self._fail(failure)
+                        return
+                    case {"truncated": cut}:
+                        self.truncated = cut or self.truncated
+                        return
+        self.truncated = self.truncated or _ENDED
 
 
 async def _end(starting: Awaitable[Process]) -> None:

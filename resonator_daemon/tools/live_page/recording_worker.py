@@ -1,16 +1,19 @@
-"""Process that decodes a recording: payloads into a file, and where each is to the standard output."""
+"""Process that decodes a recording: payloads into a file, and where each is to the standard output.
+
+Each line there is JSON: an object with what the scan found; for each message its topic, time since the beginning in ns,
+offset and length; the time up to which all is decoded; at the end an object with what is wrong.
+"""
 
 import json
 import os
 import sys
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final, TextIO
 
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.recording.reader import Mark, damage_in_words, open_recording
 from resonator_daemon.mqtt.codec import encode
-from resonator_daemon.tools.live_page.library import DONE, ENTRY, FAILED, PATHS, SCANNED, TIME
 from resonator_daemon.tools.replay.source import open_replay
 
 STREAM_PERIOD_NS: Final = 15_000_000  # a display shows no more
@@ -32,17 +35,13 @@ def scan(path: Path) -> dict[str, Any]:
     return {"duration_s": duration_s, "marks": marks, "truncated": damage and damage_in_words(damage, "shown")}
 
 
-def decode(path: Path, payloads: BinaryIO, entries: BinaryIO, bytes_max: int = FILE_BYTES_MAX) -> None:
+def decode(path: Path, payloads: BinaryIO, entries: TextIO, bytes_max: int = FILE_BYTES_MAX) -> None:
     """Write the payloads of a recording's messages to one file and their entries to the other, after its scan."""
-
-    def report(kind: int, content: dict[str, Any]) -> None:
-        _report(entries, kind, content)
-
     found = scan(path)
     offset, begun_ns, ends_early = 0, None, False
     newest_ns: dict[str, int] = {}
     with open_replay(path) as replaying:
-        report(SCANNED, found | {"plate": replaying.config.name or replaying.config.plate.name})
+        _report(entries, found | {"plate": replaying.config.name or replaying.config.plate.name})
         for moment in replaying.moments():
             now_ns = moment.now.monotonic_ns
             begun_ns = now_ns if begun_ns is None else begun_ns
@@ -54,11 +53,10 @@ def decode(path: Path, payloads: BinaryIO, entries: BinaryIO, bytes_max: int = F
                     newest_ns[topic.path] = t_ns
                 payload = encode(message)
                 payloads.write(payload)
-                entries.write(ENTRY.pack(PATHS.index(topic.path), t_ns, offset, len(payload)))
+                entries.write(f'["{topic.path}", {t_ns}, {offset}, {len(payload)}]\n')
                 offset += len(payload)
             payloads.flush()
-            entries.write(ENTRY.pack(TIME, t_ns, 0, 0))
-            entries.flush()
+            _report(entries, [t_ns])
             if offset > bytes_max:
                 ends_early = True
                 break
@@ -66,12 +64,11 @@ def decode(path: Path, payloads: BinaryIO, entries: BinaryIO, bytes_max: int = F
     wrong = damage and damage_in_words(damage, "shown")
     if ends_early:
         wrong = f"longer than the {bytes_max >> 20} MB that the page keeps; all before that is shown"
-    report(DONE, {"truncated": wrong})
+    _report(entries, {"truncated": wrong})
 
 
-def _report(entries: BinaryIO, kind: int, content: dict[str, Any]) -> None:
-    text = json.dumps(content).encode()
-    entries.write(ENTRY.pack(kind, 0, 0, len(text)) + text)
+def _report(entries: TextIO, content: object) -> None:
+    entries.write(json.dumps(content) + "\n")
     entries.flush()
 
 
@@ -80,7 +77,7 @@ if __name__ == "__main__":  # RECORDING and the descriptor of the file for the p
     with open(int(sys.argv[2]), "wb") as payloads:
         recording = Path(sys.argv[1])
         try:
-            decode(recording, payloads, sys.stdout.buffer)
+            decode(recording, payloads, sys.stdout)
         except (LinkUnavailableError, UserError) as error:  # the directory is not for browsers
             failure = str(error).replace(str(recording), recording.name)
-            _report(sys.stdout.buffer, FAILED, {"failure": failure})
+            _report(sys.stdout, {"failure": failure})

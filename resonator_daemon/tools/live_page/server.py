@@ -7,7 +7,6 @@ import os
 import socket
 import ssl
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
@@ -31,9 +30,8 @@ log = logging.getLogger(__name__)
 log.addFilter(lambda record: record.exc_info is None or not isinstance(record.exc_info[1], _CLIENT_ERRORS))
 
 
-@dataclass(frozen=True)
-class LivePageOptions:
-    """What to show, where, and to whom.
+class LivePage:
+    """The page at its address.
 
     Parameters
     ----------
@@ -45,17 +43,6 @@ class LivePageOptions:
         That browsers have to send; required if `host` is not this computer's own.
     tls
         Certificate of the server; likewise.
-    """
-
-    sources: Sources
-    host: str = "127.0.0.1"
-    port: int = 8600
-    token: str | None = None
-    tls: ssl.SSLContext | None = None
-
-
-class LivePage:
-    """The page at its address.
 
     Raises
     ------
@@ -63,14 +50,25 @@ class LivePage:
         Other computers could reach the page without a token, or without TLS.
     """
 
-    def __init__(self, options: LivePageOptions) -> None:
-        if not is_this_computer(options.host) and (options.token is None or options.tls is None):
+    def __init__(
+        self,
+        sources: Sources,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8600,
+        token: str | None = None,
+        tls: ssl.SSLContext | None = None,
+    ) -> None:
+        if not is_this_computer(host) and (token is None or tls is None):
             raise UsageError(
-                f"--listen {options.host}: other computers can reach this address; give --token-file, "
+                f"--listen {host}: other computers can reach this address; give --token-file, "
                 "--tls-certificate and --tls-key, or listen on 127.0.0.1"
             )
-        self._options = options
-        self._hub = Hub(options.sources)
+        self._host = "127.0.0.1" if host == "localhost" else host
+        self._port = port
+        self._tls = tls
+        self._access = Access(host, token, tls=tls is not None)
+        self._hub = Hub(sources)
         self._ending = asyncio.Event()
 
     async def run(self, on_ready: Callable[[str], None]) -> None:
@@ -84,12 +82,12 @@ class LivePage:
         options: dict[str, Any] = {"access_log": None, "logger": log, "auto_decompress": False, "shutdown_timeout": 1.0}
         runner = web.AppRunner(self._make_app(), handle_signals=False, **options)
         await runner.setup()
-        host = "127.0.0.1" if self._options.host == "localhost" else self._options.host
+        host = self._host
         try:
-            await self._listen(runner, host)
+            await self._listen(runner)
             _, port, *_ = runner.addresses[0]
             name = socket.gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
-            on_ready(f"{'https' if self._options.tls else 'http'}://{name}:{port}/")
+            on_ready(f"{'https' if self._tls else 'http'}://{name}:{port}/")
             await self._serve()
         finally:
             await self._hub.disconnect_all()
@@ -99,13 +97,13 @@ class LivePage:
         """End `run`."""
         self._ending.set()
 
-    async def _listen(self, runner: web.AppRunner, host: str) -> None:
+    async def _listen(self, runner: web.AppRunner) -> None:
         try:
-            await web.TCPSite(runner, host, self._options.port, ssl_context=self._options.tls).start()
+            await web.TCPSite(runner, self._host, self._port, ssl_context=self._tls).start()
         except OSError as error:
             why = os.strerror(error.errno) if error.errno else meaning_of(error)  # asyncio puts the address before it
             raise ListenError(
-                f"cannot listen on {host}:{self._options.port}: {why}; --listen selects another address"
+                f"cannot listen on {self._host}:{self._port}: {why}; --listen selects another address"
             ) from None
 
     async def _serve(self) -> None:
@@ -130,7 +128,7 @@ class LivePage:
         page = Path(str(resources.files("resonator_daemon.tools.live_page") / "page"))
         files = {path.relative_to(page).as_posix(): path.read_bytes() for path in page.rglob("*.*")}
         app = web.Application()
-        Access(self._options.host, self._options.token, tls=self._options.tls is not None).protect(app)
+        self._access.protect(app)
 
         async def send_file(request: web.Request) -> web.StreamResponse:
             name = request.match_info["name"] or "index.html"
@@ -155,8 +153,7 @@ async def _keep_alive(manager: ServiceManager) -> None:
         await asyncio.sleep(_ALIVE_S)
 
 
-async def serve(options: LivePageOptions, on_ready: Callable[[str], None]) -> None:
+async def serve(page: LivePage, on_ready: Callable[[str], None]) -> None:
     """Serve the page until SIGINT, SIGTERM or SIGHUP."""
-    page = LivePage(options)
     with on_signals(lambda _: page.stop()):
         await page.run(on_ready)

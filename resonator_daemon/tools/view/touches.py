@@ -29,21 +29,11 @@ from resonator_daemon.tools.view.words import UNKNOWN, duration, millinewtons, n
 _ROWS_MAX: Final = 16
 
 
-class _Force(NamedTuple):
-    """A measured force, from `forces` or `contacts`."""
-
-    force_newton: float
-    noise_newton: float
-    systematic_newton: float
-    at_least_newton: float | None
-    status: Status
-
-
 class _Touch(NamedTuple):
     """A touch as measured and as it is; None where there is no such one."""
 
     site: int | None
-    measured: _Force | SiteForce | None
+    measured: SiteForce | None
     true: TrueContact | None
     lasted_s: float
 
@@ -113,7 +103,7 @@ class TouchesPanel:
         return f"status {self._forces.status}{because}"
 
     def _all_touches(self) -> Iterator[_Touch]:
-        measured: dict[int, _Force | SiteForce] = {}
+        measured: dict[int, SiteForce] = {}
         lasted_s = {}
         if self._contacts is not None:
             for contact in self._contacts.contacts:
@@ -139,13 +129,18 @@ def _forces_of(touch: _Touch | None) -> tuple[float | None, float | None]:
     return measured, touch.true.force_newton[2] if touch.true else None
 
 
-def _force_of_contact(contact: Contact) -> _Force:
-    normal_newton, noise_newton = contact.force_newton[2], contact.noise_newton[2]
-    systematic_newton = math.nan if contact.systematic_newton is None else contact.systematic_newton
-    return _Force(normal_newton, noise_newton, systematic_newton, contact.at_least_newton, contact.status)
+def _force_of_contact(contact: Contact) -> SiteForce:
+    return SiteForce(
+        site=contact.site,
+        force_newton=contact.force_newton[2],
+        noise_newton=contact.noise_newton[2],
+        systematic_newton=math.nan if contact.systematic_newton is None else contact.systematic_newton,
+        at_least_newton=contact.at_least_newton,
+        status=contact.status,
+    )
 
 
-def _force(force: _Force | SiteForce | None) -> str:
+def _force(force: SiteForce | None) -> str:
     if force is None:
         return UNKNOWN
     if not math.isfinite(force.force_newton):

@@ -11,7 +11,7 @@ import aiohttp
 from aiohttp import WSMsgType
 
 from resonator_daemon.tools.live_page.hub import Sources
-from resonator_daemon.tools.live_page.server import LivePage, LivePageOptions
+from resonator_daemon.tools.live_page.server import LivePage
 
 DEADLINE_S = 30.0
 
@@ -19,7 +19,7 @@ DEADLINE_S = 30.0
 @asynccontextmanager
 async def served(sources: Sources, **options: Any) -> AsyncIterator[str]:
     """Serve a page; yields its address."""
-    page = LivePage(LivePageOptions(sources, port=0, **options))
+    page = LivePage(sources, port=0, **options)
     ready: asyncio.Future[str] = asyncio.get_running_loop().create_future()
     running = asyncio.create_task(page.run(ready.set_result))
     await asyncio.wait([running, ready], return_when=asyncio.FIRST_COMPLETED)

@@ -21,6 +21,7 @@ from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.commands import main
 from resonator_daemon.tools.live_page.hub import Sources
+from resonator_daemon.tools.live_page.protocol import WAITING_MAX, Outgoing
 from simulators.emulator import EmulatorOptions
 
 PAYLOAD = bytes(range(256)) * 100  # no JSON and no CBOR: nothing is decoded on the way
@@ -93,6 +94,16 @@ async def test_a_browser_that_does_not_read_delays_nobody_and_misses_only_stream
             else:
                 received += message.address == "live/left/decoded"
         assert 0 < received < frames // 2
+
+
+async def test_a_queue_that_would_lose_more_than_streams_ends() -> None:
+    outgoing = Outgoing()
+    for number in range(WAITING_MAX):
+        outgoing.put(str(number))
+    assert await outgoing.get() == "0"
+    for _ in range(2):
+        outgoing.put("last")
+    assert await outgoing.get() is None
 
 
 async def test_a_broker_that_vanishes_and_returns_is_reported_by_codes(mosquitto: Mosquitto) -> None:
