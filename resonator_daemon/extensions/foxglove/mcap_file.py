@@ -5,10 +5,9 @@ from typing import Any
 
 from resonator_daemon.board.config.values import plate_text, settings_text
 from resonator_daemon.board.recording.reader import MARKS, PLATE_FILE, SETTINGS_FILE, Mark, encode_mark
-from resonator_daemon.extensions.clouds import Geometry
 from resonator_daemon.extensions.foxglove.messages import ChannelMessage, FoxgloveMessages
 from resonator_daemon.extensions.foxglove.schemas import LOG, Schema
-from resonator_daemon.extensions.mcap_output import McapOutput
+from resonator_daemon.extensions.viewer_support import Geometry, McapOutput
 from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.topics import INFO, TONES, Topic
 from resonator_daemon.tools.export.tables import WITH_TABLE

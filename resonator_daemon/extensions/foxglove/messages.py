@@ -14,18 +14,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from resonator_daemon.board.recording.reader import INFO_LEVEL, json_time, log_line
-from resonator_daemon.extensions.clouds import (
-    Clouds,
-    Geometry,
-    Points,
-    about_origin,
-    cloud_fields,
-    map_values,
-    on_grid,
-    packed,
-    severity,
-    state_text,
-)
 from resonator_daemon.extensions.foxglove.schemas import (
     FRAME_TRANSFORMS,
     GRID,
@@ -37,6 +25,18 @@ from resonator_daemon.extensions.foxglove.schemas import (
     UNUSED_PRIMITIVES,
     WRENCHES,
     Schema,
+)
+from resonator_daemon.extensions.viewer_support import (
+    Clouds,
+    Geometry,
+    Points,
+    about_origin,
+    cloud_fields,
+    map_values,
+    on_grid,
+    packed,
+    severity,
+    state_text,
 )
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import WITH_ARRAYS, Contacts, Decoded, Forces, Header, Message, Signals, State

@@ -16,8 +16,8 @@ from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.text import how_to_install
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.config.tables import Listen
-from resonator_daemon.extensions.clouds import Geometry
 from resonator_daemon.extensions.foxglove.messages import ChannelMessage, FoxgloveMessages
+from resonator_daemon.extensions.viewer_support import Geometry
 from resonator_daemon.mqtt.payloads import Condition, Info, Message, State
 from resonator_daemon.mqtt.subscriber import EVERY_PLATE, subscribe
 from resonator_daemon.mqtt.topics import INFO, TOPICS

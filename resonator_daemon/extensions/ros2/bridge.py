@@ -15,7 +15,6 @@ from typing import Any, Final
 
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.extensions.clouds import Geometry
 from resonator_daemon.extensions.ros2.message_types import DIAGNOSTICS, make_typestore
 from resonator_daemon.extensions.ros2.messages import (
     DIAGNOSTICS_TOPIC,
@@ -25,6 +24,7 @@ from resonator_daemon.extensions.ros2.messages import (
     diagnostics_of,
 )
 from resonator_daemon.extensions.ros2.node import Ros2Node
+from resonator_daemon.extensions.viewer_support import Geometry
 from resonator_daemon.mqtt.payloads import Condition, Health, Info, Message, State
 from resonator_daemon.mqtt.subscriber import EVERY_PLATE, subscribe
 from resonator_daemon.mqtt.topics import (

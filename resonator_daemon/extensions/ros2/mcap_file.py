@@ -3,7 +3,7 @@
 from types import MappingProxyType
 from typing import Any
 
-from resonator_daemon.extensions.mcap_output import McapOutput
+from resonator_daemon.extensions.viewer_support import McapOutput
 from resonator_daemon.mqtt.topics import Topic
 
 

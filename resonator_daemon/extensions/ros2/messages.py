@@ -7,16 +7,6 @@ from typing import Any, Final, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.extensions.clouds import (
-    OK,
-    WARN,
-    Clouds,
-    Points,
-    about_origin,
-    cloud_fields,
-    severity,
-    state_text,
-)
 from resonator_daemon.extensions.ros2.message_types import (
     CLOUD,
     CONTACT,
@@ -33,6 +23,16 @@ from resonator_daemon.extensions.ros2.message_types import (
     Typestore,
     make_typestore,
     ros_name,
+)
+from resonator_daemon.extensions.viewer_support import (
+    OK,
+    WARN,
+    Clouds,
+    Points,
+    about_origin,
+    cloud_fields,
+    severity,
+    state_text,
 )
 from resonator_daemon.mqtt.payloads import (
     Contact,

@@ -29,9 +29,9 @@ from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.config.tables import Listen
 from resonator_daemon.commands import main
-from resonator_daemon.extensions.clouds import Geometry
 from resonator_daemon.extensions.foxglove.messages import FoxgloveMessages
 from resonator_daemon.extensions.foxglove.server import BACKLOG_MAX, FoxgloveServer
+from resonator_daemon.extensions.viewer_support import Geometry
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import Contact, Contacts, Decoded, Forces, Grid, Info, Message, State
 from resonator_daemon.mqtt.topics import TOPICS

@@ -1,15 +1,18 @@
-"""What viewers show of a plate: its shape, messages as clouds of points in its plane, states as lines of text."""
+"""What the viewers of several extensions show: shape of a plate, clouds of points, states as text; and MCAP files."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import Any, ClassVar, Final, Self
 
 import numpy as np
+from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from resonator_daemon.base.plate import Plate
+from resonator_daemon.board.recording.mcap_messages import CHUNK_BYTES
 from resonator_daemon.mqtt.payloads import Condition, Contact, Decoded, Forces, Info, Message, Signals, State
 from resonator_daemon.mqtt.units import AXES, with_axis
+from resonator_daemon.tools.export.output import Output
 
 Places = NDArray[np.float64]
 """(n, 2): x and y in metres in the frame of the plate, whose z points into it."""
@@ -180,3 +183,47 @@ def severity(state: Condition) -> int:
 def state_text(message: State) -> str:
     """Return state and reason as one line."""
     return f"{message.state}: {message.reason}" if message.reason else str(message.state)
+
+
+METADATA: Final = "resonatord"
+
+
+class McapOutput(Output):
+    """One MCAP file.
+
+    Attributes
+    ----------
+    profile, schema_encoding, message_encoding : str
+        As MCAP names them.
+    channel_metadata : dict
+        Metadata of each channel.
+    prefix : str
+        Left out of the names of channels in `rows`.
+    """
+
+    profile: ClassVar[str] = ""
+    schema_encoding: ClassVar[str]
+    message_encoding: ClassVar[str]
+    channel_metadata: ClassVar[Mapping[str, str]] = {}
+    prefix = ""
+
+    def begin(self) -> None:
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        self._writer = Writer(self._new_file().file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
+        self._writer.start(self.profile, METADATA)
+        self._writer.add_metadata(METADATA, dict(self._recorded.metadata))
+
+    def write(self, channel: str, schema: str, definition: str, data: bytes, log_ns: int, publish_ns: int) -> None:
+        """Write one message; `definition` is the text of its schema, used the first time."""
+        if channel not in self._channels:
+            if schema not in self._schemas:
+                self._schemas[schema] = self._writer.register_schema(schema, self.schema_encoding, definition.encode())
+            self._channels[channel] = self._writer.register_channel(
+                channel, self.message_encoding, self._schemas[schema], dict(self.channel_metadata)
+            )
+        self._writer.add_message(self._channels[channel], log_ns, data, publish_ns)
+        self.rows[channel.removeprefix(self.prefix)] += 1
+
+    def finish(self) -> None:
+        self._writer.finish()
