@@ -1,7 +1,6 @@
 """What happened on an emulated board's link, recorded to a file and replayed as fast as it goes."""
 
 import json
-from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from random import Random
@@ -12,7 +11,7 @@ from mcap.reader import make_reader
 
 from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
-from resonator_daemon.board.recording.event_replay import replay
+from resonator_daemon.board.recording.event_replay import Replay
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import Origin, open_recording
 from resonator_daemon.board.recording.recorder import Recorder, RecorderTimes
@@ -46,15 +45,16 @@ def read(path: Path, plate: Plate = PLATE) -> tuple[list[WireEvent], str | None]
         return list(recording.events()), recording.damage
 
 
-def replayed(
-    path: Path, plate: Plate = PLATE, pace: Callable[[HostTime], bool] = lambda _: True
-) -> tuple[list[Arrival], LinkCounters, int]:
+def replayed(path: Path, plate: Plate = PLATE) -> tuple[list[Arrival], LinkCounters, int]:
     """Return what arrives, the account and how many differences there were."""
     queue = FrameQueue(FRAME_QUEUE_BYTES, lambda: None)
     machine = LinkStateMachine(plate, queue, lambda _: None)
     with open_recording(str(path), plate) as recording:
-        differences = replay(recording, machine, pace)
-    return queue.pop_all(), machine.counters(), differences
+        replay = Replay(recording, machine)
+        for event in recording.events():
+            replay.apply(event)
+        replay.end()
+    return queue.pop_all(), machine.counters(), replay.differences
 
 
 def same(one: object, other: object) -> bool:

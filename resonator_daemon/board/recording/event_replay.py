@@ -22,59 +22,6 @@ log = logging.getLogger(__name__)
 _AT_ONCE_S = 1e-3  # a wait takes longer than this
 
 
-class Pace:
-    """Lets recorded time pass as fast as it did.
-
-    Parameters
-    ----------
-    wait
-        Waits for so many seconds, or less.
-    stopped
-        Whether to go on at all.
-    """
-
-    def __init__(self, wait: Callable[[float], object], stopped: Callable[[], bool]) -> None:
-        self._wait = wait
-        self._stopped = stopped
-        self._ahead_ns: int | None = None  # of recorded time before the present
-
-    def __call__(self, recorded: HostTime) -> bool:
-        """Wait until it is `recorded`'s turn; return False if nothing is wanted any more."""
-        if self._ahead_ns is None:
-            self._ahead_ns = time.monotonic_ns() - recorded.monotonic_ns
-        while not self._stopped():
-            left_s = (recorded.monotonic_ns + self._ahead_ns - time.monotonic_ns()) * 1e-9
-            if left_s < _AT_ONCE_S:
-                return True
-            self._wait(left_s)
-        return False
-
-
-def replay(recording: Recording, machine: LinkStateMachine, pace: Callable[[HostTime], bool]) -> int:
-    """Apply the events of a recording; at the end the link is lost, for the reason that the recording is over.
-
-    Parameters
-    ----------
-    machine
-        Has no link open.
-    pace
-        Is handed the time of each event and may wait; returns False to end the replay where it is.
-
-    Returns
-    -------
-    int
-        How often what followed was not what is recorded; 0 where nothing of the recording is missing.
-    """
-    again = Replay(recording, machine)
-    for event in recording.events():
-        if not pace(event.now):
-            again.close(event.now)
-            return again.differences
-        again.apply(event)
-    again.end()
-    return again.differences
-
-
 def replay_of(link: LinkTarget, plate: Plate) -> board_reader.Replay | None:
     """Return what replays the recording that a link names, at its own speed; None where the link is a board's."""
     path = link.recording_path
@@ -82,8 +29,21 @@ def replay_of(link: LinkTarget, plate: Plate) -> board_reader.Replay | None:
         return None
 
     def run(machine: LinkStateMachine, wait: Callable[[float], object], stopped: Callable[[], bool]) -> None:
+        ahead_ns: int | None = None  # of recorded time before the present
         with open_recording(path, plate) as recording:
-            replay(recording, machine, Pace(wait, stopped))
+            replay = Replay(recording, machine)
+            for event in recording.events():
+                if ahead_ns is None:
+                    ahead_ns = time.monotonic_ns() - event.now.monotonic_ns
+                while (left_s := (event.now.monotonic_ns + ahead_ns - time.monotonic_ns()) * 1e-9) >= _AT_ONCE_S:
+                    if stopped():
+                        break
+                    wait(left_s)
+                if stopped():
+                    replay.close(event.now)
+                    return
+                replay.apply(event)
+            replay.end()
 
     return run
 

@@ -7,6 +7,7 @@ import re
 import shutil
 import stat
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -29,9 +30,6 @@ LogLine = Callable[[int, str], None]
 
 def discard_line(_level: int, _text: str) -> None:
     """Discard a line for the log."""
-
-
-_Version = tuple[int, int, int]
 
 
 class NoRoomError(UserError):
@@ -124,7 +122,6 @@ class DiskSpace:
         self._log_line = log_line
         self._others_bytes: int | None = None  # None: not counted yet
         self._logged: set[Path] = set()
-        self._ours: dict[Path, tuple[_Version, bool]] = {}  # whether the header of a file has this name
         self.files_removed = 0
 
     def check(self, *, again: bool) -> None:
@@ -172,29 +169,16 @@ class DiskSpace:
         self._others_bytes = total_bytes - own.size_bytes
 
     def _sizes(self, own: Path) -> Iterator[tuple[Path, int]]:
-        known, self._ours = self._ours, {}
         for path in self._series.files():
-            if path == own:
-                continue
-            try:
+            with suppress(OSError):  # gone meanwhile, or nobody's business
                 info = path.lstat()
-                if not stat.S_ISREG(info.st_mode):
-                    continue
-                version = (info.st_ino, info.st_size, info.st_mtime_ns)
-                before = known.get(path)
-                ours = before[1] if before is not None and before[0] == version else self._is_ours(str(path))
-            except OSError:
-                continue  # gone meanwhile, or nobody's business
-            self._ours[path] = version, ours
-            if ours:
-                yield path, info.st_size
+                if path != own and stat.S_ISREG(info.st_mode) and self._is_ours(path):
+                    yield path, info.st_size
 
     def _remove(self, path: Path) -> bool:
-        """Remove a recording of this name that nobody writes; return whether it was one, and is gone."""
+        """Remove a recording that nobody writes; return whether it is gone."""
         try:
             with path.open("rb") as file:
-                if not self._is_ours(file.name):
-                    return False
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
                 os.unlink(path)
         except BlockingIOError:
@@ -206,9 +190,10 @@ class DiskSpace:
             return False
         return True
 
-    def _is_ours(self, path: str) -> bool:
-        with open(path, "rb") as file:
+    def _is_ours(self, path: Path) -> bool:
+        """Return whether the header of a file has this name."""
+        with path.open("rb") as file:
             try:
-                return read_header(path, read_records(file)).get("name") == self._series.name
+                return read_header(str(path), read_records(file)).get("name") == self._series.name
             except LinkUnavailableError:
                 return False

@@ -16,7 +16,7 @@ from typing import IO, Final, NamedTuple
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader, breakup_chunk
-from mcap.writer import MCAP0_MAGIC, Writer
+from mcap.writer import MCAP0_MAGIC
 
 from resonator_daemon.base.errors import ExitCode, UserError, meaning_of
 from resonator_daemon.base.host.files import NewFile, check_new
@@ -44,7 +44,7 @@ from resonator_daemon.board.recording.reader import (
     no_recording,
     open_file,
 )
-from resonator_daemon.board.recording.writer import SEQUENCE_MODULUS, McapFile, channel_metadata
+from resonator_daemon.board.recording.writer import SEQUENCE_MODULUS, McapFile
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import Skipped, encode
 
@@ -208,11 +208,10 @@ class _Copier:
 
     def __init__(self, target: IO[bytes], description: dict[str, str], index: FileIndex) -> None:
         self._index = index
-        self._writer: Writer = McapFile(target, description)
+        self._writer = McapFile(target, description)
         self._schemas = {schema.id: schema for schema in index.schemas}
         self._channels = {WIRE_CHANNEL: Channel(WIRE_CHANNEL, TOPIC, "", {}, 0)}
         self._channels |= {channel.id: channel for channel in index.channels}
-        self._topics = {TOPIC: WIRE_CHANNEL}  # numbers of the channels in the new file
         self._passed = Counter[int]()  # messages of each channel so far, recovered or missing
         self._recovered = Counter[int]()
         self._indexed = Counter[int]()  # messages since then, by indexes of damaged chunks, or of unknown channels
@@ -245,7 +244,7 @@ class _Copier:
         if done.was_whole and data_crc and _crc_of(file, self._index) != data_crc:
             done.damaged_parts += 1  # in a record without a checksum of its own
         done.carries_config = self._texts >= {PLATE_FILE, SETTINGS_FILE}
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]
         return done
 
     def _count(self) -> None:
@@ -320,7 +319,10 @@ class _Copier:
             self._skipped_bytes = 0
             self._last_event = now
             self.done.last_event_utc_ns = message.log_time
-        self._writer.add_message(self._registered(channel), message.log_time, message.data, message.publish_time)
+        copied = self._writer.declare_channel(
+            channel.topic, channel.message_encoding, self._schemas.get(channel.schema_id)
+        )
+        self._writer.add_message(copied, message.log_time, message.data, message.publish_time)
 
     def _add_missing_at_end(self) -> None:
         """Report events that were lost after the last intact one, as the index or records of their chunk count them."""
@@ -334,17 +336,6 @@ class _Copier:
     def _add_skipped(self, now: HostTime, events: int) -> None:
         data = encode(Skipped(now, events, self._skipped_bytes))
         self._writer.add_message(WIRE_CHANNEL, now.utc_ns, data, now.monotonic_ns)
-
-    def _registered(self, channel: Channel) -> int:
-        if channel.topic not in self._topics:
-            number = len(self._topics) + WIRE_CHANNEL
-            self._writer.add_metadata(CHANNEL, channel_metadata(number, channel.topic))
-            schema = self._schemas.get(channel.schema_id)
-            schema_id = 0 if schema is None else self._writer.register_schema(schema.name, schema.encoding, schema.data)
-            self._topics[channel.topic] = self._writer.register_channel(
-                channel.topic, channel.message_encoding, schema_id, channel.metadata
-            )
-        return self._topics[channel.topic]
 
 
 def _crc_of(file: IO[bytes], index: FileIndex) -> int:

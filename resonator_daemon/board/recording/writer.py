@@ -10,6 +10,7 @@ from io import BufferedWriter
 from pathlib import Path
 from typing import IO, Any, Final, NamedTuple, Self
 
+from mcap.records import Schema
 from mcap.writer import CompressionType, Writer
 
 from resonator_daemon.base.errors import UserError, meaning_of
@@ -88,7 +89,16 @@ class McapFile(Writer):
         self.start(PROFILE, f"resonatord {metadata['version']}")
         self.add_metadata(RECORDING, metadata)
         self.add_attachment(utc_ns, utc_ns, DESCRIPTION_FILE, _JSON, json.dumps(metadata).encode())
-        self.register_channel(TOPIC, ENCODING, schema_id=0)  # WIRE_CHANNEL
+        self.channels = {TOPIC: self.register_channel(TOPIC, ENCODING, schema_id=0)}  # WIRE_CHANNEL
+
+    def declare_channel(self, topic: str, encoding: str, schema: Schema | None) -> int:
+        """Return the number of the channel of a topic, of which the first call declares it with encoding and schema."""
+        if topic not in self.channels:
+            # Outside of chunks: also found if the chunk with the channel's record is damaged.
+            self.add_metadata(CHANNEL, {"id": str(len(self.channels) + WIRE_CHANNEL), "topic": topic})
+            schema_id = 0 if schema is None else self.register_schema(schema.name, schema.encoding, schema.data)
+            self.channels[topic] = self.register_channel(topic, encoding, schema_id)
+        return self.channels[topic]
 
     def add_message(self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0) -> None:
         """Add a message, with the next number of its channel."""
@@ -137,7 +147,6 @@ class RecordingWriter:
         self.snapshot_due = False
         self.size_bytes = 0
         self._is_named = False  # on the medium
-        self._channels: dict[str, int] = {}
         self._file = _made(path)
         try:
             self._begin(origin, utc_ns)
@@ -183,7 +192,7 @@ class RecordingWriter:
 
     def name_board(self, board: BoardOnline) -> None:
         identity = board.identity
-        self._describe(
+        self._writer.add_metadata(
             BOARD,
             {
                 "product": identity.product,
@@ -192,16 +201,17 @@ class RecordingWriter:
                 "boot_id": f"{board.boot_id:08x}",
             },
         )
+        self._flush_records()
 
     def flush(self) -> None:
         """Hand what was written to the kernel."""
-        self._writer.flush()
+        self._writer.flush()  # type: ignore[no-untyped-call]
         self._note_chunk()
 
     def finish(self) -> None:
         """Write the end of the file; `sync` and `close` are to follow."""
         self.flush()
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]
         self._file.flush()
         self.size_bytes = self._file.tell()
 
@@ -234,14 +244,13 @@ class RecordingWriter:
     def _begin(self, origin: Origin, utc_ns: int) -> None:
         with suppress(OSError):  # not every file system has locks
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        self._writer: Writer = McapFile(self._file, origin.metadata, utc_ns)
+        self._writer = McapFile(self._file, origin.metadata, utc_ns)
         for name, text in origin.attachments.items():  # outside of chunks, so that a file that was cut has them
             self._writer.add_attachment(utc_ns, utc_ns, name, _TOML, text.encode())
-        self._file.flush()
-        self.size_bytes = self._file.tell()
+        self._flush_records()
 
-    def _describe(self, name: str, metadata: dict[str, str]) -> None:
-        self._writer.add_metadata(name, metadata)
+    def _flush_records(self) -> None:
+        """Hand what is outside of chunks to the kernel."""
         self._file.flush()
         self.size_bytes = self._file.tell()
 
@@ -260,17 +269,12 @@ class RecordingWriter:
         self.snapshot_due = True
 
     def _json_channel(self, topic: str, name: str, schema: Mapping[str, Any]) -> int:
-        if topic not in self._channels:
-            # Outside of chunks: also found if the chunk with the channel's record is damaged.
-            self._describe(CHANNEL, channel_metadata(len(self._channels) + WIRE_CHANNEL + 1, topic))
-            schema_id = self._writer.register_schema(name, JSON_SCHEMA_ENCODING, json.dumps(schema).encode())
-            self._channels[topic] = self._writer.register_channel(topic, JSON_ENCODING, schema_id)
-        return self._channels[topic]
-
-
-def channel_metadata(number: int, topic: str) -> dict[str, str]:
-    """Return metadata that name a JSON channel outside of chunks."""
-    return {"id": str(number), "topic": topic}
+        if topic in self._writer.channels:
+            return self._writer.channels[topic]
+        data = json.dumps(schema).encode()
+        number = self._writer.declare_channel(topic, JSON_ENCODING, Schema(0, data, JSON_SCHEMA_ENCODING, name))
+        self._flush_records()
+        return number
 
 
 def _made(path: Path) -> BufferedWriter:

@@ -13,11 +13,11 @@ from resonator_daemon.board.config.tables import Decoding
 from resonator_daemon.board.config.values import Settings, load_plate_text, load_settings_text
 from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.recording.event_replay import Replay
-from resonator_daemon.board.recording.outline import PartStart, read_outline
 from resonator_daemon.board.recording.reader import Recording, open_recording
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
+from resonator_daemon.extensions.fleet.outline import PartStart, read_outline
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.measure.sensors.kinds import sensor_of
 from resonator_daemon.tools.replay.source import recorded_config

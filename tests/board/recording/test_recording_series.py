@@ -17,10 +17,9 @@ from recording_bench import FLUSHING, NO_PAUSE, ONE_BATCH, PLATE, at, made, read
 from resonator_daemon.board.recording import file_series as recording_budget
 from resonator_daemon.board.recording import recorder as recording
 from resonator_daemon.board.recording.file_series import Series
-from resonator_daemon.board.recording.outline import read_outline
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.recorder import Recorder
-from resonator_daemon.board.recording.writer import Published, RecordingWriter
+from resonator_daemon.board.recording.writer import Published
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import Opened, Received, SnapshotTaken, TimersRun, WireEvent
 
@@ -77,18 +76,6 @@ def test_a_file_ends_once_it_is_large(tmp_path: Path) -> None:
     assert recorder.events == sum(map(len, contents(tmp_path)))
     assert recorder.all_bytes == sum(sizes)
     assert recorder.counts.file_bytes == sizes[-1]
-
-
-def test_parts_have_their_least_length_though_messages_are_late(tmp_path: Path) -> None:
-    writer = RecordingWriter(path := tmp_path / "run.mcap", LEFT, at(0).utc_ns)
-    for now in map(at, range(0, 20_000, 1000)):
-        writer.write(Received(now, b"x"))
-        if now.utc_ns % 3 == at(0).utc_ns % 3:  # each third
-            writer.publish(Published("forces", now.utc_ns - 4 * 10**9, b'{"count":0}', SCHEMA, retained=False))
-        writer.flush()
-    writer.finish()
-    writer.close()
-    assert [start.utc_ns for start in read_outline(path, 5.0).starts] == [at(5000 * n).utc_ns for n in range(4)]
 
 
 def test_messages_give_way_to_the_link(tmp_path: Path) -> None:
