@@ -69,7 +69,7 @@ class UserError(Exception):
     ----------
     messages
         A line each.
-    so_far
+    partial_result
         Partial result of the command: keys of the JSON object next to the error.
 
     Attributes
@@ -82,14 +82,14 @@ class UserError(Exception):
     code: str = "config"
     hint: ClassVar[str] = ""
 
-    def __init__(self, *messages: str, so_far: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, *messages: str, partial_result: Mapping[str, Any] | None = None) -> None:
         super().__init__("\n".join(messages))
         self.messages = messages
-        self.so_far: Mapping[str, Any] = so_far or {}
+        self.partial_result: Mapping[str, Any] = partial_result or {}
 
 
 class InterruptedCommandError(UserError):
-    """Command that was interrupted before its end; `so_far` holds its partial result."""
+    """Command that was interrupted before its end; `partial_result` holds its partial result."""
 
     exit_code = ExitCode.FAILED
     code = "interrupted"

@@ -27,7 +27,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         else:
             notes = load_checked(arguments.config).notes
     except UserError as error:
-        error.so_far = {**head, "errors": error.messages, "notes": ()}
+        error.partial_result = {**head, "errors": error.messages, "notes": ()}
         raise
     if arguments.json:
         print_json({"verb": "check", "ok": True, **head, "errors": (), "notes": notes})

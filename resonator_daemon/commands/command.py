@@ -126,7 +126,7 @@ def print_answer(answer: Mapping[str, Any], not_done: str, *, as_json: bool, onl
         parts = [str(reasons[key]) for key in ("message", "hint") if reasons.get(key)]
         message = f"{not_done}: {'; '.join(parts) or 'refused'}"
         kept = answer if reasons.keys() >= {"code", "message"} else {k: v for k, v in answer.items() if k != "error"}
-        raise RefusedError(str(reasons.get("code", RefusedError.code)), message, so_far=kept)
+        raise RefusedError(str(reasons.get("code", RefusedError.code)), message, partial_result=kept)
     if as_json:
         print_json(answer)
     elif only is not None:

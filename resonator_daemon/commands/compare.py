@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     if not arguments.json:
         print_page(compared.table())
     if wrong:
-        raise DifferenceError(*wrong, so_far=compared.as_json())
+        raise DifferenceError(*wrong, partial_result=compared.as_json())
     if arguments.json:
         print_json({"verb": "compare", "ok": True, **compared.as_json()})
     return ExitCode.DONE

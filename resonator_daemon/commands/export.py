@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         counts = ", ".join(f"{count} of {topic}" for topic, count in result["rows"].items())
         print_note(f"{result['frames']} frames gave {counts or 'nothing'}")
     if wrong:
-        raise DifferenceError(*wrong, so_far=result)
+        raise DifferenceError(*wrong, partial_result=result)
     if arguments.json:
         print_json({"verb": "export", "ok": True, **result})
     return ExitCode.DONE

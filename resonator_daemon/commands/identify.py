@@ -63,7 +63,9 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         for label, value in labelled_lines(link, result, blink=arguments.blink):
             sys.stdout.write(f"{label:<15}{value}\n")
     if problems:
-        raise IncompatibleBoardError(*(f"{arguments.config}: {problem.text}" for problem in problems), so_far=answer)
+        raise IncompatibleBoardError(
+            *(f"{arguments.config}: {problem.text}" for problem in problems), partial_result=answer
+        )
     if arguments.json:
         print_json({"verb": "identify", "ok": True, **answer})
     return ExitCode.DONE

@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
                 f"next: copy {EXAMPLE} to /etc/resonatord/NAME.toml, then: systemctl enable --now resonatord@NAME\n"
             )
     if failed := [f"{' '.join(command)}: {error}" for command, error in done.commands if error]:
-        raise InstallError(*failed, so_far=result)
+        raise InstallError(*failed, partial_result=result)
     if arguments.json:
         print_json({"verb": verb, "ok": True, **result})
     return ExitCode.DONE

@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     problems, changes = config.get("problems", ()), config.get("changes", ())
     shown = {key: config[key] for key in ("file", "problems", "changes")}
     if problems:
-        raise NotAppliedError(*problems, so_far=shown)
+        raise NotAppliedError(*problems, partial_result=shown)
     if arguments.json:
         print_json({"verb": "reload", "ok": True, **shown})
     else:

@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         messages = sum(result["messages"].values())
         print_note(f"{path}: {result['frames']} frames, {messages} messages in {took_s:.1f} s")
     if wrong:
-        raise DifferenceError(*(f"{path}: {sentence}" for sentence in wrong), so_far=result)
+        raise DifferenceError(*(f"{path}: {sentence}" for sentence in wrong), partial_result=result)
     if arguments.json:
         print_json({"verb": "replay", "ok": True, **result})
     return ExitCode.DONE

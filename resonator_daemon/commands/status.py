@@ -131,7 +131,7 @@ def _failure(answers: "list[Answer]", name: str | None) -> UserError | None:
         failed = NoStatusError(*problems)
     else:
         return None
-    failed.so_far = _as_json(answers)
+    failed.partial_result = _as_json(answers)
     return failed
 
 

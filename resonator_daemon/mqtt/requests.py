@@ -40,8 +40,8 @@ class RefusedError(UserError):
     exit_code = ExitCode.FAILED
     code = "refused"
 
-    def __init__(self, code: str, message: str, so_far: Mapping[str, Any] | None = None) -> None:
-        super().__init__(message, so_far=so_far)
+    def __init__(self, code: str, message: str, partial_result: Mapping[str, Any] | None = None) -> None:
+        super().__init__(message, partial_result=partial_result)
         self.code = code
 
 

@@ -203,7 +203,7 @@ def print_json(value: object) -> None:
 def print_failure(command: str, error: UserError) -> None:
     """Print the JSON object of a command that failed: what there is of its result, and why."""
     why = {"code": error.code, "message": str(error), "hint": error.hint}  # a daemon's refusal has its own
-    print_json({"verb": command, "ok": False, "error": why} | {**error.so_far, "ok": False})
+    print_json({"verb": command, "ok": False, "error": why} | {**error.partial_result, "ok": False})
 
 
 def print_page(page: Any) -> None:

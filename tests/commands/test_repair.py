@@ -15,7 +15,7 @@ from recording_bench import ONE_BATCH
 from resonator_daemon.base.host.files import NoNewFileError
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.recording import recorder as recording
-from resonator_daemon.board.recording.reader import DAMAGE, Mark, Origin, open_recording
+from resonator_daemon.board.recording.reader import READ_ERRORS, Mark, Origin, open_recording
 from resonator_daemon.board.recording.recorder import Recorder
 from resonator_daemon.board.recording.repair import RepairError, repair
 from resonator_daemon.board.recording.writer import Published, RecordingWriter
@@ -207,7 +207,7 @@ def test_a_damaged_index_is_made_anew(
         bent += bytes(512)
     path.write_bytes(bent)
     if part != "begin of its offsets":  # which this reader does not look at
-        with pytest.raises(DAMAGE):
+        with pytest.raises(READ_ERRORS):
             content(path)
     assert read(path) == (written, None)
     copy = tmp_path / "copy.mcap"

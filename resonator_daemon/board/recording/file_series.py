@@ -69,7 +69,7 @@ class Series:
 
     def is_over(self, file: RecordingWriter, now_ns: int) -> bool:
         """Return whether the next file is to begin."""
-        if not file.begun:
+        if not file.replayable:
             return False
         too_large = self.file_max_bytes is not None and file.size_bytes >= self.file_max_bytes
         return too_large or (self.file_max_ns is not None and now_ns - file.begun_ns >= self.file_max_ns)

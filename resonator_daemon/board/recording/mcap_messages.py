@@ -36,7 +36,8 @@ _TIMES_BYTES: Final = 16  # of an attachment, before its name
 _KINDS: Final[dict[int, Any]] = {Opcode.HEADER: Header, Opcode.METADATA: Metadata, Opcode.DATA_END: DataEnd}
 _CRC: Final = struct.Struct("<I")
 # What mcap, lz4 and `decode` raise about bytes that they cannot read.
-DAMAGE = (McapError, ValueError, KeyError, TypeError, RuntimeError, struct.error, OverflowError, MemoryError, OSError)
+_BAD_VALUES = (ValueError, LookupError, TypeError, ArithmeticError, struct.error)
+READ_ERRORS = (McapError, RuntimeError, MemoryError, OSError, *_BAD_VALUES)
 
 
 @dataclass
@@ -98,7 +99,7 @@ def read_records(file: IO[bytes], begin_bytes: int = 0, end_bytes: int | None = 
             if not at and file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
                 raise McapError("not an MCAP file")
             record = _read_record(file)
-        except DAMAGE as error:
+        except READ_ERRORS as error:
             reason = error.with_traceback(None)  # a traceback would keep the content of the record
         else:
             at = file.tell()
@@ -114,7 +115,7 @@ def read_records(file: IO[bytes], begin_bytes: int = 0, end_bytes: int | None = 
 
 
 def _read_record(file: IO[bytes]) -> McapRecord:
-    """Read the record at the file's position; raises one of DAMAGE if there is none."""
+    """Read the record at the file's position; raises one of READ_ERRORS if there is none."""
     opcode, length = _RECORD.unpack(file.read(_RECORD.size))
     if length > MAX_RECORD_BYTES:
         raise ValueError(f"a record has {length} bytes, at most {MAX_RECORD_BYTES} are read")
@@ -156,7 +157,7 @@ def _next_record(file: IO[bytes], at: int, end_bytes: int) -> int:
     while at < end_bytes:
         file.seek(at)
         for match in _HEADS.finditer(file.read(_SEARCH_BYTES + _RECORD.size)):
-            with suppress(*DAMAGE):
+            with suppress(*READ_ERRORS):
                 file.seek(at + match.start())
                 _read_record(file)
                 return at + match.start()
@@ -169,13 +170,13 @@ def _read_attachment(content: bytes) -> Attachment | DamagedAttachment:
 
     By the specification of MCAP, the CRC-32 covers all content before it; 0 means that there is none.
     """
-    with suppress(*DAMAGE):
+    with suppress(*READ_ERRORS):
         (crc,) = _CRC.unpack(content[-_CRC.size :])
         if crc in (0, zlib.crc32(content[: -_CRC.size])):
             attachment: Attachment = Attachment.read(_Content(BytesIO(content)))
             return attachment
     name = "?"
-    with suppress(*DAMAGE):
+    with suppress(*READ_ERRORS):
         name = _Content(BytesIO(content[_TIMES_BYTES:])).read_prefixed_string()
     return DamagedAttachment(name)
 

@@ -19,7 +19,13 @@ from resonator_daemon.base.host.text import printable
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.links.link import LinkUnavailableError
-from resonator_daemon.board.recording.mcap_messages import DAMAGE, Damage, DamagedAttachment, messages, read_records
+from resonator_daemon.board.recording.mcap_messages import (
+    READ_ERRORS,
+    Damage,
+    DamagedAttachment,
+    messages,
+    read_records,
+)
 from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_events import SnapshotTaken, WireEvent, decode
 
@@ -253,7 +259,7 @@ class Recording:
                     self.receivers[topic](data, log_ns)
                     continue
                 yield decode(data, publish_ns, log_ns) if topic == TOPIC else decode_mark(data, publish_ns, log_ns)
-        except DAMAGE as error:
+        except READ_ERRORS as error:
             self._end(self._file.tell(), error)
 
     def _intact(self) -> Iterator[McapRecord]:

@@ -455,7 +455,7 @@ def _code(error: BaseException) -> ReasonCode:
 
 def _is_of_use(snapshot: SnapshotTaken, file: RecordingWriter) -> bool:
     """Whether a replay could begin with it or, where the chunk before is damaged, go on with the open link."""
-    return not file.begun or (file.snapshot_due and snapshot.snapshot.running is not None)
+    return not file.replayable or (file.snapshot_due and snapshot.snapshot.running is not None)
 
 
 def size_bytes(item: Item) -> int:

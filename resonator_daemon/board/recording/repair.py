@@ -22,8 +22,8 @@ from resonator_daemon.base.errors import ExitCode, UserError, meaning_of
 from resonator_daemon.base.host.files import NewFile, check_new
 from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.recording.mcap_messages import (
-    DAMAGE,
     MAX_RECORD_BYTES,
+    READ_ERRORS,
     Damage,
     DamagedAttachment,
     IndexedMessages,
@@ -65,7 +65,7 @@ class FileIndex(NamedTuple):
 
 def read_index(file: IO[bytes]) -> FileIndex:
     """Read the index at the end of a file, by which other programs read the file."""
-    with suppress(*DAMAGE):
+    with suppress(*READ_ERRORS):
         end = file.seek(-_FOOTER.size, os.SEEK_END)
         footer = file.read(_FOOTER.size)
         opcode, _, begin, _, crc, magic = _FOOTER.unpack(footer)
@@ -183,7 +183,7 @@ def _description(path: Path, head: list[McapRecord]) -> dict[str, str]:
     found: list[dict[str, str]] = []
     for record in head:
         if isinstance(record, Attachment) and record.name == DESCRIPTION_FILE:
-            with suppress(*DAMAGE):
+            with suppress(*READ_ERRORS):
                 found.append(dict(json.loads(record.data)))
         elif isinstance(record, Metadata) and record.name == RECORDING:
             found.insert(0, record.metadata)
@@ -260,7 +260,7 @@ class _Copier:
     def _add(self, record: McapRecord) -> None:
         match record:
             case Metadata() if record.name == CHANNEL:
-                with suppress(*DAMAGE):
+                with suppress(*READ_ERRORS):
                     number = int(record.metadata["id"])
                     self._channels.setdefault(number, Channel(number, record.metadata["topic"], JSON_ENCODING, {}, 0))
             case Metadata() if record.name != RECORDING:
@@ -282,7 +282,7 @@ class _Copier:
         self._in_chunk.clear()
         try:
             records = breakup_chunk(chunk)
-        except DAMAGE as error:
+        except READ_ERRORS as error:
             self._note_damage(Damage(0, len(chunk.data), error))
             return
         for record in records:

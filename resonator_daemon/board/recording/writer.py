@@ -127,7 +127,7 @@ class RecordingWriter:
 
     Attributes
     ----------
-    begun
+    replayable
         It has an event that a replay can begin with.
     size_bytes
         What is written, without the chunk that is being filled.
@@ -141,7 +141,7 @@ class RecordingWriter:
 
     def __init__(self, path: Path, origin: Origin, utc_ns: int) -> None:
         self.path = path
-        self.begun = False
+        self.replayable = False
         self.begun_ns = 0
         self.whole = self.filling = Contents()
         self.snapshot_due = False
@@ -166,8 +166,8 @@ class RecordingWriter:
 
     def write(self, event: WireEvent) -> None:
         now = event.now
-        if not self.begun and not isinstance(event, Skipped):
-            self.begun, self.begun_ns = True, now.monotonic_ns
+        if not self.replayable and not isinstance(event, Skipped):
+            self.replayable, self.begun_ns = True, now.monotonic_ns
         if isinstance(event, SnapshotTaken):
             self.snapshot_due = False
         is_event = not isinstance(event, Skipped)

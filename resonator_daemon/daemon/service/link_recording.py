@@ -180,12 +180,12 @@ class _LinkRecording:
         """Raise what is wrong with a recording that has ended; `seconds` is what was asked for."""
         result = self.result()
         if self._recorder.failure is not None:
-            raise RecordingEndedError(self._recorder.failure.text, so_far=result)
+            raise RecordingEndedError(self._recorder.failure.text, partial_result=result)
         if self._stopped and not result["frames"]:
             raise InterruptedCommandError("interrupted before a frame came; no file is kept")
         if seconds is not None and self._stopped and result["seconds"] < seconds:
             words = f"{result['seconds']:.1f} of {seconds:g} s are recorded, which stay"
-            raise InterruptedCommandError(f"interrupted: {words}", so_far=result)
+            raise InterruptedCommandError(f"interrupted: {words}", partial_result=result)
         if not result["frames"]:
             raise NoBoardError(f"no frame was recorded: {self._link}")
 

@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     if not arguments.json:
         _print(result, topics if arguments.topics is not None else ())
     if wrong:
-        raise DifferenceError(*wrong, so_far=result)
+        raise DifferenceError(*wrong, partial_result=result)
     if arguments.json:
         print_json({"verb": "decode-recordings", "ok": True, **result})
     return ExitCode.DONE

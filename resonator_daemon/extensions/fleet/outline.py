@@ -12,7 +12,7 @@ from typing import IO, Final, NamedTuple
 from mcap.opcode import Opcode
 from mcap.records import Metadata
 
-from resonator_daemon.board.recording.mcap_messages import DAMAGE, MAX_RECORD_BYTES, read_records
+from resonator_daemon.board.recording.mcap_messages import MAX_RECORD_BYTES, READ_ERRORS, read_records
 from resonator_daemon.board.recording.reader import CHANNEL, TOPIC, WIRE_CHANNEL
 from resonator_daemon.board.recording.repair import read_index
 
@@ -98,6 +98,6 @@ def _channels(file: IO[bytes]) -> dict[int, str]:
     channels[WIRE_CHANNEL] = TOPIC
     for record in islice(read_records(file), _RECORDS_READ):
         if isinstance(record, Metadata) and record.name == CHANNEL:
-            with suppress(*DAMAGE):
+            with suppress(*READ_ERRORS):
                 channels[int(record.metadata["id"])] = record.metadata["topic"]
     return channels

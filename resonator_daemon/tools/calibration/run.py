@@ -120,7 +120,7 @@ class _Calibration:
         except BaseException as error:
             self._session.discard()
             if isinstance(error, InterruptedCommandError):
-                error.so_far = aborted(None)
+                error.partial_result = aborted(None)
             raise
         for line in [*summary(record, outcome), *(f"note: {note}" for note in staged["notes"])]:
             print_note(line)
@@ -162,8 +162,8 @@ class _Calibration:
             value["kelvin"] = step.kelvin
         text = prompt.text
         if prompt.event == "captured" and step is not None:
-            value["residual_newton"], so_far = self._fit_so_far(step)
-            text += so_far
+            value["residual_newton"], partial_result = self._fit_so_far(step)
+            text += partial_result
             self._session.write("loading", self._captured(step))
         place = f"[{step.number}/{len(self._steps)}] " if step else ""
         report(value | {"text": prompt.text}, f"{place}{text}", as_json=self._ending.as_json)

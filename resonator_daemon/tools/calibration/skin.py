@@ -74,7 +74,7 @@ def calibrate_skin(config_path: Path, seconds: float, *, as_json: bool) -> ExitC
         raise CalibrationRefusedError(
             f"{capture.loaded} of {len(capture.frames)} frames have load, must be at least {FEWEST_FRAMES}: "
             + ("press and shear the skin while they are captured" if capture.frames else _silence(config)),
-            so_far={**captured, "fit": None},
+            partial_result={**captured, "fit": None},
         )
     if as_json:
         result = {"verb": "calibrate", "ok": True, **captured, "fit": _as_json(found)}

@@ -299,7 +299,7 @@ class _Demo:
         load += f"; a daemon waited for a processor up to {wait_percent:.0f} % of the time"
         if failed:
             busy = any(message["reason_code"] for message in health)
-            raise LossError(*failed, *cause(load, overloaded=busy), so_far=result)
+            raise LossError(*failed, *cause(load, overloaded=busy), partial_result=result)
         if late:
             print_note(load)
         if self._options.json:

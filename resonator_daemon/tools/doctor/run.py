@@ -98,13 +98,13 @@ def doctor(options: DoctorOptions) -> ExitCode:
         if found and not options.json:
             report.write(sys.stdout, whole=False)
         text = f"interrupted after {len(found)} findings; not everything was examined"
-        raise InterruptedCommandError(text, so_far={"findings": report.as_json()["findings"]}) from None
+        raise InterruptedCommandError(text, partial_result={"findings": report.as_json()["findings"]}) from None
     report = Report(found)
     if not options.json:
         report.write(sys.stdout)
         return report.exit_code
     if report.cause is not None:
-        raise FaultError(report.verdict_text, so_far=report.as_json())
+        raise FaultError(report.verdict_text, partial_result=report.as_json())
     sys.stdout.write(json.dumps(report.as_json()) + "\n")
     return ExitCode.DONE
 

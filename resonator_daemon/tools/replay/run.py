@@ -148,8 +148,8 @@ def replay(path: Path, options: ReplayOptions) -> tuple[dict[str, Any], list[str
         return asyncio.run(_play_out(path, options, tally))
     except asyncio.CancelledError:
         words = f"{tally.messages.total()} messages were played out, {tally.recorded_s:.1f} s of the recording"
-        so_far = {"messages": dict(tally.messages), "seconds": round(tally.recorded_s, 3)}
-        raise InterruptedCommandError(f"interrupted: {words}", so_far=so_far) from None
+        partial_result = {"messages": dict(tally.messages), "seconds": round(tally.recorded_s, 3)}
+        raise InterruptedCommandError(f"interrupted: {words}", partial_result=partial_result) from None
 
 
 async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[dict[str, Any], list[str]]:

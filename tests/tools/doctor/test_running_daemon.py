@@ -193,7 +193,7 @@ def looked(computer: MadeUpHost, capsys: pytest.CaptureFixture[str]) -> dict[str
         doctor(DoctorOptions(None, UsbTarget(0x1A86, 0x7523, "0042"), 1.0, json=True, host=computer.host()))
         findings = json.loads(capsys.readouterr().out)["findings"]
     except run.FaultError as fault:
-        findings = fault.so_far["findings"]
+        findings = fault.partial_result["findings"]
     return {finding["id"]: finding for finding in findings}
 
 

@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     if not arguments.json:
         print_page(plan)
     if plan.refused:
-        raise PlanRefusedError(*plan.refused, so_far=plan.as_json())
+        raise PlanRefusedError(*plan.refused, partial_result=plan.as_json())
     if arguments.output is not None:
         write_plate_file(plate_file, arguments.output)
     if arguments.json:
