@@ -1,88 +1,227 @@
-"""Several plates that one thread follows frame after frame; equal skins share their matrices."""
+"""Plates followed frame after frame: surfaces, contacts and events, as of a daemon that decodes itself."""
 
 import asyncio
-from collections.abc import Sequence
+import math
+import time
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Final
+from typing import Any, Final, TypeVar
 
 from threadpoolctl import threadpool_limits
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.clients import DecoderConfig
-from resonator_daemon.daemon.remote_decoding.followed_plate import FollowedPlate
-from resonator_daemon.daemon.remote_decoding.plate import Publish
-from resonator_daemon.daemon.remote_decoding.thread_decoding import DecodingThread, ThreadDecoding
-from resonator_daemon.estimate.surface.skin import DecodingOptions
-from resonator_daemon.measure.latency import LatencyHistogram
-from resonator_daemon.mqtt.payloads import Condition, DecoderPlateHealth, DecoderProcessInfo, Signals
-from resonator_daemon.mqtt.publisher import Subscription
+from resonator_daemon.daemon.remote_decoding.plate import RemotePlate, SkinPlate, frame_of, header_of
+from resonator_daemon.daemon.remote_decoding.plates import Publish, RemotePlates
+from resonator_daemon.estimate.surface.decoder_setup import EqualSkins
+from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
+from resonator_daemon.measure.pipeline.frame_timeout import CONTACTS_END_S
+from resonator_daemon.measure.sensors.surface_decoding import Origin, Skipped, SurfaceClient, SurfaceDecoding
+from resonator_daemon.measure.sensors.surface_worker import Reply, SurfaceSettings, SurfaceWorker
+from resonator_daemon.mqtt.codec import Encoded
+from resonator_daemon.mqtt.headers import MeasuredFields
+from resonator_daemon.mqtt.mqtt_messages import Incoming
+from resonator_daemon.mqtt.payloads import ContactEvent, DecoderPlateHealth, DecoderProcessInfo, Lost, Message, Signals
+from resonator_daemon.mqtt.topics import CONTACT_EVENT, Topic
 
-_NAMED_MAX: Final = 3  # plates that are not decoded, in the reason of a state
-# The condition of the process is the first of these that a plate has.
-_CONDITIONS: Final = (Condition.ONLINE, Condition.STARTING, Condition.WAITING, Condition.REFUSED)
+LOOK_S: Final = 0.1
+
+Result = TypeVar("Result")
 
 
-class FollowedPlates:
-    """Decoder of several plates, each as `FollowedPlate` decodes one.
+class DecodingThread:
+    """Thread that sets up and runs the decoders of several plates in turn; equal skins share their matrices."""
 
-    Parameters
-    ----------
-    config
-        With the names of the plates.
-    options
-        Options of the decoders, without background: the decoding thread also prepares matrices.
-    decoder_id, publish
-        As of `FollowedPlate`.
-    """
+    def __init__(self) -> None:
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix="decoding")
+        self.turns = asyncio.Semaphore(2)  # in order of request: one frame is decoded, one is next
+        self.skins = EqualSkins()
 
-    def __init__(self, config: DecoderConfig, options: DecodingOptions, decoder_id: str, publish: Publish) -> None:
-        self._thread = DecodingThread()
-        self.latency = LatencyHistogram()
-        self._plates = [
-            FollowedPlate(
-                config.model_copy(update={"name": name}),
-                options,
-                decoder_id,
-                publish,
-                partial(ThreadDecoding[Signals], thread=self._thread),
-                self.latency,
-            )
-            for name in config.decoding.plates
-        ]
-        self.topic_filter = " ".join(plate.topic_filter for plate in self._plates)
+    async def run(self, work: Callable[[], Result]) -> Result:
+        """Run work in the thread and return its result; if cancelled, wait until running work has ended."""
+        future = self._executor.submit(work)
+        try:
+            return await asyncio.wrap_future(future)
+        except asyncio.CancelledError:
+            if not future.cancel():
+                await asyncio.wait([asyncio.wrap_future(future)])
+            raise
 
-    @property
-    def subscriptions(self) -> Sequence[Subscription]:
-        return [subscription for plate in self._plates for subscription in plate.subscriptions]
+    async def end(self) -> None:
+        """Stop the thread; wait until running work has ended."""
+        await asyncio.to_thread(self._executor.shutdown)
 
-    def condition(self) -> tuple[Condition, Reason]:
-        """Return the best condition among the plates, and the reasons of those that are not decoded."""
-        found = [plate.condition() for plate in self._plates]
-        online = sum(condition is Condition.ONLINE for condition, _ in found)
-        others = [reason for condition, reason in found if condition is not Condition.ONLINE]
-        texts = [reason.text for reason in others[:_NAMED_MAX]]
-        if len(others) > _NAMED_MAX:
-            texts.append(f"and {len(others) - _NAMED_MAX} more")
-        if online:
-            texts.insert(0, f"signals of {online} plates are decoded")
-        first = min((condition for condition, _ in found), key=_CONDITIONS.index)
-        code = ReasonCode.DECODING if online else next(reason.code for state, reason in found if state is first)
-        return first, Reason(code, "; ".join(texts))
 
-    def health(self) -> dict[str, DecoderPlateHealth]:
-        """Return the counters of each plate's signals."""
-        return {name: health for plate in self._plates for name, health in plate.health().items()}
+class ThreadDecoding(SurfaceDecoding[Origin]):
+    """Decoding by a thread that several plates share, one frame each in turn; to be used from the event loop only."""
 
-    def process_info(self) -> DecoderProcessInfo | None:
-        """Return None: this process has no child that decodes."""
-        return None
+    def __init__(
+        self, settings: SurfaceSettings, client: SurfaceClient[Origin], name: str, thread: DecodingThread
+    ) -> None:
+        super().__init__(settings, client, name)
+        self._thread = thread
+        self._loop = asyncio.get_running_loop()
+        self._worker = SurfaceWorker(settings, self._send, thread.skins.set_up)
+        self._has_work = asyncio.Event()
 
     async def run(self) -> None:
-        """Decode until cancelled."""
+        """Decode until cancelled, or until the set-up finds that the sites cannot be decoded."""
+        try:
+            while not self._undecodable:
+                await self._has_work.wait()
+                async with self._thread.turns:
+                    if (request := self._next_request()) is not None:
+                        await self._thread.run(partial(self._worker.serve, request))
+                    else:
+                        self._has_work.clear()
+        finally:
+            self._skip_all()
+
+    def _wake(self) -> None:
+        self._has_work.set()
+
+    def _send(self, reply: Reply) -> None:
+        self._loop.call_soon_threadsafe(self._received, reply)
+
+
+class FollowedPlate(RemotePlate):
+    """Plate whose frames one decoder receives in order; it skips those that it has no time for."""
+
+    def __init__(self, name: str, plates: "FollowedPlates") -> None:
+        super().__init__(name)
+        self._plates = plates
+        self._changed = asyncio.Event()
+        self._events = 0
+        self._contacts_ended_s = -math.inf
+        self._skips: Counter[Skipped] = Counter()  # of all its decoders
+        self.decoding: SurfaceDecoding[Signals] | None = None
+
+    @property
+    def waiting(self) -> int:
+        return self.decoding.waiting if self.decoding is not None else 0
+
+    def health(self) -> DecoderPlateHealth:
+        without_noise = self._skips["no_noise"]
+        skipped, unusable = self._skips.total() - without_noise, self.unusable + without_noise
+        return super().health().model_copy(update={"skipped": skipped, "unusable": unusable})
+
+    def read_info(self, payload: bytes) -> bool:
+        if not super().read_info(payload):
+            return False
+        self.is_decoded = False
+        self._changed.set()
+        return True
+
+    def offer(self, signals: Signals) -> None:
+        """Decode usable signals as soon as can be; skip those that arrive before there is a decoder."""
+        if self.decoding is None or self._changed.is_set():
+            self._skips["not_ready"] += 1
+        else:
+            self.decoding.offer(signals, frame_of(signals))
+
+    def end_silent_contacts(self) -> None:
+        """Release the contacts if no signals have arrived for some time."""
+        is_silent = time.monotonic() - self.last_s > CONTACTS_END_S
+        if self.decoding is not None and is_silent and self.last_s > self._contacts_ended_s:
+            self._contacts_ended_s = self.last_s
+            self.decoding.interrupt(Reason(ReasonCode.NO_SIGNALS, f"no signals for {CONTACTS_END_S:g} s"))
+
+    async def run(self) -> None:
+        """Decode until cancelled; another `info` starts another decoder."""
+        last_contact_id = 0
+        while True:
+            self._changed.clear()
+            if self.skin is None:
+                await self._changed.wait()
+            else:
+                last_contact_id = await self._decode(self.skin, last_contact_id)
+
+    async def _decode(self, skin: SkinPlate, last_contact_id: int) -> int:
+        """Decode until the plate has changed; return the number of the last contact."""
+        decoding = self.decoding = self._plates.decoding_of(self, self._plates.settings(skin, last_contact_id))
+        decoding.skipped = self._skips
+        self.note, self.is_refused = None, False
+        running = asyncio.create_task(decoding.run(), name="decoding")
+        changed = asyncio.create_task(self._changed.wait())
+        try:
+            await asyncio.wait((running, changed), return_when=asyncio.FIRST_COMPLETED)
+            if running.done():
+                running.result()
+                self.is_refused = True  # the reason is its last announcement
+                await changed
+        finally:
+            changed.cancel()
+            running.cancel()
+            await asyncio.wait((running, changed))
+            self.decoding = None
+            stopped = Reason(ReasonCode.STOPPED, "the decoder stopped")
+            other_plate = Reason(ReasonCode.PLATE_CHANGED, "the plate has changed")
+            decoding.release_contacts(other_plate if self._changed.is_set() else stopped)
+        return decoding.last_contact_id
+
+    def announce(self, note: Reason | None) -> None:
+        """Report what is being set up, or why nothing is decoded."""
+        self.note = note
+        self.is_decoded = note is None and not self._changed.is_set()
+
+    def lost(self, origin: Signals) -> Lost:
+        """Return the daemon's losses, as the signals state them."""
+        return origin.lost
+
+    def contacts_header(self, origin: Signals) -> MeasuredFields:
+        """Return the header of one more message on `contacts`."""
+        return header_of(origin)
+
+    def deliver(self, origin: Signals, topic: Topic[Any], message: Message | Encoded) -> None:
+        """Publish a message about decoded signals."""
+        self._plates.deliver(self, origin, topic, message)
+
+    def deliver_event(self, origin: Signals, event: ContactEvent) -> None:
+        """Publish an event of a contact."""
+        self.deliver(origin, CONTACT_EVENT, event.model_copy(update={"seq": self._events}))
+        self._events += 1
+
+
+class FollowedPlates(RemotePlates[FollowedPlate]):
+    """Decoder of one plate in a child process, or of those that the configuration lists in a thread."""
+
+    def __init__(self, config: DecoderConfig, decoder_id: str, publish: Publish) -> None:
+        super().__init__(config, decoder_id, publish)
+        self._thread = DecodingThread() if config.decoding.plates else None
+        self.plates = {name: FollowedPlate(name, self) for name in self.names}
+
+    def decoding_of(self, plate: FollowedPlate, settings: SurfaceSettings) -> SurfaceDecoding[Signals]:
+        """Return a decoder of a plate, whose `run` is to be called."""
+        if self._thread is None:
+            return DecoderSupervisor(settings, plate, plate.name)
+        return ThreadDecoding(settings, plate, plate.name, self._thread)
+
+    def process_info(self) -> DecoderProcessInfo | None:
+        decoders = (plate.decoding for plate in self.plates.values())
+        return next((each.info() for each in decoders if isinstance(each, DecoderSupervisor)), None)
+
+    async def run(self) -> None:
         with threadpool_limits(1, user_api="blas"):  # as in the daemon's decoder
             try:
                 async with asyncio.TaskGroup() as tasks:
-                    for plate in self._plates:
+                    for plate in self.plates.values():
                         tasks.create_task(plate.run())
+                    tasks.create_task(self._end_silent_contacts())
             finally:
-                await self._thread.end()
+                if self._thread is not None:
+                    await self._thread.end()
+
+    async def _end_silent_contacts(self) -> None:
+        while True:
+            await asyncio.sleep(LOOK_S)
+            for plate in self.plates.values():
+                plate.end_silent_contacts()
+
+    def _receive_info(self, message: Incoming) -> None:
+        if (plate := self.plates.get(self._name(message))) is not None:
+            plate.read_info(message.payload)
+
+    def _offer(self, plate: FollowedPlate, signals: Signals) -> None:
+        plate.offer(signals)

@@ -5,7 +5,7 @@ import math
 import time
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface.skin import Prior, Skin
-from resonator_daemon.mqtt.codec import Encoded, decode
+from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame
+from resonator_daemon.mqtt.codec import decode
 from resonator_daemon.mqtt.headers import MeasuredFields
-from resonator_daemon.mqtt.payloads import DecoderPlateHealth, GridInfo, Info, Signals, Status
-from resonator_daemon.mqtt.topics import DECODED, SCHEMA_VERSION, MessageT, Topic
+from resonator_daemon.mqtt.payloads import Condition, DecoderPlateHealth, Info, Signals, Status
+from resonator_daemon.mqtt.topics import DECODED, SCHEMA_VERSION
 
 NO_INFO = Reason(ReasonCode.NO_INFO, "no info yet: no daemon has published under this name")
 DECODED_BY_DAEMON = Reason(
@@ -34,19 +35,13 @@ _INT64 = range(2**63)  # what subscribers hold numbers in
 _NS = 1_000_000_000
 
 
-class Publish(Protocol):
-    """Publishes a message below the topics of a plate; never waits."""
-
-    def __call__(self, plate: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None: ...
-
-
 @dataclass(frozen=True)
 class SkinPlate:
     """The skin of a plate and the names of its sites."""
 
     skin: Skin
     site_ids: NDArray[np.intp]  # (n,)
-    grid: GridInfo | None
+    pitch_m: float | None  # of the grid that the sites form
 
     @cached_property
     def geometry(self) -> tuple[object, ...]:
@@ -57,7 +52,7 @@ class SkinPlate:
         """Whether nothing that matters to decoding has changed."""
         return other is not None and (
             self.geometry == other.geometry
-            and self.grid == other.grid
+            and self.pitch_m == other.pitch_m
             and np.array_equal(self.site_ids, other.site_ids)
         )
 
@@ -81,9 +76,13 @@ class RemotePlate:
     decoded, skipped
         Of the usable ones: published; given up for a newer one, or not decoded for another reason.
     last_s
-        When signals came last that could be used, by the caller's clock.
+        When signals came last that could be used, by the monotonic clock.
     gate_s
         Length of a frame's gate, by the last `info` that could be used.
+    is_decoded
+        Whether a decoder is set up for the present skin.
+    note, is_refused
+        What is being set up, or with `is_refused` why the skin cannot be decoded.
     """
 
     def __init__(self, name: str) -> None:
@@ -93,6 +92,8 @@ class RemotePlate:
         self.received = self.unusable = self.missed = self.decoded = self.skipped = 0
         self.last_s = -math.inf
         self.gate_s = 0.0
+        self.is_decoded = self.is_refused = False
+        self.note: Reason | None = None
         self._last: tuple[str, int] | None = None  # boot of the daemon, seq
 
     def read_info(self, payload: bytes) -> bool:
@@ -113,7 +114,7 @@ class RemotePlate:
         """Decode nothing until the next `info`."""
         self.skin, self.problem = None, Reason(problem.code, problem.text[:_REASON_MAX])
 
-    def read_signals(self, payload: bytes, now_s: float) -> Signals | None:
+    def read_signals(self, payload: bytes) -> Signals | None:
         """Read a `signals`; None where it cannot be decoded, which is counted."""
         self.received += 1
         try:
@@ -132,19 +133,27 @@ class RemotePlate:
         if not usable or not self.skin:
             self.unusable += 1
             return None
-        self.last_s = now_s
+        self.last_s = time.monotonic()
         return message
 
-    def health(self, *, waiting: int, skipped: int = 0, unusable: int = 0) -> DecoderPlateHealth:
-        """Return the counters of its signals, with what its present decoder adds."""
-        return DecoderPlateHealth(
-            received=self.received,
-            decoded=self.decoded,
-            skipped=self.skipped + skipped,
-            unusable=self.unusable + unusable,
-            waiting=waiting,
-            missed=self.missed,
-        )
+    @property
+    def waiting(self) -> int:
+        """Number of frames that are being decoded, or wait."""
+        return 0
+
+    def health(self) -> DecoderPlateHealth:
+        """Return the counters of its signals."""
+        return DecoderPlateHealth(**{key: getattr(self, key) for key in DecoderPlateHealth.model_fields})
+
+    def condition(self) -> tuple[Condition, Reason]:
+        """Return the present state and its reason."""
+        if self.problem:
+            return Condition.WAITING, self.problem
+        if self.note:
+            return (Condition.REFUSED if self.is_refused else Condition.STARTING), self.note
+        if not self.is_decoded or time.monotonic() - self.last_s > WAITS_AFTER_S:
+            return Condition.WAITING, NO_SIGNALS
+        return Condition.ONLINE, Reason(ReasonCode.DECODING, "signals are decoded")
 
     def age_s(self, message: Signals) -> float:
         """Return the time from the end of a frame's gate until now, as far as this computer's clock and its agree."""
@@ -160,15 +169,15 @@ class RemotePlate:
 
 def header_of(message: Signals) -> MeasuredFields:
     """Return the header for what is decoded of these signals: it belongs to the same instant and has the same `seq`."""
-    return MeasuredFields(
-        name=message.name,
-        seq=message.seq,
-        daemon_boot_id=message.daemon_boot_id,
-        t_ns=message.t_ns,
-        t_uncertainty_ns=message.t_uncertainty_ns,
-        lost=message.lost,
-        board_ticks=message.board_ticks,
-    )
+    header: MeasuredFields = {key: getattr(message, key) for key in MeasuredFields.__annotations__}  # type: ignore[assignment]
+    return header
+
+
+def frame_of(message: Signals) -> SurfaceFrame:
+    """Return what is to be decoded of these signals."""
+    header = header_of(message)
+    signals, noise_std = message.signals.astype(np.float64), message.noise_std.astype(np.float64)
+    return SurfaceFrame(header, header["seq"], signals, noise_std)
 
 
 def error_text(error: BaseException) -> str:
@@ -212,7 +221,8 @@ def _read_info(payload: bytes) -> tuple[SkinPlate, float]:
     skin = Skin(half_space, positions_m, info.skin.depth_m, info.skin.gain_std, prior)
     if problem := _problem(info, skin):
         raise _UnusableInfoError(f"info: {problem}")
-    return SkinPlate(skin, np.array([site.site for site in info.sites], np.intp), info.grid), 1 / info.frame_rate_hz
+    site_ids = np.array([site.site for site in info.sites], np.intp)
+    return SkinPlate(skin, site_ids, info.grid.pitch_m if info.grid else None), 1 / info.frame_rate_hz
 
 
 def _check_size(payload: bytes) -> None:

@@ -19,7 +19,7 @@ from decoder_bench import Daemon, assert_exact, config_file, daemon, info, proce
 from observer import Observer, observe
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.daemon.remote_decoding import followed_plate, shared_plates
+from resonator_daemon.daemon.remote_decoding import followed_plates, plate, shared_plates
 from resonator_daemon.daemon.remote_decoding import service as decode_service
 from resonator_daemon.daemon.remote_decoding.service import CannotShareError, own_id
 from resonator_daemon.mqtt.topics import DECODER_STATE
@@ -47,8 +47,8 @@ async def send_until_decoded(hand: Daemon, heard: Observer, seq: int) -> None:
 async def test_a_followed_plate_is_decoded_and_its_states_and_account_are_reported(
     tmp_path: Path, broker: Mosquitto | Amqtt, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 3600.0)  # else a slow computer releases the contact
-    monkeypatch.setattr(followed_plate, "WAITS_AFTER_S", 3600.0)
+    monkeypatch.setattr(followed_plates, "CONTACTS_END_S", 3600.0)  # else a slow computer releases the contact
+    monkeypatch.setattr(plate, "WAITS_AFTER_S", 3600.0)
     async with observe(broker.url) as heard, daemon(broker.url) as hand:
         decoder = process(tmp_path, broker.url, decoding=LINEAR)
         async with running(decoder):
@@ -158,7 +158,7 @@ async def test_a_broker_that_cannot_share_is_refused_with_one_sentence(tmp_path:
 async def test_an_event_of_an_outage_arrives_after_it(
     restarted: bool, tmp_path: Path, mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 3600.0)
+    monkeypatch.setattr(followed_plates, "CONTACTS_END_S", 3600.0)
     events = "resonator/hand/contacts/event"
     decoder = process(tmp_path, mosquitto.url, decoding=LINEAR)
     async with running(decoder):
@@ -170,7 +170,7 @@ async def test_an_event_of_an_outage_arrives_after_it(
             (onset,) = [json.loads(payload) for payload in await heard.until_count(events, 1)]
         await mosquitto.kill()
         await until(lambda: decoder.health().messages.dropped.get("no_connection", 0) > 0)
-        monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 0.0)
+        monkeypatch.setattr(followed_plates, "CONTACTS_END_S", 0.0)
         await until(lambda: decoder.health().messages.spooled == 1)
         if not restarted:
             await mosquitto.start()

@@ -12,10 +12,9 @@ from observer import running_task
 
 from resonator_daemon.board.config.clients import DecoderConfig
 from resonator_daemon.board.config.tables import Decoding
-from resonator_daemon.daemon.remote_decoding import followed_plate
-from resonator_daemon.daemon.remote_decoding.followed_plate import FollowedPlate
+from resonator_daemon.daemon.remote_decoding import followed_plates
 from resonator_daemon.daemon.remote_decoding.followed_plates import FollowedPlates
-from resonator_daemon.daemon.remote_decoding.plate import header_of
+from resonator_daemon.daemon.remote_decoding.plate import frame_of
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface import decoder_setup
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
@@ -24,7 +23,6 @@ from resonator_daemon.measure.sensors import surface_decoding
 from resonator_daemon.measure.sensors.surface_worker import (
     Reply,
     Results,
-    SurfaceFrame,
     SurfaceSettings,
     SurfaceWorker,
     Work,
@@ -34,7 +32,7 @@ from resonator_daemon.mqtt.payloads import ContactEvent, Info, Message, Signals
 from resonator_daemon.mqtt.topics import Topic
 
 SKIN = Skin(HalfSpace(E, NU), SITES_M, 1e-3)
-LINEAR = DecodingOptions(contact_physics=False)
+LINEAR = DecodingOptions(contact_physics=False, background=False)
 REPRODUCIBLE = DecodingOptions(background=False)
 NOTHING = np.zeros((3, len(SITES_M)))
 
@@ -55,20 +53,18 @@ def alone(frames: list[Signals], options: DecodingOptions) -> list[tuple[str, by
 
     worker = SurfaceWorker(SurfaceSettings(SKIN, options, np.arange(100, 244), PITCH_M, "host-1"), add)
     for message in frames:
-        header, noise_std = header_of(message), message.noise_std.astype(np.float64)
-        frame = SurfaceFrame(header, message.seq, message.signals.astype(np.float64), noise_std)
-        worker.serve(Work(frame, 1 << 62))
+        worker.serve(Work(frame_of(message), 1 << 62))
     return sent
 
 
 class Followed:
     """A followed plate, and what it has published."""
 
-    def __init__(self, wanted: DecodingOptions = LINEAR, *, uncertainty: bool = True) -> None:
+    def __init__(self, **options: Any) -> None:
         self.published: list[tuple[str, str, Message]] = []
-        config = DecoderConfig(name="hand", decoding=Decoding(uncertainty=uncertainty))
-        self.plate = FollowedPlate(config, wanted, "host-1", self._publish)
-        self._info, self._signals = self.plate.subscriptions
+        config = DecoderConfig(name="hand", decoding=Decoding(**({"contact_physics": False} | options)))
+        self.plates = FollowedPlates(config, "host-1", self._publish)
+        self._info, self._signals = self.plates.subscriptions
 
     def _publish(self, plate: str, topic: Topic[Any], message: Message | Encoded) -> None:
         if isinstance(message, Encoded):
@@ -79,10 +75,9 @@ class Followed:
         return [message for _, topic, message in self.published if topic == path]
 
     async def send_info(self, message: Info) -> None:
-        """Send an info, and wait until it has taken effect: frames before that are skipped."""
+        """Send an info; it takes effect with the next turn of the event loop, and frames before that are skipped."""
         self._info.handle(incoming(self._info.topic_filter, encode(message)))
-        await until(lambda: not self.plate._changed.is_set())
-        await asyncio.sleep(0)
+        await asyncio.sleep(0.01)
 
     async def prepare(self, message: Info) -> None:
         """Send an info, and untouched frames until its decoder is set up; their results are discarded."""
@@ -109,7 +104,7 @@ class Followed:
 
     @property
     def account(self) -> Any:
-        return self.plate.health()["hand"]
+        return self.plates.health()["hand"]
 
     @property
     def is_exact(self) -> bool:
@@ -118,16 +113,20 @@ class Followed:
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator["Followed"]:
-        async with running_task(self.plate.run()):
+        async with running_task(self.plates.run()):
             yield self
         assert self.is_exact
         assert self.account.waiting == 0
 
 
-@pytest.mark.parametrize("wanted", [LINEAR, REPRODUCIBLE], ids=["linear", "contact physics"])
-async def test_results_are_those_of_the_daemons_own_stage(wanted: DecodingOptions) -> None:
+@pytest.mark.parametrize(
+    ("options", "wanted"),
+    [({}, LINEAR), ({"plates": ("hand",), "contact_physics": True}, REPRODUCIBLE)],
+    ids=["child process", "thread, contact physics"],
+)
+async def test_results_are_those_of_the_daemons_own_stage(options: dict[str, Any], wanted: DecodingOptions) -> None:
     frames = [signals(seq, pressed(seq)) for seq in range(8)] + [signals(seq, NOTHING) for seq in range(8, 13)]
-    async with Followed(wanted).running() as followed:
+    async with Followed(**options).running() as followed:
         await followed.prepare(info())
         for frame in frames:
             await followed.read(frame)
@@ -144,8 +143,7 @@ async def test_results_are_those_of_the_daemons_own_stage(wanted: DecodingOption
 
 @pytest.mark.parametrize(("uncertainty", "displacement"), [(True, False), (False, True)])
 async def test_only_what_is_asked_for_is_published(uncertainty: bool, displacement: bool) -> None:
-    wanted = DecodingOptions(contact_physics=False, displacement=displacement)
-    async with Followed(wanted, uncertainty=uncertainty).running() as followed:
+    async with Followed(displacement=displacement, uncertainty=uncertainty).running() as followed:
         await followed.prepare(info())
         await followed.read(signals(0))
     (found,) = followed.on("decoded")
@@ -154,19 +152,19 @@ async def test_only_what_is_asked_for_is_published(uncertainty: bool, displaceme
 
 async def test_a_plate_without_a_skin_and_one_that_cannot_be_decoded_are_distinguished() -> None:
     on_a_line = tuple(site.model_copy(update={"position_m": (1e-4 * i, 0.0)}) for i, site in enumerate(info().sites))
-    async with Followed(DecodingOptions("fourier")).running() as followed:
+    async with Followed(method="fourier", contact_physics=True).running() as followed:
         await followed.send_info(info(skin=None))
-        assert followed.plate.condition()[1].code == "info_unusable"
+        assert followed.plates.condition()[1].code == "info_unusable"
         await followed.send_info(info(sites=on_a_line, grid=None))
         followed.send(signals(0))
-        await until(lambda: followed.plate.condition()[0] == "refused")
-        assert followed.plate.condition()[1].code == "undecodable"
+        await until(lambda: followed.plates.condition()[0] == "refused")
+        assert followed.plates.condition()[1].code == "undecodable"
         for seq in range(1, 4):  # in vain
             followed.send(signals(seq))
         assert followed.is_exact
         await followed.prepare(info())
         await followed.read(signals(1))
-        await until(lambda: followed.plate.condition()[0] == "online")
+        await until(lambda: followed.plates.condition()[0] == "online")
 
 
 async def test_another_skin_takes_effect_ends_the_contacts_and_counts_on() -> None:
@@ -189,8 +187,8 @@ async def test_another_skin_takes_effect_ends_the_contacts_and_counts_on() -> No
 
 
 async def test_contacts_end_when_signals_stop_and_only_then(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 3600.0)
-    monkeypatch.setattr(followed_plate, "LOOK_S", 0.01)
+    monkeypatch.setattr(followed_plates, "CONTACTS_END_S", 3600.0)
+    monkeypatch.setattr(followed_plates, "LOOK_S", 0.01)
     interruptions: list[str] = []
     interrupt = DecoderSupervisor.interrupt
     monkeypatch.setattr(
@@ -201,7 +199,7 @@ async def test_contacts_end_when_signals_stop_and_only_then(monkeypatch: pytest.
         for seq in range(3):
             await followed.read(signals(seq))
         assert interruptions == []
-        monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 0.05)
+        monkeypatch.setattr(followed_plates, "CONTACTS_END_S", 0.05)
         await until(lambda: len(followed.on("contacts/event")) == 2)
         await until(lambda: followed.on("contacts")[-1].contacts == ())
         onset, release = followed.on("contacts/event")
@@ -210,7 +208,7 @@ async def test_contacts_end_when_signals_stop_and_only_then(monkeypatch: pytest.
         assert len(followed.on("decoded")) == len(followed.on("decoded/summary")) == 3
         await asyncio.sleep(0.05)  # looked some times more
         assert len(interruptions) == 1
-        monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 3600.0)
+        monkeypatch.setattr(followed_plates, "CONTACTS_END_S", 3600.0)
         for seq in range(3, 5):
             await followed.read(signals(seq))
         assert followed.on("contacts/event")[2].contact.id == 2
@@ -229,11 +227,11 @@ async def test_each_plate_is_decoded_as_if_alone_with_matrices_built_once(monkey
     set_up = decoder_setup.set_up
     monkeypatch.setattr(decoder_setup, "set_up", lambda skin, *rest: (built.append(1), set_up(skin, *rest))[1])
     monkeypatch.setattr(surface_decoding, "AGE_MAX_NS", 10**11)  # both for busy computers
-    monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 3600.0)
+    monkeypatch.setattr(followed_plates, "CONTACTS_END_S", 3600.0)
     sent: dict[str, list[tuple[str, bytes]]] = {"left": [], "right": [], "point": []}
     config = DecoderConfig(decoding=Decoding(plates=tuple(sent)))
     plates = FollowedPlates(
-        config, REPRODUCIBLE, "host-1", lambda plate, topic, message: sent[plate].append(as_sent(topic.path, message))
+        config, "host-1", lambda plate, topic, message: sent[plate].append(as_sent(topic.path, message))
     )
     handlers = {subscription.topic_filter: subscription.handle for subscription in plates.subscriptions}
 

@@ -28,7 +28,7 @@ def plate() -> RemotePlate:
 
 
 def take(plate: RemotePlate, payload: bytes) -> bool:
-    return plate.read_signals(payload, 1.0) is not None
+    return plate.read_signals(payload) is not None
 
 
 @pytest.mark.parametrize(

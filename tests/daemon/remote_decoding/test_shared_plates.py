@@ -1,39 +1,47 @@
-"""Many plates in one process: whose frame it is, what is said of them all, and how many there may be."""
+"""Frames that decoders share: each on its own, plates in turn, decoders for equal skins, and how many plates."""
 
 import logging
 import threading
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
-from decoder_bench import incoming, info, signals, until
+from decoder_bench import DEPTH_M, NOISE, Floats, incoming, info, pressed, signals, until
 from observer import running_task
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.clients import DecoderConfig
 from resonator_daemon.board.config.tables import Decoding
-from resonator_daemon.daemon.remote_decoding import shared_plates
-from resonator_daemon.daemon.remote_decoding.shared_plates import SharedPlates
-from resonator_daemon.estimate.surface.skin import DecodingOptions
+from resonator_daemon.daemon.remote_decoding import plate, shared_plates
+from resonator_daemon.daemon.remote_decoding.shared_plates import DECODERS_MAX, SharedPlates
+from resonator_daemon.estimate.surface.decoded import Decoded
+from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
+from resonator_daemon.estimate.surface.skin_decoder import SurfaceReading
 from resonator_daemon.mqtt.codec import encode
-from resonator_daemon.mqtt.payloads import GridInfo, Info, Message, Signals
-
-CONFIG = DecoderConfig(decoding=Decoding(plates=("+",), group="touch"))
-LINEAR = DecodingOptions(contact_physics=False, background=False)
+from resonator_daemon.mqtt.payloads import DecoderPlateHealth, GridInfo, Info, Message, Signals
 
 
 class Shared:
     """Shared plates, and what they have published."""
 
-    def __init__(self) -> None:
+    def __init__(self, **options: Any) -> None:
         self.published: list[tuple[str, str, Any]] = []
-        self.plates = SharedPlates(CONFIG, LINEAR, "host-1", self._publish)
+        decoding = Decoding(plates=("+",), group="touch", **({"contact_physics": False} | options))
+        self.plates = SharedPlates(DecoderConfig(decoding=decoding), "host-1", self._publish)
         self._info, self._signals = self.plates.subscriptions
 
     def _publish(self, plate: str, topic: Any, message: Message) -> None:
         self.published.append((plate, topic.path, message))
+
+    @property
+    def decoded(self) -> list[tuple[str, int]]:
+        return [(plate, message.seq) for plate, path, message in self.published if path == "decoded"]
+
+    def account(self, plate: str) -> DecoderPlateHealth:
+        return self.plates.health()[plate]
 
     def send_info(self, plate: str, message: Info) -> None:
         self._info.handle(incoming(f"resonator/{plate}/info", encode(message)))
@@ -55,6 +63,162 @@ class Shared:
     async def running(self) -> AsyncIterator["Shared"]:
         async with running_task(self.plates.run()):
             yield self
+
+
+class Substitute:
+    """In the place of the real decoder: counts how often it is set up, and decodes when it may."""
+
+    name, shape = "substitute", (144,)
+    built: list[tuple[float, float]]
+    together: list[list[float]]  # what was decoded at once
+    released = threading.Semaphore()
+
+    def __init__(self, of: Skin, noise_std: Floats) -> None:
+        self.noise = noise_std[0, 0]
+        self.built.append((of.depth_m, self.noise))
+
+    def fits(self, noise_std: Floats) -> bool:
+        return bool(noise_std[0, 0] == self.noise)
+
+    def decode_alone(self, signals: Floats, _noise_std: Floats) -> SurfaceReading:
+        assert self.released.acquire(timeout=20)
+        if signals[0, 0] == 7.0:
+            raise ZeroDivisionError("shared")
+        return SurfaceReading(self.name, Decoded(signals, signals, None, False, 0.0, 1.0, "ok", ""))
+
+    def decode_untouched(self, signals: Floats, noise_std: Floats) -> list[SurfaceReading | None]:
+        """Frames of a value above 0 show a load."""
+        self.together.append(signals[:, 0, 0].tolist())
+        return [None if one[0, 0] > 0.0 else self.decode_alone(one, noise_std[0]) for one in signals]
+
+    def reset(self, reason: str) -> tuple[()]:
+        return ()
+
+
+@pytest.fixture
+def substitute(monkeypatch: pytest.MonkeyPatch) -> type[Substitute]:
+    Substitute.built, Substitute.together = [], []
+    Substitute.released = threading.Semaphore(0)
+
+    def put(of: Skin, _wanted: DecodingOptions, noise_std: Floats, _progress: Callable[[str], None]) -> Substitute:
+        return Substitute(of, noise_std)
+
+    monkeypatch.setattr(shared_plates, "set_up", put)
+    return Substitute
+
+
+def marked(seq: int, value: float = 0.0, noise: float = 1.0) -> Signals:
+    return signals(seq, np.full((3, 144), value), noise_std=(noise * NOISE).astype(np.float32))
+
+
+def deep(depth_m: float) -> Info:
+    skin = info().skin
+    assert skin is not None
+    return info(skin=skin.model_copy(update={"depth_m": depth_m}))
+
+
+async def test_plates_take_turns_and_of_each_the_newest_is_decoded(substitute: type[Substitute]) -> None:
+    async with Shared().running() as shared:
+        for name in "abc":
+            shared.send_info(name, info())
+        shared.send("a", marked(0))
+        await until(lambda: shared.account("a").waiting == 1 and bool(substitute.built))
+        for seq in range(1, 5):
+            for name in "abc":
+                shared.send(name, marked(seq))
+        assert [shared.account(name).waiting for name in "abc"] == [2, 1, 1]
+        assert [shared.account(name).skipped for name in "abc"] == [3, 3, 3]
+        substitute.released.release(4)
+        await until(lambda: len(shared.decoded) == 4)
+    assert shared.decoded == [("a", 0), ("a", 4), ("b", 4), ("c", 4)]
+
+
+async def test_waiting_frames_of_equal_skins_are_decoded_together_but_for_those_that_show_a_load(
+    substitute: type[Substitute],
+) -> None:
+    names = [f"plate-{number}" for number in range(20)]
+    async with Shared().running() as shared:
+        for name in ("first", *names):
+            shared.send_info(name, info())
+        shared.send_info("deep", deep(2e-3))
+        shared.send("first", marked(0))
+        await until(lambda: shared.account("first").waiting == 1 and bool(substitute.built))
+        shared.send("deep", marked(1))
+        for number, name in enumerate(names):
+            shared.send(name, marked(number, float(number in (3, 4))))
+        substitute.released.release(2)
+        await until(lambda: bool(substitute.together))
+        shared.send("plate-4", marked(104, 1.0))  # while a frame of it that shows a load is decoded
+        shared.withdraw("plate-5")
+        substitute.released.release(100)
+        await until(lambda: len(shared.decoded) == 21)
+        healths = shared.plates.health()
+    assert [len(values) for values in substitute.together] == [16, 5]
+    assert shared.decoded[19:] == [("plate-3", 3), ("plate-4", 104)]
+    assert "plate-5" not in dict(shared.decoded)
+    assert {name: health.skipped for name, health in healths.items() if health.skipped} == {"plate-4": 1}
+    assert all(health.unusable == health.waiting == 0 for health in healths.values())
+
+
+async def test_equal_skins_share_a_decoder_and_of_others_those_used_last_are_kept(substitute: type[Substitute]) -> None:
+    substitute.released.release(100)
+    built = [(DEPTH_M, 2.0**-7)]
+    async with Shared().running() as shared:
+        for number in range(20):
+            shared.send_info(f"plate-{number}", info())
+            await shared.read(f"plate-{number}", marked(0))
+        assert substitute.built == built
+        await shared.read("plate-0", marked(1, noise=2.0))
+        built.append((DEPTH_M, 2.0**-6))
+        for number in range(2, DECODERS_MAX):
+            shared.send_info("other", deep(DEPTH_M * number))
+            await shared.read("other", marked(number))
+            built.append((DEPTH_M * number, 2.0**-7))
+        assert substitute.built == built
+        await shared.read("plate-0", marked(2))  # used again: the noisy one is the oldest now
+        shared.send_info("other", deep(0.5 * DEPTH_M))
+        await shared.read("other", marked(10))
+        built.append((0.5 * DEPTH_M, 2.0**-7))
+        await shared.read("plate-0", marked(3))
+        assert substitute.built == built
+        await shared.read("plate-0", marked(4, noise=2.0))
+        assert substitute.built == [*built, (DEPTH_M, 2.0**-6)]
+
+
+async def test_a_frame_that_fails_is_flagged_and_the_next_one_is_decoded(substitute: type[Substitute]) -> None:
+    substitute.released.release(100)
+    async with Shared().running() as shared:
+        shared.send_info("a", info())
+        _, failed = await shared.read("a", marked(0, 7.0))
+        _, after = await shared.read("a", marked(1, 1.0))
+    assert (failed.status, failed.reason_code) == ("rejected", "decoding_failed")
+    assert after.status == "ok"
+
+
+async def test_a_skin_that_cannot_be_decoded_is_refused_and_the_others_go_on() -> None:
+    on_a_line = tuple(site.model_copy(update={"position_m": (1e-4 * i, 0.0)}) for i, site in enumerate(info().sites))
+    async with Shared(method="fourier", contact_physics=True).running() as shared:
+        shared.send_info("line", info(sites=on_a_line, grid=None))
+        shared.send_info("grid", info())
+        shared.send("line", signals(0))
+        await shared.read("grid", signals(0, pressed(0)))
+        assert (shared.account("line").unusable, shared.account("line").waiting) == (1, 0)
+        assert shared.plates.plates["line"].condition()[1].code == "undecodable"
+        assert shared.plates.condition()[0] == "online"
+    assert shared.decoded == [("grid", 0)]
+
+
+async def test_what_waits_when_it_ends_is_counted_as_skipped(substitute: type[Substitute]) -> None:
+    shared = Shared()
+    async with shared.running():
+        for name in "ab":
+            shared.send_info(name, info())
+            shared.send(name, marked(0))
+        await until(lambda: bool(substitute.built))
+        substitute.released.release(100)
+    healths = shared.plates.health().values()
+    assert sum(health.decoded + health.skipped for health in healths) == 2
+    assert [health.waiting for health in healths] == [0, 0]
 
 
 NOTHING = ("waiting", Reason(ReasonCode.NO_SIGNALS, "no signals that could be decoded"))
@@ -80,16 +244,16 @@ async def test_another_info_takes_effect_with_the_next_frame() -> None:
 
 
 async def test_it_is_online_while_signals_come_and_waits_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shared_plates, "WAITS_AFTER_S", 0.2)
+    monkeypatch.setattr(plate, "WAITS_AFTER_S", 0.2)
     async with Shared().running() as shared:
         assert shared.plates.condition() == NOTHING
         shared.send_info("left", info())
         shared.send_info("right", info(skin=None))
         shared.send("left", signals(0))
         problem = "right: has no skin to decode; waits for another plate of this name"
-        decoding = Reason(ReasonCode.DECODING, f"signals of 1 plates are decoded; {problem}")
+        decoding = Reason(ReasonCode.DECODING, f"signals of left are decoded; {problem}")
         await until(lambda: shared.plates.condition() == ("online", decoding))
-        silent = Reason(ReasonCode.NO_SIGNALS, f"{NOTHING[1].text}; {problem}")
+        silent = Reason(ReasonCode.NO_SIGNALS, f"{problem}; left: {NOTHING[1].text}")
         await until(lambda: shared.plates.condition() == ("waiting", silent))
 
 
@@ -108,7 +272,7 @@ async def test_a_plate_that_its_daemon_decodes_is_left_alone_until_it_does_not()
         shared.send_info("left", info(rates_hz=rates_hz))
         shared.send("left", signals(2))
         await shared.read("right", signals(1))
-        assert [(plate, path) for plate, path, _ in shared.published].count(("left", "decoded")) == 1
+        assert [name for name, _ in shared.decoded].count("left") == 1
         assert problem in shared.plates.condition()[1].text
 
 
@@ -169,7 +333,7 @@ async def test_a_plate_forgotten_while_its_frame_is_decoded_begins_anew(monkeypa
         shared.send("left", signals(3))
         may_end.set()
         await until(lambda: shared.plates.health()["left"].decoded == 1)
-        assert [message.seq for _, path, message in shared.published if path == "decoded"] == [3]
+        assert shared.decoded == [("left", 3)]
         account = shared.plates.health()["left"]
         assert (account.received, account.skipped, account.unusable, account.waiting) == (1, 0, 0, 0)
 
@@ -178,11 +342,11 @@ async def test_beyond_its_places_only_silent_plates_give_way(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = SimpleNamespace(now_s=0.0)
-    monkeypatch.setattr(shared_plates, "time", SimpleNamespace(monotonic=lambda: clock.now_s))
+    for module in (plate, shared_plates):
+        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: clock.now_s))
     monkeypatch.setattr(shared_plates, "PLATES_MAX", 3)
     shared = Shared()
     for name in ("a", "b", "c"):
-        assert "no more are taken" not in shared.plates.condition()[1].text
         shared.send_info(name, info())
         clock.now_s += 1.0
     clock.now_s = 60.0
@@ -190,7 +354,7 @@ async def test_beyond_its_places_only_silent_plates_give_way(
     for name in ("d", "e"):
         shared.send_info(name, info())
     assert set(shared.plates.health()) == {"a", "b", "c"}
-    assert "3 plates are known, no more are taken; d: is beyond 3 plates" in shared.plates.condition()[1].text
+    assert "d: is beyond 3 plates" in shared.plates.condition()[1].text
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
     clock.now_s = 61.5
     shared.send_info("e", info())
@@ -199,6 +363,5 @@ async def test_beyond_its_places_only_silent_plates_give_way(
     shared.send_info("f", info())
     assert set(shared.plates.health()) == {"a", "c", "e"}
     shared.withdraw("c")
-    assert "no more are taken" not in shared.plates.condition()[1].text
     shared.send_info("f", info())
     assert set(shared.plates.health()) == {"a", "e", "f"}
