@@ -72,6 +72,7 @@ class LoadProcedure:
     """State machine from readings to prompts; `loadings` and `untouched` are what was captured."""
 
     def __init__(self, plate: Plate, steps: Sequence[Step], timeout_s: float) -> None:
+        self.plate = plate
         self._sensitivity = site_codes(plate).sensitivity
         self._site_ids = plate.site_ids.tolist()
         self._timeout_s = timeout_s

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.special import chdtri
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.base.plate import Plate
 from resonator_daemon.tools.calibration.outcome import BAD_NEWTON, Outcome
 from resonator_daemon.tools.calibration.steps import SENSITIVITY_STD_MAX, CalibrationRefusedError, Step
 
@@ -45,13 +44,14 @@ class _SiteLoads:
     freedom: int
 
 
-def find_outliers(plate: Plate, steps: Sequence[Step], outcome: Outcome, mass_std: float) -> tuple[OutlierSite, ...]:
-    """Return the sites whose loads, but for doubtful ones, lie too far off their line; `steps` are all that was fitted.
+def find_outliers(outcome: Outcome) -> tuple[OutlierSite, ...]:
+    """Return the sites whose loads, but for doubtful ones, lie too far off their line.
 
     A load scatters by the plate file's model_error in each channel alone, or by what the other sites show, if that is
-    more; and by `mass_std`.
+    more; and by the error of the masses.
     """
-    sites = _by_site([step for step in steps if step not in outcome.doubtful], outcome)
+    plate, mass_std = outcome.plate, outcome.request.mass_std
+    sites = _by_site([step for step in outcome.steps if step not in outcome.doubtful], outcome)
     found = []
     for site_id, site in sites.items():
         others = [other for other_id, other in sites.items() if other_id != site_id]
@@ -63,7 +63,7 @@ def find_outliers(plate: Plate, steps: Sequence[Step], outcome: Outcome, mass_st
     return tuple(found)
 
 
-def refuse_unknown_sensitivity(plate: Plate, outcome: Outcome) -> None:
+def refuse_unknown_sensitivity(outcome: Outcome) -> None:
     """Raise CalibrationRefusedError where K of a site is known worse than any calibration may be."""
     fit = outcome.fit
     worst = int(np.argmax(outcome.sensitivity_std))
@@ -78,7 +78,7 @@ def refuse_unknown_sensitivity(plate: Plate, outcome: Outcome) -> None:
         "take masses that are known better (--mass-std)": masses,
     }
     raise CalibrationRefusedError(
-        f"site {plate.site_ids[fit.site[worst]]}: K is known to {100 * outcome.sensitivity_std[worst]:.2g} %, "
+        f"site {outcome.plate.site_ids[fit.site[worst]]}: K is known to {100 * outcome.sensitivity_std[worst]:.2g} %, "
         f"must be {100 * SENSITIVITY_STD_MAX:g} % or better; {max(remedies, key=lambda name: remedies[name])}"
     )
 

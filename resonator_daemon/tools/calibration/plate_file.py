@@ -1,20 +1,18 @@
 """Files of a calibration: the session until it is accepted, and the plate file, whole at any instant."""
 
-import datetime
 import hashlib
 import json
 import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from importlib.resources import files
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import tomlkit
-from tomlkit.items import Table
 
 from resonator_daemon.base.errors import UsageError, UserError, meaning_of
 from resonator_daemon.base.host.files import (
@@ -27,49 +25,10 @@ from resonator_daemon.base.host.files import (
     sync_directory,
 )
 from resonator_daemon.base.plate import load_plate, shipped_plates
-from resonator_daemon.base.plate_tables import FORCE_SIGNAL, Coupling
+from resonator_daemon.base.plate_tables import FORCE_SIGNAL
 from resonator_daemon.base.toml import read_toml
+from resonator_daemon.tools.calibration.record import Record, rounded
 from resonator_daemon.tools.calibration.steps import CalibrationRefusedError
-
-
-@dataclass(frozen=True)
-class SiteRecord:
-    """What a calibration found of one site; by channel (4,)."""
-
-    site_id: int
-    f0_hz: tuple[float, ...]
-    sensitivity: tuple[float, ...]
-    residual_newton: float  # rms
-    temperature_coefficients: tuple[float, float, float] | None = None
-
-
-@dataclass(frozen=True)
-class ResponseRecord:
-    """Hysteresis and creep of all sites."""
-
-    hysteresis_newton: float
-    creep_fraction: float
-    creep_time_s: float
-    relative_std: float
-
-
-@dataclass(frozen=True)
-class Record:
-    """Everything that goes into the plate file."""
-
-    id: str
-    date: datetime.date
-    unit: str
-    temperature_kelvin: float
-    model_error: float
-    sensitivity_std: float
-    force_newton: tuple[float, float]  # lowest and highest
-    kelvin: tuple[float, float]
-    expiry: datetime.date
-    sites: tuple[SiteRecord, ...]
-    response: ResponseRecord | None
-    untouched_hz: dict[int, list[float]] = field(default_factory=dict)  # f0 by channel (4,) of all sites, by id
-    coupling: tuple[Coupling, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -115,42 +74,45 @@ class PlateFile:
 def with_record(text: str, record: Record) -> str:
     """Return the text of a plate file with the record in it; sites that were not loaded keep their values."""
     document = tomlkit.parse(text)
-    found = {site.site_id: site for site in record.sites}
-    tables: Any = document["sites"]
-    for table in tables:
-        if (untouched_hz := record.untouched_hz.get(int(table["id"]))) is not None:
-            _force_tone(table)["f0_hz"] = [round(value, 4) for value in untouched_hz]
-        if (site := found.get(int(table["id"]))) is not None:
-            _set_site(table, site)
+    listed: Any = document["sites"]
+    sites = {int(site["id"]): site for site in listed}
+    for change in record.tones:
+        tone = next(tone for tone in sites[change.site]["tones"] if tone["signal"] == FORCE_SIGNAL)
+        tone["f0_hz"] = [round(value, 4) for value in change.f0_hz]
+        for key in ("sensitivity", "temperature_coefficients"):
+            if (values := getattr(change, key)) is not None:
+                tone[key] = rounded(values)
     if record.response is not None:
-        response = _table(document, "response")
-        for key, value in vars(record.response).items():
-            response[key] = _rounded(value)
-    _set_calibration(_table(document, "calibration"), record)
+        _table(document, "response").update(rounded(record.response.model_dump()))
+    table = _table(document, "calibration")
+    content = rounded(record.calibration.model_dump())
+    coupling, validity = content.pop("coupling"), tomlkit.inline_table()
+    validity.update(content.pop("validity"))
+    table.update(content)
+    table["residuals"].comment("newton rms, of these sites")
+    if coupling:
+        table["coupling"] = _coupling(coupling)
+    table["validity"] = validity
     return tomlkit.dumps(document)
 
 
-def as_json(record: Record) -> dict[str, Any]:
-    """Return [calibration] of the plate file, dates as text, with `response` and the `tones` that change."""
-    found = {site.site_id: site for site in record.sites}
-    f0_hz = {**record.untouched_hz, **{site.site_id: site.f0_hz for site in record.sites}}
-    return {
-        **_calibration(record),
-        "date": record.date.isoformat(),
-        "expiry": record.expiry.isoformat(),
-        "validity": _validity(record),
-        "coupling": [pair.model_dump() for pair in record.coupling],
-        "response": None if record.response is None else asdict(record.response),
-        "tones": [
-            {
-                "site": site_id,
-                "f0_hz": values,
-                "sensitivity": found[site_id].sensitivity if site_id in found else None,
-                "temperature_coefficients": found[site_id].temperature_coefficients if site_id in found else None,
-            }
-            for site_id, values in f0_hz.items()
-        ],
-    }
+def _coupling(coupling: list[dict[str, Any]]) -> Any:
+    """Return one line for each site that was pressed."""
+    lines = tomlkit.array()
+    for _, others in groupby(coupling, key=lambda pair: pair["pressed"]):
+        for number, pair in enumerate(others):
+            line = tomlkit.inline_table()
+            line.update(pair | {"ratio": float(f"{pair['ratio']:.3g}")})
+            lines.add_line(line, indent="" if number else "    ", newline=not number)
+    lines.add_line(indent="")
+    return lines
+
+
+def _table(document: tomlkit.TOMLDocument, name: str) -> Any:
+    if name not in document:
+        document.add(tomlkit.nl())
+        document.add(name, tomlkit.table())
+    return document[name]
 
 
 def write_plate_file(text: str, target: Path) -> None:
@@ -198,74 +160,6 @@ def name_plate(config_path: Path, plate: Path) -> None:
 def remove_remains(target: Path) -> None:
     """Remove what a write that was killed has left next to the plate file."""
     fresh_name(target.resolve()).unlink(missing_ok=True)
-
-
-def _set_site(table: Any, site: SiteRecord) -> None:
-    tone = _force_tone(table)
-    tone["f0_hz"] = [round(value, 4) for value in site.f0_hz]
-    tone["sensitivity"] = [_rounded(value) for value in site.sensitivity]
-    if site.temperature_coefficients is not None:
-        tone["temperature_coefficients"] = [_rounded(value) for value in site.temperature_coefficients]
-
-
-def _force_tone(table: Any) -> Any:
-    return next(tone for tone in table["tones"] if tone["signal"] == FORCE_SIGNAL)
-
-
-def _calibration(record: Record) -> dict[str, Any]:
-    """Return what [calibration] holds besides validity and coupling."""
-    return {
-        "id": record.id,
-        "date": record.date,
-        "unit": record.unit,
-        "temperature_kelvin": record.temperature_kelvin,
-        "model_error": _rounded(record.model_error),
-        "sensitivity_std": _rounded(record.sensitivity_std),
-        "sites": [site.site_id for site in record.sites],
-        "residuals": [_rounded(site.residual_newton) for site in record.sites],
-        "expiry": record.expiry,
-    }
-
-
-def _validity(record: Record) -> dict[str, list[float]]:
-    return {
-        "force_newton": [_rounded(value) for value in record.force_newton],
-        "kelvin": [_rounded(value) for value in record.kelvin],
-    }
-
-
-def _set_calibration(table: Any, record: Record) -> None:
-    table.update(_calibration(record))
-    table["residuals"].comment("newton rms, of these sites")
-    if record.coupling:
-        table["coupling"] = _coupling(record.coupling)
-    validity = tomlkit.inline_table()
-    validity.update(_validity(record))
-    table["validity"] = validity
-
-
-def _coupling(coupling: tuple[Coupling, ...]) -> Any:
-    """One line for each site that was pressed."""
-    lines = tomlkit.array()
-    for pressed, others in groupby(coupling, key=lambda pair: pair.pressed):
-        for number, pair in enumerate(others):
-            line = tomlkit.inline_table()
-            line.update({"pressed": pressed, "measured": pair.measured, "ratio": float(f"{pair.ratio:.3g}")})
-            lines.add_line(line, indent="" if number else "    ", newline=not number)
-    lines.add_line(indent="")
-    return lines
-
-
-def _table(document: tomlkit.TOMLDocument, name: str) -> Table:
-    if name not in document:
-        document.add(tomlkit.nl())
-        document.add(name, tomlkit.table())
-    table: Any = document[name]
-    return table  # type: ignore[no-any-return]
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.7g}")
 
 
 class Session:

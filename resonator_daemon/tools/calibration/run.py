@@ -1,5 +1,6 @@
 """`resonatord calibrate`: opens the board's link, leads through the steps, stages the result, accepts or aborts it."""
 
+import json
 import secrets
 import sys
 from dataclasses import asdict, dataclass
@@ -11,25 +12,22 @@ from resonator_daemon.base.errors import ConfigurationError, ExitCode, Interrupt
 from resonator_daemon.base.host.signals import interruptible
 from resonator_daemon.base.host.text import print_note
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
-from resonator_daemon.board.config import Config, load_config
+from resonator_daemon.board.config import load_config
 from resonator_daemon.board.session.frames import BoardOnline
 from resonator_daemon.measure.sensors.kinds import sensor_of
-from resonator_daemon.tools.calibration.console import aborted, confirmed, report, result, summary
 from resonator_daemon.tools.calibration.load_procedure import Loading, LoadProcedure, Prompt
-from resonator_daemon.tools.calibration.load_readings import CapturedLoads, board_readings
-from resonator_daemon.tools.calibration.multitone_loads import MultitoneLoads
-from resonator_daemon.tools.calibration.outcome import Outcome, fit_loadings, make_record, notes
+from resonator_daemon.tools.calibration.load_readings import CapturedLoads, MultitoneLoads, board_readings
+from resonator_daemon.tools.calibration.outcome import Outcome, fit_loadings
 from resonator_daemon.tools.calibration.outliers import OutlierSite, find_outliers, refuse_unknown_sensitivity
 from resonator_daemon.tools.calibration.plate_file import (
     PlateFile,
-    Record,
     Session,
-    as_json,
     name_plate,
     remove_remains,
     with_record,
     write_plate_file,
 )
+from resonator_daemon.tools.calibration.record import make_record, notes, summary
 from resonator_daemon.tools.calibration.steps import CalibrationRefusedError, LoadRequest, Step, plan_steps
 
 _AS_BEFORE: Final = "the plate file is as before"
@@ -55,16 +53,7 @@ def calibrate(config_path: Path, request: LoadRequest, ending: Ending) -> ExitCo
     UserError
         What was asked for, the link, the plate or its loads do not allow it; the plate file is as before.
     """
-    config = load_config(config_path)
-    if FORCE_SIGNAL not in config.plate.signals:
-        raise ConfigurationError(f"plate {config.plate.name!r} has no force sites; use: resonatord calibrate skin")
-    steps = plan_steps(request, config.plate)
-    file = PlateFile.of(config_path, ending.output)
-    session = Session(config_path)
-    if session.staged() is not None:
-        raise UsageError(f"a calibration is staged already ({session.path}); finish it with --accept-staged or --abort")
-    remove_remains(file.output)
-    return _Calibration(config, request, ending, steps, file, session, config_path).run()
+    return _Calibration(config_path, request, ending).run()
 
 
 def accept_staged(config_path: Path, *, as_json: bool, apply: bool = False) -> ExitCode:
@@ -81,27 +70,26 @@ def abort_staged(config_path: Path, *, as_json: bool) -> ExitCode:
     if staged is not None:
         remove_remains(Path(staged["output"]))
     session.discard()
-    report(aborted(staged), f"aborted; {_AS_BEFORE}", as_json=as_json)
+    _report(_aborted(staged), f"aborted; {_AS_BEFORE}", as_json=as_json)
     return ExitCode.DONE
 
 
 class _Calibration:
     """One calibration from the first frame to its result."""
 
-    def __init__(
-        self,
-        config: Config,
-        request: LoadRequest,
-        ending: Ending,
-        steps: tuple[Step, ...],
-        file: PlateFile,
-        session: Session,
-        config_path: Path,
-    ) -> None:
-        self._config_path = config_path
-        self._config, self._request, self._ending = config, request, ending
-        self._steps, self._file, self._session = steps, file, session
-        self._procedure = LoadProcedure(config.plate, steps, ending.timeout_s)
+    def __init__(self, config_path: Path, request: LoadRequest, ending: Ending) -> None:
+        self._config_path, self._request, self._ending = config_path, request, ending
+        self._config = config = load_config(config_path)
+        if FORCE_SIGNAL not in config.plate.signals:
+            raise ConfigurationError(f"plate {config.plate.name!r} has no force sites; use: resonatord calibrate skin")
+        self._steps = plan_steps(request, config.plate)
+        self._file = PlateFile.of(config_path, ending.output)
+        self._session = session = Session(config_path)
+        if session.staged() is not None:
+            staged = f"a calibration is staged already ({session.path})"
+            raise UsageError(f"{staged}; finish it with --accept-staged or --abort")
+        remove_remains(self._file.output)
+        self._procedure = LoadProcedure(config.plate, self._steps, ending.timeout_s)
         every_tone = sensor_of(config.plate).expected_tones.pressed_hz is None
         self._loads = MultitoneLoads(config.plate) if every_tone else CapturedLoads(config.plate)
         self._unit = ""
@@ -114,15 +102,29 @@ class _Calibration:
                 self._session.write("begun", begun)
                 print_note(f"{len(self._steps)} loads; baseline first: leave the plate untouched")
                 outcome = self._capture()
-                record = self._record(outcome)
-                staged = self._stage(record, outcome)
+                record = make_record(
+                    outcome,
+                    calibration_id=secrets.token_hex(8),
+                    unit=self._unit,
+                    today=datetime.now(UTC).date(),
+                    valid_days=self._ending.valid_days,
+                )
+                staged: dict[str, Any] = {
+                    "id": record.calibration.id,
+                    "source": str(self._file.source.resolve()),
+                    "sha256": self._file.digest,
+                    "output": str(self._file.output.resolve()),
+                    "record": record.as_json(),
+                    "notes": notes(outcome, record),
+                    "plate_file": with_record(self._file.source.read_text(encoding="utf-8"), record),
+                }
                 self._session.write("staged", staged)
         except BaseException as error:
             self._session.discard()
             if isinstance(error, InterruptedCommandError):
-                error.partial_result = aborted(None)
+                error.partial_result = _aborted(None)
             raise
-        for line in [*summary(record, outcome), *(f"note: {note}" for note in staged["notes"])]:
+        for line in [*summary(outcome, record), *(f"note: {note}" for note in staged["notes"])]:
             print_note(line)
         return self._finish(staged)
 
@@ -145,13 +147,9 @@ class _Calibration:
         return outcome
 
     def _fit(self, loads: list[Loading], *, with_response: bool) -> Outcome:
+        untouched_hz = self._loads.untouched_hz
         return fit_loadings(
-            self._config.plate,
-            self._request,
-            self._procedure,
-            loads,
-            with_response=with_response,
-            untouched_hz=self._loads.untouched_hz,
+            self._procedure, self._request, loads, with_response=with_response, untouched_hz=untouched_hz
         )
 
     def _show(self, prompt: Prompt) -> None:
@@ -162,11 +160,11 @@ class _Calibration:
             value["kelvin"] = step.kelvin
         text = prompt.text
         if prompt.event == "captured" and step is not None:
-            value["residual_newton"], partial_result = self._fit_so_far(step)
-            text += partial_result
+            value["residual_newton"], fits = self._partial_fit(step)
+            text += fits
             self._session.write("loading", self._captured(step))
         place = f"[{step.number}/{len(self._steps)}] " if step else ""
-        report(value | {"text": prompt.text}, f"{place}{text}", as_json=self._ending.as_json)
+        _report(value | {"text": prompt.text}, f"{place}{text}", as_json=self._ending.as_json)
 
     def _captured(self, step: Step) -> dict[str, Any]:
         loading = self._procedure.loadings[step.number]
@@ -179,7 +177,7 @@ class _Calibration:
             "common_mode": self._procedure.untouched.at(float(loading.times_s.mean())).tolist(),
         }
 
-    def _fit_so_far(self, step: Step) -> tuple[float | None, str]:
+    def _partial_fit(self, step: Step) -> tuple[float | None, str]:
         """Return how far a load lies from the fit of its site, None where that has no meaning; and a text."""
         loads = [load for load in self._procedure.loadings.values() if load.step.site_id == step.site_id]
         if len(loads) < 3 or step.at_temperature:
@@ -189,11 +187,7 @@ class _Calibration:
         if not abs(residual) <= self._config.plate.force_max_newton:
             return None, "; the loads of this site so far do not fit together"
         text = f"; {1e3 * residual:+.2f} mN from the fit of this site so far"
-        return residual, text + (": its loads do not fit together" if self._outliers(loads, outcome) else "")
-
-    def _outliers(self, loads: list[Loading], outcome: Outcome) -> tuple[OutlierSite, ...]:
-        steps = [load.step for load in loads if not load.step.at_temperature]
-        return find_outliers(self._config.plate, steps, outcome, self._request.mass_std)
+        return residual, text + (": its loads do not fit together" if find_outliers(outcome) else "")
 
     def _judge(self) -> Outcome:
         loads = list(self._procedure.loadings.values())
@@ -204,11 +198,11 @@ class _Calibration:
                 f"steps {first.number} ({first.load}) and {second.number} ({second.load}): the masses were exchanged, "
                 "as what was read fits the other way round; begin again"
             )
-        outliers = self._outliers(loads, outcome)
+        outliers = find_outliers(outcome)
         if outcome.doubtful or outliers:
             self._repeat(outcome, outliers)
         else:
-            refuse_unknown_sensitivity(self._config.plate, outcome)
+            refuse_unknown_sensitivity(outcome)
         return outcome
 
     def _repeat(self, outcome: Outcome, outliers: tuple[OutlierSite, ...]) -> None:
@@ -230,39 +224,14 @@ class _Calibration:
         for prompt in self._procedure.repeat([steps[number] for number in sorted(steps)]):
             self._show(prompt)
 
-    def _record(self, outcome: Outcome) -> Record:
-        return make_record(
-            self._config.plate,
-            self._request,
-            self._procedure,
-            outcome,
-            calibration_id=secrets.token_hex(8),
-            unit=self._unit,
-            today=datetime.now(UTC).date(),
-            valid_days=self._ending.valid_days,
-            untouched_hz=self._loads.untouched_hz,
-        )
-
-    def _stage(self, record: Record, outcome: Outcome) -> dict[str, Any]:
-        text = with_record(self._file.source.read_text(encoding="utf-8"), record)
-        return {
-            "id": record.id,
-            "source": str(self._file.source.resolve()),
-            "sha256": self._file.digest,
-            "output": str(self._file.output.resolve()),
-            "record": as_json(record),
-            "notes": notes(self._config.plate, self._request, outcome, record),
-            "plate_file": text,
-        }
-
     def _finish(self, staged: dict[str, Any]) -> ExitCode:
         accept = self._ending.accept or self._ending.apply
-        if accept or (sys.stdin.isatty() and confirmed("accept? [y/N]")):
+        if accept or (sys.stdin.isatty() and _confirmed("accept? [y/N]")):
             target = self._config_path if self._ending.apply else None
             _accept(self._session, staged, target, as_json=self._ending.as_json)
         else:
             line = f"staged, not accepted ({self._session.path}): finish with --accept-staged or --abort"
-            report(result("staged", staged), line, as_json=self._ending.as_json)
+            _report(_result("staged", staged), line, as_json=self._ending.as_json)
         return ExitCode.DONE
 
 
@@ -280,4 +249,40 @@ def _accept(session: Session, staged: dict[str, Any], config_path: Path | None, 
         line += f", which {config_path} now refers to; a running daemon uses it after a restart"
     elif source != output:
         line += f'; set plate = "{output}" in the configuration'
-    report(result("accepted", staged), line, as_json=as_json)
+    _report(_result("accepted", staged), line, as_json=as_json)
+
+
+def _report(value: dict[str, Any], line: str, *, as_json: bool) -> None:
+    """Print a line for people and, if wanted, the object."""
+    print_note(line)
+    if as_json:
+        sys.stdout.write(json.dumps(value) + "\n")
+        sys.stdout.flush()
+
+
+def _aborted(staged: dict[str, Any] | None) -> dict[str, Any]:
+    """Return the last object of a calibration that is discarded; `staged` is its result, if there was one."""
+    return _result("aborted", staged or {}) | {"staged": staged is not None}
+
+
+def _result(word: str, staged: dict[str, Any]) -> dict[str, Any]:
+    """Return the last object of a calibration; null and [] for what there is not."""
+    kept = {key: staged.get(key) for key in ("id", "output", "record")}
+    return {"verb": "calibrate", "ok": True, "result": word, **kept, "notes": staged.get("notes", [])}
+
+
+def _confirmed(question: str) -> bool:
+    """Return whether the person at the terminal confirms; an answer that is neither yes nor no is asked for again."""
+    answer = ""
+    try:
+        with interruptible(""):
+            while answer not in ("y", "yes", "n", "no"):
+                sys.stderr.write(f"{question} " if not answer else f"answer y or n; {question} ")
+                sys.stderr.flush()
+                line = sys.stdin.readline()
+                if not line.strip():  # Enter, or the end of the input
+                    return False
+                answer = line.strip().lower()
+    except InterruptedCommandError:  # no answer is no consent, and no reason to lose what was captured
+        return False
+    return answer.startswith("y")

@@ -16,8 +16,7 @@ from resonator_daemon.base.plate import Plate
 from resonator_daemon.estimate.tones.tone_detector import reading_frames
 from resonator_daemon.measure.sensors.kinds import sensor_of
 from resonator_daemon.tools.calibration.load_procedure import LoadProcedure, Prompt
-from resonator_daemon.tools.calibration.load_readings import CapturedLoads, LoadReading
-from resonator_daemon.tools.calibration.multitone_loads import MultitoneLoads
+from resonator_daemon.tools.calibration.load_readings import CapturedLoads, LoadReading, MultitoneLoads
 from resonator_daemon.tools.calibration.outcome import Outcome, fit_loadings
 from resonator_daemon.tools.calibration.steps import STANDARD_GRAVITY, LoadRequest, Step
 from simulators.comb_plate import CombPlate
@@ -149,12 +148,10 @@ class Loads:
         return None if reading is None else self._loads.read(reading)
 
 
-def fitted(
-    procedure: LoadProcedure, wanted: LoadRequest, plate: Plate = NOMINAL, loads: Loads | None = None
-) -> Outcome:
+def fitted(procedure: LoadProcedure, wanted: LoadRequest, loads: Loads | None = None) -> Outcome:
     """Fit everything that the procedure has captured."""
     captured, untouched_hz = list(procedure.loadings.values()), None if loads is None else loads.untouched_hz
-    return fit_loadings(plate, wanted, procedure, captured, with_response=wanted.response, untouched_hz=untouched_hz)
+    return fit_loadings(procedure, wanted, captured, with_response=wanted.response, untouched_hz=untouched_hz)
 
 
 def lead(

@@ -14,8 +14,8 @@ from emulated_loads import COMB_NOMINAL, COMB_TRUE, IDEAL, Loads, Touches, comb_
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import Coupling
 from resonator_daemon.tools.calibration.load_procedure import LoadProcedure, Prompt
-from resonator_daemon.tools.calibration.outcome import make_record, notes
-from resonator_daemon.tools.calibration.plate_file import Record, with_record
+from resonator_daemon.tools.calibration.plate_file import with_record
+from resonator_daemon.tools.calibration.record import Record, make_record, notes
 from resonator_daemon.tools.calibration.steps import CalibrationRefusedError, LoadRequest, plan_steps
 
 REFERENCE_ERROR = 1.5e-6  # of the emulated board's clock, by which all of its frequencies are low
@@ -29,24 +29,15 @@ def calibrated(wanted: LoadRequest, folder: Path, physics: str = IDEAL) -> tuple
     procedure, loads = LoadProcedure(COMB_NOMINAL, steps, 60.0), Loads(COMB_NOMINAL, COMB_TRUE)
     list(lead(procedure, COMB_NOMINAL, comb_frames(COMB_TRUE, touches, folder), loads))
     assert procedure.done
-    outcome = fitted(procedure, wanted, COMB_NOMINAL, loads)
-    record = make_record(
-        COMB_NOMINAL,
-        wanted,
-        procedure,
-        outcome,
-        calibration_id="a1",
-        unit="EMU-0001",
-        today=date(2026, 11, 21),
-        valid_days=30,
-        untouched_hz=loads.untouched_hz,
-    )
-    return procedure, record, notes(COMB_NOMINAL, wanted, outcome, record)
+    outcome = fitted(procedure, wanted, loads)
+    record = make_record(outcome, calibration_id="a1", unit="EMU-0001", today=date(2026, 11, 21), valid_days=30)
+    return procedure, record, notes(outcome, record)
 
 
 def sensitivity_errors(record: Record) -> Any:
-    rows = [IDS.index(site.site_id) for site in record.sites]
-    return np.array([site.sensitivity for site in record.sites]) / COMB_TRUE.tones.sensitivity[rows] - 1
+    loaded = [tone for tone in record.tones if tone.sensitivity is not None]
+    rows = [IDS.index(tone.site) for tone in loaded]
+    return np.array([tone.sensitivity for tone in loaded]) / COMB_TRUE.tones.sensitivity[rows] - 1
 
 
 def true_ratio(felt: Coupling) -> float:
@@ -58,13 +49,13 @@ def true_ratio(felt: Coupling) -> float:
 
 def test_all_sites_of_an_ideal_plate(tmp_path: Path) -> None:
     _, record, printed = calibrated(replace(WANTED, sites=(), hold_s=0.7), tmp_path)
-    assert [site.site_id for site in record.sites] == sorted(IDS, key=IDS.index)
+    assert list(record.calibration.sites) == IDS
     assert np.abs(sensitivity_errors(record)).max() < 3e-4
-    assert len(record.untouched_hz) == 16
-    f0_hz = np.array(list(record.untouched_hz.values()))
+    assert len(record.tones) == 16
+    f0_hz = np.array([tone.f0_hz for tone in record.tones])
     assert np.abs(f0_hz * (1 + REFERENCE_ERROR) / COMB_TRUE.tones.f0_hz - 1).max() < 4e-9  # the file was 20e-6 off
-    assert len(record.coupling) == 240  # even the farthest feels 0.2 %
-    assert max(abs(felt.ratio - true_ratio(felt)) for felt in record.coupling) < 3e-4
+    assert len(record.calibration.coupling) == 240  # even the farthest feels 0.2 %
+    assert max(abs(felt.ratio - true_ratio(felt)) for felt in record.calibration.coupling) < 3e-4
     assert "coupling fits a spread of 2.5 mm, spread_width_mm = 2.5 agrees" in " ".join(printed)
 
 
@@ -87,10 +78,10 @@ def test_sites_that_were_not_loaded_get_their_f0_and_keep_their_sensitivity(tmp_
     assert set(plate.calibration.sites) == {1, 7, 12}
     assert len(plate.calibration.residuals) == 3
     assert [(felt.pressed, felt.measured) for felt in plate.calibration.coupling] == [
-        (felt.pressed, felt.measured) for felt in record.coupling
+        (felt.pressed, felt.measured) for felt in record.calibration.coupling
     ]
-    assert {felt.pressed for felt in record.coupling} == {1, 7, 12}
-    assert all(felt.pressed != felt.measured for felt in record.coupling)
+    assert {felt.pressed for felt in record.calibration.coupling} == {1, 7, 12}
+    assert all(felt.pressed != felt.measured for felt in record.calibration.coupling)
     assert "not loaded, sensitivities kept: sites 3, 9" in " ".join(printed)
 
 

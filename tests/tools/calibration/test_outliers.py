@@ -42,7 +42,7 @@ def outcome_of(
         procedure.loadings[step.number] = Loading(step, site, times_s[0] - 0.1, times_s, shift, std, 1e-10, None)
         procedure.released_s.append(times_s[-1] + 1.0)
     outcome = fitted(procedure, wanted)
-    return outcome, find_outliers(NOMINAL, steps, outcome, wanted.mass_std)
+    return outcome, find_outliers(outcome)
 
 
 def test_three_loads_of_one_site_that_do_not_fit_are_found() -> None:
@@ -87,13 +87,13 @@ def test_repeats_of_one_mass_can_contradict_each_other() -> None:
 
 def refused(outcome: Outcome) -> str:
     with pytest.raises(CalibrationRefusedError) as refusal:
-        refuse_unknown_sensitivity(NOMINAL, outcome)
+        refuse_unknown_sensitivity(outcome)
     return str(refusal.value)
 
 
 def test_a_sensitivity_that_is_known_to_more_than_five_percent_is_refused() -> None:
     good, _ = outcome_of(ONE, 0.015)
-    refuse_unknown_sensitivity(NOMINAL, good)
+    refuse_unknown_sensitivity(good)
     bad, _ = outcome_of(ONE, laid_kg=BAD)
     printed = refused(bad)
     assert printed.startswith("site 1: K is known to 30 %, must be 5 % or better; load it again")

@@ -10,31 +10,28 @@ from emulated_loads import SHIPPED
 from resonator_daemon.base.errors import ConfigurationError, UsageError
 from resonator_daemon.base.host.files import NoNewFileError
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.tools.calibration.plate_file import (
-    PlateFile,
-    Record,
-    ResponseRecord,
-    SiteRecord,
-    remove_remains,
-    with_record,
-    write_plate_file,
-)
+from resonator_daemon.base.plate_tables import Calibration, Response, Validity
+from resonator_daemon.tools.calibration.plate_file import PlateFile, remove_remains, with_record, write_plate_file
+from resonator_daemon.tools.calibration.record import Record, ToneChange
 
 RECORD = Record(
-    id="4f1e",
-    date=datetime.date(2026, 11, 21),
-    unit="EMU-0001",
-    temperature_kelvin=297.5,
-    model_error=0.012,
-    sensitivity_std=0.001,
-    force_newton=(0.0, 4.903),
-    kelvin=(292.5, 302.5),
-    expiry=datetime.date(2027, 11, 21),
-    sites=(
-        SiteRecord(7, (9991750.1, 9992155.2, 9991833.3, 9991787.4), (-5e-6, -5.1e-6, -5.2e-6, 5.3e-6), 2e-3),
-        SiteRecord(1, (9975893.1,) * 4, (-8e-6,) * 4, 1e-3, (-5e-8, -5e-10, 1.08e-10)),
+    Calibration(
+        id="4f1e",
+        date=datetime.date(2026, 11, 21),
+        unit="EMU-0001",
+        temperature_kelvin=297.5,
+        model_error=0.012,
+        sensitivity_std=0.001,
+        sites=(7, 1),
+        residuals=(2e-3, 1e-3),
+        validity=Validity(force_newton=(0.0, 4.903), kelvin=(292.5, 302.5)),
+        expiry=datetime.date(2027, 11, 21),
     ),
-    response=ResponseRecord(0.1, 0.005, 20.0, 0.05),
+    Response(hysteresis_newton=0.1, creep_fraction=0.005, creep_time_s=20.0, relative_std=0.05),
+    (
+        ToneChange(7, [9991750.1, 9992155.2, 9991833.3, 9991787.4], [-5e-6, -5.1e-6, -5.2e-6, 5.3e-6]),
+        ToneChange(1, [9975893.1] * 4, [-8e-6] * 4, [-5e-8, -5e-10, 1.08e-10]),
+    ),
 )
 
 
@@ -46,16 +43,8 @@ def test_the_daemon_reads_what_was_recorded(tmp_path: Path) -> None:
     assert tones.f0_hz[6].tolist() == [9991750.1, 9992155.2, 9991833.3, 9991787.4]
     assert tones.sensitivity[6].tolist() == [-5e-6, -5.1e-6, -5.2e-6, 5.3e-6]
     assert tones.temperature_coefficients[0].tolist() == [-5e-8, -5e-10, 1.08e-10]
-    assert plate.response is not None
-    assert plate.response.hysteresis_newton == 0.1
-    calibration = plate.calibration
-    assert (calibration.id, calibration.unit, calibration.temperature_kelvin) == ("4f1e", "EMU-0001", 297.5)
-    assert (calibration.date, calibration.expiry) == (RECORD.date, RECORD.expiry)
-    assert (calibration.model_error, calibration.sensitivity_std) == (0.012, 0.001)
-    assert (calibration.sites, calibration.residuals) == ((7, 1), (2e-3, 1e-3))
-    assert calibration.validity is not None
-    assert calibration.validity.force_newton == (0.0, 4.903)
-    assert calibration.validity.kelvin == (292.5, 302.5)
+    assert plate.response == RECORD.response
+    assert plate.calibration == RECORD.calibration
 
 
 def test_comments_layout_and_sites_that_were_not_loaded_stay() -> None:
