@@ -14,9 +14,8 @@ from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.links.link import LinkLostError
 from resonator_daemon.board.session import link_events as wire
-from resonator_daemon.board.session.frame_queue import FrameQueue
-from resonator_daemon.board.session.frames import group_adjacent
-from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.clock import HostTime
+from resonator_daemon.board.session.frame_queue import FrameQueue, group_adjacent
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.mqtt.broker_connection import MQTT_5, InFlight

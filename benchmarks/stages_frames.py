@@ -30,7 +30,7 @@ from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.writer import RecordingWriter
-from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.link_events import Received
 from resonator_daemon.estimate.forces.site_identification import Matcher
 from resonator_daemon.estimate.tones.tone_detector import capture_band_hz

@@ -156,13 +156,13 @@ class HostSession:
 
     A new session asks the board who it is. After Described, call `configure`; after Started, frames follow.
     The caller has the clock: when `awaits_answer` has been true for 300 ms and no answer came it calls `ask_again`.
-    Requests that the board has no room for wait here until it has.
+    Requests that the board has no room for wait here, in `requests`, until it has.
     `refusals` counts packets whose checksum is right, and that break the protocol, by what is wrong with them.
     """
 
     def __init__(self) -> None:
         self._decoder = PacketDecoder(from_board=True)
-        self._requests = Requests()
+        self.requests = Requests()
         self._boot_id = 0
         self._identity: Identity
         self._configuration: Configuration
@@ -170,13 +170,13 @@ class HostSession:
         self.bytes = self._decoder.counts
         self.messages = MessageCounts()
         self.refusals: Counter[PacketRefusal] = Counter()
-        self._pending: Request | None = self._requests.send(MessageType.IDENTIFY)  # which the state waits for
+        self._pending: Request | None = self.requests.send(MessageType.IDENTIFY)  # which the state waits for
 
     def restore(self, described: Described, configuration: Configuration, number: int) -> None:
         """Go on in the middle of a run that another session began; `number` is that of its last request."""
-        self._requests = Requests()
-        self._requests.number = number
-        self._requests.credit_bytes = max(LEAST_CREDIT_BYTES, described.identity.credit_bytes)
+        self.requests = Requests()
+        self.requests.number = number
+        self.requests.credit_bytes = max(LEAST_CREDIT_BYTES, described.identity.credit_bytes)
         self._pending = None
         self._identity, self._boot_id = described.identity, described.boot_id
         self._configuration = configuration
@@ -185,11 +185,11 @@ class HostSession:
     @property
     def number(self) -> int:
         """The number of the last request; set it where another session's requests go out instead of this one's."""
-        return self._requests.number
+        return self.requests.number
 
     @number.setter
     def number(self, number: int) -> None:
-        self._requests.number = number
+        self.requests.number = number
 
     @property
     def configuration(self) -> Configuration:
@@ -204,11 +204,13 @@ class HostSession:
     @property
     def awaits_answer(self) -> bool:
         """Whether a request has no answer yet, be it sent or not."""
-        return self._requests.open or self._pending is not None
+        return self.requests.open or self._pending is not None
 
     def data_to_send(self) -> bytes:
         """Return and clear the bytes that the board must get."""
-        return self._requests.data_to_send()
+        data = bytes(self.requests.outgoing)
+        self.requests.outgoing.clear()
+        return data
 
     def configure(self, configuration: Configuration) -> None:
         """Choose the gate; the board is started when it has accepted.
@@ -236,38 +238,49 @@ class HostSession:
 
     def locate(self) -> None:
         """Ask the board to make itself seen; the answer comes as Located."""
-        self._requests.send(MessageType.LOCATE)
+        self.requests.send(MessageType.LOCATE)
 
     def ping(self, opaque: bytes) -> bool:
         """Ask for the board's tick count; `opaque` (8 bytes) comes back in Pong.
 
         Returns False, and nothing goes out, when the board has no room: a ping that waits measures nothing.
         """
-        if not self._requests.room_for(len(opaque)):
+        if not self.requests.has_room(len(opaque)):
             return False
-        self._requests.send(MessageType.PING, opaque)
+        self.requests.send(MessageType.PING, opaque)
         return True
 
     def ask_again(self) -> None:
         """Treat every unanswered request as lost; repeat the one that the state waits for, under its own number."""
-        self._requests.overdue(self._pending)
+        self.requests.overdue(self._pending)
 
     def receive(self, data: bytes) -> list[HostEvent]:
         """Decode received bytes; return their events in order."""
-        new_tuple = tuple.__new__  # without the detour of the class: a thousand frames a second
+        # The loop runs some thousand times a second: locals, and tuples made without the detour of their classes.
+        new_tuple, unpack_block, overhead = tuple.__new__, BLOCK_STRUCT.unpack_from, PACKET_OVERHEAD_BYTES
         events: list[HostEvent] = []
         for found in self._decoder.feed(data):
             if isinstance(found, Packet):
                 message_type, sequence, board_ticks, boot_id, payload = found
-                counted = boot_id == self._boot_id and self.state is HostState.RUNNING
-                if counted and message_type == _FRAME and len(payload) == _FRAME_BYTES:
-                    events.append(new_tuple(Frame, (sequence, board_ticks, _FRAME_PACKET_BYTES, payload)))
-                    continue
+                if boot_id == self._boot_id and self.state is HostState.RUNNING:
+                    size = len(payload)
+                    if message_type == _FRAME and size == _FRAME_BYTES:
+                        events.append(new_tuple(Frame, (sequence, board_ticks, _FRAME_PACKET_BYTES, payload)))
+                        continue
+                    if message_type == _FRAME_PART and size >= _BLOCK_BYTES:
+                        block = new_tuple(Block, unpack_block(payload))
+                        channel, encoding, _, tones, number, parts = block
+                        if (
+                            encoding == _TONE_12
+                            and size == _BLOCK_BYTES + tones * _TONE_BYTES
+                            and channel < CHANNEL_COUNT
+                            and number < parts
+                        ):
+                            fields = sequence, board_ticks, overhead + size, block, memoryview(payload)[_BLOCK_BYTES:]
+                            events.append(new_tuple(FramePart, fields))
+                            continue
                 try:
-                    if counted and message_type == _FRAME_PART:
-                        self._read_part(found, events)
-                    else:
-                        self._interpret(found, events)
+                    self._interpret(found, events)
                 except MalformedMessageError as error:
                     self.messages.malformed += 1
                     self.refuse(_refusal(found, error))
@@ -295,21 +308,21 @@ class HostSession:
             self._withdraw_pending()
         self.state = step.next_state
         if step.sends is MessageType.STOP:
-            self._requests.send(step.sends)
+            self.requests.send(step.sends)
         elif step.sends is not None:
             self._withdraw_pending()
-            self._pending = self._requests.send(step.sends, payload)
+            self._pending = self.requests.send(step.sends, payload)
 
     def _withdraw_pending(self) -> None:
         if self._pending is not None:
-            self._requests.withdraw(self._pending)
+            self.requests.withdraw(self._pending)
         self._pending = None
 
     def _interpret(self, packet: Packet, events: list[HostEvent]) -> None:
         if packet.boot_id != self._boot_id:
             if self._boot_id:
                 events.append(Rebooted(packet.boot_id))
-                self._requests.discard_all()
+                self.requests.discard_all()
                 self._pending = None
                 self._move(Cue.REBOOT)
             self._boot_id = packet.boot_id
@@ -320,38 +333,32 @@ class HostSession:
             case MessageType.FRAME:
                 raise MalformedMessageError(f"a frame has {_FRAME_BYTES} bytes, got {len(packet.payload)}")
             case MessageType.FRAME_PART:
-                self._read_part(packet, events)
+                self._refuse_part(packet.payload)
             case MessageType.STATUS:
                 events.append(decode_message(BoardStatus, packet.payload))
             case MessageType.LOG:
                 events.append(decode_message(BoardLog, packet.payload))
             case MessageType.PONG:
-                self._requests.answered(packet.sequence)
+                self.requests.answered(packet.sequence)
                 events.append(Pong(packet.payload, packet.board_ticks))
             case answer if answer in _ANSWERS:
                 self._read_answer(packet, events)
             case _:
                 self.messages.unknown += 1
 
-    def _read_part(self, packet: Packet, events: list[HostEvent]) -> None:
-        """Read a part of a channelised frame: some thousands a second, each of many tones."""
-        _, sequence, board_ticks, _, payload = packet
+    def _refuse_part(self, payload: bytes) -> None:
+        """Count a part of a frame in an unknown encoding; raise MalformedMessageError for any other one."""
         size = len(payload)
         if size < _BLOCK_BYTES:
             raise MalformedMessageError(f"a frame part begins with {_BLOCK_BYTES} bytes, got {size}")
-        block: Block = tuple.__new__(Block, BLOCK_STRUCT.unpack_from(payload))
-        channel, encoding, _, tones, number, parts = block
-        if encoding != _TONE_12:
-            self.messages.unknown += 1
-            return
-        if size != _BLOCK_BYTES + tones * _TONE_BYTES or channel >= CHANNEL_COUNT or number >= parts:
-            raise MalformedMessageError(f"channel {channel} with {tones} tones in {size - _BLOCK_BYTES} bytes")
-        size_bytes = PACKET_OVERHEAD_BYTES + size
-        records = memoryview(payload)[_BLOCK_BYTES:]
-        events.append(tuple.__new__(FramePart, (sequence, board_ticks, size_bytes, block, records)))
+        block = Block(*BLOCK_STRUCT.unpack_from(payload))
+        if block.encoding == _TONE_12:
+            text = f"channel {block.channel} with {block.tones} tones in {size - _BLOCK_BYTES} bytes"
+            raise MalformedMessageError(text)
+        self.messages.unknown += 1
 
     def _read_answer(self, packet: Packet, events: list[HostEvent]) -> None:
-        answered = self._requests.answered(packet.sequence)
+        answered = self.requests.answered(packet.sequence)
         pending = self._pending
         if pending is not None and pending.number == packet.sequence:
             cue = _CUES.get((pending.type, packet.type))
@@ -369,7 +376,7 @@ class HostSession:
         match cue:
             case Cue.IDENTITY:
                 self._identity = decode_message(Identity, packet.payload)
-                self._requests.credit_bytes = max(LEAST_CREDIT_BYTES, self._identity.credit_bytes)
+                self.requests.credit_bytes = max(LEAST_CREDIT_BYTES, self._identity.credit_bytes)
             case Cue.DESCRIPTION:
                 description = decode_message(Description, packet.payload)
                 events.append(Described(self._identity, description, packet.boot_id))

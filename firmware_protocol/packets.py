@@ -129,7 +129,8 @@ class PacketDecoder:
     def abandon(self) -> None:
         """Give up the packet that has begun: its rest will not come. Its bytes count as discarded."""
         self._discard(self.waiting_bytes, Defect.GARBAGE)
-        self._keep(b"", 0)
+        self._waiting = []
+        self.waiting_bytes = self._wanted_bytes = 0
 
     def feed(self, data: bytes) -> list[Packet | Damage | ForeignVersion]:
         """Decode received bytes; return the packets they complete, each after the damage before it."""
@@ -191,13 +192,9 @@ class PacketDecoder:
                 found.append(new_tuple(Packet, (message_type, sequence, board_ticks, boot_id, payload)))
             position = after
         self.counts.accepted += accepted_bytes
-        self._keep(buffer[position:], wanted_bytes)
+        self._waiting = [buffer[position:]] if position < end else []
+        self.waiting_bytes, self._wanted_bytes = end - position, wanted_bytes
         return found
-
-    def _keep(self, rest: bytes, wanted_bytes: int) -> None:
-        self._waiting = [rest] if rest else []
-        self.waiting_bytes = len(rest)
-        self._wanted_bytes = wanted_bytes
 
     def _next_start(self, buffer: bytes, position: int) -> int:
         """Discard what precedes the next sync word, or the half of one at the end; return where that is."""

@@ -19,7 +19,7 @@ from resonator_daemon.board.recording.reader import READ_ERRORS, Mark, Origin, o
 from resonator_daemon.board.recording.recorder import Recorder
 from resonator_daemon.board.recording.repair import RepairError, repair
 from resonator_daemon.board.recording.writer import Published, RecordingWriter
-from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.link_events import Closed, Received, Skipped, WireEvent
 from resonator_daemon.commands import main
 

@@ -132,4 +132,4 @@ def test_outstanding_bytes_never_exceed_the_credit(credit_bytes: int, acts: list
                 sent = host.data_to_send()
                 on_the_way += [len(sent)] if sent else []
                 line += sent
-    assert len(host._requests._waiting) <= 4
+    assert len(host.requests._waiting) <= 4

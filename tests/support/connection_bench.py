@@ -12,13 +12,13 @@ from firmware_protocol.messages import CounterKind, Description, Identity
 from firmware_protocol.states import BoardState
 from resonator_daemon.base.host.load import NO_LOAD
 from resonator_daemon.base.plate import Plate, load_plate
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.compatibility import gate_ticks
 from resonator_daemon.board.session.connection import Connection
 from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.board.session.frame_numbers import FrameNumbering
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.frames import Arrival, Gap, LinkChange, SingleToneFrame
-from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_state import LinkState
 
 PLATE = load_plate("quartz16")
@@ -130,7 +130,7 @@ class Bench:
         """Let time pass; raises what the connection raises."""
         for _ in range(round(ms * MS / self.step_ns)):
             self.now_ns += self.step_ns
-            out = self.board.step(self.connection.data_to_send(), self.now_ns)
+            out = self.board.step(self.connection.session.data_to_send(), self.now_ns)
             if out:
                 self._on_the_way.append((self.now_ns + self.delay_ns, out))
             data = b""

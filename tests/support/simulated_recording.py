@@ -11,9 +11,9 @@ from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.writer import RecordingWriter
 from resonator_daemon.board.session import link_events as wire
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.frames import BoardOnline
-from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
 from resonator_daemon.daemon.service.recorded_messages import RecordedMessages
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline

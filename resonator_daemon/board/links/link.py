@@ -92,7 +92,8 @@ class FileDescriptorLink:
         return 0
 
     def read(self, timeout_s: float) -> bytes:
-        self._check()
+        if self._lost is not None:
+            self._check()
         if timeout_s > 0.0 and not self._wait(timeout_s):
             return b""
         data = self._drain()

@@ -12,8 +12,8 @@ from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.board.recording.reader import Recording, open_recording
 from resonator_daemon.board.session import board_reader
 from resonator_daemon.board.session import link_events as wire
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.compatibility import BoardRefusedError
-from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_reasons import all_of
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
 
@@ -150,7 +150,7 @@ class Replay:
         connection = self._machine.connection
         if connection is None or connection.pings.follow:
             return
-        wanted = connection.data_to_send()
+        wanted = connection.session.data_to_send()
         if wanted != sent:
             self._differ(event, f"{sent.hex(' ') or 'nothing'} was sent, now {wanted.hex(' ') or 'nothing'} is")
 

@@ -26,7 +26,7 @@ from resonator_daemon.board.recording.mcap_messages import (
     messages,
     read_records,
 )
-from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.link_events import SnapshotTaken, WireEvent, decode
 
 log = logging.getLogger(__name__)

@@ -14,8 +14,8 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.recording.file_series import DiskSpace, LogLine, NoRoomError, Series, discard_line
 from resonator_daemon.board.recording.reader import Mark, Origin
 from resonator_daemon.board.recording.writer import Contents, Published, RecordingWriter
+from resonator_daemon.board.session.clock import HostTime, read_host_time
 from resonator_daemon.board.session.frames import BoardOnline
-from resonator_daemon.board.session.host_time import HostTime, read_host_time
 from resonator_daemon.board.session.link_events import Received, Sent, Skipped, SnapshotTaken, WireEvent
 
 QUEUE_BYTES = 64 << 20  # 4 s of a plate with 3072 tones and 100 frames/s

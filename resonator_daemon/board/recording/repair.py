@@ -45,7 +45,7 @@ from resonator_daemon.board.recording.reader import (
     open_file,
 )
 from resonator_daemon.board.recording.writer import SEQUENCE_MODULUS, McapFile
-from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.link_events import Skipped, encode
 
 _FOOTER: Final = struct.Struct("<BQQQI8s")  # opcode, length, where summary and its offsets begin, crc, magic

@@ -10,11 +10,11 @@ from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.reasons import Reason
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import Mark, Origin
-from resonator_daemon.board.recording.recorder import Recorder, RecordingCounts, size_bytes
+from resonator_daemon.board.recording.recorder import EVENT_BYTES, Recorder, RecordingCounts, size_bytes
 from resonator_daemon.board.recording.writer import Published
+from resonator_daemon.board.session.clock import HostTime, read_host_time
 from resonator_daemon.board.session.frames import BoardOnline
-from resonator_daemon.board.session.host_time import HostTime, read_host_time
-from resonator_daemon.board.session.link_events import SnapshotTaken, WireEvent
+from resonator_daemon.board.session.link_events import Received, SnapshotTaken, WireEvent
 
 log = logging.getLogger(__name__)
 
@@ -90,7 +90,7 @@ class RecordingSwitch:
                     self._recorder.put(event)
             if self._kept is not None:
                 self._kept.append(event)
-                self._size_bytes += size_bytes(event)
+                self._size_bytes += EVENT_BYTES + len(event.data) if isinstance(event, Received) else size_bytes(event)
                 if self._size_bytes > self._kept_bytes:
                     self._kept = None
 

@@ -13,18 +13,20 @@ from resonator_daemon.base.reasons import Condition
 from resonator_daemon.board.links.hot_plug import PortWatch
 from resonator_daemon.board.links.link import Link, LinkLostError, LinkUnavailableError
 from resonator_daemon.board.links.target import LinkTarget
+from resonator_daemon.board.session.clock import HostTime, read_host_time
 from resonator_daemon.board.session.compatibility import BoardRefusedError
 from resonator_daemon.board.session.counters import FrameLoss, LinkCounters
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.frames import (
     Arrival,
     BlinkAnswered,
+    ChannelisedFrame,
     ControlRequest,
     LinkChange,
     Outage,
     ReaderFailed,
+    SingleToneFrame,
 )
-from resonator_daemon.board.session.host_time import HostTime, read_host_time
 from resonator_daemon.board.session.link_events import (
     BlinkRequested,
     Closed,
@@ -141,8 +143,11 @@ class BoardReader:
     def pop_arrivals(self) -> list[Arrival]:
         """Return what has arrived since the last call, in order."""
         arrivals = self._queue.pop_all()
-        self._log.flush()
+        if not arrivals:
+            self._log.flush()
         for arrival in arrivals:
+            if isinstance(arrival, SingleToneFrame | ChannelisedFrame):
+                continue
             if isinstance(arrival, LinkChange | Outage):
                 self._log.write(arrival)
             elif isinstance(arrival, BlinkAnswered):
@@ -193,8 +198,7 @@ class BoardReader:
     @property
     def newest_monotonic_ns(self) -> int:
         """Middle of the newest gate whose frame has arrived; 0 before the first."""
-        newest = self._queue.newest
-        return newest.gate_middle.monotonic_ns if newest is not None else 0
+        return self._queue.newest_middle_ns
 
     @property
     def frames(self) -> int:
@@ -274,19 +278,22 @@ class BoardReader:
         now = read_host_time()
         machine.apply(Opened(now))
         connection, meter = machine.opened, LoadMeter()
+        outgoing = connection.session.requests.outgoing
         overruns = 0
         self._link_open = self._serving = True
         try:
             while not self._stopping:
                 self.turns += 1
-                self._apply_requests(now)
-                self._send(link, now)
+                if self._requests:
+                    self._apply_requests(now)
+                if outgoing:
+                    self._send(link, now)
                 if self._blink_due:
                     self._blink_due = False
                     machine.apply(BlinkRequested(now))
                     self._send(link, now)  # apart from a ping, so that a recording that starts here has its number
                 due_ns = connection.due_ns()
-                pieces = self._read(link, due_ns, gather=connection.pings.await_answer)
+                pieces = self._read(link, due_ns, gather=bool(connection.pings.on_the_way))
                 if not pieces:
                     now = read_host_time()  # silence ends before a thread that was kept waiting looks
                     if data := link.read(0.0):
@@ -296,13 +303,13 @@ class BoardReader:
                     machine.apply(Overrun(read_host_time()))
                 for piece in pieces:
                     machine.apply(piece)
-                if self._queue.newest is not None:
-                    self._pacing.has_read(self._queue.newest)
+                if self._pacing.awaited_index is not None:
+                    self._pacing.has_read(self._queue.newest_index)
                 if pieces:
-                    now = read_host_time()
+                    now = pieces[-1].now
                 if not pieces or now.monotonic_ns >= due_ns:
                     machine.apply(TimersRun(now, not pieces, meter.sample()))
-                if pieces and len(pieces[-1].data) < _FEW_BYTES and connection.within_packet:
+                if pieces and len(pieces[-1].data) < _FEW_BYTES and connection.session.waiting_bytes:
                     # A UART with a short queue hands on some bytes at a time, and each would cost a turn of all this.
                     time.sleep(_GATHER_S)
             self._request_stop(link)
@@ -333,11 +340,12 @@ class BoardReader:
         """Read until a timer is due; `gather`: all that is there, each piece with its time."""
         now_ns = time.monotonic_ns()
         due_ns = min(due_ns, now_ns + _POLL_NS)
-        newest = self._queue.newest
+        queue, pacing = self._queue, self._pacing
         sleep_ns = 0
-        if newest is not None and not gather:
-            sleep_ns = self._pacing.sleep_ns(now_ns, newest, self._queue.step_frames, due_ns)
-        self._wake_now()
+        if pacing.small_frames and not gather and queue.newest_index >= 0:
+            sleep_ns = pacing.sleep_ns(now_ns, queue.newest_index, queue.newest_middle_ns, queue.step_frames, due_ns)
+        if self._wake_due:
+            self._wake_now()
         if sleep_ns:
             time.sleep(sleep_ns * 1e-9)
             if data := link.read(0.0):
@@ -358,7 +366,7 @@ class BoardReader:
         self._send(link, now)
 
     def _send(self, link: Link, now: HostTime) -> None:
-        if data := self._machine.opened.data_to_send():
+        if data := self._machine.opened.session.data_to_send():
             self._machine.apply(Sent(now, data))
             link.write(data)
 

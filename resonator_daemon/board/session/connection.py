@@ -1,6 +1,8 @@
 """One opening of a link: the handshake with the board, its clock, its frames, and the timers that keep it going."""
 
+from collections.abc import Sequence
 from itertools import groupby
+from typing import cast
 
 from firmware_protocol.host import (
     Described,
@@ -24,7 +26,7 @@ from resonator_daemon.board.links.link import LinkLostError
 from resonator_daemon.board.session import link_reasons
 from resonator_daemon.board.session.blink import BlinkRequests
 from resonator_daemon.board.session.board_log import RESET_CAUSES, BoardLogFilter
-from resonator_daemon.board.session.clock import BoardClock, Exchange, Instant
+from resonator_daemon.board.session.clock import BoardClock, Exchange, HostTime
 from resonator_daemon.board.session.compatibility import (
     BoardRefusedError,
     first_of,
@@ -37,9 +39,8 @@ from resonator_daemon.board.session.compatibility import (
 from resonator_daemon.board.session.counters import FrameLoss, LinkCounters
 from resonator_daemon.board.session.frame_numbers import Accepted, FrameNumbering
 from resonator_daemon.board.session.frame_queue import FrameQueue
-from resonator_daemon.board.session.frame_receiver import FrameReceiver
+from resonator_daemon.board.session.frame_receiver import AssembledFrame, FrameReceiver
 from resonator_daemon.board.session.frames import BoardOnline
-from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_reasons import UNANSWERED_S
 from resonator_daemon.board.session.link_snapshot import ConnectionSnapshot
 from resonator_daemon.board.session.link_state import LinkState
@@ -59,7 +60,7 @@ _UNANSWERED_NS = UNANSWERED_S * _S
 class Connection:
     """One opening of the link: a session, the board's clock, and the timers that keep both going.
 
-    It reads no clock and opens nothing: bytes and times come as arguments, and it has `data_to_send`.
+    It reads no clock and opens nothing: bytes and times come as arguments, and its session has `data_to_send`.
 
     Parameters
     ----------
@@ -68,6 +69,8 @@ class Connection:
 
     Attributes
     ----------
+    session
+        Bytes to events, requests to bytes.
     pings
         Pings on their way.
     load
@@ -91,9 +94,9 @@ class Connection:
         self._counters = counters
         self._state = state
         self._gate_ticks = gate_ticks(plate)
-        self._session = HostSession()
-        self._receiver = FrameReceiver(plate, numbering, queue, counters, self._session.refuse)
-        self._refusals = RefusalWatch(self._session.refusals, opened.monotonic_ns)
+        self.session = HostSession()
+        self._receiver = FrameReceiver(plate, numbering, queue, counters, self.session.refuse)
+        self._refusals = RefusalWatch(self.session.refusals, opened.monotonic_ns)
         self.pings = Pings()
         self._blink = BlinkRequests(queue)
         self._log_lines = BoardLogFilter(queue, counters)
@@ -126,29 +129,20 @@ class Connection:
             The board is not what it was: it must be asked again.
         """
         self._now = now
-        for kind, events in groupby(self._session.receive(data), type):
+        for kind, group in groupby(self.session.receive(data), type):
             if kind is Frame:
-                self._receive_frames([event for event in events if isinstance(event, Frame)])
+                self._receive_frames(cast(list[Frame], list(group)))
             elif kind is FramePart:
-                self._receive_parts([event for event in events if isinstance(event, FramePart)])
+                self._receive_frames(self._receiver.assemble(cast(list[FramePart], list(group))))
             else:
-                for event in events:
+                for event in group:
                     self._handle(event)
-
-    def data_to_send(self) -> bytes:
-        """Return and clear the bytes that the board must get, at once."""
-        return self._session.data_to_send()
-
-    @property
-    def within_packet(self) -> bool:
-        """Whether the last bytes that were received end within a packet."""
-        return self._session.waiting_bytes > 0
 
     def snapshot(self) -> ConnectionSnapshot | None:
         """Return the state; None where a replay could not go on from it, as within a packet."""
-        session = self._session
+        session = self.session
         damage = self._damaged_bytes != session.bytes.discarded
-        underway = session.waiting_bytes or self._receiver.assembler.begun or damage
+        underway = session.waiting_bytes or self._receiver.assembler.has_partial_frame or damage
         if self.described is None or not self._counting or underway or session.state is not HostState.RUNNING:
             return None
         clock = self.clock.snapshot() if self.clock is not None else None
@@ -170,7 +164,7 @@ class Connection:
         """Go on in a replay where the recorded connection was; it made the pings, and `sent` reports them."""
         described = self.described = snapshot.described
         self.pings.restore(snapshot.pings)
-        self._session.restore(described, snapshot.configuration, snapshot.request_number)
+        self.session.restore(described, snapshot.configuration, snapshot.request_number)
         self.clock = BoardClock(described.description.reference_millihertz)
         self.clock.restore(snapshot.clock)
         self._receiver.newest_ticks = snapshot.newest_ticks
@@ -185,11 +179,11 @@ class Connection:
 
     def sent(self, data: bytes, now: HostTime) -> None:
         """Follow what the recorded connection has sent."""
-        self.pings.sent(self._session, data, now, self._receiver.newest_ticks)
+        self.pings.sent(self.session, data, now, self._receiver.newest_ticks)
 
     def blink(self, now: HostTime) -> None:
         """Ask the board to blink; BlinkAnswered follows in any case."""
-        self._blink.ask(self._session, now.monotonic_ns)
+        self._blink.ask(self.session, now.monotonic_ns)
 
     def overrun(self) -> None:
         """Count a loss of bytes by the host's driver."""
@@ -225,35 +219,35 @@ class Connection:
                 self._announce_online()
             elif self._counting and self._state.state is Condition.STALLED:
                 self._announce(Condition.STALLED, self._no_frame())
-        if not self._session.awaits_answer:
+        if not self.session.awaits_answer:
             self._next_ask_ns = now_ns + _ASK_AGAIN_NS
         elif now_ns >= self._next_ask_ns:
-            self._session.ask_again()
+            self.session.ask_again()
             self._next_ask_ns = now_ns + _ASK_AGAIN_NS
         if self._blink.due_ns is not None:
-            self._blink.run_timers(self._session, now_ns)  # after what takes all unanswered requests for lost
+            self._blink.run_timers(self.session, now_ns)  # after what takes all unanswered requests for lost
         if self.clock is not None and now_ns >= self._next_ping_ns:
             self._ping(self.clock)
 
     def due_ns(self) -> int:
         """Return the monotonic time at which `run_timers` has something to do."""
-        dues = [self._next_ask_ns]
+        due_ns = self._next_ask_ns
         if self._blink.due_ns is not None:
-            dues.append(self._blink.due_ns)
+            due_ns = min(due_ns, self._blink.due_ns)
         if self.clock is not None:
-            dues.append(self._next_ping_ns)
+            due_ns = min(due_ns, self._next_ping_ns)
         if self._counting:
             noticed_ns = self._receiver.last_frame_ns + self._silence_ns + 1
             if self._state.state is Condition.STALLED:
                 noticed_ns += _GIVE_UP_NS
             elif self._receiver.last_frame_ns < self.load.monotonic_ns:
                 noticed_ns = self.load.monotonic_ns + max(self._silence_ns - self._silent_ns, _MS) + 1
-            dues.append(noticed_ns)
-        return min(dues)
+            due_ns = min(due_ns, noticed_ns)
+        return due_ns
 
     def request_stop(self) -> None:
         """Stop the board, so that it does not fill a buffer that nobody empties."""
-        self._session.stop()
+        self.session.stop()
 
     def close(self) -> None:
         """Pass on what was begun, and add the counts of this connection to the link's."""
@@ -265,7 +259,7 @@ class Connection:
 
     def add_to(self, counters: LinkCounters) -> None:
         """Add this connection's counts."""
-        session = self._session
+        session = self.session
         counters.bytes_received += session.bytes.received
         counters.bytes_accepted += session.bytes.accepted
         counters.bytes_other_version += session.bytes.other_version
@@ -283,10 +277,10 @@ class Connection:
 
     def _silence(self) -> Reason:
         """Return why the handshake came to no end."""
-        lacks_pong = self.described is not None and self._session.state is HostState.DESCRIBED
+        lacks_pong = self.described is not None and self.session.state is HostState.DESCRIBED
         return link_reasons.silence(
-            self._session.bytes.received,
-            self._session.most_refused,
+            self.session.bytes.received,
+            self.session.most_refused,
             self.described.identity.serial_number if self.described is not None and lacks_pong else None,
         )
 
@@ -296,7 +290,7 @@ class Connection:
     def _handle(self, event: HostEvent) -> None:
         match event:
             case Pong():
-                if self._session.state is HostState.RUNNING:  # else a request of the handshake may be lost all the same
+                if self.session.state is HostState.RUNNING:  # else a request of the handshake may be lost all the same
                     self._next_ask_ns = self._now.monotonic_ns + _ASK_AGAIN_NS
                 self._pong(event)
             case Described():
@@ -321,27 +315,19 @@ class Connection:
                 problem = f"the board uses protocol {event.major}, this daemon uses {PROTOCOL_MAJOR}"
                 raise BoardRefusedError(Reason(ReasonCode.WRONG_PROTOCOL, problem), other_protocol=True)
 
-    def _receive_frames(self, frames: list[Frame]) -> None:
+    def _receive_frames(self, frames: Sequence[Frame | AssembledFrame]) -> None:
         if not frames or self.clock is None or self.described is None:
             return
-        boot_id, start = self.described.boot_id, 0
-        while start < len(frames) and not self._state.online:  # which is announced after the first frame
-            self._note_frames(self._receiver.receive_frames(frames[start : start + 1], self.clock, boot_id, self._now))
-            start += 1
-        if start < len(frames):
-            self._note_frames(self._receiver.receive_frames(frames[start:], self.clock, boot_id, self._now))
-
-    def _receive_parts(self, parts: list[FramePart]) -> None:
-        if self.clock is None or self.described is None:
-            return
-        for frame in self._receiver.assemble(parts):
-            taken = self._receiver.receive_assembled(frame, self.clock.scale, self.described.boot_id, self._now)
-            if taken is not None:
-                self._note_frames([taken])
+        boot_id, scale = self.described.boot_id, self.clock.scale
+        while frames and self._state.state is not Condition.ONLINE:  # which is announced after the first frame
+            self._note_frames(self._receiver.receive(frames[:1], scale, boot_id, self._now, together=False))
+            frames = frames[1:]
+        if frames and (begun := self._receiver.receive(frames, scale, boot_id, self._now)):
+            self._note_frames(begun)
 
     def _flush_receiver(self) -> None:
-        if self.clock is not None and self.described is not None:
-            self._note_frames(self._receiver.flush(self.clock, self.described.boot_id, self._now))
+        if self._receiver.assembler.has_partial_frame and self.clock is not None and self.described is not None:
+            self._note_frames(self._receiver.flush(self.clock.scale, self.described.boot_id, self._now))
 
     def _rebooted(self) -> None:
         self._flush_receiver()  # what it holds belongs to the boot, and the clock, before
@@ -420,7 +406,7 @@ class Connection:
 
     def _ping(self, clock: BoardClock) -> None:
         now_ns = self._now.monotonic_ns
-        self.pings.make(self._session, now_ns, self._receiver.newest_ticks)
+        self.pings.make(self.session, now_ns, self._receiver.newest_ticks)
         self._next_ping_ns = clock.ping_due_ns(now_ns)
 
     def _pong(self, event: Pong) -> None:
@@ -446,18 +432,18 @@ class Connection:
             self._announce_online()
         self._next_ping_ns = min(self._next_ping_ns, self.clock.ping_due_ns(now.monotonic_ns))
         # Only now: every frame can be stamped from the first one on.
-        if self._session.state is HostState.DESCRIBED:
-            self._session.configure(Configuration(self._gate_ticks))
+        if self.session.state is HostState.DESCRIBED:
+            self.session.configure(Configuration(self._gate_ticks))
         elif self._state.state is Condition.STALLED:
-            self._session.resume()
+            self.session.resume()
 
-    def _note_frames(self, taken: list[tuple[Accepted, Instant]]) -> None:
-        for accepted, middle in taken:
+    def _note_frames(self, begun: Sequence[Accepted]) -> None:
+        for accepted in begun:
             self.was_online = True
             if not self._state.online:
                 self._announce_online()
             loss = accepted.gap.loss if accepted.gap else FrameLoss()
-            in_outage = self._state.frame_received(accepted.previous, middle, loss.total)
+            in_outage = self._state.frame_received(accepted.previous, accepted.middle, loss.total)
             if accepted.gap:
                 boot = self._counters.boots[-1]
                 in_outages = boot.lost_in_outages + loss if in_outage else boot.lost_in_outages

@@ -1,7 +1,8 @@
 """Numbering of frames without a break, and attribution of the missing ones to a cause."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.counters import FrameLoss
@@ -16,11 +17,22 @@ _CLOCKS_AGREE = 5e-4  # share of an outage by which ticks and the host's clock m
 
 @dataclass(slots=True)  # one for each frame: frozen ones take three times as long to make
 class Accepted:
-    """A frame's number, the gap before it, and the time of the frame before that gap."""
+    """A frame's number, the middle of its gate, the gap before it, and the time of the frame before that gap."""
 
     index: int
+    middle: Instant
     gap: Gap | None
     previous: Instant | None
+
+
+class NumberedFrame(Protocol):
+    """A frame as the board numbers it."""
+
+    @property
+    def sequence(self) -> int: ...
+
+    @property
+    def board_ticks(self) -> int: ...
 
 
 class NumberingSnapshot(NamedTuple):
@@ -55,13 +67,18 @@ class FrameNumbering:
         Size of a whole frame on the wire, by which discarded bytes are counted as damaged frames.
     gate_ticks, gate_ns
         Length of a gate on the board's clock and on the host's.
+
+    Attributes
+    ----------
+    next_index
+        Index of the next frame that follows without a gap.
     """
 
     def __init__(self, frame_bytes: int, gate_ticks: int, gate_ns: int) -> None:
         self._frame_bytes = frame_bytes
         self._gate_ticks = gate_ticks
         self._gate_ns = gate_ns
-        self._next_index = 0
+        self.next_index = 0
         self._next_sequence = 0
         self._discarded_bytes = 0
         self._dropped_by_board = 0
@@ -93,11 +110,11 @@ class FrameNumbering:
     def snapshot(self) -> NumberingSnapshot:
         """Return the state; within a run only while `settled`."""
         return NumberingSnapshot(
-            self._next_index, self._next_sequence, self._dropped_by_board, self._last, self._unexplained
+            self.next_index, self._next_sequence, self._dropped_by_board, self._last, self._unexplained
         )
 
     def restore(self, snapshot: NumberingSnapshot) -> None:
-        self._next_index, self._next_sequence, self._dropped_by_board, self._last, self._unexplained = snapshot
+        self.next_index, self._next_sequence, self._dropped_by_board, self._last, self._unexplained = snapshot
         self._dropped_counted = self._dropped_by_board
         self._discarded_bytes, self._overrun, self._resuming = 0, False, False
         self._frames_of_run = _SETTLED_FRAMES
@@ -133,7 +150,7 @@ class FrameNumbering:
             return None
         self._check_spacing(missing, board_ticks)
         previous = self._last[2] if self._last is not None else None
-        index, gap = self._next_index, None
+        index, gap = self.next_index, None
         if missing or not self.settled:
             loss = self._causes(missing)
             if self._resuming:
@@ -142,17 +159,31 @@ class FrameNumbering:
             if loss != _NOTHING_LOST:
                 gap = Gap(index, loss)
                 index += loss.total
-        self._next_index = index + 1
+        self.next_index = index + 1
         self._next_sequence = (sequence + 1) % _RANGE
         self._last = (boot_id, board_ticks, time)
         self._frames_of_run += 1
-        return Accepted(index, gap, previous)
+        return Accepted(index, time, gap, previous)
+
+    def count_following(self, frames: Sequence[NumberedFrame], start: int) -> int:
+        """Return how many frames from `start` on follow the last one without a break, and without a loss to count."""
+        undecided = self._discarded_bytes or self._overrun or self._dropped_by_board != self._dropped_counted
+        if undecided or not self._frames_of_run or self._last is None:
+            return 0
+        sequence, ticks, gate_ticks = self._next_sequence, self._last[1], self._gate_ticks
+        for at in range(start, len(frames)):
+            frame = frames[at]
+            ticks += gate_ticks
+            if frame.sequence != sequence or frame.board_ticks != ticks:
+                return at - start
+            sequence = (sequence + 1) % _RANGE
+        return len(frames) - start
 
     def accept_following(self, count: int, board_ticks: int, time: Instant) -> None:
         """Accept `count` frames, the last with these ticks, that follow the one before without a break."""
-        if self._last is None or not self._frames_of_run:
+        if self._last is None:
             raise ValueError("frames follow an accepted one of their run")
-        self._next_index += count
+        self.next_index += count
         self._next_sequence = (self._next_sequence + count) % _RANGE
         self._last = (self._last[0], board_ticks, time)
         self._frames_of_run += count

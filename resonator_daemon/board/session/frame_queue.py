@@ -1,11 +1,12 @@
 """Queue between the reader thread and its consumer: bounded in bytes, what does not fit is counted."""
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from threading import Lock
 
+from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.counters import FrameLoss
-from resonator_daemon.board.session.frames import Arrival, Frame, Gap
+from resonator_daemon.board.session.frames import Arrival, ChannelisedFrame, Frame, Gap, SingleToneFrame
 
 
 class FrameQueue:
@@ -23,8 +24,9 @@ class FrameQueue:
 
     Attributes
     ----------
-    newest
-        The frame that was appended last.
+    newest_index, newest_middle_ns
+        Of the frame that was appended last: its index, and the middle of its gate on the monotonic clock; -1 and 0
+        before the first.
     """
 
     def __init__(self, limit_bytes: int, wake: Callable[[], None], step_frames: Sequence[int] = (1,)) -> None:
@@ -33,27 +35,28 @@ class FrameQueue:
         self.step_frames = step_frames
         self._lock = Lock()
         self._ahead: list[Arrival] = []  # events and gaps, from when no frame before those in `_items` is left
-        self._items: deque[tuple[int, Arrival]] = deque()
-        self._bytes = 0
+        self._items: deque[Arrival] = deque()
+        self._frames = 0  # in `_items`; all of one board are of one size
         self._overflow = 0
-        self.newest: Frame | None = None
+        self.newest_index = -1
+        self.newest_middle_ns = 0
 
     def put(self, event: Arrival) -> None:
         """Append what is no frame."""
         with self._lock:
-            self._items.append((0, event))
+            self._items.append(event)
         self._wake()
 
-    def put_frames(self, frames: Sequence[Frame]) -> None:
-        """Append adjacent frames, one or more; when they complete a step, the consumer is woken."""
-        size_bytes = frames[0].memory_bytes  # all of one board are of one size
-        self.newest = frames[-1]
+    def put_frames(self, frames: Sequence[Frame], newest: Instant) -> None:
+        """Append adjacent frames, the last with this middle; when they complete a step, the consumer is woken."""
         with self._lock:
-            self._items.extend([(size_bytes, frame) for frame in frames])
-            self._bytes += size_bytes * len(frames)
-            if self._bytes > self._limit_bytes:
-                self._make_room()
+            self._items.extend(frames)
+            self._frames += len(frames)
+            size_bytes = frames[0].memory_bytes
+            if self._frames * size_bytes > self._limit_bytes:
+                self._make_room(self._limit_bytes // size_bytes)
         first, end = frames[0].index, frames[-1].index + 1
+        self.newest_index, self.newest_middle_ns = end - 1, newest.monotonic_ns
         for step in self.step_frames:
             if end // step > first // step:
                 self._wake()
@@ -62,12 +65,11 @@ class FrameQueue:
     def pop_all(self) -> list[Arrival]:
         """Return and remove all that is there."""
         with self._lock:
-            if not self._items and not self._ahead:
-                return []
-            ahead, self._ahead = self._ahead, []
-            items, self._items = self._items, deque()
-            self._bytes = 0
-        return [*ahead, *[arrival for _, arrival in items]]
+            arrivals = [*self._ahead, *self._items]
+            self._ahead.clear()
+            self._items.clear()
+            self._frames = 0
+        return arrivals
 
     @property
     def loss(self) -> FrameLoss:
@@ -75,12 +77,12 @@ class FrameQueue:
         with self._lock:
             return FrameLoss(queue_overflow=self._overflow)
 
-    def _make_room(self) -> None:
+    def _make_room(self, frames_max: int) -> None:
         ahead = self._ahead
-        while self._bytes > self._limit_bytes:
-            size_bytes, arrival = self._items.popleft()
+        while self._frames > frames_max:
+            arrival = self._items.popleft()
             if isinstance(arrival, Frame):
-                self._bytes -= size_bytes
+                self._frames -= 1
                 self._overflow += 1
                 arrival = Gap(arrival.index, FrameLoss(queue_overflow=1))
             if isinstance(arrival, Gap) and ahead and isinstance(ahead[-1], Gap) and _adjoin(ahead[-1], arrival):
@@ -91,3 +93,19 @@ class FrameQueue:
 
 def _adjoin(gap: Gap, later: Gap) -> bool:
     return gap.first_index + gap.loss.total == later.first_index
+
+
+def group_adjacent(arrivals: Iterable[Arrival], most: int) -> list[Arrival | list[Frame]]:
+    """Return arrivals in their order, adjacent frames together, up to `most` of them."""
+    groups: list[Arrival | list[Frame]] = []
+    block: list[Frame] = []
+    for arrival in arrivals:
+        if not isinstance(arrival, SingleToneFrame | ChannelisedFrame):
+            groups.append(arrival)
+            block = []
+        elif block and len(block) < most and arrival.index == block[-1].index + 1:
+            block.append(arrival)
+        else:
+            block = [arrival]
+            groups.append(block)
+    return groups

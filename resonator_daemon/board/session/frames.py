@@ -1,20 +1,42 @@
 """What a reader passes on: frames with their time, gaps, and events of board and link."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.layouts import SingleToneRecord, single_tone_records
+from firmware_protocol.layouts import TONE_FIELDS, SingleToneRecord, ToneFlag, single_tone_records
 from firmware_protocol.messages import Configuration, Description, Identity
 from resonator_daemon.base.reasons import Condition, Reason
 from resonator_daemon.board.session.clock import Instant, TickScale
 from resonator_daemon.board.session.counters import FrameLoss
-from resonator_daemon.board.session.frame_assembly import Tones, known_tones, variance_of
 
+Tones = NDArray[np.void]
+TONE = np.dtype([(field.name, "<" + field.code) for field in TONE_FIELDS])
+_UNUSABLE = ToneFlag.NO_SIGNAL | ToneFlag.SATURATED | ToneFlag.OUT_OF_BAND
 _SINGLE_TONE_BYTES = 560  # a frame with its integers, payload and time scale, as tracemalloc sees it
 _CHANNELISED_BYTES = 1400  # besides its records
+
+
+def known_tones(tones: Tones) -> NDArray[np.bool_]:
+    """Return which records hold a usable frequency; shape as `tones`."""
+    flags: NDArray[np.uint8] = tones["flags"]
+    known: NDArray[np.bool_] = (flags & _UNUSABLE) == 0
+    return known
+
+
+def variance_of(tones: Tones) -> NDArray[np.float64]:
+    """Return the variance of each record's offset in Hz^2, infinite where it is not usable; shape as `tones`."""
+    codes = tones.view("<u2").reshape(*tones.shape, -1)[..., -1]  # sigma_code, and flags as the upper byte
+    return np.take(_VARIANCE_HZ2, codes, mode="clip")
+
+
+def _variances() -> NDArray[np.float64]:
+    by_sigma_code = np.exp2((np.arange(256) - 128) / 8) ** 2
+    return np.where((np.arange(256) & _UNUSABLE)[:, None], np.inf, by_sigma_code).ravel()
+
+
+_VARIANCE_HZ2 = _variances()
 
 
 @dataclass(slots=True)  # not frozen, which takes three times as long to make: a thousand a second
@@ -179,19 +201,3 @@ Arrival = (
     | ControlRequest
     | ReaderFailed
 )
-
-
-def group_adjacent(arrivals: Iterable[Arrival], most: int) -> list[Arrival | list[Frame]]:
-    """Return arrivals in their order, adjacent frames together, up to `most` of them."""
-    groups: list[Arrival | list[Frame]] = []
-    block: list[Frame] = []
-    for arrival in arrivals:
-        if not isinstance(arrival, SingleToneFrame | ChannelisedFrame):
-            groups.append(arrival)
-            block = []
-        elif block and len(block) < most and arrival.index == block[-1].index + 1:
-            block.append(arrival)
-        else:
-            block = [arrival]
-            groups.append(block)
-    return groups

@@ -9,7 +9,7 @@ from pydantic import Field, Strict, TypeAdapter, ValidationError
 
 from resonator_daemon.base.host.load import NO_LOAD, LoadSample
 from resonator_daemon.base.reasons import Condition, Reason
-from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.link_snapshot import LinkSnapshot
 from resonator_daemon.board.session.stored_reasons import StoredReason
 

@@ -30,26 +30,31 @@ class LinkState:
     ----------
     put
         Receives the announcements.
+
+    Attributes
+    ----------
+    state
+        Announced last; None before the first.
+    online
+        Whether that is online.
     """
 
     def __init__(self, put: Callable[[Arrival], None]) -> None:
         self._put = put
         self._present = LinkStateSnapshot(None, OPENING, 0, ())
-
-    @property
-    def state(self) -> Condition | None:
-        return self._present.state
-
-    @property
-    def online(self) -> bool:
-        return self._present.state is Condition.ONLINE
+        self.state: Condition | None = None
+        self.online = False
 
     def snapshot(self) -> LinkStateSnapshot:
         return self._present
 
+    def _set(self, present: LinkStateSnapshot) -> None:
+        self._present = present
+        self.state, self.online = present.state, present.state is Condition.ONLINE
+
     def restore(self, snapshot: LinkStateSnapshot, utc_ns: int) -> None:
         """Set the state, and announce it if there is one."""
-        self._present = snapshot
+        self._set(snapshot)
         if snapshot.state is not None:
             self._put(LinkChange(snapshot.state, snapshot.reason, snapshot.since_utc_ns, utc_ns))
 
@@ -67,7 +72,7 @@ class LinkState:
                 reasons = reasons[:-1]
             reasons = (*reasons, reason)
         since_utc_ns = utc_ns if changed else before.since_utc_ns
-        self._present = LinkStateSnapshot(state, reason, since_utc_ns, reasons)
+        self._set(LinkStateSnapshot(state, reason, since_utc_ns, reasons))
         self._put(LinkChange(state, reason, since_utc_ns, utc_ns))
 
     def frame_received(self, previous: Instant | None, this: Instant, frames_lost: int) -> bool:

@@ -7,13 +7,13 @@ from firmware_protocol.host import Described
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Condition
 from resonator_daemon.board.session import link_events as wire
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.compatibility import gate_ticks
 from resonator_daemon.board.session.connection import Connection
 from resonator_daemon.board.session.counters import FrameLoss, LinkCounters
 from resonator_daemon.board.session.frame_numbers import FrameNumbering
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.frames import BoardRefused, ControlRequest
-from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_reasons import all_of
 from resonator_daemon.board.session.link_snapshot import LinkSnapshot
 from resonator_daemon.board.session.link_state import LinkState
@@ -64,13 +64,15 @@ class LinkStateMachine:
         ValueError
             An event of an open link, and none is open; or `Opened`, and one is.
         """
-        if isinstance(event, wire.Received) and event.now.monotonic_ns >= self._snapshot_due_ns:
-            self._record_snapshot(event.now)
+        if isinstance(event, wire.Received):
+            if event.now.monotonic_ns >= self._snapshot_due_ns:
+                self._record_snapshot(event.now)
+            self._on_event(event)
+            with self._lock:
+                (self.connection or self.opened).receive(event.data, event.now)
+            return
         self._on_event(event)
         match event:
-            case wire.Received():
-                with self._lock:
-                    self.opened.receive(event.data, event.now)
             case wire.TimersRun():
                 with self._lock:
                     self.opened.run_timers(event.now, idle=event.idle, sample=event.load)

@@ -3,7 +3,7 @@
 from firmware_protocol.host import HostSession
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.packets import Packet, PacketDecoder
-from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.link_snapshot import Ping
 
 _LOST_NS = 5_000_000_000
@@ -15,14 +15,9 @@ class Pings:
     """The pings of one connection."""
 
     def __init__(self) -> None:
-        self._on_the_way: dict[int, Ping] = {}
+        self.on_the_way: dict[int, Ping] = {}  # by number
         self._made = 0
         self._followed: PacketDecoder | None = None  # of what the recorded connection sends
-
-    @property
-    def await_answer(self) -> bool:
-        """Whether a ping is on its way."""
-        return bool(self._on_the_way)
 
     @property
     def follow(self) -> bool:
@@ -31,7 +26,7 @@ class Pings:
 
     def restart(self) -> None:
         """Discard all, and make pings again: the board has described itself again."""
-        self._on_the_way.clear()
+        self.on_the_way.clear()
         self._made = 0
         self._followed = None
 
@@ -39,28 +34,28 @@ class Pings:
         """Send a ping, if the board has room for one."""
         if self._followed is not None:
             return
-        for lost in [ping for ping in self._on_the_way.values() if now_ns - ping.sent_ns > _LOST_NS]:
-            del self._on_the_way[lost.number]
+        for lost in [ping for ping in self.on_the_way.values() if now_ns - ping.sent_ns > _LOST_NS]:
+            del self.on_the_way[lost.number]
         if session.ping(self._made.to_bytes(_NUMBER_BYTES, "little")):
-            self._on_the_way[self._made] = Ping(self._made, now_ns, newest_ticks)
+            self.on_the_way[self._made] = Ping(self._made, now_ns, newest_ticks)
             self._made += 1
 
     def answered(self, opaque: bytes) -> Ping | None:
         """Return the ping that is answered; None where nobody waits for that."""
-        ping = self._on_the_way.pop(int.from_bytes(opaque, "little"), None)
+        ping = self.on_the_way.pop(int.from_bytes(opaque, "little"), None)
         if ping is not None:
-            for before in [other for other in self._on_the_way.values() if other.sent_ns < ping.sent_ns]:
-                del self._on_the_way[before.number]  # boards answer in order: it will not be answered any more
+            for before in [other for other in self.on_the_way.values() if other.sent_ns < ping.sent_ns]:
+                del self.on_the_way[before.number]  # boards answer in order: it will not be answered any more
         return ping
 
     def snapshot(self) -> tuple[Ping, ...]:
         """Return those on their way."""
-        return tuple(self._on_the_way.values())
+        return tuple(self.on_the_way.values())
 
     def restore(self, on_the_way: tuple[Ping, ...]) -> None:
         """Set those on their way; from here on `sent` reports the pings, none are made."""
         self._followed = PacketDecoder(from_board=False)
-        self._on_the_way = {ping.number: ping for ping in on_the_way}
+        self.on_the_way = {ping.number: ping for ping in on_the_way}
 
     def sent(self, session: HostSession, data: bytes, now: HostTime, newest_ticks: int) -> None:
         """Follow what the recorded connection has sent, and its request numbers with it."""
@@ -74,4 +69,4 @@ class Pings:
                 session.number = packet.sequence
             if packet.type == MessageType.PING:
                 number = int.from_bytes(packet.payload, "little")
-                self._on_the_way[number] = Ping(number, now.monotonic_ns, newest_ticks)
+                self.on_the_way[number] = Ping(number, now.monotonic_ns, newest_ticks)

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from typing import Final
 
-from resonator_daemon.board.session.frames import Arrival, Frame, group_adjacent
+from resonator_daemon.board.session.frame_queue import group_adjacent
+from resonator_daemon.board.session.frames import Arrival, Frame
 
 PART_ARRIVALS: Final = 50
 

@@ -14,8 +14,8 @@ from resonator_daemon.board.config.values import Settings, load_plate_text, load
 from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.recording.event_replay import Replay
 from resonator_daemon.board.recording.reader import Recording, open_recording
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.frame_queue import FrameQueue
-from resonator_daemon.board.session.host_time import HostTime
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
 from resonator_daemon.extensions.fleet.outline import PartStart, read_outline
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline

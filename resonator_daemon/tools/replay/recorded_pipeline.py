@@ -9,10 +9,10 @@ from threadpoolctl import threadpool_limits
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.recording.event_replay import Replay
 from resonator_daemon.board.recording.reader import Mark, Recording, damage_in_words
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.counters import LinkCounters
-from resonator_daemon.board.session.frame_queue import FrameQueue
-from resonator_daemon.board.session.frames import Arrival, BoardRefused, Frame, group_adjacent
-from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.frame_queue import FrameQueue, group_adjacent
+from resonator_daemon.board.session.frames import Arrival, BoardRefused, Frame
 from resonator_daemon.board.session.link_events import WireEvent
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline

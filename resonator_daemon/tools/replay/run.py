@@ -16,7 +16,7 @@ from resonator_daemon.base.host.text import printable
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.config.tables import plate_name
-from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.mqtt.payloads import Info
 from resonator_daemon.mqtt.topics import Topic
 from resonator_daemon.tools.replay.outputs import BrokerOutput, FileOutput

@@ -13,7 +13,7 @@ from rich.progress import Progress as Bar
 from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.base.host.text import printable
 from resonator_daemon.board.recording.reader import Mark, open_recording
-from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.clock import HostTime
 
 
 class NoSuchMarkError(UserError):

@@ -19,7 +19,7 @@ from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.recording import writer as recording_writer
 from resonator_daemon.board.recording.reader import Origin, open_recording
 from resonator_daemon.board.recording.recorder import Recorder, RecorderTimes
-from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.link_events import (
     Closed,
     Lost,

@@ -20,7 +20,7 @@ from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.recorder import Recorder
 from resonator_daemon.board.recording.writer import Published
-from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.link_events import Opened, Received, SnapshotTaken, TimersRun, WireEvent
 
 DEADLINE_S = 30.0

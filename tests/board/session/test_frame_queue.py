@@ -1,4 +1,4 @@
-"""The ring: order, bound, what gives way, and when the reader's consumer is woken."""
+"""The frame queue: order, bound, what gives way, and when the reader's consumer is woken."""
 
 import tracemalloc
 
@@ -7,11 +7,11 @@ import pytest
 
 from resonator_daemon.board.session.clock import Instant, Line, TickScale
 from resonator_daemon.board.session.counters import FrameLoss
-from resonator_daemon.board.session.frame_assembly import TONE
 from resonator_daemon.board.session.frame_queue import FrameQueue
-from resonator_daemon.board.session.frames import BoardLogLine, ChannelisedFrame, Gap, SingleToneFrame
+from resonator_daemon.board.session.frames import TONE, BoardLogLine, ChannelisedFrame, Gap, SingleToneFrame
 
 SCALE = TickScale(10**12, 0, Line(0, 0, 0.0, 0.0, 0.0), 0, 0)
+NOW = Instant(0, 0)
 FRAME_BYTES = SingleToneFrame(0, 0, 0, SCALE, b"").memory_bytes
 
 
@@ -23,15 +23,15 @@ def test_takes_in_order_and_wakes_for_news_and_whole_steps() -> None:
     wakes = []
     queue = FrameQueue(10 * FRAME_BYTES, lambda: wakes.append(1), step_frames=(3,))
     for index in range(2):
-        queue.put_frames([frame(index)])
+        queue.put_frames([frame(index)], NOW)
     assert wakes == []
-    queue.put_frames([frame(2)])
+    queue.put_frames([frame(2)], NOW)
     assert len(wakes) == 1
     assert queue.pop_all() == [frame(0), frame(1), frame(2)]
     assert queue.pop_all() == []
     queue.put(BoardLogLine(20, "news"))
     assert len(wakes) == 2
-    queue.put_frames([frame(3)])
+    queue.put_frames([frame(3)], NOW)
     assert len(wakes) == 2
     assert queue.pop_all() == [BoardLogLine(20, "news"), frame(3)]
 
@@ -40,24 +40,24 @@ def test_when_full_the_oldest_frames_give_way_to_a_gap_and_news_stays() -> None:
     queue = FrameQueue(3 * FRAME_BYTES, lambda: None)
     news = [BoardLogLine(20, "first"), BoardLogLine(20, "second")]
     queue.put(news[0])
-    queue.put_frames([frame(0)])
+    queue.put_frames([frame(0)], NOW)
     queue.put(news[1])
     for index in range(1, 6):
-        queue.put_frames([frame(index)])
+        queue.put_frames([frame(index)], NOW)
     assert queue.loss == FrameLoss(queue_overflow=3)
     given_up = [Gap(0, FrameLoss(queue_overflow=1)), Gap(1, FrameLoss(queue_overflow=2))]
     assert queue.pop_all() == [news[0], given_up[0], news[1], given_up[1], frame(3), frame(4), frame(5)]
-    queue.put_frames([frame(6)])
+    queue.put_frames([frame(6)], NOW)
     assert queue.pop_all() == [frame(6)]
     assert queue.loss == FrameLoss(queue_overflow=3)
 
 
 def test_gaps_that_adjoin_become_one() -> None:
     queue = FrameQueue(2 * FRAME_BYTES, lambda: None)
-    queue.put_frames([frame(0)])
+    queue.put_frames([frame(0)], NOW)
     queue.put(Gap(1, FrameLoss(damaged=4)))
     for index in range(5, 9):
-        queue.put_frames([frame(index)])
+        queue.put_frames([frame(index)], NOW)
     assert queue.pop_all() == [Gap(0, FrameLoss(damaged=4, queue_overflow=3)), frame(7), frame(8)]
 
 
@@ -80,7 +80,7 @@ def test_the_bound_is_one_of_memory(fresh: object) -> None:
     try:
         before, _ = tracemalloc.get_traced_memory()
         for index in range(4000):
-            queue.put_frames([fresh(index)])  # type: ignore[operator]
+            queue.put_frames([fresh(index)], NOW)  # type: ignore[operator]
         after, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -92,9 +92,9 @@ def test_ends_of_several_steps_wake_and_may_be_replaced() -> None:
     wakes: list[int] = []
     queue = FrameQueue(100 * FRAME_BYTES, lambda: wakes.append(index + 1), step_frames=(2, 5))
     for index in range(10):
-        queue.put_frames([frame(index)])
+        queue.put_frames([frame(index)], NOW)
     assert wakes == [2, 4, 5, 6, 8, 10]
     queue.step_frames = (7,)
     for index in range(10, 30):
-        queue.put_frames([frame(index)])
+        queue.put_frames([frame(index)], NOW)
     assert wakes[6:] == [14, 21, 28]

@@ -5,7 +5,7 @@ import pytest
 
 from resonator_daemon.base.host.load import LoadSample
 from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
-from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.link_events import (
     ControlRequested,
     Lost,

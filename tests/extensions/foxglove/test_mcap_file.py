@@ -12,7 +12,7 @@ from jsonschema import Draft202012Validator
 from mcap.reader import make_reader
 
 from resonator_daemon.board.config.values import plate_text, settings_text
-from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.tools.replay.recorded_pipeline import Moment
 

@@ -10,7 +10,7 @@ from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.recording.reader import Mark, Origin
 from resonator_daemon.board.recording.recorder import Recorder
-from resonator_daemon.board.session.host_time import HostTime
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.link_events import Received
 from resonator_daemon.mqtt import outbox
 from resonator_daemon.tools.replay.outputs import BrokerOutput
