@@ -31,7 +31,7 @@ from parts import COMMAND, child, emulated_board
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.config.values import plate_text
 from resonator_daemon.board.recording.reader import RecordingUnusableError, open_recording
-from resonator_daemon.mqtt.spool import FILE, Progress, Spool
+from resonator_daemon.mqtt.event_file import FILE, EventFile, Span
 from resonator_daemon.tools.calibration.plate_file import Session, write_plate_file
 from resonator_daemon.tools.calibration.run import abort_staged, accept_staged
 
@@ -294,11 +294,11 @@ def fail_with_a_daemon(seconds: float, moments: int, seed: int, folder: Path) ->
 
 def _events(directory: Path) -> dict[int, int]:
     """Return the times of the waiting events, by number."""
-    spool = Spool(directory)
+    file = EventFile(directory, "")
     try:
-        found = [json.loads(event.payload) for event in spool.read(Progress((-1, -1), (1, -1)), 1_000_000)]
+        found = [json.loads(event.payload) for event in file.read(Span(0, 2**60, -1), 1_000_000)]
     finally:
-        spool.close()
+        file.close()
     return {event["seq"]: int(event["t_ns"]) for event in found}
 
 

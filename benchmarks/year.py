@@ -205,7 +205,7 @@ async def _deliver_the_rest(world: World, year: Year, draw: random.Random) -> No
     _Day(year, daemon, world, draw).pass_2_32()
     while year.seen.events_published > len(year.seen.events):
         await asyncio.sleep(0.01)
-        if daemon.outbox.events.spool_opened and not daemon.outbox.waiting:
+        if daemon.outbox.events.opened and not daemon.outbox.waiting:
             break
     world.board.hang_up(world.host.elapsed_ns)
     await daemon.end()

@@ -16,7 +16,7 @@ from small_disk import small_disk
 from resonator_daemon.board.recording import recorder as recording
 from resonator_daemon.daemon.service.config_store import ConfigStore
 from resonator_daemon.daemon.service.daemon import Service
-from resonator_daemon.mqtt import event_queue
+from resonator_daemon.mqtt import event_log
 
 MOUNT = shutil.which("mount") or "/bin/mount"
 
@@ -31,7 +31,7 @@ async def test_a_disk_that_takes_nothing(
 ) -> None:
     caplog.set_level(logging.WARNING)
     monkeypatch.setattr(recording, "TIMES", recording.RecorderTimes(retry_s=0.3))
-    monkeypatch.setattr(event_queue, "RETRY_S", 0.3)
+    monkeypatch.setattr(event_log, "RETRY_S", 0.3)
     bench = Bench(tmp_path, mosquitto.url)
     with small_disk(tmp_path, 1 << 20) as (disk, fill, free):
         monkeypatch.setenv("XDG_STATE_HOME", str(disk))

@@ -11,10 +11,10 @@ from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
 from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, NO_SUBSCRIBERS, BrokerConnection, InFlight
 from resonator_daemon.mqtt.broker_limits import LargestMessages, packet_bytes
-from resonator_daemon.mqtt.event_queue import Event, EventQueue
+from resonator_daemon.mqtt.event_log import Event, EventLog
 from resonator_daemon.mqtt.message_account import Account, Cause
 from resonator_daemon.mqtt.packets import PackedProperties, StreamPackets, properties_of
-from resonator_daemon.mqtt.payloads import Message
+from resonator_daemon.mqtt.payloads import ContactEvent
 from resonator_daemon.mqtt.topics import CONTACT_EVENT
 
 STREAMS_WAITING_MAX: Final = 4096
@@ -122,7 +122,7 @@ class Outbox:
         self._client: BrokerConnection | None = None
         self._retained: dict[str, Packet] = {}  # last message by topic
         self._states: dict[str, Packet] = {}  # those of them that wait
-        self.events = EventQueue(account, spool_directory, self.pump_soon, boot_id=boot_id)
+        self.events = EventLog(account, spool_directory, self.pump_soon, boot_id=boot_id)
         self._answers: BoundedQueue[Packet] = BoundedQueue(ANSWERS_WAITING_MAX, ANSWER_BYTES_WAITING_MAX)
         self._streams: BoundedQueue[_Stream] = BoundedQueue(STREAMS_WAITING_MAX, STREAM_BYTES_WAITING_MAX)
         self._reports: BoundedQueue[_Stream] = BoundedQueue(STREAMS_WAITING_MAX, STREAM_BYTES_WAITING_MAX)
@@ -152,7 +152,7 @@ class Outbox:
         self._retained[packet.topic] = self._states[packet.topic] = packet
         self.pump_soon()
 
-    def put_event(self, topic: str, message: Message) -> None:
+    def put_event(self, topic: str, message: ContactEvent) -> None:
         self.events.put(topic, message)
         self.pump_soon()
 

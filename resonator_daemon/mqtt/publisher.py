@@ -17,13 +17,13 @@ from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes, Will
 from resonator_daemon.mqtt.broker_limits import BrokerLimits
 from resonator_daemon.mqtt.codec import Encoded, encode
-from resonator_daemon.mqtt.event_history import HistoryPage
+from resonator_daemon.mqtt.event_log import EventPage
 from resonator_daemon.mqtt.message_account import Account, Cause
 from resonator_daemon.mqtt.mqtt_messages import Incoming, Outgoing
 from resonator_daemon.mqtt.outbox import Outbox, Packet
 from resonator_daemon.mqtt.pacing import Decimator
 from resonator_daemon.mqtt.packets import StreamPackets, pack, properties_of
-from resonator_daemon.mqtt.payloads import Header, Message, MessageAccount
+from resonator_daemon.mqtt.payloads import ContactEvent, Header, Message, MessageAccount
 from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
 from resonator_daemon.mqtt.retained_topics import RetainedTopics
 from resonator_daemon.mqtt.topics import JSON, MessageT, Topic
@@ -194,7 +194,7 @@ class Publisher:
         if self._make(name, Cause.CLOSED if self._closed else None):
             if topic.retained:
                 self._put_retained(Packet(name, encode(message), properties_of(topic)))
-            else:
+            elif isinstance(message, ContactEvent):
                 self._outbox.put_event(name, message)
 
     def batch(self) -> AbstractContextManager[None]:
@@ -218,11 +218,9 @@ class Publisher:
             properties = pack(content_type=JSON, expiry_s=outgoing.expiry_s, correlation=outgoing.correlation)
             self._outbox.put_answer(Packet(outgoing.topic, outgoing.payload, properties))
 
-    async def stored_events(self, boot_id: str | None, after_seq: int, bytes_max: int) -> HistoryPage:
-        """Return stored events, as of `EventHistory.page`; only where the publisher stores them."""
-        if (history := self._outbox.events.history) is None:
-            raise ValueError("events are stored under a boot_id only")
-        return await history.page(boot_id, after_seq, bytes_max)
+    async def stored_events(self, boot_id: str | None, after_seq: int, bytes_max: int) -> EventPage:
+        """Return stored events, as of `EventLog.page`."""
+        return await self._outbox.events.page(boot_id, after_seq, bytes_max)
 
     async def run(self) -> None:
         """Keep connected until `close`; when cancelled instead, the broker publishes the last will."""

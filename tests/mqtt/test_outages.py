@@ -11,7 +11,7 @@ from mqtt_helpers import EVENTS, IMPATIENT, LEFT, Messages, assert_exact, happen
 from observer import observe
 from relay import relay
 
-from resonator_daemon.mqtt import event_queue, outbox, topics
+from resonator_daemon.mqtt import event_log, outbox, topics
 
 ONLINE = Messages.state("online", "all is well")
 
@@ -103,7 +103,7 @@ async def test_events_wait_for_the_first_subscriber(mosquitto, tmp_path: Path, l
 async def test_a_frozen_broker_stalls_nobody_and_every_message_is_accounted_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(event_queue, "SUBSCRIBERS_S", 0.0)
+    monkeypatch.setattr(event_log, "SUBSCRIBERS_S", 0.0)
     mosquitto = Mosquitto(tmp_path, "allow_anonymous true", "max_queued_messages 0")
     await mosquitto.start()
     async with publishing(mosquitto.url, spool_directory=tmp_path, times=IMPATIENT) as left:
@@ -179,7 +179,7 @@ async def test_streams_that_waited_too_long_are_dropped_and_counted_as_late(mosq
 async def test_accounts_are_exact_at_random_instants_while_connections_break(
     broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(event_queue, "SUBSCRIBERS_S", 0.0)
+    monkeypatch.setattr(event_log, "SUBSCRIBERS_S", 0.0)
     chance = random.Random(20)
     async with relay(broker.url) as way, publishing(way.url, spool_directory=tmp_path) as left:
         left.publish(LEFT, topics.STATE_DAEMON, ONLINE)

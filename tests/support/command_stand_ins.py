@@ -17,10 +17,10 @@ from resonator_daemon.daemon.service.command_handlers import CommandHandlers, Da
 from resonator_daemon.daemon.service.recording_commands import RecordingCommands
 from resonator_daemon.measure.pipeline.control_requests import Control, Tare
 from resonator_daemon.mqtt.codec import encode
-from resonator_daemon.mqtt.event_history import HistoryPage, UnknownRunError
+from resonator_daemon.mqtt.event_file import EventFileError
+from resonator_daemon.mqtt.event_log import EventPage, UnknownRunError
 from resonator_daemon.mqtt.message_examples import EXAMPLES
 from resonator_daemon.mqtt.payloads import Health, Message
-from resonator_daemon.mqtt.spool import SpoolError
 from resonator_daemon.mqtt.topics import TOPICS
 
 BOOT_ID = "9f3c"
@@ -52,14 +52,14 @@ class StandIn:
         self.acts.append(("locate",))
         done(self.board_refuses)
 
-    async def stored_events(self, boot_id: str | None, after_seq: int, bytes_max: int) -> HistoryPage:
+    async def stored_events(self, boot_id: str | None, after_seq: int, bytes_max: int) -> EventPage:
         if boot_id == "unreadable":
-            raise SpoolError("another process holds the file")
+            raise EventFileError("another process holds the file")
         if boot_id not in (None, BOOT_ID):
             raise UnknownRunError(boot_id)
         example = messages()["contacts/event"]
         events = (example.model_copy(update={"seq": seq}) for seq in range(max(after_seq + 1, 7), 10))
-        return HistoryPage(tuple(encode(event) for event in events), after_seq >= 6, 7, 9)
+        return EventPage(tuple(encode(event) for event in events), after_seq >= 6, 7, 9)
 
     async def apply(self, request: Control) -> str | None:
         if isinstance(request, Tare):

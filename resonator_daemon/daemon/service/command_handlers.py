@@ -14,9 +14,9 @@ from resonator_daemon.measure.pipeline.control_requests import Control
 from resonator_daemon.measure.sensors.base import Sensor
 from resonator_daemon.mqtt.codec import decode
 from resonator_daemon.mqtt.commands import CommandRefusedError, Handler, NotAddressedError
-from resonator_daemon.mqtt.event_history import HistoryPage, UnknownRunError
+from resonator_daemon.mqtt.event_file import EventFileError
+from resonator_daemon.mqtt.event_log import EventPage, UnknownRunError
 from resonator_daemon.mqtt.payloads import ContactEvent, Health, Message
-from resonator_daemon.mqtt.spool import SpoolError
 from resonator_daemon.mqtt.topics import CONTACTS
 from resonator_daemon.mqtt.verbs import (
     Events,
@@ -74,7 +74,7 @@ class DaemonParts:
     locate: Callable[[Located], None]
     streams: Collection[str]
     answers_for: Callable[[str | None], bool]
-    stored_events: Callable[[str | None, int, int], Awaitable[HistoryPage]]
+    stored_events: Callable[[str | None, int, int], Awaitable[EventPage]]
     measurement: Callable[[], Measurement]
     apply: Callable[[Control], Awaitable[str | None]]
 
@@ -148,7 +148,7 @@ class CommandHandlers:
             raise CommandRefusedError(
                 "unknown_boot", "no such run of the daemon is stored", "retry without daemon_boot_id"
             ) from None
-        except SpoolError as error:
+        except EventFileError as error:
             raise CommandRefusedError("storage_failed", as_json_text(error), "see the daemon's log") from None
         boot_id = request.daemon_boot_id or self._daemon_boot_id
         return await asyncio.to_thread(_events_answer, boot_id, page)  # takes milliseconds
@@ -194,7 +194,7 @@ class CommandHandlers:
         return sensor
 
 
-def _events_answer(boot_id: str, page: HistoryPage) -> EventsAnswer:
+def _events_answer(boot_id: str, page: EventPage) -> EventsAnswer:
     return EventsAnswer(
         daemon_boot_id=boot_id,
         events=tuple(decode(ContactEvent, payload) for payload in page.payloads),

@@ -13,7 +13,7 @@ from resonator_daemon.mqtt import asyncapi
 from resonator_daemon.mqtt.codec import Encoded, decoded, encode
 from resonator_daemon.mqtt.commands import Commands, Handler
 from resonator_daemon.mqtt.daemon_state import DaemonState
-from resonator_daemon.mqtt.event_history import HistoryPage
+from resonator_daemon.mqtt.event_log import EventPage
 from resonator_daemon.mqtt.mqtt_messages import Outgoing
 from resonator_daemon.mqtt.payloads import Info, Message, MessageAccount, State
 from resonator_daemon.mqtt.publisher import FRESH_S, Publisher, Subscription
@@ -141,10 +141,10 @@ class PlatePublisher:
         if self._commands is not None:
             self._commands.allowed = verbs
 
-    async def stored_events(self, boot_id: str | None, after_seq: int, bytes_max: int) -> HistoryPage:
+    async def stored_events(self, boot_id: str | None, after_seq: int, bytes_max: int) -> EventPage:
         """Return stored events of a run, the present one where not given, beyond `after_seq`."""
         if self._publisher is None:
-            return HistoryPage((), complete=True, oldest_seq=None, newest_seq=None)
+            return EventPage((), complete=True, oldest_seq=None, newest_seq=None)
         return await self._publisher.stored_events(boot_id, after_seq, bytes_max)
 
     async def close(self, *, wait_for_broker: bool) -> None:
