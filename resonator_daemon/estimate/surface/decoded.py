@@ -1,7 +1,7 @@
 """What decoders share: what they return, limits by which a frame is judged, and checks of parameters."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -90,13 +90,6 @@ class Decoded:
             joined("reason", (), np.str_),
             joined("reason_code", (), np.str_),
         )
-
-    def reshaped(self, leading: tuple[int, ...]) -> Self:
-        """Return the same frames with other leading axes instead of the first one."""
-        if len(leading) == 1:
-            return self
-        arrays = {name: value for name, value in vars(self).items() if value is not None}
-        return replace(self, **{name: value.reshape(*leading, *value.shape[1:]) for name, value in arrays.items()})
 
     @classmethod
     def unknown(

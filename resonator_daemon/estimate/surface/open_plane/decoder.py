@@ -210,7 +210,8 @@ class OpenPlaneDecoder:
         frames, leading, shape = self._frames(signals)
         if not leading:
             return self._map.estimate(frames[0], shape).decoded(displacement)
-        return self._map.decoded(frames, shape, displacement).reshaped(leading)
+        estimates = self._map.estimates(frames, shape, displacement)
+        return Decoded.stack([estimate.decoded(displacement) for estimate in estimates], leading, shape)
 
     def estimate(self, signals: ArrayLike) -> Estimate:
         """Estimate the surface from one frame, (3, n) or (3, ny, nx), as `decode` does, as far as it is asked for."""

@@ -2,7 +2,7 @@
 
 import math
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -20,8 +20,8 @@ from resonator_daemon.estimate.surface.decoded import (
     Decoded,
     stated,
 )
-from resonator_daemon.estimate.surface.open_plane.modes import Modes, Surface, SurfaceStack
-from resonator_daemon.estimate.surface.open_plane.scale_grid import Choice, Choices, ScaleGrid, row_energies
+from resonator_daemon.estimate.surface.open_plane.modes import Modes, Surface
+from resonator_daemon.estimate.surface.open_plane.scale_grid import Choice, ScaleGrid, row_energies
 
 _SIGNIFICANT = 3.0  # standard deviations
 _LOST_SETS = 8  # sets of lost signals of which the solution is kept
@@ -108,16 +108,6 @@ class ModeSet(NamedTuple):
     level: float
     modes: Modes
     scale_grid: ScaleGrid
-
-
-class _Stack(NamedTuple):
-    """Frames that are estimated together."""
-
-    frames: Indices  # which ones of those given, (k,)
-    whitened: Singles  # (k, 3 n)
-    energy: Floats  # (k,)
-    choices: Choices
-    surfaces: SurfaceStack
 
 
 @dataclass(frozen=True)
@@ -213,69 +203,16 @@ class LinearMap:
                 unexplained = Reason(ReasonCode.SIGNALS_UNEXPLAINED, text)
                 return Estimate(*frame, choice.log_evidence, choice.chi2, "rejected", unexplained)
 
-        excess = math.sqrt(choice.excess)
-        surface = Surface(
-            mode_set.modes,
-            mode_set.scale_grid.gain[choice.scale] * modes,
-            std.reshape(3, -1),
-            excess,
-            self._contact_factor,
-            _SIGNIFICANT * excess * float(self._least_std[choice.scale]),
-            self._border,
-        )
+        amplitudes = mode_set.scale_grid.gain[choice.scale] * modes
+        surface = self._surface(mode_set.modes, amplitudes, std, choice)
         return Estimate(*frame, choice.log_evidence, choice.chi2, "ok", lost, surface)
 
     def estimates(self, signals: Floats, shape: tuple[int, ...], displacement: bool) -> list[Estimate]:
-        """Estimate the surfaces from frames (k, 3 n) together: as `estimate` does for each, but for rounding."""
+        """Estimate the surfaces from frames (k, 3 n) as `estimate` does for each, but for rounding.
+
+        Those that the same modes serve are estimated together, unless signals are lost or the modes leave too much.
+        """
         found: dict[int, Estimate] = {}
-        for stack in self._stacks(signals):
-            for number, surface in enumerate(stack.surfaces.separate(displacement)):
-                found[int(stack.frames[number])] = Estimate(
-                    shape,
-                    stack.whitened[number],
-                    None,
-                    float(stack.energy[number]),
-                    float(stack.choices.log_evidence[number]),
-                    float(stack.choices.chi2[number]),
-                    "ok",
-                    None,
-                    surface,
-                )
-        return [found[n] if n in found else self.estimate(frame, shape) for n, frame in enumerate(signals)]
-
-    def decoded(self, signals: Floats, shape: tuple[int, ...], displacement: bool) -> Decoded:
-        """Return what is decoded of frames (k, 3 n) together, with a leading axis."""
-        count = len(signals)
-        fields = np.empty((3 if displacement else 2, count, *shape))
-        flat = fields.reshape(len(fields), count, 3, -1)
-        is_at_border, outcome, rest = np.zeros(count, np.bool_), np.empty((2, count)), np.ones(count, np.bool_)
-        for stack in self._stacks(signals):
-            surfaces, first, size = stack.surfaces, int(stack.frames[0]), len(stack.frames)
-            is_run = stack.frames[-1] - first == size - 1
-            rows = slice(first, first + size) if is_run else stack.frames  # slices are written faster
-            flat[0, rows] = surfaces.traction.reshape(size, 3, -1)
-            flat[1, rows] = surfaces.std()
-            if displacement:
-                flat[2, rows] = surfaces.displacement().reshape(size, 3, -1)
-            is_at_border[rows] = surfaces.reaches_border
-            outcome[:, rows] = stack.choices.log_evidence, stack.choices.chi2
-            rest[rows] = False
-        texts = [("ok", "", "")] * count  # status, reason, its code
-        for row in np.flatnonzero(rest).tolist():
-            one = self.estimate(signals[row], shape).decoded(displacement)
-            fields[:2, row] = one.traction_pascal, one.traction_std_pascal
-            if one.displacement_m is not None:
-                fields[2, row] = one.displacement_m
-            is_at_border[row], outcome[:, row] = one.border_contact, (one.log_evidence, one.chi2)
-            texts[row] = str(one.status), str(one.reason), str(one.reason_code)
-        moved = fields[2] if displacement else None
-        status, reason, code = (
-            np.array(column, np.str_) for column in (zip(*texts, strict=True) if texts else [[]] * 3)
-        )
-        return Decoded(fields[0], fields[1], moved, is_at_border, outcome[0], outcome[1], status, reason, code)
-
-    def _stacks(self, signals: Floats) -> Iterator[_Stack]:
-        """Yield together those frames (k, 3 n) that the same modes serve; none of lost signals or that are rejected."""
         levels = [mode_set.level for mode_set in self._mode_sets[:-1]]
         for begin in range(0, len(signals), _STACK):
             whitened = signals[begin : begin + _STACK].astype(np.float32) * self._whiten
@@ -284,24 +221,29 @@ class LinearMap:
             of_level = np.searchsorted(levels, energy / self._whiten.size)
             for level in np.unique(of_level[whole]).tolist():
                 rows = np.flatnonzero(whole & (of_level == level))
-                mode_set = self._mode_sets[level]
-                of_rows = whitened if rows.size == len(whitened) else whitened[rows]
-                modes = mode_set.modes.project(of_rows)
-                choices = mode_set.scale_grid.choose_each(modes, energy[rows], 1.0 + self._gain_floor * energy[rows])
-                if (choices.chi2 > CHI2_LIMIT).any():
+                _, modes, scale_grid = self._mode_sets[level]
+                by_mode = modes.project(whitened[rows])
+                choices = scale_grid.choose_each(by_mode, energy[rows], 1.0 + self._gain_floor * energy[rows])
+                if any(choice.chi2 > CHI2_LIMIT for choice in choices):
                     continue
-                excess = np.sqrt(choices.excess)
-                surfaces = SurfaceStack(
-                    mode_set.modes,
-                    mode_set.scale_grid.gain[choices.scale].T * modes,
-                    self._std,
-                    choices.scale,
-                    excess,
-                    self._contact_factor,
-                    _SIGNIFICANT * excess * self._least_std[choices.scale],
-                    self._border,
-                )
-                yield _Stack(begin + rows, of_rows, energy[rows], choices, surfaces)
+                amplitudes = scale_grid.gain[[choice.scale for choice in choices]].T * by_mode
+                traction = modes.traction(amplitudes)
+                moved = modes.displacement(amplitudes) if displacement else None
+                by_frame = np.ascontiguousarray(amplitudes.T)
+                for number, (row, choice) in enumerate(zip(rows.tolist(), choices, strict=True)):
+                    surface = self._surface(modes, by_frame[number], self._std[choice.scale], choice)
+                    vars(surface)["traction"] = traction[number]
+                    if moved is not None:
+                        vars(surface)["displacement"] = moved[number]
+                    outcome = choice.log_evidence, choice.chi2, "ok", None, surface
+                    found[begin + row] = Estimate(shape, whitened[row], None, float(energy[row]), *outcome)
+        return [found[n] if n in found else self.estimate(frame, shape) for n, frame in enumerate(signals)]
+
+    def _surface(self, modes: Modes, amplitudes: Singles, std: Floats, choice: Choice) -> Surface:
+        excess = math.sqrt(choice.excess)
+        least_pressure = _SIGNIFICANT * excess * float(self._least_std[choice.scale])
+        by_component = std.reshape(3, -1)
+        return Surface(modes, amplitudes, by_component, excess, self._contact_factor, least_pressure, self._border)
 
     def anomaly_scores(self, signals: Floats) -> Floats:
         """Residual of each signal against the prediction from all others, in its standard deviations, (3 n,)."""

@@ -1,13 +1,13 @@
 """Eigenmodes of the signals' prior covariance: a frame in them, and the surface of a frame out of them."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
 
-from resonator_daemon.base.arrays import Bools, Floats, Indices, Singles
+from resonator_daemon.base.arrays import Floats, Indices, Singles
 
 Transform = Callable[[Singles], Singles]
 
@@ -137,67 +137,3 @@ class Surface:
     @cached_property
     def _threshold(self) -> float:
         return max(_SUPPORT_SHARE * float(self.pressure.max()), self.least_pressure)
-
-
-@dataclass(frozen=True)
-class SurfaceStack:
-    """Surfaces of k frames out of the same modes; what `Surface` has, with a leading axis."""
-
-    modes: Modes
-    amplitudes: Singles  # of the modes, (r, k)
-    std_by_scale: Floats  # posterior standard deviation of the traction at the declared noise, (scales, 3 m)
-    scale: Indices  # of each frame, (k,)
-    excess: Floats  # (k,)
-    contact_factor: float
-    least_pressure: Floats  # (k,)
-    border: Indices
-
-    @cached_property
-    def traction(self) -> Singles:
-        """Traction, (k, 3 m)."""
-        return self.modes.traction(self.amplitudes)
-
-    def displacement(self) -> Singles:
-        """Return the displacement, (k, 3 m)."""
-        return self.modes.displacement(self.amplitudes)
-
-    def std(self) -> Floats:
-        """Return the standard deviation of the traction, (k, 3, m)."""
-        is_under, excess = self._pressure > self._threshold[:, None], self.excess[:, None]
-        factor = np.where(is_under, excess * self.contact_factor, excess)
-        std = self.std_by_scale.take(self.scale, axis=0).reshape(len(factor), 3, -1)
-        std *= factor[:, None]
-        return std
-
-    @property
-    def reaches_border(self) -> Bools:
-        """Whether the load of each frame goes on beyond the border, (k,)."""
-        at_border = self._pressure[:, self.border].max(axis=1, initial=0.0)
-        return np.asarray(at_border > _BORDER_RATIO * self._threshold, np.bool_)
-
-    def separate(self, displacement: bool) -> Iterator[Surface]:
-        """Yield the surface of each frame, its traction computed, and its displacement if asked for."""
-        amplitudes, moved = np.ascontiguousarray(self.amplitudes.T), self.displacement() if displacement else None
-        for number, scale in enumerate(self.scale):
-            surface = Surface(
-                self.modes,
-                amplitudes[number],
-                self.std_by_scale[scale].reshape(3, -1),
-                float(self.excess[number]),
-                self.contact_factor,
-                float(self.least_pressure[number]),
-                self.border,
-            )
-            vars(surface)["traction"] = self.traction[number]
-            if moved is not None:
-                vars(surface)["displacement"] = moved[number]
-            yield surface
-
-    @property
-    def _pressure(self) -> Singles:
-        return self.traction[:, -self.traction.shape[1] // 3 :]
-
-    @cached_property
-    def _threshold(self) -> Singles:
-        highest = self._pressure.max(axis=1)
-        return np.asarray(np.maximum(_SUPPORT_SHARE * highest, self.least_pressure), np.float32)

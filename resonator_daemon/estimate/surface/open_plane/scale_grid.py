@@ -19,15 +19,6 @@ class Choice(NamedTuple):
     log_evidence: float
 
 
-class Choices(NamedTuple):
-    """The scales that explain each of k frames best, (k,) each; see `Choice`."""
-
-    scale: Indices
-    chi2: Floats
-    excess: Floats
-    log_evidence: Floats
-
-
 class ScaleGrid:
     """Scales q of the prior, and what each makes of whitened signals with covariance q V diag(L) V' + 1.
 
@@ -79,7 +70,7 @@ class ScaleGrid:
                 scale += round(_STRIDE * 0.5 * (before - after) / (before - 2.0 * here + after))
         return self._choice(scale, mode_energy, noise_energy, floor, samples, self._constant)
 
-    def choose_each(self, modes: Singles, energy: Floats, floor: Floats) -> Choices:
+    def choose_each(self, modes: Singles, energy: Floats, floor: Floats) -> list[Choice]:
         """Choose as `choose` does for each of k frames: modes (r, k), energy and floor (k,)."""
         by_frame, samples = np.ascontiguousarray(modes.T), self._samples
         noise_energy = energy - row_energies(by_frame)
@@ -100,7 +91,8 @@ class ScaleGrid:
         excess = np.maximum(chi2, 1.0)
         deviance = self._log_det[scale] + samples * (np.log(excess) + chi2 / excess)
         deviance += samples * np.log(2.0 * np.pi * floor) + self._constant
-        return Choices(scale, chi2, floor * excess, -0.5 * deviance)
+        found = scale, chi2, floor * excess, -0.5 * deviance
+        return [Choice(*one) for one in zip(*(values.tolist() for values in found), strict=True)]
 
     def judge(self, scale: int, modes: Singles, energy: float, floor: float, lost: Indices, log_det: float) -> Choice:
         """Likelihood of one scale where lost signals were filled in by the others' prediction.
