@@ -106,7 +106,7 @@ def net_patches(finder: PatchFinder, physics: ContactDecoder, decoded: Decoded) 
     """
     traction, std = decoded.traction_pascal.reshape(3, -1), decoded.traction_std_pascal.reshape(3, -1)
     regions = finder.regions(traction[2], std[2])
-    net_loads = physics.net_loads(regions, (0.0, 0.0))
+    net_loads = physics.net_loads(regions)
     sums = finder.sums(regions, traction, std) if None in net_loads else net_loads
     patches = []
     for region, net_load, load in zip(regions, net_loads, sums, strict=True):

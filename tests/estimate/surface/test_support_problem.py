@@ -157,16 +157,14 @@ def test_net_load_scatters_as_its_standard_error_says(scene):
     problem = problem_of(scene, rows)
     matrix, prior = dense(scene)
     rng = np.random.default_rng(7)
-    centres_m = scene[0][problem.pixels]
-    about_m = tuple(centres_m.mean(axis=0))
-    arms_m = centres_m - about_m
+    arms_m = scene[0][problem.pixels]
     root = np.linalg.cholesky(prior)
     sums = LoadSums(problem, scene[2].ravel().astype(np.int32), scene[0], 1.6e-7)
     z = []
     for _ in range(150):
         load = root @ rng.standard_normal(len(prior))
         signals = matrix @ load + NOISE_STD * rng.standard_normal(108)
-        (net,) = sums.loads([problem.pixels], problem.right_side(signals.astype(np.float32)), 1.0, about_m)
+        (net,) = sums.loads([problem.pixels], problem.right_side(signals.astype(np.float32)), 1.0)
         f_x, f_y, f_z = load.reshape(3, -1) * 1.6e-7
         force = np.array([f_x.sum(), f_y.sum(), f_z.sum()])
         x, y = arms_m.T
@@ -186,9 +184,9 @@ def test_without_noise_the_error_of_a_load_is_that_of_its_pixels(scene):
     problem = problem_of(scene, SignalRows(fields(scene, (36,))))
     sums = LoadSums(problem, scene[2].ravel().astype(np.int32), scene[0], 1.6e-7)
     right_side = problem.right_side(np.random.default_rng(8).standard_normal(108).astype(np.float32))
-    (load,) = sums.loads([problem.pixels], right_side, 0.0, (2e-4, -1e-4))
+    (load,) = sums.loads([problem.pixels], right_side, 0.0)
     force = np.linalg.norm(load.force_newton)
-    lever_m = np.sqrt(np.mean(np.sum((scene[0][problem.pixels] - [2e-4, -1e-4]) ** 2, axis=1)))
+    lever_m = np.sqrt(np.mean(np.sum(scene[0][problem.pixels] ** 2, axis=1)))
     np.testing.assert_allclose(load.force_std_newton, np.array([3e-4, 3e-4, 2e-4]) * force)
     np.testing.assert_allclose(load.moment_std_newton_m, np.array([2e-4, 2e-4, 3e-4]) * lever_m * force)
     np.testing.assert_allclose(load.centroid_std_m, 2e-4 * np.sqrt(1.6e-7 * problem.pixels.size / np.pi))

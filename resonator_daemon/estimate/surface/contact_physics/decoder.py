@@ -149,8 +149,8 @@ class ContactDecoder:
         decoded = [self._decode(frame, displacement) for frame in frames.reshape(-1, *frames.shape[-axes:])]
         return Decoded.stack(decoded, leading, decoded[0].traction_pascal.shape) if leading else decoded[0]
 
-    def net_loads(self, contacts: Sequence[Indices], about_m: tuple[float, float]) -> list[NetLoad | None]:
-        """Return force and moment of contacts in the frame decoded last.
+    def net_loads(self, contacts: Sequence[Indices]) -> list[NetLoad | None]:
+        """Return force, and moment about the origin, of contacts in the frame decoded last.
 
         They are sums of the traction without bounds, which have no bias. Load that is connected with places of several
         contacts counts for the nearest of them. None if the frame shows no constrained contact at those places.
@@ -159,15 +159,13 @@ class ContactDecoder:
         ----------
         contacts
             Indices of some places of each contact, (k,).
-        about_m
-            Point of reference of the moments.
         """
         if self._last is None:
             return [None] * len(contacts)
         frame, located = self._last.frame, self._last.located
         pixels = [self._nearest.take(places) for places in contacts]
         noise_std = frame.noise_std / located.problem.model.noise_std
-        return located.sums.loads(pixels, self._last.right_side, noise_std, about_m)
+        return located.sums.loads(pixels, self._last.right_side, noise_std)
 
     def rebuild(self) -> bool:
         """Compute the matrices that the newest frame asked for; return whether one did. May run in another thread."""

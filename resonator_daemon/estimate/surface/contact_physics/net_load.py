@@ -57,10 +57,8 @@ class LoadSums:
         for blob in range(1, int(self._blob_of.max()) + 1):
             self._sum(frozenset({blob}), frozenset(), 0)
 
-    def loads(
-        self, places: Sequence[Indices], right_side: Singles, noise_std: float, about_m: tuple[float, float]
-    ) -> list[NetLoad | None]:
-        """Return the loads of contacts in a frame; None for one that touches no blob.
+    def loads(self, places: Sequence[Indices], right_side: Singles, noise_std: float) -> list[NetLoad | None]:
+        """Return the loads of contacts in a frame, moments about the origin; None for one that touches no blob.
 
         Parameters
         ----------
@@ -70,8 +68,6 @@ class LoadSums:
             Of the frame, (3 n,).
         noise_std
             Of the frame over that of the problem.
-        about_m
-            What moments refer to.
         """
         touched = [frozenset(self._blobs.take(pixels).tolist()) - {0} for pixels in places]
         contacts = Counter(blob for blobs in touched for blob in blobs)
@@ -81,7 +77,7 @@ class LoadSums:
             self._sum(blobs, blobs & shared, part) if blobs else None
             for blobs, part in zip(touched, parts, strict=True)
         ]
-        return [None if each is None else each.load(right_side, noise_std, about_m) for each in sums]
+        return [None if each is None else each.load(right_side, noise_std) for each in sums]
 
     def _sum(self, blobs: Blobs, divided: Blobs, part: int) -> "_ContactSum":
         """Sum over blobs that a contact touches; of those that are divided, over its part."""
@@ -117,53 +113,36 @@ class LoadSums:
 
 
 class _ContactSum:
-    """Load of one contact: its six sums over the pixels, about a point of reference."""
+    """Load of one contact: its six sums over the pixels, about the origin."""
 
     def __init__(
         self, covariance: Floats, answers: Floats, reference_m: Floats, centres_m: Floats, area_m2: float
     ) -> None:
-        self._covariance = covariance  # (6, 6)
-        self._answers = answers  # (6, 3 n)
-        self._reference_m = reference_m
-        self._centres_m = centres_m
+        """Initialise with sums (6, 6) and (6, 3 n) about a point of reference."""
+        x, y = reference_m
+        shift = np.eye(6)
+        shift[_M_X, 2], shift[_M_Y, 2], shift[_M_Z, 0], shift[_M_Z, 1] = y, -x, -y, x
+        self._answers = shift @ answers
+        covariance = shift @ covariance @ shift.T
+        self._variance = np.maximum(np.diag(covariance), 0.0)
+        self._tilts = [float(covariance[i, k]) for i, k in ((2, 2), (2, 3), (2, 4), (3, 3), (4, 4))]
         self._radius_m = math.sqrt(area_m2 * len(centres_m) / math.pi)
-        self._about_m: tuple[float, float] | None = None
+        lever_m = math.sqrt(float(np.mean(np.sum(centres_m**2, axis=1))))
+        self._pixel_variance = (_PIXEL_ERROR * np.repeat([1.0, lever_m], 3)) ** 2
 
-    def load(self, right_side: Singles, noise_std: float, about_m: tuple[float, float]) -> NetLoad:
+    def load(self, right_side: Singles, noise_std: float) -> NetLoad:
         """Return the load in a frame; `noise_std` over that of the problem."""
-        if about_m != self._about_m:
-            self._refer_to(about_m)
-        values = self._about @ right_side
+        values = self._answers @ right_side
         force, moment = values[:3], values[3:]
         f_x, f_y, normal, m_x, m_y, _ = values.tolist()
         std = np.sqrt(self._variance * noise_std**2 + self._pixel_variance * (f_x**2 + f_y**2 + normal**2))
-        arm_x, arm_y = -m_y / normal, m_x / normal
+        x, y = -m_y / normal, m_x / normal
         # What a sum of f_z times the distance from the centroid scatters by.
         zz, zx, zy, xx, yy = self._tilts
-        spread = arm_x**2 * zz + 2.0 * arm_x * zy + yy, arm_y**2 * zz - 2.0 * arm_y * zx + xx
+        spread = x**2 * zz + 2.0 * x * zy + yy, y**2 * zz - 2.0 * y * zx + xx
         by_pixels = (_PIXEL_ERROR[_F_Z] * self._radius_m) ** 2
         centroid_std = [math.sqrt(max(part, 0.0) * (noise_std / normal) ** 2 + by_pixels) for part in spread]
-        return NetLoad(
-            force,
-            std[:3],
-            moment,
-            std[3:],
-            np.array([about_m[0] + arm_x, about_m[1] + arm_y]),
-            np.array(centroid_std),
-        )
-
-    def _refer_to(self, about_m: tuple[float, float]) -> None:
-        """Refer moments to another point."""
-        x, y = self._reference_m - about_m
-        shift = np.eye(6)
-        shift[_M_X, 2], shift[_M_Y, 2], shift[_M_Z, 0], shift[_M_Z, 1] = y, -x, -y, x
-        self._about_m = about_m
-        self._about = shift @ self._answers
-        covariance = shift @ self._covariance @ shift.T
-        self._variance = np.maximum(np.diag(covariance), 0.0)
-        self._tilts = [float(covariance[i, k]) for i, k in ((2, 2), (2, 3), (2, 4), (3, 3), (4, 4))]
-        lever_m = math.sqrt(float(np.mean(np.sum((self._centres_m - about_m) ** 2, axis=1))))
-        self._pixel_variance = (_PIXEL_ERROR * np.repeat([1.0, lever_m], 3)) ** 2
+        return NetLoad(force, std[:3], moment, std[3:], np.array([x, y]), np.array(centroid_std))
 
 
 def _answers(problem: SupportProblem, sums: Floats) -> Floats:
