@@ -24,17 +24,6 @@ _ROWS: Final[dict[str, tuple[Output, int]]] = {
 COMPONENTS: Final = tuple(_ROWS)
 """Mean normal stress p_n, the six strains, the six stresses."""
 
-CANDIDATES: Final[dict[str, tuple[str, ...]]] = {
-    "a": ("xy", "xx", "yy"),
-    "b": ("xx", "yy", "zz"),
-    "c": ("zz", "xz", "yz"),
-    "d": ("xy", "xz", "yz"),
-    "e": ("p_n", "zz", "xy"),
-    "f": ("p_n", "xx", "yy"),
-    "g": ("p_n", "xz", "yz"),
-}
-"""The sets that Karason, Srinivasan and Annaswamy compare in their section 3.1."""
-
 _DEPTHS_M: Final = (1e-9, 1e3)
 _DEPTHS_MAX: Final = 600.0  # of omega times depth: signals fade as its exponential, which ends at 745
 _ZERO: Final = 1e-12  # a singular value below this times exp(-omega depth) is rounding
@@ -119,15 +108,6 @@ class SensorSet:
             for output in dict.fromkeys(output for output, _ in rows)
         }
         return np.stack([blocks[output][..., row, :] for output, row in rows], axis=-2)
-
-    def determinant(self, omega_x: ArrayLike, omega_y: ArrayLike) -> Complexes:
-        """Return the determinant of `matrix`, for sets of three components alone.
-
-        It falls as exp(-3 omega depth). A ValueError refuses other sets.
-        """
-        if len(self.components) != 3:
-            raise ValueError(f"the set has {len(self.components)} components, must have 3 for a determinant")
-        return np.asarray(np.linalg.det(self.matrix(omega_x, omega_y)), np.complex128)
 
     def singular_values(self, omega_x: ArrayLike, omega_y: ArrayLike) -> Floats:
         """Singular values of `matrix`, shape (..., 3), falling; 0 for those that fewer than three components lack."""

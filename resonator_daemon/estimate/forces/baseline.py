@@ -75,7 +75,7 @@ class CommonMode:
         ]
         self._measure(readings, self._needed)
 
-    def _measure(self, readings: Sequence[float], worth: int) -> None:
+    def _measure(self, readings: Sequence[float], count: int) -> None:
         # A scalar Kalman filter for each channel, in plain floats: arrays of four numbers take ten times as long.
         if all(map(math.isnan, readings)):
             return
@@ -86,7 +86,7 @@ class CommonMode:
             gain = before / (before + self._reading_variance) if before < math.inf else 1.0
             self._mean[channel] += gain * (g - self._mean[channel])
             self._variance[channel] = gain * self._reading_variance
-            self._count[channel] += worth
+            self._count[channel] += count
             self._settled[channel] = self._count[channel] >= self._needed
         self.known = sum(self._settled) >= min(KNOWN_CHANNELS, self._channels)
         if self.known:

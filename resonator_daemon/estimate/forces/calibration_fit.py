@@ -77,8 +77,8 @@ def fit_calibration(
     residual_newton = np.full(len(steps.site), math.nan)
     residual_newton[means.step] = problem.residual_newton(fit)
     if len(fit.site) < len(means.held):  # of a site that was left out: about a fit with it
-        left_out = np.isin(np.arange(len(steps.site)), doubtful)
-        residual_newton[left_out] = problem.residual_newton(problem.fit(with_response=with_response))[
+        unused = np.isin(np.arange(len(steps.site)), doubtful)
+        residual_newton[unused] = problem.residual_newton(problem.fit(with_response=with_response))[
             np.isin(means.step, doubtful)
         ]
     squares = residual_newton**2

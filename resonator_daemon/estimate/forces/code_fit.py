@@ -117,9 +117,9 @@ def fit_code(codes: Codes, site: int, reading: Reading) -> CodeFit:
     within = low if force < low else high if force > high else force
     residual = [y - k * within for y, k in zip(shift, sensitivity, strict=True)]
     whitened = [i * r for i, r in zip(inverse, residual, strict=True)]
-    together = sum(whitened)
+    total_whitened = sum(whitened)
     # R inverted by Sherman and Morrison.
-    chi2 = _dot(whitened, residual) - common * together * together
+    chi2 = _dot(whitened, residual) - common * total_whitened * total_whitened
     log_det = math.log1p(common_variance * sum(inverse)) - sum([math.log(i) for i in inverse if i > 0.0])
     return CodeFit(site, force, chi2, chi2 + log_det, weights)
 
@@ -148,11 +148,11 @@ def uncertainty_newton(
     Noise is that of counter and oscillator. Systematic are the error of K, independent from channel to channel, and
     the held common mode, which nearly cancels where signs of K are mixed.
     """
-    together = sum(weights) ** 2
+    common_gain = sum(weights) ** 2
     squares = [w * w for w in weights]
-    noise = _dot(squares, reading.counter_variance) + together * reading.oscillator_variance
+    noise = _dot(squares, reading.counter_variance) + common_gain * reading.oscillator_variance
     spread = sum([w * k * k for w, k in zip(squares, codes.sites[site].sensitivity, strict=True)])
-    systematic = (codes.model_error * force_newton) ** 2 * spread + together * reading.common_mode_variance
+    systematic = (codes.model_error * force_newton) ** 2 * spread + common_gain * reading.common_mode_variance
     return math.sqrt(noise), math.sqrt(systematic)
 
 
@@ -203,9 +203,9 @@ def explain_groups(codes: Codes, detected: Mapping[int, Sequence[int]], reading:
     gate = gates(len(reading.frequency_hz))
     explained = {}
     for group in chain.from_iterable(combinations(detected, size) for size in range(1, len(detected) + 1)):
-        together = reading.on(group)
+        of_group = reading.on(group)
         sites = [site for site in detected[group[0]] if all(site in detected[channel] for channel in group)]
-        fits = sorted([fit_code(codes, site, together) for site in sites], key=lambda fit: fit.score)
+        fits = sorted([fit_code(codes, site, of_group) for site in sites], key=lambda fit: fit.score)
         if fits and fits[0].chi2 <= gate[len(group)]:
             rival, gap = (fits[1].site, fits[1].score - fits[0].score) if len(fits) > 1 else (-1, math.inf)
             explained[group] = GroupSite(fits[0], rival, gap)

@@ -209,10 +209,10 @@ class SpreadFit:
         """
         best = fit
         for _ in range(RELOCATIONS_MAX):
-            for left_out in range(len(best.touches) if len(best.touches) > 1 else 0):
+            for index in range(len(best.touches) if len(best.touches) > 1 else 0):
                 if best.chi2 <= len(data.force) - best.touches.size:
                     return best
-                others = self._refine(data, np.delete(best.touches, left_out, axis=0))
+                others = self._refine(data, np.delete(best.touches, index, axis=0))
                 found = others and self._one_more(data, others)
                 if found and found.chi2 < best.chi2 - GAIN_START:
                     best = found

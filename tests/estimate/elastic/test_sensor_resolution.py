@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from candidate_sets import CANDIDATES
 
 from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.elastic.sensor_resolution import LOADS, Load, SensorArray
-from resonator_daemon.estimate.elastic.sensor_sets import CANDIDATES, SensorSet
+from resonator_daemon.estimate.elastic.sensor_sets import SensorSet
 
 BEST = ("p_n", "xz", "yz")
 

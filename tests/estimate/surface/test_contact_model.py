@@ -51,13 +51,10 @@ def test_slopes_are_those_of_the_closed_form(discs: DiscModel) -> None:
             assert np.linalg.norm(slope[force] - expected[force]) < 1e-3 * np.linalg.norm(expected[force])
 
 
-def test_mixed_depths_and_compressible() -> None:
-    depths = np.random.default_rng(0).choice([0.8e-3, 1.0e-3, 1.3e-3], len(SITES_M))
-    found = DiscModel(HalfSpace(E, 0.3), SITES_M, depths, 3e-3).signals(np.array([1e-3, 0.0]), 2e-3)
-    for depth in np.unique(depths):
-        at = depths == depth
-        expected = hertz(SITES_M, np.array([1e-3, 0.0]), 2e-3, depth, 0.3)[:, :, at]
-        assert np.abs(found.value[:, :, at] - expected).max() < 1e-4 * np.abs(expected).max()
+def test_another_depth_and_compressible() -> None:
+    found = DiscModel(HalfSpace(E, 0.3), SITES_M, 0.8e-3, 3e-3).signals(np.array([1e-3, 0.0]), 2e-3)
+    expected = hertz(SITES_M, np.array([1e-3, 0.0]), 2e-3, 0.8e-3, 0.3)
+    assert np.abs(found.value - expected).max() < 1e-4 * np.abs(expected).max()
 
 
 def test_flat_as_summed_point_loads() -> None:

@@ -16,7 +16,7 @@ from resonator_daemon.estimate.surface.layout import as_grid
 from resonator_daemon.estimate.surface.open_plane.prior_tables import Kernel, StationaryPrior
 from resonator_daemon.estimate.surface.skin import Prior
 
-_LEFT_OUT = 8e-4  # share of the power of all pixels' signals
+_LOSS = 8e-4  # share of the power of all pixels' signals
 _SAMPLES = 24  # pixels along each axis that are enough to choose the basis
 _JITTER = 1e-6  # keeps the rows of signals that are all lost apart
 
@@ -49,7 +49,7 @@ class SignalRows:
         self._bases = y, x
         power = np.sum((y.T @ (some @ x)) ** 2, axis=(0, 1, 2), dtype=np.float64)
         order = np.argsort(power, axis=None)[::-1]
-        needed = int(np.argmax(power.sum() - np.cumsum(power.ravel()[order]) <= _LEFT_OUT * power.sum())) + 1
+        needed = int(np.argmax(power.sum() - np.cumsum(power.ravel()[order]) <= _LOSS * power.sum())) + 1
         self._kept = np.sort(order[:needed])
         of_channel, row, column = np.unravel_index(self._kept, (channels, *shape))
         self._places = np.ravel_multi_index((column, of_channel, row), (shape[1], channels, shape[0]))

@@ -196,7 +196,7 @@ class CentreSearch:
     """
 
     def __init__(self, model: DiscModel, noise_std: Floats, lowest_m: Floats, highest_m: Floats) -> None:
-        depth_m = float(model.depth_m.min())
+        depth_m = model.depth_m
         side_m = highest_m - lowest_m
         step_m = max(_STEP_DEPTHS * depth_m, float(np.sqrt(side_m.prod() / _CENTRES_MAX)))
         axes = [

@@ -40,7 +40,7 @@ class DiscModel:
 
     In units of the depth z, with t = omega z, the spectrum H(t a / z) of the profile and T(t) the transfer matrix of a
     wave along x, every signal is an integral of T H over t, times J_0, J_1 or J_2 of t r / z and 1 / z^2. The five that
-    differ are tabulated once over r / z and a / z, with their slopes, so that one table serves sites at any depth.
+    differ are tabulated once over r / z and a / z, with their slopes.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class DiscModel:
     site_positions_m
         (n, 2).
     depth_m
-        Of all sites, or of each (n,); above 0.
+        Of all sites; above 0.
     radius_max_m
         Largest radius of the disc.
     profile
@@ -66,12 +66,12 @@ class DiscModel:
         self,
         half_space: HalfSpace,
         site_positions_m: ArrayLike,
-        depth_m: ArrayLike,
+        depth_m: float,
         radius_max_m: float,
         profile: Profile = "hertz",
     ) -> None:
         sites = positions("site_positions_m", site_positions_m)
-        self.depth_m = positive("depth_m", depth_m, (len(sites),))
+        positive("depth_m", depth_m, ())
         positive("radius_max_m", radius_max_m, ())
         if profile not in ("hertz", "flat"):
             raise ValueError(f"profile is {profile!r}, must be 'hertz' or 'flat'")
@@ -79,11 +79,10 @@ class DiscModel:
         self.sites_m = sites
         self.radius_max_m = radius_max_m
         self.lowest_m, self.highest_m = sites.min(axis=0), sites.max(axis=0)
-        self.shallowest_m = shallow = float(self.depth_m.min())
-        extent_m = diagonal_m(sites, self.depth_m)
+        self.depth_m = depth_m
+        extent_m = diagonal_m(sites, np.full(len(sites), depth_m))
         self.margin_m = _BEYOND * extent_m  # beyond the sites, where a centre may lie
-        self._groups = [(float(z), np.flatnonzero(self.depth_m == z)) for z in np.unique(self.depth_m)]
-        self._table = _table(half_space, 2.0 * extent_m / shallow, radius_max_m / shallow, profile)
+        self._table = _table(half_space, 2.0 * extent_m / depth_m, radius_max_m / depth_m, profile)
 
     def signals(self, centre_m: Floats, radius_m: float) -> DiscSignals:
         """Return the signals of unit forces on a disc, and their derivatives.
@@ -95,36 +94,8 @@ class DiscModel:
         outside_m = np.maximum(self.lowest_m - centre_m, centre_m - self.highest_m).max()
         if not outside_m <= self.margin_m * (1.0 + 1e-9):
             raise ValueError(f"centre_m lies {outside_m} m outside the sites, must be within {self.margin_m}")
-        if len(self._groups) == 1:
-            return self._at_depth(self._groups[0][0], self.sites_m - centre_m, radius_m)
-        whole = DiscSignals(*np.empty((4, 3, 3, len(self.sites_m))))
-        for depth_m, members in self._groups:
-            part = self._at_depth(depth_m, self.sites_m[members] - centre_m, radius_m)
-            for name in ("value", "by_radius", "by_x", "by_y"):
-                getattr(whole, name)[:, :, members] = getattr(part, name)
-        return whole
-
-    @cached_property
-    def slip(self) -> SlipSignals:
-        """Signals of contacts in partial slip, for the Hertz profile; made at first use."""
-        reach = (self._table.shape[2] - 3) * _DISTANCE_STEP
-        return SlipSignals(self.sites_m, self.depth_m, self.radial, reach, _RADIUS_STEP)
-
-    def radial(self, distance: Floats) -> tuple[Floats, Floats]:
-        """Interpolate the five integrals over distance (n,), in depths, and their slopes by it: at all radii.
-
-        Each (radii; value, slope by radius times the step; 5; n), in the order pressed, along for p, along for strain,
-        sheared, turned.
-        """
-        place = distance / _DISTANCE_STEP
-        knots = np.minimum(place.astype(np.intp), self._table.shape[2] - 2)
-        weights, slopes = (part.reshape(2, 2, 1, 1, 1, -1) for part in _hermite(place - knots))
-        # (distance knot; value, slope; radii; value, slope; 5; n)
-        near = np.stack([self._table[:, :, knots], self._table[:, :, knots + 1]]).transpose(0, 4, 1, 2, 5, 3)
-        return (weights * near).sum(axis=(0, 1)), (slopes * near).sum(axis=(0, 1)) / _DISTANCE_STEP
-
-    def _at_depth(self, depth_m: float, offset_m: Floats, radius_m: float) -> DiscSignals:
-        x, y = np.ascontiguousarray(offset_m.T) / depth_m
+        depth_m = self.depth_m
+        x, y = np.ascontiguousarray((self.sites_m - centre_m).T) / depth_m
         distance = np.hypot(x, y)
         radial, by_distance, by_radius = self._radial(distance, radius_m / depth_m)
         slope = by_distance / np.where(distance > 0.0, distance, 1.0)  # all slopes are 0 at distance 0
@@ -149,6 +120,25 @@ class DiscModel:
             by_x * per_volume,
             by_y * per_volume,
         )
+
+    @cached_property
+    def slip(self) -> SlipSignals:
+        """Signals of contacts in partial slip, for the Hertz profile; made at first use."""
+        reach = (self._table.shape[2] - 3) * _DISTANCE_STEP
+        return SlipSignals(self.sites_m, self.depth_m, self.radial, reach, _RADIUS_STEP)
+
+    def radial(self, distance: Floats) -> tuple[Floats, Floats]:
+        """Interpolate the five integrals over distance (n,), in depths, and their slopes by it: at all radii.
+
+        Each (radii; value, slope by radius times the step; 5; n), in the order pressed, along for p, along for strain,
+        sheared, turned.
+        """
+        place = distance / _DISTANCE_STEP
+        knots = np.minimum(place.astype(np.intp), self._table.shape[2] - 2)
+        weights, slopes = (part.reshape(2, 2, 1, 1, 1, -1) for part in _hermite(place - knots))
+        # (distance knot; value, slope; radii; value, slope; 5; n)
+        near = np.stack([self._table[:, :, knots], self._table[:, :, knots + 1]]).transpose(0, 4, 1, 2, 5, 3)
+        return (weights * near).sum(axis=(0, 1)), (slopes * near).sum(axis=(0, 1)) / _DISTANCE_STEP
 
     def _radial(self, distance: Floats, radius: float) -> tuple[Floats, Floats, Floats]:
         """Interpolate the five integrals and their slopes by distance and by radius, (5, n) each: bicubic Hermite."""

@@ -16,7 +16,6 @@ from resonator_daemon.estimate.surface.decoded import (
     check_gain,
     noise_of_signals,
     positions,
-    positive,
     stated,
 )
 from resonator_daemon.estimate.surface.fitting.contact_fit import CentreSearch, Fit, fit
@@ -47,15 +46,15 @@ _DRAWS = 64  # of the contact, for error bars: traction is too steep at the rim 
 _RIM_FACTOR = 1.2  # errors at the rim are not Gaussian: with it 92 % within two standard deviations
 
 
-def sparse_reason(site_positions_m: ArrayLike, depth_m: ArrayLike) -> str | None:
-    """Return why a map would mislead for sites (n, 2) at a depth, or depths (n,); None where it would not."""
+def sparse_reason(site_positions_m: ArrayLike, depth_m: float) -> str | None:
+    """Return why a map would mislead for sites (n, 2) at a depth; None where it would not."""
     sites = np.asarray(site_positions_m, np.float64)
     if len(sites) < FEWEST_SITES:
         return f"parametric contact fit: {len(sites)} sites, a map needs at least {FEWEST_SITES}"
-    spacing, depth = gap_m(sites), float(np.median(np.asarray(depth_m, np.float64)))
-    if spacing > WIDEST_SPACING_DEPTHS * depth:
-        limit = f"a map needs at most {WIDEST_SPACING_DEPTHS:g} depths"
-        return f"parametric contact fit: sites {spacing * 1e3:.3g} mm apart at a depth of {depth * 1e3:.3g} mm, {limit}"
+    spacing = gap_m(sites)
+    if spacing > WIDEST_SPACING_DEPTHS * depth_m:
+        apart = f"sites {spacing * 1e3:.3g} mm apart at a depth of {depth_m * 1e3:.3g} mm"
+        return f"parametric contact fit: {apart}, a map needs at most {WIDEST_SPACING_DEPTHS:g} depths"
     return None
 
 
@@ -70,7 +69,7 @@ class ParametricDecoder:
     site_positions_m
         (n, 2).
     depth_m
-        Of all sites, or of each (n,); above 0.
+        Of all sites; above 0.
     noise_std
         Standard deviation of the noise of the dimensionless signals, broadcastable to (3, n), or (3,).
     gain_std
@@ -90,7 +89,7 @@ class ParametricDecoder:
         self,
         half_space: HalfSpace,
         site_positions_m: ArrayLike,
-        depth_m: ArrayLike,
+        depth_m: float,
         noise_std: ArrayLike,
         *,
         gain_std: float = 0.0,
@@ -98,12 +97,11 @@ class ParametricDecoder:
     ) -> None:
         sites = positions("site_positions_m", site_positions_m)
         count = len(sites)
-        depths = positive("depth_m", depth_m, (count,))
         check_gain(gain_std)
-        self._model = DiscModel(half_space, sites, depths, _LARGEST_RADIUS_DEPTHS * float(depths.max()))
+        self._model = DiscModel(half_space, sites, depth_m, _LARGEST_RADIUS_DEPTHS * depth_m)
         if 3 * count <= _UNKNOWNS:
             raise ValueError(f"{count} sites make {3 * count} signals, must be more than {_UNKNOWNS}, the unknowns")
-        refuse_duplicates(sites, self._model.depth_m)
+        refuse_duplicates(sites, np.full(count, depth_m))
         places = sites if query_positions_m is None else positions("query_positions_m", query_positions_m)
         self.half_space = half_space
         self.site_positions_m = sites
@@ -111,14 +109,13 @@ class ParametricDecoder:
         self.noise_std = noise_of_signals(noise_std, (count,))
         self.gain_std = gain_std
         self._noise = self.noise_std.ravel()
-        shallow_m, deep_m = float(self._model.depth_m.min()), float(self._model.depth_m.max())
-        lowest_m = self._model.lowest_m - _REACH_DEPTHS * deep_m
-        highest_m = self._model.highest_m + _REACH_DEPTHS * deep_m
-        self._lower = np.array([*lowest_m, (_SMALLEST_RADIUS_DEPTHS * shallow_m) ** 2])
+        lowest_m = self._model.lowest_m - _REACH_DEPTHS * depth_m
+        highest_m = self._model.highest_m + _REACH_DEPTHS * depth_m
+        self._lower = np.array([*lowest_m, (_SMALLEST_RADIUS_DEPTHS * depth_m) ** 2])
         self._upper = np.array([*highest_m, self._model.radius_max_m**2])
         self._search = CentreSearch(self._model, self._noise, lowest_m, highest_m)
         self._nearest = np.array([np.hypot(*(self._search.centres_m - place).T).argmin() for place in places])
-        self._why = sparse_reason(sites, depths) or f"parametric contact fit: {count} sites"
+        self._why = sparse_reason(sites, depth_m) or f"parametric contact fit: {count} sites"
         self._draws = np.random.default_rng(0).standard_normal((_DRAWS // 2, _UNKNOWNS))
 
     def decode(self, signals: ArrayLike, *, displacement: bool = False) -> Decoded:
@@ -218,7 +215,7 @@ class ParametricDecoder:
         x, y = 1e3 * best.parameters[:2]
         covariance = self._covariance(best)[:2, :2]
         std_m = float(np.sqrt(np.linalg.eigvalsh(covariance).max())) if np.isfinite(covariance).all() else np.inf
-        if std_m > _STD_LIMIT_DEPTHS * float(self._model.depth_m.max()):
+        if std_m > _STD_LIMIT_DEPTHS * self._model.depth_m:
             return f"the contact is near ({x:.1f}, {y:.1f}) mm or elsewhere: too few sites measure it"
         for other in others:
             apart = other.parameters[:2] - best.parameters[:2]

@@ -77,7 +77,7 @@ def bounds(model: DiscModel, force_newton: float) -> tuple[list[float], list[flo
     (lowest_x, lowest_y), (highest_x, highest_y) = model.lowest_m.tolist(), model.highest_m.tolist()
     largest = max(float(force_newton), 1e-300)
     limit = _FORCE_LIMIT * largest
-    lower = [lowest_x - beyond_m, lowest_y - beyond_m, _SMALLEST_RADIUS * model.shallowest_m]
+    lower = [lowest_x - beyond_m, lowest_y - beyond_m, _SMALLEST_RADIUS * model.depth_m]
     upper = [highest_x + beyond_m, highest_y + beyond_m, model.radius_max_m]
     return [*lower, -limit, -limit, _LEAST_FORCE * largest], [*upper, limit, limit, limit]
 

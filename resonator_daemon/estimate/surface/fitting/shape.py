@@ -41,7 +41,7 @@ class FlatFace:
     def __init__(self, flat: DiscModel, hertz: DiscModel) -> None:
         self._flat = flat
         self._hertz = hertz
-        self._step_m = _TILT_STEP_DEPTHS * float(hertz.depth_m.min())
+        self._step_m = _TILT_STEP_DEPTHS * hertz.depth_m
 
     def __call__(self, parameters: Floats) -> tuple[Floats, Floats]:
         """Return the signals (3 n,) and slopes (8, 3 n)."""
@@ -132,9 +132,7 @@ class ShapeFitter:
         As of `DiscModel`; errors, too.
     """
 
-    def __init__(
-        self, half_space: HalfSpace, site_positions_m: ArrayLike, depth_m: ArrayLike, radius_max_m: float
-    ) -> None:
+    def __init__(self, half_space: HalfSpace, site_positions_m: ArrayLike, depth_m: float, radius_max_m: float) -> None:
         self._hertz = DiscModel(half_space, site_positions_m, depth_m, radius_max_m)
         self._flat = DiscModel(half_space, site_positions_m, depth_m, radius_max_m, "flat")
         self._compliance = (1.0 - half_space.poisson_ratio**2) / half_space.youngs_modulus_pascal

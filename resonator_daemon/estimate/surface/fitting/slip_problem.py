@@ -336,7 +336,7 @@ class SlipProblem:
     def _off(self, before: Floats, found: Floats) -> float:
         """Return how far parameters are from others; 1 is a depth, the normal force, or 0.7 of the margin."""
         largest = 0.0
-        depth_m = self._model.shallowest_m
+        depth_m = self._model.depth_m
         moved = np.abs(found - before).tolist()
         for first in range(0, len(moved), PARAMETERS):
             by_depth = max(moved[first : first + FORCE_X]) / depth_m

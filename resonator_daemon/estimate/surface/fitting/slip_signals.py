@@ -12,7 +12,6 @@ the nearest knot, with errors below 1 % that alternate from site to site.
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,14 +26,6 @@ ROWS = 8  # of a contact: its signals, and their slopes by a, m, x, y, F_x, F_y,
 _SLOPES = np.array([3, 4, 1, 5, 6, 7, 2])  # rows of the slopes by the parameters in their usual order
 
 
-class _Depth(NamedTuple):
-    """Sites at one depth."""
-
-    depth_m: float
-    sites: Singles  # (2, n), in depths
-    members: slice | Indices
-
-
 class SlipSignals:
     """Signals [3 p_n / (2 E), eps_xz, eps_yz] of contacts in partial slip, and their slopes.
 
@@ -43,7 +34,7 @@ class SlipSignals:
     sites_m
         (n, 2).
     depth_m
-        (n,).
+        Of all sites.
     radial
         As `DiscModel.radial`.
     reach
@@ -55,19 +46,15 @@ class SlipSignals:
     def __init__(
         self,
         sites_m: Floats,
-        depth_m: Floats,
+        depth_m: float,
         radial: Callable[[Floats], tuple[Floats, Floats]],
         reach: float,
         radius_step: float,
     ) -> None:
         self._count = len(sites_m)
         self._per_area = depth_m**-2
-        self._reference_m = float(depth_m.min())
-        self._groups = []
-        for depth in np.unique(depth_m):
-            members = np.flatnonzero(depth_m == depth)
-            sites = np.ascontiguousarray(sites_m[members].T / depth, np.float32)
-            self._groups.append(_Depth(float(depth), sites, members if len(members) < self._count else slice(None)))
+        self._depth_m = depth_m
+        self._sites = np.ascontiguousarray(sites_m.T / depth_m, np.float32)  # (2, n), in depths
         self._radius_step = radius_step
         share = np.linspace(0.0, reach**2 / (reach**2 + _HALF_WAY), _KNOTS)
         self._knots_per_share = (_KNOTS - 1) / float(share[-1])
@@ -86,12 +73,6 @@ class SlipSignals:
         rows += [pressed, along_eps, of_pressed, of_along_eps]
         self._table = np.stack(rows, axis=2).astype(np.float32).reshape(2 * len(value), 10 * _KNOTS)
 
-    def signals(self, contact: Floats) -> tuple[Floats, Floats]:
-        """Return the signals (3 n,) of a contact x, y, a, F_x, F_y, F_z, m, and their slopes (7, 3 n)."""
-        rows = np.empty((ROWS, 3 * self._count), np.float32)
-        scale = self.fill(contact, self.whiten(np.ones(rows.shape[1])), rows)
-        return rows[0].astype(np.float64), rows[_SLOPES] * scale[:, None]
-
     def whiten(self, weights: Floats) -> Singles:
         """Return what `fill` multiplies by, for signals that are to be multiplied by weights (3 n,)."""
         return np.asarray(weights.reshape(3, -1) * self._per_area, np.float32).ravel()
@@ -103,19 +84,11 @@ class SlipSignals:
         """
         x_m, y_m, radius_m, force_x, force_y, force_z, margin = contact.tolist()
         force = np.array([[force_x], [force_y]], np.float32)
-        whole = rows.reshape(ROWS, 3, self._count)
-        for group in self._groups:
-            centre = np.array([[x_m / group.depth_m], [y_m / group.depth_m]], np.float32)
-            profiles = self._profiles(radius_m / group.depth_m, margin, force_z)
-            if isinstance(group.members, slice):
-                self._at_depth(group.sites - centre, profiles, force, whole)
-                continue
-            part = np.empty((ROWS, 3, group.sites.shape[1]), np.float32)
-            self._at_depth(group.sites - centre, profiles, force, part)
-            part[[1, 3, 4]] *= self._reference_m / group.depth_m
-            whole[:, :, group.members] = part
+        centre = np.array([[x_m / self._depth_m], [y_m / self._depth_m]], np.float32)
+        profiles = self._profiles(radius_m / self._depth_m, margin, force_z)
+        self._write(self._sites - centre, profiles, force, rows.reshape(ROWS, 3, self._count))
         rows *= whiten
-        per_m = 1.0 / self._reference_m
+        per_m = 1.0 / self._depth_m
         return np.array([-per_m, -per_m, per_m, 1.0, 1.0, 1.0 / force_z, 1.0])
 
     def _profiles(self, radius: float, margin: float, force_z: float) -> Singles:
@@ -172,7 +145,7 @@ class SlipSignals:
         slopes = [-6.0 * f * g, g * (1.0 - 3.0 * f), 6.0 * f * g, f * (3.0 * f - 2.0)]
         return weights, [slope * per_step for slope in slopes]
 
-    def _at_depth(self, offset: Singles, profiles: Singles, force: Singles, rows: Singles) -> None:
+    def _write(self, offset: Singles, profiles: Singles, force: Singles, rows: Singles) -> None:
         """Write signals and slopes, (8, 3, n), for sites offset by (2, n) depths."""
         square = np.einsum("in,in->n", offset, offset)
         place = square + np.float32(_HALF_WAY)

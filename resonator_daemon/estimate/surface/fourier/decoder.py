@@ -121,8 +121,7 @@ class FourierDecoder:
 
     The Wiener inverse of Karason, Srinivasan and Annaswamy, "Encoding and Decoding of Static Information in Tactile
     Sensing Systems", eq. (5). The printed recipe is `extension="periodic", spectra="white"` with a `prior` of given
-    standard deviation; without regularisation, one far above any traction; their weighted-norm filter,
-    `spectra=weighted_norm(...)`.
+    standard deviation; without regularisation, one far above any traction.
 
     Parameters
     ----------

@@ -36,31 +36,6 @@ def white(omega_x: Floats, omega_y: Floats) -> Floats:
     return np.ones((omega_y.size, omega_x.size, 3))
 
 
-def weighted_norm(weights: Spectra) -> Spectra:
-    """Prior under which the decoder is the weighted-norm filter [T* T + alpha H]^-1 T* for the weights H.
-
-    That is the inverse of H. With noise of one standard deviation sigma in all channels, alpha is sigma^2 / q for the
-    prior q H^-1. Channels of unlike noise count as whitened first: H = P_s^-1 P_n / alpha, as printed, holds for
-    noise of one power only.
-
-    Raises
-    ------
-    ValueError
-        From the result: weights that leave a load without a norm, such as those of a gradient at omega = 0.
-    """
-
-    def power(omega_x: Floats, omega_y: Floats) -> Complexes:
-        matrices = _matrices("weights", weights, omega_x, omega_y)
-        eigenvalues = np.linalg.eigvalsh(matrices)
-        if not (eigenvalues[..., 0] > _ROUNDING * eigenvalues[..., -1]).all():
-            raise ValueError(
-                f"weights have the eigenvalue {eigenvalues.min():.3g}, must be above 0 everywhere: add a constant"
-            )
-        return np.asarray(np.linalg.inv(matrices), np.complex128)
-
-    return power
-
-
 def sliding(spectra: Spectra, friction: float, direction_rad: float, sector_rad: float) -> Spectra:
     """Coulomb's law for a direction of f_t anywhere in a sector: the mean of v v^T P_fz, v = (mu cos, mu sin, 1).
 

@@ -42,7 +42,7 @@ class Bases:
     field
     along_x, along_y
         Power of the estimate, see `EstimatePower.by_channel`; None along y where exchanging x and y changes nothing.
-    left_out
+    loss
         Share of it that may be lost.
 
     Attributes
@@ -55,13 +55,11 @@ class Bases:
         Where exchanging x and y changes nothing: for each class, which product of the exchanged class each one is then.
     """
 
-    def __init__(
-        self, grid: Grid, field: Field, along_x: AxisPower, along_y: AxisPower | None, left_out: float
-    ) -> None:
+    def __init__(self, grid: Grid, field: Field, along_x: AxisPower, along_y: AxisPower | None, loss: float) -> None:
         self.field: Field = field
         power = along_x, along_y or [along_x[channel] for channel in _EXCHANGED[field]]
-        vectors = [_leading(grid.shape[1], along_x, _AXIS_PART[field] * left_out)]
-        vectors.append(_leading(grid.shape[0], along_y, _AXIS_PART[field] * left_out) if along_y else vectors[0])
+        vectors = [_leading(grid.shape[1], along_x, _AXIS_PART[field] * loss)]
+        vectors.append(_leading(grid.shape[0], along_y, _AXIS_PART[field] * loss) if along_y else vectors[0])
         self.x, self.y = (np.hstack(both) for both in vectors)
         kx, ky = vectors[0][0].shape[1], vectors[1][0].shape[1]
         carried = np.array(
@@ -84,7 +82,7 @@ class Bases:
             carried = (carried + carried[_EXCHANGED_CLASSES][:, partners]) / 2.0
         ranks = np.array([np.lexsort((np.minimum(places, partners), -of_class)) for of_class in carried])
         by_rank = np.take_along_axis(carried, ranks, axis=1).sum(axis=0)
-        needed = min(max(_FEWEST, _needed(by_rank, left_out)), places.size)
+        needed = min(max(_FEWEST, _needed(by_rank, loss)), places.size)
         while not all(np.isin(partners[ranks[index, :needed]], ranks[index, :needed]).all() for index in _OWN_PARTNERS):
             needed += 1
         kept = np.sort(ranks[:, :needed], axis=1)
@@ -159,10 +157,10 @@ def _lag_products(rows: Floats, columns: Floats) -> Floats:
     return np.ascontiguousarray((windows @ rows).swapaxes(1, 2))
 
 
-def _leading(count: int, power: AxisPower, left_out: float) -> list[Floats]:
+def _leading(count: int, power: AxisPower, loss: float) -> list[Floats]:
     """Leading even and odd vectors (count, k), as many of each as the one in need of more needs; 0 beyond the last."""
     found = [np.linalg.eigh(sum(channel[odd].sum(axis=0) for channel in power)) for odd in (0, 1)]
-    needed = max(_needed(values[::-1], left_out) for values, _ in found)
+    needed = max(_needed(values[::-1], loss) for values, _ in found)
     leading = np.zeros((2, count, needed))
     for odd, (_, vectors) in enumerate(found):
         kept = vectors[:, ::-1][:, :needed]
@@ -179,7 +177,7 @@ def _carried(along: Floats, power: Floats, across: Floats) -> Floats:
     return np.asarray(of_wave @ np.abs(waves @ across) ** 2 / len(across), np.float64)
 
 
-def _needed(power: Floats, left_out: float) -> int:
+def _needed(power: Floats, loss: float) -> int:
     """Count the leading entries after which no more than a share of the sum is left."""
     rest = power.sum() - np.cumsum(power)
-    return int(np.argmax(rest <= left_out * power.sum())) + 1
+    return int(np.argmax(rest <= loss * power.sum())) + 1

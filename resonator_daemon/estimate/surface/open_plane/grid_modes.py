@@ -118,13 +118,12 @@ class GridCovariance:
         is_square = ny == nx and np.isclose(grid.pitch_x_m, grid.pitch_y_m) and noise_std[1] == noise_std[2]
         self._along_y = None if is_square else EstimatePower(prior, grid, depth_m, noise_std, 1)
 
-    def bases(self, scale: float, left_out: dict[Field, float]) -> dict[Field, Bases]:
+    def bases(self, scale: float, loss: dict[Field, float]) -> dict[Field, Bases]:
         """Return the bases that lose no more than a share of each field's estimate at a scale of the prior."""
         along_x = self._along_x.by_channel(scale)
         along_y = self._along_y.by_channel(scale) if self._along_y else {}
         return {
-            field: Bases(self.grid, field, along_x[field], along_y.get(field), share)
-            for field, share in left_out.items()
+            field: Bases(self.grid, field, along_x[field], along_y.get(field), share) for field, share in loss.items()
         }
 
 
@@ -136,12 +135,12 @@ class GridModes(Modes):
     def __init__(self, covariance: GridCovariance, level: Level) -> None:
         self._grid = covariance.grid
         scale = min(level.power / covariance.mean_power, _HEADROOM * covariance.largest_scale)
-        left_out: dict[Field, float] = {
+        loss: dict[Field, float] = {
             "sensor": level.signals,
             "traction": level.surface,
             "displacement": _DISPLACEMENT_PART * level.surface,
         }
-        bases = covariance.bases(scale, left_out)
+        bases = covariance.bases(scale, loss)
         values_of_class: list[Floats] = []
         rotations: list[Floats] = []
         surface: dict[Field, list[Floats]] = {"traction": [], "displacement": []}

@@ -34,8 +34,7 @@ class PriorFit:
     tangential_ratio: float
     tangential_ratio_std: float
     log_evidence_gain: float  # over the usual prior, of all frames together
-    frames_used: int
-    frames_without_load: int  # or with too few signals, or whose signals no load makes
+    frames_used: int  # those without load, with too few signals, or whose signals no load makes, are not
 
 
 def fit_prior(
@@ -126,7 +125,6 @@ def fit_prior(
         tangential_ratio_std=float(ratio * relative[1]),
         log_evidence_gain=gain,
         frames_used=used,
-        frames_without_load=len(signals) - used,
     )
 
 
