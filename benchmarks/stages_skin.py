@@ -11,9 +11,8 @@ from scipy.linalg import cho_factor
 from stages import Stage, Work
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic.contact import press
+from resonator_daemon.estimate.elastic.contact import paraboloid, press
 from resonator_daemon.estimate.elastic.influence import SurfaceCompliance, Z
-from resonator_daemon.estimate.elastic.profiles import paraboloid
 from resonator_daemon.estimate.surface import OpenPlaneDecoder
 from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDecoder
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel

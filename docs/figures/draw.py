@@ -31,7 +31,7 @@ from section4 import errors_by_noise, figures_9_to_12
 from stick_radius import stick_radius
 
 from resonator_daemon.estimate.elastic import FrictionalContact, SurfaceCompliance, SurfaceFields
-from resonator_daemon.estimate.elastic.profiles import paraboloid
+from resonator_daemon.estimate.elastic.contact import paraboloid
 from resonator_daemon.extensions.planning.figures import write_density_figure
 
 PANELS = {

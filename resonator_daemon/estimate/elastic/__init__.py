@@ -1,14 +1,13 @@
 """Linear elasticity of a half-space in the domain of spatial frequency: pure arrays, no I/O."""
 
 from resonator_daemon.estimate.elastic.constrained import NotConvergedError
-from resonator_daemon.estimate.elastic.contact import press
+from resonator_daemon.estimate.elastic.contact import flat_punch, paraboloid, press, relief, sphere
 from resonator_daemon.estimate.elastic.fields import SurfaceFields
 from resonator_daemon.estimate.elastic.friction import FrictionalContact
 from resonator_daemon.estimate.elastic.grid import SpectralGrid
 from resonator_daemon.estimate.elastic.half_space import Convention, HalfSpace
 from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
-from resonator_daemon.estimate.elastic.mixed import MixedBoundary
-from resonator_daemon.estimate.elastic.regions import solve_regions
+from resonator_daemon.estimate.elastic.mixed import MixedBoundary, solve_regions
 from resonator_daemon.estimate.elastic.sensor_resolution import SensorArray
 from resonator_daemon.estimate.elastic.sensor_sets import SensorSet
 
@@ -23,6 +22,10 @@ __all__ = [
     "SpectralGrid",
     "SurfaceCompliance",
     "SurfaceFields",
+    "flat_punch",
+    "paraboloid",
     "press",
+    "relief",
     "solve_regions",
+    "sphere",
 ]

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from resonator_daemon.base.arrays import Bools, Floats
-from resonator_daemon.estimate.elastic.checks import check_tolerance
+from resonator_daemon.estimate.elastic.half_space import check_tolerance
 
 LinearMap = Callable[[Floats], Floats]
 

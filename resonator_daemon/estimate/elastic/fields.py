@@ -10,9 +10,8 @@ from scipy import fft
 from scipy.special import roots_legendre
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic.checks import finite_array
 from resonator_daemon.estimate.elastic.grid import SpectralGrid
-from resonator_daemon.estimate.elastic.half_space import HalfSpace, Input, Output, ZeroRule
+from resonator_daemon.estimate.elastic.half_space import HalfSpace, Input, Output, ZeroRule, finite_array
 
 Method = Literal["periodic", "padded", "wrap-free"]
 

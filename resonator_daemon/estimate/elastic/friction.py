@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from resonator_daemon.base.arrays import Bools, Floats
-from resonator_daemon.estimate.elastic.checks import check_tolerance, real_array
 from resonator_daemon.estimate.elastic.constrained import Face, Friction, NotConvergedError, Pushing, minimise
 from resonator_daemon.estimate.elastic.contact import check_object, press
 from resonator_daemon.estimate.elastic.grid import Window, window_around
+from resonator_daemon.estimate.elastic.half_space import check_tolerance, real_array
 from resonator_daemon.estimate.elastic.influence import Convolution, RoughStiffness, SurfaceCompliance, X, Y, Z
 
 _MARGIN = 2  # pixels around the contact in which it is free to grow between two looks at the whole grid

@@ -8,9 +8,8 @@ from numpy.typing import ArrayLike
 from scipy import fft
 
 from resonator_daemon.base.arrays import Floats, Indices
-from resonator_daemon.estimate.elastic.checks import finite_array
 from resonator_daemon.estimate.elastic.grid import SpectralGrid
-from resonator_daemon.estimate.elastic.half_space import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace, finite_array
 
 X, Y, Z = 0, 1, 2
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from resonator_daemon.base.arrays import Complexes, Floats, Integers
-from resonator_daemon.estimate.elastic.checks import finite_array
+from resonator_daemon.estimate.elastic.half_space import finite_array
 from resonator_daemon.estimate.elastic.sensor_sets import SensorSet
 
 Load = Literal["normal", "shear", "normal_alone"]

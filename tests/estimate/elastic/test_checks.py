@@ -18,7 +18,7 @@ from resonator_daemon.estimate.elastic import (
     press,
     solve_regions,
 )
-from resonator_daemon.estimate.elastic.profiles import paraboloid
+from resonator_daemon.estimate.elastic.contact import paraboloid
 
 BODY = HalfSpace(2e5, 0.3)
 PITCH = 1e-3

@@ -11,8 +11,12 @@ from resonator_daemon.estimate.elastic import (
     SpectralGrid,
     SurfaceCompliance,
     SurfaceFields,
+    flat_punch,
+    paraboloid,
     press,
+    relief,
     solve_regions,
+    sphere,
 )
 
 __all__ = [
@@ -26,6 +30,10 @@ __all__ = [
     "SpectralGrid",
     "SurfaceCompliance",
     "SurfaceFields",
+    "flat_punch",
+    "paraboloid",
     "press",
+    "relief",
     "solve_regions",
+    "sphere",
 ]
