@@ -1,6 +1,5 @@
 """Installation of units, udev rules, user, completion and manual, from the wheel that this program runs from."""
 
-import dataclasses
 import errno
 import hashlib
 import os
@@ -37,12 +36,16 @@ _PLACES = {
 EXAMPLE = "/etc/resonatord/example.toml"
 _SEAL = re.compile(r"(?:#|\.\\\") resonatord install [0-9a-f]{64}\n\Z")
 SYSTEMD_RUNNING, UDEV_RUNNING = Path("/run/systemd/system"), Path("/run/udev/control")  # there while they run
-# Those that need nobody running prepare an image, too.
-_COMMANDS: tuple[tuple[tuple[str, ...], Path | None], ...] = (
-    (("systemd-sysusers", "/etc/sysusers.d/resonatord.conf"), None),
-    (("systemd-tmpfiles", "--create", "/etc/tmpfiles.d/resonatord.conf"), None),
+_Commands = tuple[tuple[tuple[str, ...], Path | None], ...]  # each with what has to run
+_RELOADS: _Commands = (
     (("systemctl", "daemon-reload"), SYSTEMD_RUNNING),
     (("udevadm", "control", "--reload"), UDEV_RUNNING),
+)
+# Those that need nobody running prepare an image, too.
+_COMMANDS: _Commands = (
+    (("systemd-sysusers", "/etc/sysusers.d/resonatord.conf"), None),
+    (("systemd-tmpfiles", "--create", "/etc/tmpfiles.d/resonatord.conf"), None),
+    *_RELOADS,
     (
         ("udevadm", "trigger", "--action=change", "--attr-match=idVendor=1209", "--attr-match=idProduct=0001"),
         UDEV_RUNNING,
@@ -75,18 +78,9 @@ class Action(StrEnum):
 
 @dataclass(frozen=True)
 class Placed:
-    """A file in its place.
-
-    Attributes
-    ----------
-    path
-        Where it is, below the prefix.
-    content
-        What belongs there, with its seal.
-    """
+    """A file in its place, below the prefix."""
 
     path: Path
-    content: str
     action: Action
 
 
@@ -134,11 +128,11 @@ def install(prefix: Path | None, made: Mapping[str, str], *, dry_run: bool) -> I
     hidden = _hidden(program)
     if hidden and prefix is None and not dry_run:
         raise InstallError(hidden)
-    running = _may_run_commands(prefix, dry_run, "install")
-    placed = [_judge(path, content, dry_run) for path, content in _contents(prefix or Path("/"), program, made)]
-    placed = [_write(file) for file in placed]
-    commands = [(command, run_command(command) if running else None) for command in _due(prefix is None)]
-    return Installation(program, hidden, placed, commands, running)
+    run = _may_run_commands(prefix, dry_run, "install")
+    shipped = resources.files("resonator_daemon") / "service_files"
+    texts = {place: (shipped / name).read_text("utf-8") for name, place in _PLACES.items()} | dict(made)
+    placed = [_put(_below(prefix, place), sealed(started_by(text, program)), dry_run) for place, text in texts.items()]
+    return Installation(program, hidden, placed, _done(_COMMANDS if prefix is None else (), run), run)
 
 
 def uninstall(prefix: Path | None, made: Mapping[str, str], *, dry_run: bool) -> Installation:
@@ -156,52 +150,66 @@ def uninstall(prefix: Path | None, made: Mapping[str, str], *, dry_run: bool) ->
     InstallError
         It may not or cannot remove a file, or there is no systemd.
     """
-    running = _may_run_commands(prefix, dry_run, "uninstall")
-    root = prefix or Path("/")
-    places = [root / place.lstrip("/") for place in (*_PLACES.values(), *made)]
-    pages = [place for place in places if place.parent.name == "man1"]
-    older = {page for folder in {page.parent for page in pages} for page in folder.glob("resonatord*.1")}
-    commands = [(command, run_command(command) if running else None) for command in _due_before(prefix is None)]
-    action = Action.WOULD_REMOVE if dry_run else Action.REMOVED
-    found = [_judge_removal(path, action) for path in dict.fromkeys((*places, *sorted(older)))]
-    placed = [_remove(file) for file in found if file is not None]
-    commands += [(command, run_command(command) if running else None) for command in _due_after(prefix is None)]
-    return Installation(Path(sys.executable).with_name("resonatord"), None, placed, commands, running)
+    run = _may_run_commands(prefix, dry_run, "uninstall")
+    places = [_below(prefix, place) for place in (*_PLACES.values(), *made)]
+    manuals = {place.parent for place in places if place.parent.name == "man1"}
+    older = {page for folder in manuals for page in folder.glob("resonatord*.1")}
+    commands = _done(_commands_that_stop() if prefix is None else (), run)
+    placed = [_remove(path, dry_run) for path in dict.fromkeys((*places, *sorted(older))) if os.path.lexists(path)]
+    commands += _done(_RELOADS if prefix is None else (), run)
+    return Installation(Path(sys.executable).with_name("resonatord"), None, placed, commands, run)
 
 
-def _judge_removal(path: Path, action: Action) -> Placed | None:
+def _below(prefix: Path | None, place: str) -> Path:
+    return (prefix or Path("/")) / place.lstrip("/")
+
+
+def _put(path: Path, content: str, dry_run: bool) -> Placed:
+    """Write a whole file where nobody has changed it: an interrupted one is begun again by the next run."""
+    there = _read(path)
+    if there == content:
+        return Placed(path, Action.UNCHANGED)
+    if there is not None and not _is_intact(there):
+        return Placed(path, Action.KEPT)
+    if dry_run:
+        return Placed(path, Action.WOULD_WRITE if there is None else Action.WOULD_UPDATE)
     try:
-        there = path.read_bytes().decode(errors="replace")
+        replace_file(path, content.encode(), 0o644)
+    except OSError as error:
+        if error.errno == errno.EROFS and "share" in path.parts:  # as on computers whose /usr is an image
+            return Placed(path, Action.READ_ONLY)
+        raise InstallError(f"{path} cannot be written: {meaning_of(error)}") from error
+    return Placed(path, Action.WRITTEN if there is None else Action.UPDATED)
+
+
+def _remove(path: Path, dry_run: bool) -> Placed:
+    if not _is_intact(_read(path) or ""):
+        return Placed(path, Action.KEPT)
+    if dry_run:
+        return Placed(path, Action.WOULD_REMOVE)
+    try:
+        path.unlink()
+    except OSError as error:
+        raise InstallError(f"{path} cannot be removed: {error.strerror}") from error
+    return Placed(path, Action.REMOVED)
+
+
+def _read(path: Path) -> str | None:
+    try:
+        return path.read_bytes().decode(errors="replace")
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise InstallError(f"{path}: {error.strerror}") from error
-    return Placed(path, there, action if there == sealed(_SEAL.sub("", there)) else Action.KEPT)
+        raise InstallError(f"{path}: {meaning_of(error)}") from error
 
 
-def _remove(file: Placed) -> Placed:
-    if file.action is Action.REMOVED:
-        try:
-            file.path.unlink()
-        except OSError as error:
-            raise InstallError(f"{file.path} cannot be removed: {error.strerror}") from error
-    return file
-
-
-def _due_before(here: bool) -> list[tuple[str, ...]]:
+def _commands_that_stop() -> _Commands:
     """Return the commands that stop the services of the present system, and disable those that start with it."""
-    if not here or not SYSTEMD_RUNNING.exists():
-        return []
     wanted = Path("/etc/systemd/system").glob("*.wants/resonatord*@*.service")
     enabled = tuple(sorted({path.name for path in wanted}))
     stop = ("systemctl", "stop", "resonatord@*.service", "resonatord-decode@*.service", "resonatord-view@*.service")
-    return [*([("systemctl", "disable", *enabled)] if enabled else []), stop]
-
-
-def _due_after(here: bool) -> list[tuple[str, ...]]:
-    """Return the commands that register the removal on the present system."""
-    reloads = (("systemctl", "daemon-reload"), SYSTEMD_RUNNING), (("udevadm", "control", "--reload"), UDEV_RUNNING)
-    return [command for command, needed in reloads if here and needed.exists()]
+    disable = ((("systemctl", "disable", *enabled), SYSTEMD_RUNNING),) if enabled else ()
+    return (*disable, (stop, SYSTEMD_RUNNING))
 
 
 def _hidden(program: Path) -> str | None:
@@ -228,13 +236,6 @@ def _may_run_commands(prefix: Path | None, dry_run: bool, verb: str) -> bool:
     return True
 
 
-def _contents(root: Path, program: Path, made: Mapping[str, str]) -> list[tuple[Path, str]]:
-    """Return each file's place and content."""
-    shipped = resources.files("resonator_daemon") / "service_files"
-    texts = {place: (shipped / name).read_text("utf-8") for name, place in _PLACES.items()} | dict(made)
-    return [(root / place.lstrip("/"), sealed(started_by(text, program))) for place, text in texts.items()]
-
-
 def started_by(text: str, program: Path) -> str:
     """Return the text of a unit that starts a program, its path escaped as units have it."""
     escaped = str(program).replace("\\", "\\\\").replace("%", "%%").replace(" ", "\\x20")  # systemd.service(5)
@@ -242,41 +243,19 @@ def started_by(text: str, program: Path) -> str:
 
 
 def sealed(text: str) -> str:
-    """Return the text with a last line by which `_judge` detects whether it was changed."""
+    """Return the text with a last line by which `_is_intact` detects whether it was changed."""
     comment = '.\\"' if text.startswith(".") else "#"  # of roff, or of units, rules and shells
     return f"{text}{comment} resonatord install {hashlib.sha256(text.encode()).hexdigest()}\n"
 
 
-def _judge(path: Path, content: str, dry_run: bool) -> Placed:
-    write, update = (Action.WOULD_WRITE, Action.WOULD_UPDATE) if dry_run else (Action.WRITTEN, Action.UPDATED)
-    try:
-        there = path.read_bytes().decode(errors="replace")
-    except FileNotFoundError:
-        return Placed(path, content, write)
-    except OSError as error:
-        raise InstallError(f"{path}: {meaning_of(error)}") from error
-    if there == content:
-        return Placed(path, content, Action.UNCHANGED)
-    intact = there == sealed(_SEAL.sub("", there))
-    return Placed(path, content, update if intact else Action.KEPT)
+def _is_intact(text: str) -> bool:
+    return text == sealed(_SEAL.sub("", text))
 
 
-def _write(file: Placed) -> Placed:
-    """Write whole files only: an interrupted one is begun again by the next run."""
-    if file.action not in (Action.WRITTEN, Action.UPDATED):
-        return file
-    try:
-        replace_file(file.path, file.content.encode(), 0o644)
-    except OSError as error:
-        if error.errno == errno.EROFS and "share" in file.path.parts:  # as on computers whose /usr is an image
-            return dataclasses.replace(file, action=Action.READ_ONLY)
-        raise InstallError(f"{file.path} cannot be written: {meaning_of(error)}") from error
-    return file
-
-
-def _due(here: bool) -> list[tuple[str, ...]]:
-    """Return the commands that register the files on the present system; none of it where they are for another."""
-    return [command for command, needed in _COMMANDS if here and (needed is None or needed.exists())]
+def _done(commands: _Commands, run: bool) -> list[tuple[tuple[str, ...], str | None]]:
+    """Return those commands whose program runs here, with what went wrong when they were run."""
+    due = [command for command, needed in commands if needed is None or needed.exists()]
+    return [(command, run_command(command) if run else None) for command in due]
 
 
 def run_command(command: tuple[str, ...]) -> str | None:
