@@ -1,19 +1,22 @@
 """The USB link: finding and claiming a board, and a stream of bytes over its two bulk endpoints.
 
-pyusb's backend is used as it is, below its `Device`: a link must detect when its handle is closed, and its asynchronous
-transfers need that handle.
+An open board uses pyusb's backend as it is, below its `Device`: a link must detect when its handle is closed, and its
+asynchronous transfers need that handle.
 """
 
 import errno
 import os
 import time
 from array import array
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import usb.backend.libusb1
 import usb.core
+import usb.util
 from usb.core import USBError, USBTimeoutError
 
 from firmware_protocol.layouts import PROTOCOL_MAJOR
@@ -27,17 +30,14 @@ from resonator_daemon.board.links.link import (
     LinkUnavailableError,
     write_timeout,
 )
-from resonator_daemon.board.links.port_holders import Holders, port_holders
+from resonator_daemon.board.links.port_holders import port_holders
 from resonator_daemon.board.links.usb_transfers import BulkReader, Failure
 
 INTERFACE = (0xFF, 0x52, 0x01)  # class, subclass, protocol; PROTOCOL.md, section USB
 
 FAILURES = (usb.core.USBError, NotImplementedError)  # the latter is what pyusb makes of LIBUSB_ERROR_NOT_SUPPORTED
 
-_GET_DESCRIPTOR = (0x80, 0x06)  # bmRequestType, bRequest
-_STRING, _ENGLISH = 0x0300, 0x0409
-_STRING_BYTES_MAX = 255
-_CONTROL_TIMEOUT_MS = 500
+_ENGLISH = 0x0409
 
 
 @dataclass(frozen=True)
@@ -106,54 +106,40 @@ def present_boards() -> list[UsbBoard]:
         raise LinkUnavailableError(
             ReasonCode.PORT_UNUSABLE, f"USB devices cannot be listed: {meaning_of(error)}"
         ) from error
-    boards = []
-    for device in devices:
-        try:
-            boards += _boards_of(backend, device)
-        except FAILURES:
-            continue  # it went away meanwhile, or shows no descriptors: no board
+    boards: list[UsbBoard] = []
+    for found in devices:
+        with suppress(*FAILURES):  # it went away meanwhile, or shows no descriptors: no board
+            boards += islice(_boards_of(usb.core.Device(found, backend), found), 1)
     return sorted(boards, key=lambda board: (board.bus, board.address))
 
 
-def _boards_of(backend: Any, device: Any) -> list[UsbBoard]:
-    """Return the board that a device is, if it is one."""
-    descriptor = backend.get_device_descriptor(device)
-    for index in range(descriptor.bNumConfigurations):
-        configuration = backend.get_configuration_descriptor(device, index)
-        for number in range(configuration.bNumInterfaces):
-            interface = backend.get_interface_descriptor(device, number, 0, index)
+def _boards_of(device: Any, found: Any) -> Iterator[UsbBoard]:
+    """Yield the board that a device is, for each interface that makes it one."""
+    for configuration in device:
+        for interface in configuration:
             if (interface.bInterfaceClass, interface.bInterfaceSubClass, interface.bInterfaceProtocol) == INTERFACE:
-                return [
-                    UsbBoard(
-                        descriptor.idVendor,
-                        descriptor.idProduct,
-                        _string(backend, device, descriptor.iSerialNumber),
-                        descriptor.bus,
-                        descriptor.address,
-                        interface.bInterfaceNumber,
-                        configuration.bConfigurationValue,
-                        device,
-                    )
-                ]
-    return []
+                yield UsbBoard(
+                    device.idVendor,
+                    device.idProduct,
+                    _serial_number(device),
+                    device.bus,
+                    device.address,
+                    interface.bInterfaceNumber,
+                    configuration.bConfigurationValue,
+                    found,
+                )
 
 
-def _string(backend: Any, device: Any, index: int) -> str | None:
-    """Return a device's string; None where it has none or this user may not ask for it."""
-    if index == 0:
+def _serial_number(device: Any) -> str | None:
+    """Return a device's serial number; None where it has none or this user may not ask for it."""
+    if not device.iSerialNumber:
         return None
     try:
-        handle = backend.open_device(device)
-    except FAILURES:
-        return None
-    buffer = array("B", bytes(_STRING_BYTES_MAX))
-    try:
-        size = backend.ctrl_transfer(handle, *_GET_DESCRIPTOR, _STRING | index, _ENGLISH, buffer, _CONTROL_TIMEOUT_MS)
-    except FAILURES:
+        return usb.util.get_string(device, device.iSerialNumber, _ENGLISH) or None
+    except (*FAILURES, ValueError):  # ValueError: no UTF-16
         return None
     finally:
-        backend.close_device(handle)
-    return buffer[2 : min(size, buffer[0])].tobytes().decode("utf-16-le", errors="replace") or None
+        usb.util.dispose_resources(device)
 
 
 _ENDPOINT_OUT, _ENDPOINT_IN = 0x01, 0x81
@@ -240,7 +226,10 @@ class UsbBulkLink:
             if left_ms <= 0:  # libusb would take 0 for ever
                 raise write_timeout()
             try:
-                data = data[self._write_some(data, left_ms) :]
+                written = self._backend.bulk_write(
+                    self._handle, _ENDPOINT_OUT, self._board.interface, array("B", data), left_ms
+                )
+                data = data[int(written) :]
             except USBTimeoutError:
                 continue
             except FAILURES as error:
@@ -271,12 +260,6 @@ class UsbBulkLink:
             with suppress(*FAILURES):
                 self._backend.release_interface(handle, self._board.interface)
             self._backend.close_device(handle)
-
-    def _write_some(self, data: bytes, timeout_ms: int) -> int:
-        written = self._backend.bulk_write(
-            self._handle, _ENDPOINT_OUT, self._board.interface, array("B", data), timeout_ms
-        )
-        return int(written)
 
     def _recover(self, failure: Failure) -> None:
         """End what is in flight, clear the endpoint's halt and go on."""
@@ -346,7 +329,8 @@ def _why_not(board: UsbBoard, error: Exception) -> Reason:
         case errno.EACCES | errno.EPERM:
             return _not_permitted(board)
         case errno.EBUSY:
-            holders = _others(port_holders(board.node))
+            others = [str(it) for it in port_holders(board.node).processes if it.pid != os.getpid()]
+            holders = " and ".join(others) or "another program"
             return Reason(ReasonCode.PORT_IN_USE, f"{board.link} is held by {holders}; close it there")
         case errno.ENODEV | errno.ENOENT:
             return Reason(ReasonCode.NO_SUCH_PORT, f"{board.link} went away while it was opened")
@@ -362,11 +346,6 @@ def _not_permitted(board: UsbBoard) -> Reason:
         'GROUP="resonatord", MODE="0660" into /etc/udev/rules.d/70-resonatord.rules (as root, `resonatord install` '
         "does for boards of its ids), join the group resonatord and plug it in again",
     )
-
-
-def _others(holders: Holders) -> str:
-    others = Holders(tuple(holder for holder in holders.processes if holder.pid != os.getpid()), holders.all_seen)
-    return str(others) or "another program"
 
 
 def _number(error: Exception) -> int | None:

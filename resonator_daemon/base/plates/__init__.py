@@ -1,1 +1,0 @@
-"""The plate files that ship with the daemon."""
