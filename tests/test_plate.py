@@ -123,6 +123,9 @@ def test_a_grid_is_numbered_by_its_order(tmp_path: Path) -> None:
         ("format = 1", "format = 2", "1: format"),
         ("[20, 10], [0, 10]]\ntrans", "[10, 0]]\ntrans", "3: outline_mm"),
         ("[0, 10]]\nforce", "[0, 11]]\nforce", "4: transducers_mm[3]"),
+        ("[0, 10]]\nforce", "[0, 0]]\nforce", "4: transducers_mm[3]"),
+        ("force_max_newton = 10", "force_max_newton = 1e-320", "5: force_max_newton"),
+        ("pilot_hz = 10010000.0", "pilot_hz = 9992001.0", "10: counter.pilot_hz"),
         ("frame_rate_hz = 1000", "frame_rate_hz = 1000\ndepth_mm = 1", "10: counter.depth_mm: unknown key"),
     ],
 )

@@ -51,7 +51,10 @@ def findings(raw: dict[str, Any]) -> Iterator[InitErrorDetails]:
     if outline and _area(outline) == 0:
         yield finding(("outline_mm",), outline, "encloses no area; give the corners in their order")
         outline = ()
-    for index, transducer in enumerate(_sound(tuple[Point, ...], raw.get("transducers_mm")) or ()):
+    transducers = _sound(tuple[Point, ...], raw.get("transducers_mm")) or ()
+    for index, transducer in enumerate(transducers):
+        if transducer in transducers[:index]:
+            yield finding(("transducers_mm", index), transducer, "is the position of another transducer")
         if outline and not _inside(transducer, outline):
             yield finding(("transducers_mm", index), transducer, "lies outside outline_mm")
     if ("sites" in raw) == ("grid" in raw):
@@ -68,7 +71,7 @@ def findings(raw: dict[str, Any]) -> Iterator[InitErrorDetails]:
     if signals & set(SKIN_SIGNALS) and "skin" not in raw:
         yield finding(("skin",), None, "a plate with skin signals needs a [skin]: its elastic constants and its depth")
     counter = raw.get("counter")
-    yield from _gate_findings(_sound(Counter, counter))
+    yield from _counter_findings(_sound(Counter, counter), sites)
     kind = counter.get("kind") if isinstance(counter, dict) else None
     if kind == "single-tone" and signals - {FORCE_SIGNAL}:
         sentence = "one captured tone per corner carries forces alone; use 'channelised'"
@@ -141,13 +144,16 @@ def _grid_findings(grid: Grid, outline: tuple[Point, ...]) -> Iterator[InitError
         yield finding(("grid", "pitch_mm"), grid.pitch_mm, sentence)
 
 
-def _gate_findings(counter: Counter | None) -> Iterator[InitErrorDetails]:
+def _counter_findings(counter: Counter | None, sites: dict[int, Site]) -> Iterator[InitErrorDetails]:
     if counter and not 1 <= counter.reference_hz / counter.frame_rate_hz < _GATE_TICKS_LIMIT:
         low_hz, high_hz = counter.reference_hz / _GATE_TICKS_LIMIT, counter.reference_hz
         sentence = (
             f"must be above {low_hz:g} and at most {high_hz:g}: a frame lasts 1 to 2^32 - 1 ticks of reference_hz"
         )
         yield finding(("counter", "frame_rate_hz"), counter.frame_rate_hz, sentence)
+    if counter and any(counter.pilot_hz in tone.f0_hz for site in sites.values() for tone in site.tones):
+        sentence = "is a site's f0_hz: a touch could not be told from none; choose a frequency that no site has"
+        yield finding(("counter", "pilot_hz"), counter.pilot_hz, sentence)
 
 
 def _shift_findings(sites: dict[int, Site], force_max_newton: float) -> Iterator[InitErrorDetails]:
@@ -213,7 +219,7 @@ class Plate(Table):
     name: Annotated[str, Field(min_length=1, max_length=100)]
     outline_mm: Outline
     transducers_mm: Annotated[tuple[Point, ...], Corners]
-    force_max_newton: Annotated[Number, Field(gt=0, le=10_000)]
+    force_max_newton: Annotated[Number, Field(ge=1e-6, le=10_000)]
     # A touch between sites is shared as distance^-exponent; None where sites can only be touched one by one.
     load_sharing_exponent: Annotated[Number, Field(gt=0, le=100)] | None = None
     # Under a cover of this width w a touch at distance r loads a site with (1 + r^2/w^2)^(-3/2) of its force.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -94,7 +95,10 @@ class Config(Table):
 
     @field_validator("link")
     @classmethod
-    def _frames_fit_the_link(cls, link: LinkTarget, info: ValidationInfo) -> LinkTarget:
+    def _link_can_serve(cls, link: LinkTarget, info: ValidationInfo) -> LinkTarget:
+        of_a_file = info.context is not None  # not of a recording that is open
+        if of_a_file and link.recording_path is not None and not os.path.exists(link.recording_path):
+            raise ValueError("no such file; name a recording, as a path from where the daemon is started")
         plate = info.data.get("plate")
         if plate and link.bits_per_s is not None:
             _check_load(plate, link.bits_per_s)

@@ -92,7 +92,7 @@ class Recording(Table):
     file_max_mb: Annotated[Number, Field(ge=1, le=1e6)] = Field(
         default=1000.0, description="begin a new file after this size, in 10^6 bytes"
     )
-    file_max_minutes: Annotated[Number, Field(gt=0, le=1e6)] = Field(
+    file_max_minutes: Annotated[Number, Field(ge=0.001, le=1e6)] = Field(
         default=60.0, description="begin a new file after this time"
     )
     max_total_mb: Annotated[Number, Field(ge=1, le=1e9)] = Field(

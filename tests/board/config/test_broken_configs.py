@@ -67,6 +67,7 @@ BROKEN = [
     ("port out of range", link('"tcp://127.0.0.1:99999"'), ":2: link:", "port (1 to 65535)"),
     ("lsusb with 0x", link('"usb:0x1209:0x0001"'), ":2: link:", "four hexadecimal digits"),
     ("replay without a file", link('"replay:"'), ":2: link:", "must be replay:FILE"),
+    ("replay of no file", link('"replay:gone.mcap"'), ":2: link: got 'replay:gone.mcap'", "no such file"),
     # The broker.
     ("no scheme", TOP + '[mqtt]\nurl = "127.0.0.1:1883"\n', ":4: mqtt.url: got '127.0.0.1:1883'", "mqtt://host:port"),
     ("name of no host", TOP + '[mqtt]\nurl = "mqtt://a..b"\n', ":4: mqtt.url: got 'mqtt://a..b'", "1 to 63"),
@@ -89,6 +90,8 @@ BROKEN = [
     ("a command alone", TOP + '[commands]\nallow = "tare"\n', ":4: commands.allow: got 'tare'", "as ['tare']"),
     ("budget below a file", TOP + "[recording]\nmax_total_mb = 100\n", ":4: recording.max_total_mb: got 100",
      "lower file_max_mb"),
+    ("files of no time", TOP + "[recording]\nfile_max_minutes = 1e-300\n", ":4: recording.file_max_minutes: got 1e-300",
+     "greater than or equal to 0.001"),
     ("a port alone", TOP + "[metrics]\nlisten = 9464\n", ":4: metrics.listen: got 9464", 'as "127.0.0.1:9464"'),
     ("metrics switched on", TOP + "[metrics]\nenabled = true\n", ":4: metrics.enabled: unknown key", "allowed: listen"),
 ]  # fmt: skip
