@@ -63,11 +63,10 @@ async def measure(plate_name: str, seconds: float) -> dict[str, Any]:
         await asyncio.sleep(SETTLE_S)
         gc.freeze()
         first = len(arrivals)
-        for child in children:
-            child.mark()
+        before_s = {child.part: child.cpu_s() for child in children}
         await asyncio.sleep(seconds)
         counted = arrivals[first:]
-        used_s = {child.part: child.cpu_s() for child in children}
+        used_s = {child.part: child.cpu_s() - before_s[child.part] for child in children}
         raise_if_ended(children)
         await daemon.stop()
         await emulator.child.stop()  # upon which the truth is written in full

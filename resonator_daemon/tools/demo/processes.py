@@ -7,9 +7,8 @@ import shutil
 import signal
 import socket
 import sys
-import time
 from asyncio.subprocess import DEVNULL, PIPE, Process
-from collections.abc import AsyncIterator, Collection, Iterable, Sequence
+from collections.abc import AsyncIterator, Iterable, Sequence
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,23 +34,14 @@ class Child:
         self._process = process
         self._log = log
         self._usage = psutil.Process(process.pid)
-        self._cpu_mark_s = 0.0
-
-    def mark(self) -> None:
-        """Count processor time from here."""
-        self._cpu_mark_s = self._cpu_s()
 
     def cpu_s(self) -> float:
-        """Processor time since the mark."""
-        return self._cpu_s() - self._cpu_mark_s
+        """Return the processor time since the start."""
+        return sum(cpu_s(process) for process in self._family())
 
     def rss_mb(self) -> float:
         """Return the resident memory in MB."""
         return 1e-6 * sum(_rss_bytes(process) for process in self._family())
-
-    def pids(self) -> set[int]:
-        """Return the process ids."""
-        return {process.pid for process in self._family()}
 
     def failure(self) -> str | None:
         """Return exit code and last line of a command that has ended by itself; None while it runs."""
@@ -86,9 +76,6 @@ class Child:
             self._process.kill()
             await self._process.wait()
 
-    def _cpu_s(self) -> float:
-        return sum(cpu_s(process) for process in self._family())
-
     def _family(self) -> list[psutil.Process]:
         try:
             return [self._usage, *self._usage.children(recursive=True)]
@@ -98,15 +85,17 @@ class Child:
 
 def cpu_s(process: psutil.Process) -> float:
     """Return the processor seconds of a process and of its children that have ended; 0 if it has ended itself."""
-    return _seconds(process, ("user", "system", "children_user", "children_system"))
-
-
-def _seconds(process: psutil.Process, fields: Sequence[str]) -> float:
     try:
         times = process.cpu_times()
     except psutil.Error:
         return 0.0
-    return float(sum(getattr(times, field) for field in fields))
+    return float(times.user + times.system + times.children_user + times.children_system)
+
+
+def busy_s() -> float:
+    """Return the seconds that all processors of this computer have worked."""
+    times = psutil.cpu_times()
+    return float(sum(times) - times.idle - getattr(times, "iowait", 0.0) - getattr(times, "guest", 0.0))
 
 
 def _rss_bytes(process: psutil.Process) -> int:
@@ -192,55 +181,6 @@ async def start_child(part: str, folder: Path, command: Sequence[str], stdout: i
             preexec_fn=ended_with_parent(signal.SIGTERM),
         )
     return Child(part, process, log)
-
-
-class ProcessorTimes:
-    """Processor time from the construction to `stop`; processes that start or end meanwhile count only in the sum.
-
-    Attributes
-    ----------
-    used_s
-        Processor time of each process, in seconds, without that of its children; valid after `stop`.
-    """
-
-    _OWN: Final = ("user", "system")
-
-    def __init__(self) -> None:
-        self.used_s = {process: _seconds(process, self._OWN) for process in psutil.process_iter()}
-        self._busy_s = _busy_s()
-        self._started_s = time.monotonic()
-        self._ended_s = self._started_s
-
-    def stop(self) -> None:
-        """End the measurement."""
-        self._ended_s = time.monotonic()
-        self._busy_s = _busy_s() - self._busy_s
-        self.used_s = {process: _seconds(process, self._OWN) - before_s for process, before_s in self.used_s.items()}
-
-    def in_words(self, own_cpu_s: float, own_pids: Collection[int]) -> str:
-        """Return a sentence with the processes that kept the computer busy, given those of the run and their time."""
-        seconds = max(self._ended_s - self._started_s, 1e-9)
-        cores, own = psutil.cpu_count() or 1, own_cpu_s / seconds
-        others = max(self._busy_s / seconds - own, 0.0)
-        words = f"processor cores used: {own:.2f} of {cores} by these processes, {others:.2f} by other processes"
-        foreign = {process: used_s for process, used_s in self.used_s.items() if process.pid not in own_pids}
-        if foreign:
-            process = max(foreign, key=lambda process: foreign[process])
-            if (used := foreign[process] / seconds) >= others / 4 and used >= 0.05:
-                words += f", of which {used:.2f} by {_name(process)} (process {process.pid})"
-        return words
-
-
-def _busy_s() -> float:
-    times = psutil.cpu_times()
-    return float(sum(times) - times.idle - getattr(times, "iowait", 0.0) - getattr(times, "guest", 0.0))
-
-
-def _name(process: psutil.Process) -> str:
-    try:
-        return str(process.name())
-    except psutil.Error:
-        return "one that has ended"
 
 
 BROKER_PART: Final = "broker"

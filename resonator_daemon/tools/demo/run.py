@@ -31,7 +31,7 @@ from resonator_daemon.tools.demo.processes import (
     BROKER_PART,
     Child,
     Emulator,
-    ProcessorTimes,
+    busy_s,
     cpu_s,
     local_broker,
     raise_if_ended,
@@ -142,7 +142,6 @@ class _Demo:
             await self._open_live_page(url, folder, stack)
         await self._wait_for_frames()
         gc.freeze()  # modules stay in use: collections that visit them delay messages by tens of ms
-        self._load = ProcessorTimes()
         await self._begin_scores()
         print_note(f"measuring for {self._options.seconds:g} s")
 
@@ -196,9 +195,7 @@ class _Demo:
 
     async def _measure(self) -> float:
         """Measure for the time asked for; return how long it was."""
-        for child in self._children():
-            child.mark()
-        own_mark_s = cpu_s(self._own_usage)
+        used_before, busy_before_s = self._processor_times(), busy_s()
         started = time.monotonic()
         console = Console()
         live = nullcontext() if self._options.headless else Live(console=console, screen=True, auto_refresh=False)
@@ -210,14 +207,17 @@ class _Demo:
                     screen.update(self._page(left_s), refresh=True)
                 await self._pause(min(left_s, _TURN_S))
         self._take_arrivals()
-        own_s = cpu_s(self._own_usage) - own_mark_s
-        self._usage = {child.part: child.cpu_s() for child in self._children()}
-        self._usage = {BROKER_PART: self._usage.pop(BROKER_PART), _OWN_PART: own_s} | self._usage
+        self._used_s = {part: used_s - used_before[part] for part, used_s in self._processor_times().items()}
+        self._busy_s = busy_s() - busy_before_s
         self._memory_mb = {child.part: child.rss_mb() for child in self._children()}
-        self._load.stop()
-        self._pids = {self._own_usage.pid}.union(*(child.pids() for child in self._children()))
         self._ended_ns = time.time_ns()
         return time.monotonic() - started
+
+    def _processor_times(self) -> dict[str, float]:
+        """Return the processor time of each part since its start, in seconds."""
+        broker, *others = self._children()
+        parts = {child.part: child.cpu_s() for child in others}
+        return {BROKER_PART: broker.cpu_s(), _OWN_PART: cpu_s(self._own_usage)} | parts
 
     async def _pause(self, seconds: float) -> None:
         with suppress(TimeoutError):
@@ -273,15 +273,15 @@ class _Demo:
             station.truth.close()
             part = station.daemon.part
             plates[name] = plate_result(station.score, self._ended_ns, has_skin=station.plate.decodable) | {
-                "cpu_percent": round(100 * self._usage[part] / seconds, 1),
+                "cpu_percent": round(100 * self._used_s[part] / seconds, 1),
                 "rss_mb": round(self._memory_mb[part], 1),
             }
         return {
             "seconds": round(seconds, 3),
             "broker": self._broker.name,
             "plates": plates,
-            "cores": round(sum(self._usage.values()) / seconds, 3),
-            "cpu_percent_by_part": {part: round(100 * cpu_s / seconds, 1) for part, cpu_s in self._usage.items()},
+            "cores": round(sum(self._used_s.values()) / seconds, 3),
+            "cpu_percent_by_part": {part: round(100 * used_s / seconds, 1) for part, used_s in self._used_s.items()},
         }
 
     def _conclude(self, result: dict[str, Any]) -> ExitCode:
@@ -295,8 +295,11 @@ class _Demo:
             print_note(line)
         health = [message for station in self._stations.values() for message in station.score.health]
         wait_percent = max((message["processor_wait_percent"] for message in health), default=0.0)
-        load = self._load.in_words(sum(self._usage.values()), self._pids)
-        load += f"; a daemon waited for a processor up to {wait_percent:.0f} % of the time"
+        others = max(self._busy_s / result["seconds"] - result["cores"], 0.0)
+        load = (
+            f"processor cores used: {result['cores']:.2f} of {psutil.cpu_count() or 1} by these processes, "
+            f"{others:.2f} by other processes; a daemon waited for a processor up to {wait_percent:.0f} % of the time"
+        )
         if failed:
             busy = any(message["reason_code"] for message in health)
             raise LossError(*failed, *cause(load, overloaded=busy), partial_result=result)
