@@ -43,7 +43,7 @@ from resonator_daemon.mqtt.mqtt_messages import Outgoing
 from resonator_daemon.mqtt.payloads import Forces, Lost
 from resonator_daemon.mqtt.publisher import Publisher
 from resonator_daemon.mqtt.topics import Topic
-from resonator_daemon.tools.replay.source import open_replay
+from resonator_daemon.tools.replay.recorded_pipeline import open_replay
 from simulators.physics import Physics
 from simulators.quartz_plate import QuartzPlate
 from simulators.scenario import Scenario

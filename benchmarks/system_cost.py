@@ -23,7 +23,7 @@ from parts import COMMAND, ROOT, child, emulated_board, processor_s, running
 from simulated_recording import record
 
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.tools.replay.source import open_replay
+from resonator_daemon.tools.replay.recorded_pipeline import open_replay
 
 SETTLE_S = 3.0
 LOOK_S = 1.0  # finding all child processes takes some milliseconds of a core, which the workers need

@@ -25,7 +25,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     """Print the comparison; DifferenceError where a recording is damaged or replays otherwise than recorded."""
     from resonator_daemon.base.host.signals import interruptible
     from resonator_daemon.board.links.link import LinkUnavailableError
-    from resonator_daemon.tools.replay.comparison import Comparison, play, problems
+    from resonator_daemon.tools.replay.comparison import Comparison, play
 
     logging.getLogger().setLevel(logging.WARNING)  # connections, and fonts of matplotlib, are not logged here
     try:
@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         raise NoRecordingError(str(error)) from error
     if arguments.picture is not None:
         compared.write_picture(arguments.picture)
-    wrong = problems((compared.a, compared.b))
+    wrong = [*compared.a.problems, *compared.b.problems]
     if not arguments.json:
         print_page(compared.table())
     if wrong:

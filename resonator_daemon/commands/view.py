@@ -108,7 +108,7 @@ def _check(arguments: argparse.Namespace) -> None:
             raise UsageError(f"--{option.replace('_', '-')} is for plates of a broker; add --url or --config")
     from resonator_daemon.base.errors import meaning_of
     from resonator_daemon.board.links.link import LinkUnavailableError
-    from resonator_daemon.tools.replay.source import open_replay
+    from resonator_daemon.tools.replay.recorded_pipeline import open_replay
 
     for path in paths:
         try:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from resonator_daemon.mqtt.topics import DECODED
 from resonator_daemon.tools.replay.outputs import payload_json
-from resonator_daemon.tools.replay.source import open_replay
+from resonator_daemon.tools.replay.recorded_pipeline import open_replay
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 RECORDING_FILE, EXPECTED_FILE = "recording.mcap", "expected.jsonl.gz"

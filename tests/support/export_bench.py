@@ -11,8 +11,7 @@ from resonator_daemon.board.config import Config
 from resonator_daemon.mqtt.codec import decoded
 from resonator_daemon.tools.export import format_class
 from resonator_daemon.tools.export.output import Output, Recorded
-from resonator_daemon.tools.replay.recorded_pipeline import Moment
-from resonator_daemon.tools.replay.source import open_replay
+from resonator_daemon.tools.replay.recorded_pipeline import Moment, open_replay
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 METADATA = {"plate": "quartz16", "source_sha256": "00ff"}

@@ -20,7 +20,7 @@ from resonator_daemon.board.session.link_state_machine import LinkStateMachine
 from resonator_daemon.extensions.fleet.outline import PartStart, read_outline
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.measure.sensors.kinds import sensor_of
-from resonator_daemon.tools.replay.source import recorded_config
+from resonator_daemon.tools.replay.recorded_pipeline import recorded_config
 
 
 @dataclass(frozen=True)

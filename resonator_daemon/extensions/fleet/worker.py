@@ -15,8 +15,7 @@ from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings
 from resonator_daemon.mqtt.topics import DECODED, FORCES
 from resonator_daemon.tools.export.output import Recorded
 from resonator_daemon.tools.export.run import table_metadata
-from resonator_daemon.tools.replay.recorded_pipeline import RecordingReplay
-from resonator_daemon.tools.replay.source import UNKNOWN_BOOT_ID
+from resonator_daemon.tools.replay.recorded_pipeline import UNKNOWN_BOOT_ID, RecordingReplay
 
 _ID_STEP_NS = 10_000  # contact ids of a chunk count from its UTC in these steps, so that no two chunks share one
 

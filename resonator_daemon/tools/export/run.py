@@ -16,8 +16,7 @@ from resonator_daemon.board.config import Config
 from resonator_daemon.mqtt.units import UNITS
 from resonator_daemon.tools.export import format_class, formats
 from resonator_daemon.tools.export.output import Output, Recorded
-from resonator_daemon.tools.replay.recorded_pipeline import Moment, RecordingReplay, what_is_wrong
-from resonator_daemon.tools.replay.source import open_replay
+from resonator_daemon.tools.replay.recorded_pipeline import Moment, RecordingReplay, open_replay
 from resonator_daemon.tools.replay.span import Progress, Span, find_span
 
 
@@ -212,7 +211,7 @@ def table_metadata(source: str, config: Config) -> dict[str, str]:
 
 def differences_in_words(replaying: RecordingReplay, done: str) -> list[str]:
     """Return what is wrong with a recording that was played, a sentence each; `done` is what was done with the rest."""
-    wrong = what_is_wrong(replaying.differences, replaying.damage, done)
+    wrong = replaying.problems(done)
     if replaying.refused:
         wrong.append(f"the board was refused: {'; '.join(replaying.refused)}")
     return wrong

@@ -14,7 +14,7 @@ from resonator_daemon.base.errors import UserError
 from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.recording.reader import Mark, damage_in_words, open_recording
 from resonator_daemon.mqtt.codec import encode
-from resonator_daemon.tools.replay.source import open_replay
+from resonator_daemon.tools.replay.recorded_pipeline import open_replay
 
 STREAM_PERIOD_NS: Final = 15_000_000  # a display shows no more
 FILE_BYTES_MAX: Final = 2 << 30

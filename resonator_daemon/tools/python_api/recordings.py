@@ -17,7 +17,7 @@ from resonator_daemon.tools.export.table_formats import MemoryOutput
 from resonator_daemon.tools.export.tables import WITH_ARRAYS, WITH_TABLE
 from resonator_daemon.tools.python_api import RecordingError, RecordingWarning, readable_errors
 from resonator_daemon.tools.python_api.tables import Table
-from resonator_daemon.tools.replay.source import open_replay
+from resonator_daemon.tools.replay.recorded_pipeline import open_replay
 from resonator_daemon.tools.replay.span import find_span
 
 DEFAULT_TOPICS: Final = tuple(topic for topic in WITH_TABLE if topic not in WITH_ARRAYS)

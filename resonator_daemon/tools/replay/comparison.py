@@ -1,7 +1,7 @@
 """Two recordings side by side: touches, forces, losses and timing, as a table, as JSON and as a figure."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from difflib import SequenceMatcher
 from pathlib import Path
@@ -13,8 +13,7 @@ from rich.table import Table
 from resonator_daemon.mqtt.codec import decoded
 from resonator_daemon.mqtt.payloads import ContactEvent, Contacts
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS
-from resonator_daemon.tools.replay.recorded_pipeline import RecordingReplay, what_is_wrong
-from resonator_daemon.tools.replay.source import open_replay
+from resonator_daemon.tools.replay.recorded_pipeline import RecordingReplay, open_replay
 from resonator_daemon.tools.view.words import make_figure, number_table
 
 
@@ -44,8 +43,8 @@ class Played:
     frames: int = 0
     lost: dict[str, int] = field(default_factory=dict)
     connections: int = 0
-    differences: int = 0
     damage: str | None = None
+    problems: list[str] = field(default_factory=list)
     t_uncertainty_ns: float = math.nan  # median
     unknown: float = math.nan  # share of the messages in which a force is not known
     touches: list[Touch] = field(default_factory=list)
@@ -78,7 +77,8 @@ def play(path: Path) -> Played:
         counters = replaying.counters
         result.frames, result.connections = counters.frames, counters.connections
         result.lost = asdict(counters.lost)
-        result.differences, result.damage = replaying.differences, replaying.damage
+        result.damage = replaying.damage
+        result.problems = [f"{path}: {problem}" for problem in replaying.problems("compared")]
     return result
 
 
@@ -200,12 +200,3 @@ def _known(value: object) -> object:
 
 def _touch_json(touch: Touch | None) -> dict[str, object] | None:
     return None if touch is None else {key: _known(value) for key, value in touch._asdict().items()}
-
-
-def problems(recordings: Sequence[Played]) -> list[str]:
-    """Return a sentence for each recording that is damaged, or whose replay differs from what is recorded."""
-    return [
-        f"{played.path}: {sentence}"
-        for played in recordings
-        for sentence in what_is_wrong(played.differences, played.damage, "compared")
-    ]

@@ -1,14 +1,29 @@
-"""A recording from its bytes to its messages, one event after the other, without a clock or a second thread."""
+"""A recording from its bytes to its messages, with the plate and settings that it carries or others; reads no clock."""
 
+import tomllib
 from collections import deque
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 from threadpoolctl import threadpool_limits
 
+from resonator_daemon.base.errors import ConfigurationError
+from resonator_daemon.base.host.text import printable
+from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.config import Config
+from resonator_daemon.board.config.values import Settings, config_of, load_plate_text, load_settings_text
+from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.board.recording.event_replay import Replay
-from resonator_daemon.board.recording.reader import Mark, Recording, damage_in_words
+from resonator_daemon.board.recording.reader import (
+    PLATE_FILE,
+    SETTINGS_FILE,
+    Mark,
+    Recording,
+    damage_in_words,
+    open_recording,
+)
 from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.board.session.frame_queue import FrameQueue, group_adjacent
@@ -103,6 +118,13 @@ class RecordingReplay:
         """Where the recorded bytes and frames went."""
         return self._link.counters()
 
+    def problems(self, done: str = "replayed") -> list[str]:
+        """Return a sentence for damage of the file, what came before which was `done`, and one for differences."""
+        found = [] if self.damage is None else [damage_in_words(self.damage, done)]
+        if self.differences:
+            found.append(f"the replay differs from what is recorded in {self.differences} places")
+        return found
+
     def moments(self) -> Iterator[Moment]:
         """Give what follows from each event that anything follows from, and the marks, in order."""
         with threadpool_limits(1, user_api="blas"):  # so that sums are made in the same order everywhere
@@ -167,11 +189,64 @@ class RecordingReplay:
         self._messages.append(Published(topic, message))
 
 
-def what_is_wrong(differences: int, damage: str | None, done: str = "replayed") -> list[str]:
-    """Return a sentence for damage of the file, what came before which was `done`, and one for differences."""
-    wrong = []
-    if damage is not None:
-        wrong.append(damage_in_words(damage, done))
-    if differences:
-        wrong.append(f"the replay differs from what is recorded in {differences} places")
-    return wrong
+_Loaded = TypeVar("_Loaded")
+
+UNKNOWN_BOOT_ID: Final = "0" * 8  # of a recording that no daemon made
+
+
+@contextmanager
+def open_replay(
+    path: Path, config: Config | None = None, daemon_boot_id: str | None = None
+) -> Iterator[RecordingReplay]:
+    """Open a recording to be played with what it carries, or with another configuration of the same plate.
+
+    Messages bear the given boot id of a daemon, or else the recorded one.
+
+    Raises
+    ------
+    LinkUnavailableError
+        No such file, no recording, of another format, or of a plate whose frames are others.
+    ConfigurationError
+        What it carries is damaged or does not suit this version, or a configuration is missing and it carries none.
+    """
+    with open_recording(str(path), config.plate if config else None) as recording:
+        boot_id = daemon_boot_id or recording.header.get("daemon_boot_id", UNKNOWN_BOOT_ID)
+        yield RecordingReplay(recording, config or recorded_config(recording), boot_id)
+
+
+def recorded_config(recording: Recording, plate: Plate | None = None, settings: Settings | None = None) -> Config:
+    """Return the configuration that a recording carries, as far as it matters to its messages.
+
+    A plate and settings that are given replace those of the recording.
+    """
+    path = Path(recording.path)
+    plate_text, settings_text = recording.plate_text, recording.settings_text
+    if (plate is None and plate_text is None) or (settings is None and settings_text is None):
+        if recording.damaged_attachments:
+            raise _damaged(path, recording.damaged_attachments[0])
+        raise ConfigurationError(f"{path} does not carry its plate file and settings; give --config FILE")
+    try:
+        link = parse_link(recording.header.get("link"))
+    except ValueError as error:
+        raise ConfigurationError(f"{path}: link: {error}") from error
+    plate = plate or _loaded(load_plate_text, plate_text or "", path, PLATE_FILE)
+    settings = settings or _loaded(load_settings_text, settings_text or "", path, SETTINGS_FILE)
+    return config_of(plate, settings, link, name=recording.header.get("name"))
+
+
+def _loaded(load: Callable[[str, Path], _Loaded], text: str, path: Path, name: str) -> _Loaded:
+    """Load a text of the recording; errors add that the file itself cannot be edited."""
+    try:
+        return load(text, path / name)
+    except ConfigurationError as error:
+        try:
+            tomllib.loads(text)
+        except (ValueError, RecursionError):
+            raise _damaged(path, name) from error
+        raise ConfigurationError(*error.messages, f"{path}: its {name} cannot be used; give --config FILE") from error
+
+
+def _damaged(path: Path, name: str) -> ConfigurationError:
+    return ConfigurationError(
+        f"{path}: its attachment {printable(name)} is damaged; give plate and settings with --config FILE"
+    )

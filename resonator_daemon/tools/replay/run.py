@@ -20,8 +20,12 @@ from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.mqtt.payloads import Info
 from resonator_daemon.mqtt.topics import Topic
 from resonator_daemon.tools.replay.outputs import BrokerOutput, FileOutput
-from resonator_daemon.tools.replay.recorded_pipeline import Moment, Published, RecordingReplay, what_is_wrong
-from resonator_daemon.tools.replay.source import open_replay
+from resonator_daemon.tools.replay.recorded_pipeline import (
+    Moment,
+    Published,
+    RecordingReplay,
+    open_replay,
+)
 from resonator_daemon.tools.replay.span import Progress, Span, find_span
 from resonator_daemon.tools.view.watch import broker_at
 
@@ -183,7 +187,7 @@ async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[d
             "damage": replaying.damage,
             "refused": list(replaying.refused),
         }
-        wrong = what_is_wrong(replaying.differences, replaying.damage)
+        wrong = replaying.problems()
         return summary, wrong if tally.found else [*wrong, f"it gives no messages{span.words}"]
 
 

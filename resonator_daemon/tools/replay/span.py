@@ -10,23 +10,21 @@ from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
-from resonator_daemon.base.errors import ExitCode, UserError
+from resonator_daemon.base.errors import UsageError
 from resonator_daemon.base.host.text import printable
 from resonator_daemon.board.recording.reader import Mark, open_recording
 from resonator_daemon.board.session.clock import HostTime
 
 
-class NoSuchMarkError(UserError):
+class NoSuchMarkError(UsageError):
     """The recording has no mark of this text."""
 
-    exit_code = ExitCode.USAGE
     code = "no_mark"
 
 
-class BackwardSpanError(UserError):
+class BackwardSpanError(UsageError):
     """The end of a part is not after its beginning."""
 
-    exit_code = ExitCode.USAGE
     code = "no_span"
 
 

@@ -13,7 +13,7 @@ from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.mqtt.codec import decoded
-from resonator_daemon.tools.replay.source import open_replay
+from resonator_daemon.tools.replay.recorded_pipeline import open_replay
 
 CORPUS = Path(__file__).parents[2] / "corpus"
 

@@ -11,7 +11,7 @@ import pytest
 import resonatord
 
 from resonator_daemon.mqtt.codec import decoded
-from resonator_daemon.tools.replay.source import open_replay
+from resonator_daemon.tools.replay.recorded_pipeline import open_replay
 
 CORPUS = Path(__file__).parents[2] / "corpus"
 LIBRARIES = {"scipy", "numpy", "pydantic", "paho", "aiomqtt", "mcap", "pandas", "xarray"}

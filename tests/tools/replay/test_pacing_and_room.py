@@ -14,9 +14,8 @@ from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.link_events import Received
 from resonator_daemon.mqtt import outbox
 from resonator_daemon.tools.replay.outputs import BrokerOutput
-from resonator_daemon.tools.replay.recorded_pipeline import Moment
+from resonator_daemon.tools.replay.recorded_pipeline import Moment, open_replay
 from resonator_daemon.tools.replay.run import AtSpeed
-from resonator_daemon.tools.replay.source import open_replay
 from resonator_daemon.tools.replay.span import Span, find_span
 
 TOUCHES = Path(__file__).parents[2] / "corpus" / "touches" / "recording.mcap"

@@ -17,7 +17,7 @@ from resonator_daemon.mqtt.codec import decode
 from resonator_daemon.mqtt.requests import request
 from resonator_daemon.mqtt.topics import TOPICS
 from resonator_daemon.tools.replay.outputs import payload_json
-from resonator_daemon.tools.replay.source import open_replay
+from resonator_daemon.tools.replay.recorded_pipeline import open_replay
 from simulators.faults import parse_faults
 
 TOUCHES = touch_text(0.4, 2.0, 0.3, site=7) + touch_text(1.2, 2.0, 0.6, site=3)
