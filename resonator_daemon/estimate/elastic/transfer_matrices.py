@@ -1,7 +1,7 @@
 """Transfer matrices of Karason, Srinivasan and Annaswamy, eqs (4) and (14)-(23), for omega > 0, misprints corrected.
 
 "Encoding and Decoding of Static Information in Tactile Sensing Systems". Each function names its equation and, where
-the print is wrong, the entries that differ; docs/research/errata.md has both forms. All are finite at nu = 1/2:
+the print is wrong, the entries that differ; docs/research/reproduction.md has both forms. All are finite at nu = 1/2:
 stresses are written out, never formed from the strains by Hooke's law, whose Lame constant is infinite there.
 """
 
