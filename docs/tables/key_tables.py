@@ -1,13 +1,15 @@
-"""Tables of keys and words in docs/reference, and examples of messages, from the models.
+"""Lists of keys and words in docs/reference, and examples of messages, from the models.
 
 `python docs/tables/key_tables.py` writes them.
 
-A table follows a comment that names its models, as `<!-- keys: Header, Measured -->`; inherited keys are left out. An
-example is the JSON block of the section that is named after its model.
+A list follows a comment that names its models, as `<!-- keys: Header, Measured -->`; inherited keys are left out, and so
+are those that the list of `SHARED` keys explains. An example is the JSON block of the section that is named after its
+model.
 """
 
 import json
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 from pydantic.fields import FieldInfo
@@ -15,40 +17,40 @@ from pydantic.fields import FieldInfo
 from resonator_daemon.base.errors import FAILURES
 from resonator_daemon.mqtt import payloads
 from resonator_daemon.mqtt.message_examples import EXAMPLES
-from resonator_daemon.mqtt.units import unit_of
 from resonator_daemon.mqtt.verbs import ERRORS
 
 PAGES = [
-    Path(__file__).parents[1] / "reference" / f"{name}.md"
-    for name in ("mqtt-topics", "mqtt-commands", "mqtt-delivery", "words")
+    Path(__file__).parents[1] / "reference" / f"{name}.md" for name in ("mqtt-topics", "mqtt-commands", "states")
 ]
 WIDTH = 130
 EXAMPLE = re.compile(r"(^## (\w+)\n(?:(?!^## |^```).*\n)*```json\n)(?:.*\n)*?(```)", re.MULTILINE)
-KEYS = re.compile(r"(<!-- (keys|words|errors): ([\w, ]+) -->\n\n)(?:\|.*\n)*\n*")
+KEYS = re.compile(r"(<!-- (keys|words|errors): ([\w, ]+) -->\n\n)(?:- .*\n)*\n*")
+SHARED = {"reason_code", "reason", "decoder_id"}  # explained once, below "Header"
 
 
-def with_tables(page: str) -> str:
-    """Return the page with each table as the models have it."""
-    make = {"keys": table_of_keys, "words": table_of_words, "errors": table_of_errors}
+def with_lists(page: str) -> str:
+    """Return the page with each list as the models have it."""
+    make = {"keys": list_of_keys, "words": list_of_words, "errors": list_of_errors}
     page = KEYS.sub(lambda found: f"{found[1]}{make[found[2]](found[3].split(', '))}\n", page)
     return EXAMPLE.sub(lambda found: f"{found[1]}{_wrapped(EXAMPLES[found[2]])}\n{found[3]}", page)
 
 
-def table_of_keys(names: list[str]) -> str:
-    rows = ["| key | unit | meaning |", "| --- | --- | --- |"]
-    for name in names:
-        model = getattr(payloads, name)
-        own = (key for key in model.model_fields if key in model.__annotations__)
-        rows += [_row(f"`{key}`", unit_of(key) or "", _meaning(model.model_fields[key])) for key in own]
-    return "\n".join(rows) + "\n"
+def list_of_keys(names: list[str]) -> str:
+    models = [getattr(payloads, name) for name in names]
+    fields = [(key, model.model_fields[key]) for model in models for key in model.model_fields if _own(model, key)]
+    return _list((key, _meaning(field)) for key, field in fields if key not in SHARED)
+
+
+def _own(model: type, key: str) -> bool:
+    return key in model.__annotations__
 
 
 def _meaning(field: FieldInfo) -> str:
     return ("optional; " if field.exclude_if else "") + (field.description or "")
 
 
-def _row(*cells: str) -> str:
-    return "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
+def _list(meanings: Iterable[tuple[str, str]]) -> str:
+    return "".join(f"- `{word}`: {meaning}\n" for word, meaning in meanings)
 
 
 def _wrapped(example: object) -> str:
@@ -61,18 +63,15 @@ def _wrapped(example: object) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
-def table_of_words(names: list[str]) -> str:
+def list_of_words(names: list[str]) -> str:
     (name,) = names
-    meanings = ERRORS if name == "ErrorCode" else {word: word.meaning for word in getattr(payloads, name)}
-    rows = [f"| `{word}` | {meaning} |" for word, meaning in meanings.items()]
-    return "\n".join(["| word | meaning |", "| --- | --- |", *rows]) + "\n"
+    return _list(ERRORS.items() if name == "ErrorCode" else ((word, word.meaning) for word in getattr(payloads, name)))
 
 
-def table_of_errors(_: list[str]) -> str:
-    rows = [f"| `{code}` | {meaning} |" for code, meaning in FAILURES.items()]
-    return "\n".join(["| code | meaning |", "| --- | --- |", *rows]) + "\n"
+def list_of_errors(_: list[str]) -> str:
+    return _list(FAILURES.items())
 
 
 if __name__ == "__main__":
     for page in PAGES:
-        page.write_text(with_tables(page.read_text()))
+        page.write_text(with_lists(page.read_text()))
