@@ -2,9 +2,8 @@
 
 `python docs/tables/key_tables.py` writes them.
 
-A list follows a comment that names its models, as `<!-- keys: Header, Measured -->`; inherited keys are left out, and so
-are those that the list of `SHARED` keys explains. An example is the JSON block of the section that is named after its
-model.
+A list follows a comment that names its models, as `<!-- keys: Header, Measured -->`; inherited keys are left out, and
+so are the `SHARED` ones. An example is the JSON block of the section that is named after its model.
 """
 
 import json
@@ -19,9 +18,7 @@ from resonator_daemon.mqtt import payloads
 from resonator_daemon.mqtt.message_examples import EXAMPLES
 from resonator_daemon.mqtt.verbs import ERRORS
 
-PAGES = [
-    Path(__file__).parents[1] / "reference" / f"{name}.md" for name in ("mqtt-topics", "mqtt-commands", "states")
-]
+PAGES = [Path(__file__).parents[1] / "reference" / f"{name}.md" for name in ("mqtt-topics", "mqtt-commands", "states")]
 WIDTH = 130
 EXAMPLE = re.compile(r"(^## (\w+)\n(?:(?!^## |^```).*\n)*```json\n)(?:.*\n)*?(```)", re.MULTILINE)
 KEYS = re.compile(r"(<!-- (keys|words|errors): ([\w, ]+) -->\n\n)(?:- .*\n)*\n*")

@@ -45,9 +45,8 @@ class SiteForce(Message):
         "response"
     )
     unobserved_bound_newton: Float = optional_number(
-        "an upper bound, not part of the two errors before: the largest force that a touch between sites may exert on "
-        "other sites, in addition to `force_newton`. Omitted if it is 0: sites are touched one by one, or all of them "
-        "are detected"
+        "the largest force that a touch between sites may exert on other sites, in addition to `force_newton`; not "
+        "part of the errors; omitted if it is 0"
     )
     status: Status = Field(description="whether this force is valid")
     at_least_newton: float | None = optional(_AT_LEAST)
@@ -65,13 +64,10 @@ class Compensation(Message):
         description="what it may be off by; null on channelised counters, where each site has its own"
     )
     plate_kelvin: Float = Field(
-        description="temperature of the plate above `thermal.reference_kelvin`, as the tones show it; null on "
-        "single-tone counters. Changes are known far better than the value"
+        description="temperature of the plate above `thermal.reference_kelvin`; null on single-tone counters. Changes "
+        "are known far better than the value"
     )
-    plate_kelvin_std: Float = Field(
-        description="its standard deviation; near 20 K where nothing but changes was seen, or where all sites have "
-        "the same coefficients"
-    )
+    plate_kelvin_std: Float = Field(description="its standard deviation; near 20 K where only changes are known")
     response: ResponseCompensation = Field(description="whether hysteresis and creep of the sites are taken out")
 
 
@@ -122,15 +118,9 @@ class Contact(Message):
     Moments and slip are keys of skins alone, `systematic_newton` of force sites.
     """
 
-    id: int | None = Field(
-        description="the same from onset to release, and not used again in the same run; null if many decoders share "
-        "a skin, because none of them receives all frames"
-    )
+    id: int | None = Field(description="the same from onset to release; null if many decoders share a skin")
     site: int = Field(description="the nearest site")
-    position_m: Vector2 = Field(
-        description="x and y of the centre of pressure, in the plate's plane; on a single-tone counter, those of the "
-        "site"
-    )
+    position_m: Vector2 = Field(description="x and y of the centre of pressure; on a single-tone counter, of the site")
     position_covariance_m2: Vector3 = Field(
         description="covariance of the errors of x and y: xx, xy, yy. On a single-tone counter, it is that of all "
         "positions nearest to the site. xy is null under a skin"
@@ -150,8 +140,8 @@ class Contact(Message):
     slip_margin: OptionalFloat = optional(f"1 - F_t / (mu F_n): 1 without shear, 0 where it slips; {_SLIP_UNKNOWN}")
     slip_margin_std: OptionalFloat = optional("its standard deviation")
     friction_coefficient: OptionalFloat = optional(
-        "mu, if known to 25 %: from stick radius and forces of this frame, and earlier estimates. A configured one "
-        "counts as known to 3 %. Null with a code in `slip_reason_code`"
+        "mu, if known to 25 %, from this frame and earlier ones; a configured one counts as known to 3 %; null with a "
+        "code in `slip_reason_code`"
     )
     friction_coefficient_std: OptionalFloat = optional("its standard deviation")
     slip_reason_code: ReasonCode | None = optional("why the slip margin or the friction coefficient is null")
@@ -165,7 +155,7 @@ class EventContact(Contact):
     id: int = Field(description="the same from onset to release, and not used again in the same run")
     peak_newton: Float = Field(description="the greatest normal force of the contact so far")
     peak_at_least_newton: Float | None = optional(
-        "only of a contact that was overloaded: the greatest force was at least this, as is `peak_newton`"
+        "of a contact that was overloaded: the greatest force was at least this"
     )
     since_t_ns: Int64 = Field(description="its onset, UTC")
     duration_s: Float = Field(description="from the onset to the last reading that gave its force")
@@ -192,8 +182,7 @@ class ContactEvent(Measured):
     decoder_id: str | None = optional(_FOLLOWER_ID)
     replayed: bool = Field(
         False,
-        description="it waited for a broker, or may have come before: a double has the same `daemon_boot_id`, "
-        "`decoder_id` and `seq`",
+        description="it waited for a broker, or may have come before",
     )
 
 

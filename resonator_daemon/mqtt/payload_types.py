@@ -158,18 +158,15 @@ class Lost(Message):
     link_gap: int = optional_number("frames that the board sent and that never arrived")
     damaged: int = optional_number("frames that arrived with a wrong checksum")
     board_overflow: int = optional_number("frames that the board discarded")
-    host_overrun: int = optional_number(
-        "frames lost because the driver of the host's serial port had no space for their bytes"
-    )
+    host_overrun: int = optional_number("frames that the driver of the host's serial port lost")
     queue_overflow: int = optional_number("frames that the daemon discarded before measuring")
     publish_dropped: int = optional_number(
-        "messages that were never written to the broker. Not counted: a state that a newer one replaced before it was "
-        "sent, and late messages (`skipped_late`)"
+        "messages that were never written to the broker, without states that a newer one replaced and without late "
+        "messages"
     )
     skipped_late: int = optional_number(
-        "measured or decoded messages that were not published because they were late. Late is: more than 75 ms after "
-        "the window while newer frames wait; more than 400 ms after the window in any case; more than 250 ms in the "
-        "queue to the broker. Of a skin, frames that the decoder skipped for newer ones count, too"
+        "messages that were late: more than 75 ms after the window while newer frames wait, 400 ms in any case, or "
+        "250 ms in the queue to the broker. Of a skin also frames that the decoder skipped for newer ones"
     )
 
 
@@ -178,8 +175,8 @@ class Header(Message):
 
     name: str = Field(description="name of the plate, as in the topic")
     seq: int = Field(
-        description="number of the message on its topic since the daemon started; a step of more than 1 is messages "
-        "lost on the way, left out to lower the rate, skipped as late, or skipped by the decoder"
+        description="number of the message on its topic since the daemon started; a larger step is messages that were "
+        "lost, skipped, or left out to lower the rate"
     )
     daemon_boot_id: str = Field(description="new with each start of the daemon")
     t_ns: Int64 = Field(description="UTC: of measured messages the middle of the window, of others when they were made")

@@ -112,10 +112,7 @@ class Info(BoardHeader):
     window_s: float = Field(description="length of a window of `forces`; of a skin each frame is one")
     step_s: float = Field(description="from window to window")
     rates_hz: dict[str, float] = Field(description="by topic: messages a second, at most")
-    units: dict[str, str] = Field(
-        description="unit by the ending of a key, in UCUM's notation; the longest ending after an underscore counts, "
-        "a `_std` at the end left off"
-    )
+    units: dict[str, str] = Field(description="unit by the longest ending of a key after an underscore, without `_std`")
     commands: tuple[str, ...] = Field(description="verbs that this daemon executes")
     force_max_newton: float = Field(description="end of the plate's range")
     outline_m: tuple[tuple[float, float], ...] = Field(description="corners of the plate, x, y")
@@ -179,10 +176,8 @@ class DecoderProcessInfo(Message):
     )
     decoded: int = Field(description="frames that were decoded")
     skipped: dict[str, int] = Field(
-        description="frames that were not, by cause: `newer_frame` (a newer one came first), `too_old` (more than 0.1 s"
-        " when its turn came), `measured_late` (the daemon was behind), `no_noise` (the noise of a channel is not known"
-        " yet), `not_ready` (the decoder was being set up, as after each start), `decoder_ended` (until the next one is"
-        " ready), `undecodable`"
+        description="frames that were not, by cause: `newer_frame`, `too_old` (above 0.1 s), `measured_late`, "
+        "`no_noise` (not known yet), `not_ready` (set-up), `decoder_ended`, `undecodable`"
     )
     waiting: int = Field(description="frames that are being decoded, or are next")
     cpu_percent: Float = Field(description=_CPU)
@@ -222,8 +217,8 @@ class Health(BoardHeader):
     )
     records_unusable: dict[str, int] = Field(description="readings that gave no frequency, by cause")
     packets_ignored: dict[str, int] = Field(
-        description="undamaged packets that led to nothing, by cause: from before a reset, malformed, of unknown type, "
-        "lines of the board's log beyond 20 a second"
+        description="undamaged packets without use, by cause: from before a reset, malformed, of unknown type, lines "
+        "of the board's log beyond 20 a second"
     )
     bytes_in: int = Field(description="bytes from the board")
     bytes_by_outcome: dict[str, int] = Field(description="what became of them; their sum is `bytes_in`")
@@ -289,7 +284,7 @@ class DecoderHealth(Message):
     cpu_percent: Float = Field(description=_CPU + ", with its child process")
     rss_mb: Float = Field(description="memory of the decoder, with its child process")
     latency: dict[str, LatencyInfo] = Field(
-        description="of `decoded`, of all plates together: by UTC, the way from the daemon and waiting included; where "
-        "daemon and decoder run on two computers, both clocks must agree, else it is off by what they differ"
+        description="of `decoded`, of all plates, from the window to the hand-over, by UTC: clocks of two computers "
+        "must agree"
     )
     messages: MessageAccount = Field(description=_MESSAGES)
