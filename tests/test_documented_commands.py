@@ -42,17 +42,8 @@ def test_lines_and_words_are_few() -> None:
 
 async def test_a_board_is_connected_by_the_commands_of_the_readme(shell: Shell) -> None:
     found = commands(README.partition("## Connect a board")[2])
-    assert [words[0] for words in found] == [
-        "emulate",
-        "ports",
-        "identify",
-        "config",
-        "check",
-        "run",
-        "watch",
-        "status",
-        "doctor",
-    ]
+    verbs = ["emulate", "ports", "identify", "config", "check", "run", "watch", "status", "doctor"]
+    assert [words[0] for words in found] == verbs
     for words in found:
         await shell.run(words)
 
