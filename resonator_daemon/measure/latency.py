@@ -8,7 +8,7 @@ from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.mqtt.payloads import LatencyInfo
 from resonator_daemon.mqtt.topics import Topic
 
-# About three to an octave where a machine that keeps up is; each limit of docs/explanation/performance.md is one of them.
+# About three to an octave where a machine that keeps up is; limits of docs/explanation/performance.md are among them.
 BOUNDS_MS: Final = (
     *(0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.0, 6.0, 8.0, 10.0, 14.0, 20.0, 25.0, 35.0, 50.0),
     *(70.0, 100.0, 200.0, 500.0, 1000.0),
