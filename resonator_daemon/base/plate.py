@@ -152,7 +152,9 @@ def _counter_findings(counter: Counter | None, sites: dict[int, Site]) -> Iterat
         )
         yield finding(("counter", "frame_rate_hz"), counter.frame_rate_hz, sentence)
     if counter and any(counter.pilot_hz in tone.f0_hz for site in sites.values() for tone in site.tones):
-        sentence = "is a site's f0_hz: a touch could not be told from none; choose a frequency that no site has"
+        sentence = (
+            "is a site's f0_hz: a touch could not be distinguished from none; choose a frequency that no site has"
+        )
         yield finding(("counter", "pilot_hz"), counter.pilot_hz, sentence)
 
 
