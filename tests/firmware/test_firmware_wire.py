@@ -8,9 +8,10 @@ from firmware_wire_host import WireHost
 from switch import Switch
 
 from firmware_protocol.host import Described, Frame, Located, Pong
-from firmware_protocol.layouts import RecordFlag
+from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag
 from firmware_protocol.messages import BoardStatus, Configuration, Refusal
-from resonator_daemon.estimate.tones.frequency_estimators import Sums, continues, frequency_hz
+from resonator_daemon.estimate.tones.frequency_estimators import Sums, frequency_hz
+from resonator_daemon.estimate.tones.tone_windows import ToneWindows
 
 pytestmark = pytest.mark.firmware
 
@@ -33,7 +34,8 @@ def test_frames_are_exact_sums_that_run_on(switch: Switch) -> None:
                 sums = Sums.of(record)
                 assert 9.971e6 < frequency_hz(sums, 1e9) < 10.0101e6
                 if gates == 1 and not record.flags & RecordFlag.STRIDE_BREAK:
-                    assert continues(Sums.of(earlier), sums)
+                    two_gates = SINGLE_TONE_STRUCT.pack(*earlier) + SINGLE_TONE_STRUCT.pack(*record)
+                    assert ToneWindows(1, 2, 1e9, (9e6, 11e6)).push(two_gates).held == [[1], [2]]
             before = frame
     assert host.session.bytes.discarded == 0
 

@@ -6,6 +6,7 @@ A common mode that drifts faster than that of a plate at rest in a room is detec
 import math
 from collections import deque
 from collections.abc import Sequence
+from itertools import compress
 from typing import Final
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
@@ -97,8 +98,7 @@ class CommonMode:
         """Return the relative error of `value`, common to all channels; NaN until known."""
         if not self.known:
             return math.nan
-        known = [variance for variance, settled in zip(self._variance, self._settled, strict=True) if settled]
-        return math.sqrt(max(known) + COMMON_MODE_STD**2)
+        return math.sqrt(max(compress(self._variance, self._settled)) + COMMON_MODE_STD**2)
 
 
 class DriftWatch:
@@ -112,11 +112,11 @@ class DriftWatch:
 
     def __init__(self) -> None:
         self._seen: deque[tuple[float, tuple[float, ...]]] = deque()
-        self._drifting = False
+        self._verdict: Reason | None = None
 
     def reset(self) -> None:
         self._seen.clear()
-        self._drifting = False
+        self._verdict = None
 
     def update(self, common_mode: Sequence[float], plate_kelvin: float, time_s: float) -> Reason | None:
         """Update with the common mode per channel and the plate's temperature, each NaN where unknown.
@@ -133,8 +133,12 @@ class DriftWatch:
             last_s, last = self._seen[-1]
             if time_s < last_s:
                 self.reset()
-            elif all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in zip(values, last, strict=True)):
-                return self._verdict
+            else:
+                for now, then in zip(values, last, strict=True):
+                    if now != then and not (math.isnan(now) and math.isnan(then)):
+                        break
+                else:
+                    return self._verdict
         self._seen.append((time_s, values))
         while len(self._seen) > 2 and time_s - self._seen[1][0] >= SPAN_S:
             self._seen.popleft()
@@ -146,18 +150,13 @@ class DriftWatch:
         moved = [abs(now - then) for now, then in zip(last, first, strict=True) if not math.isnan(now - then)]
         if last_s - first_s < _LEAST_S or not moved:
             return
-        self._moved, self._span_s = max(moved), last_s - first_s
-        self._limit = WALKS * COMMON_MODE_WALK * math.sqrt(self._span_s)
-        self._drifting = self._moved > self._limit * (_OVER if self._drifting else 1.0)
-
-    @property
-    def _verdict(self) -> Reason | None:
-        if not self._drifting:
-            return None
-        rate = self._moved / self._span_s
-        return Reason(
+        most, span_s = max(moved), last_s - first_s
+        limit = WALKS * COMMON_MODE_WALK * math.sqrt(span_s)
+        if most <= limit * (1.0 if self._verdict is None else _OVER):
+            self._verdict = None
+            return
+        self._verdict = Reason(
             ReasonCode.DRIFTING,
-            f"the baseline moves by {rate * 1e6:.2g} ppm/s, {self._moved * 1e6:.2g} ppm in {self._span_s:.0f} s, where "
-            f"at most {self._limit * 1e6:.2g} ppm are explained: the plate is warmed or cooled, or its reference "
-            "wanders",
+            f"the baseline moves by {most / span_s * 1e6:.2g} ppm/s, {most * 1e6:.2g} ppm in {span_s:.0f} s, where "
+            f"at most {limit * 1e6:.2g} ppm are explained: the plate is warmed or cooled, or its reference wanders",
         )

@@ -4,10 +4,10 @@ In plain floats: for four channels, arrays take ten times as long.
 """
 
 import math
-import operator
 from collections.abc import Mapping, Sequence
 from functools import cache
 from itertools import chain, combinations
+from operator import mul
 from typing import Final, Literal, NamedTuple
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
@@ -52,10 +52,6 @@ class Reading(NamedTuple):
     def channels(self) -> tuple[int, ...]:
         """Return the channels in use."""
         return tuple([channel for channel, inverse in enumerate(self.inverse_variance) if inverse > 0.0])
-
-    @property
-    def common_variance(self) -> float:
-        return self.oscillator_variance + self.common_mode_variance
 
     def on(self, channels: tuple[int, ...]) -> "Reading":
         """Return the reading with only these channels in use."""
@@ -108,18 +104,18 @@ def fit_code(codes: Codes, site: int, reading: Reading) -> CodeFit:
     common_variance = reading.oscillator_variance + reading.common_mode_variance
     shift = [1.0 - f0 / f for f0, f in zip(f0_hz, reading.frequency_hz, strict=True)]
     weights, information, _ = _weights(sensitivity, inverse_variance, common_variance)
-    first = _dot(weights, shift)
+    first = sum(map(mul, weights, shift))
     force = low if first < low else high if first > high else first
     model_variance = model_error * model_error * (force * force + DOUBT_STD * DOUBT_STD / information)
     inverse = [i / (1.0 + i * model_variance * k * k) for i, k in zip(inverse_variance, sensitivity, strict=True)]
     weights, _, common = _weights(sensitivity, inverse, common_variance)
-    force = _dot(weights, shift)
+    force = sum(map(mul, weights, shift))
     within = low if force < low else high if force > high else force
     residual = [y - k * within for y, k in zip(shift, sensitivity, strict=True)]
     whitened = [i * r for i, r in zip(inverse, residual, strict=True)]
     total_whitened = sum(whitened)
     # R inverted by Sherman and Morrison.
-    chi2 = _dot(whitened, residual) - common * total_whitened * total_whitened
+    chi2 = sum(map(mul, whitened, residual)) - common * total_whitened * total_whitened
     log_det = math.log1p(common_variance * sum(inverse)) - sum([math.log(i) for i in inverse if i > 0.0])
     return CodeFit(site, force, chi2, chi2 + log_det, weights)
 
@@ -129,15 +125,10 @@ def _weights(
 ) -> tuple[list[float], float, float]:
     """Weights K'R^-1 / K'R^-1K for R = diag(1 / inverse) + v 11', K'R^-1K itself, and v / (1 + v 1'diag(inverse)1)."""
     common = common_variance / (1.0 + common_variance * sum(inverse))
-    shared = common * _dot(inverse, sensitivity)
+    shared = common * sum(map(mul, inverse, sensitivity))
     whitened = [i * (k - shared) for i, k in zip(inverse, sensitivity, strict=True)]
-    information = _dot(whitened, sensitivity)
+    information = sum(map(mul, whitened, sensitivity))
     return [w / information for w in whitened], information, common
-
-
-def _dot(first: list[float], second: list[float]) -> float:
-    total: float = sum(map(operator.mul, first, second))
-    return total
 
 
 def uncertainty_newton(
@@ -150,7 +141,7 @@ def uncertainty_newton(
     """
     common_gain = sum(weights) ** 2
     squares = [w * w for w in weights]
-    noise = _dot(squares, reading.counter_variance) + common_gain * reading.oscillator_variance
+    noise = sum(map(mul, squares, reading.counter_variance)) + common_gain * reading.oscillator_variance
     spread = sum([w * k * k for w, k in zip(squares, codes.sites[site].sensitivity, strict=True)])
     systematic = (codes.model_error * force_newton) ** 2 * spread + common_gain * reading.common_mode_variance
     return math.sqrt(noise), math.sqrt(systematic)

@@ -91,10 +91,6 @@ class ContactTracker:
         self._last_id = 0
 
     @property
-    def any_open(self) -> bool:
-        return bool(self._open)
-
-    @property
     def contacts(self) -> tuple[Contact, ...]:
         return tuple(self._open.values())
 

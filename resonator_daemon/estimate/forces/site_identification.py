@@ -237,7 +237,8 @@ def _bands(loaded_hz: Floats, model_variance: Floats) -> list[_Band]:
 def _near(bands: list[_Band], reading: Reading, channel: int, sites: Sequence[int]) -> list[int]:
     """Return those of the sites that a channel's frequency may belong to, as far as that channel shows."""
     low_hz, high_hz, model_variance = bands[channel]
-    variance = reading.counter_variance[channel] + reading.common_variance + model_variance
+    common_variance = reading.oscillator_variance + reading.common_mode_variance
+    variance = reading.counter_variance[channel] + common_variance + model_variance
     slack, frequency = REACH_STD * math.sqrt(variance), reading.frequency_hz[channel]
     upper, lower = frequency * (1.0 + slack), frequency * (1.0 - slack)
     return [site for site in sites if low_hz[site] <= upper and high_hz[site] >= lower]
@@ -272,7 +273,7 @@ def _reading(
         (f, std * std, 1.0 / (std * std)) if 0.0 < f < math.inf and 0.0 < std < math.inf else (1.0, 0.0, 0.0)
         for f, std in zip(frequency_hz, counter_std, strict=True)
     ]
-    frequency, variance, inverse = (list(part) for part in zip(*known, strict=True))
+    frequency, variance, inverse = map(list, zip(*known, strict=True))
     return Reading(frequency, variance, inverse, oscillator, common_mode)
 
 

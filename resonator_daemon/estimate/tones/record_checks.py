@@ -1,6 +1,7 @@
 """Records of a single-tone counter: the sums and the frequency of each gate, or the fault of its record."""
 
 import math
+from collections.abc import Iterable
 from typing import Final
 
 from firmware_protocol.layouts import RecordFlag
@@ -49,44 +50,52 @@ Gate = tuple[PlainSums, float, float]
 and the last stamp from its line."""
 
 
-def read_gate(record: tuple[int, ...], reference_hz: float, band_hz: tuple[float, float]) -> Gate | int:
-    """Return the gate of one record, the fields of `SingleToneRecord`, or the code of its fault.
+def read_gates(
+    records: Iterable[tuple[int, ...]], reference_hz: float, band_hz: tuple[float, float]
+) -> list[Gate | int]:
+    """Return the gate of each record, the fields of `SingleToneRecord`, or the code of its fault.
 
     A record has a fault where the board flags it, where no steady tone has such sums, and outside of `band_hz`.
     """
-    first_edge, first_ticks, stamps, stride_edges, span_ticks, s1_ticks, s2_ticks, q2_ticks2, _, flags = record
-    if code := _FAULT_OF_FLAGS[flags & _UNUSABLE]:
-        return code
-    if stamps < STAMPS_MIN or stride_edges == 0 or span_ticks < stamps - 1:
-        return IMPOSSIBLE_COUNTS
-    count, span, s1, s2, q2 = float(stamps), float(span_ticks), float(s1_ticks), float(s2_ticks), float(q2_ticks2)
-    steps, line = count - 1.0, count * span
-    # Regression and end points give one frequency but for noise and the chirp of a press.
-    slope_numerator = 6.0 * (2.0 * s2 - steps * s1)
-    if slope_numerator <= 0.0:
-        return IMPOSSIBLE_COUNTS
-    slope_denominator = count * (count * count - 1.0)
-    slope = slope_numerator / slope_denominator
-    interval = span / steps
-    # A second difference of stamps has six times the variance of one, the distance of two has twice that.
-    stamp_variance = q2 / (6.0 * (count - 2.0))
-    # On the line through the end points S1 = N u / 2 and S2 = N (2N - 1) u / 6.
-    slack = count * (span / LINE_TOLERANCE + 1.0)
-    if (
-        abs(2.0 * s1 - line) > 2.0 * slack
-        or abs(6.0 * s2 - (count + steps) * line) > 3.0 * steps * slack
-        or stamp_variance > interval * interval / 2.0  # out of order
-    ):
-        return IMPOSSIBLE_COUNTS
-    off = abs(slope / interval - 1.0)
-    if off > FREQUENCY_JUMP:  # up to that no noise is needed to explain the difference
-        noise_ticks = math.sqrt(2.0 * max(stamp_variance, QUANTISATION_TICKS2))
-        if off > FREQUENCY_JUMP + NOISE_SIGMAS * noise_ticks / span:
-            return IMPOSSIBLE_COUNTS
-    frequency_hz = reference_hz * (stride_edges * slope_denominator / slope_numerator)
-    if not band_hz[0] <= frequency_hz <= band_hz[1]:
-        return IMPOSSIBLE_FREQUENCY
-    middle, half = s1 / count, slope * steps / 2
-    residual_ticks2 = ((middle - half) ** 2 + (span - middle - half) ** 2) / 2
-    sums = first_edge, first_ticks, stamps, stride_edges, span_ticks, s1_ticks, s2_ticks, q2_ticks2, stamps - 2
-    return sums, frequency_hz, residual_ticks2
+    gates: list[Gate | int] = []
+    for record in records:
+        first_edge, first_ticks, stamps, stride_edges, span_ticks, s1_ticks, s2_ticks, q2_ticks2, _, flags = record
+        if code := _FAULT_OF_FLAGS[flags & _UNUSABLE]:
+            gates.append(code)
+            continue
+        gates.append(IMPOSSIBLE_COUNTS)  # unless all checks are passed
+        if stamps < STAMPS_MIN or stride_edges == 0 or span_ticks < stamps - 1:
+            continue
+        count, span, s1, s2, q2 = float(stamps), float(span_ticks), float(s1_ticks), float(s2_ticks), float(q2_ticks2)
+        steps, line = count - 1.0, count * span
+        # Regression and end points give one frequency but for noise and the chirp of a press.
+        slope_numerator = 6.0 * (2.0 * s2 - steps * s1)
+        if slope_numerator <= 0.0:
+            continue
+        slope_denominator = count * (count * count - 1.0)
+        slope = slope_numerator / slope_denominator
+        interval = span / steps
+        # A second difference of stamps has six times the variance of one, the distance of two has twice that.
+        stamp_variance = q2 / (6.0 * (count - 2.0))
+        # On the line through the end points S1 = N u / 2 and S2 = N (2N - 1) u / 6.
+        slack = count * (span / LINE_TOLERANCE + 1.0)
+        if (
+            abs(2.0 * s1 - line) > 2.0 * slack
+            or abs(6.0 * s2 - (count + steps) * line) > 3.0 * steps * slack
+            or stamp_variance > interval * interval / 2.0  # out of order
+        ):
+            continue
+        off = abs(slope / interval - 1.0)
+        if off > FREQUENCY_JUMP:  # up to that no noise is needed to explain the difference
+            noise_ticks = math.sqrt(2.0 * max(stamp_variance, QUANTISATION_TICKS2))
+            if off > FREQUENCY_JUMP + NOISE_SIGMAS * noise_ticks / span:
+                continue
+        frequency_hz = reference_hz * (stride_edges * slope_denominator / slope_numerator)
+        if not band_hz[0] <= frequency_hz <= band_hz[1]:
+            gates[-1] = IMPOSSIBLE_FREQUENCY
+            continue
+        middle, half = s1 / count, slope * steps / 2
+        residual_ticks2 = ((middle - half) ** 2 + (span - middle - half) ** 2) / 2
+        sums = first_edge, first_ticks, stamps, stride_edges, span_ticks, s1_ticks, s2_ticks, q2_ticks2, stamps - 2
+        gates[-1] = sums, frequency_hz, residual_ticks2
+    return gates

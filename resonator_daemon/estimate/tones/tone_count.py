@@ -206,8 +206,9 @@ def beat_std_hz(gate_hz: Sequence[float], gate_std_hz: float) -> float:
     gates = len(gate_hz)
     if gates < GATES_MIN:
         return 0.0
-    shifted = zip(gate_hz, gate_hz[1:], gate_hz[2:], gate_hz[3:], strict=False)
-    differences_hz2 = [(d - a - 3.0 * (c - b)) ** 2 for a, b, c, d in shifted]
-    scatter_hz2 = sum(differences_hz2) / (WHITE_GAIN * len(differences_hz2))
+    scatter_hz2 = 0.0
+    for a, b, c, d in zip(gate_hz, gate_hz[1:], gate_hz[2:], gate_hz[3:], strict=False):
+        scatter_hz2 += (d - a - 3.0 * (c - b)) ** 2
+    scatter_hz2 /= WHITE_GAIN * (gates - 3)
     surplus_hz2 = scatter_hz2 - gate_std_hz * gate_std_hz
     return math.sqrt(surplus_hz2) / gates**2 if surplus_hz2 > 0.0 else 0.0

@@ -6,21 +6,23 @@ Gates are lists and plain floats: a step has few of them, for which arrays take 
 import math
 from collections import Counter
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import Final, NamedTuple
 
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag, SingleToneRecord
 from resonator_daemon.estimate.tones.frequency_estimators import (
     FREQUENCY_JUMP,
+    WRAP_MASK,
     Sums,
-    continues,
     frequency_hz,
     merge_adjacent,
 )
-from resonator_daemon.estimate.tones.record_checks import FAULTS, Gate, read_gate
+from resonator_daemon.estimate.tones.record_checks import FAULTS, Gate, read_gates
 
 _STRIDE_BREAK: Final = int(RecordFlag.STRIDE_BREAK)
 _FLAGS: Final = SingleToneRecord._fields.index("flags")
 _ATTENUATION: Final = SingleToneRecord._fields.index("attenuation_db256")
+_SUMS: Final = itemgetter(0)  # of a gate
 _NOTHING: Final[Gate] = (Sums(*[0] * 9), math.nan, math.nan)
 
 
@@ -61,17 +63,18 @@ class GateBlock:
         self.faults = faults
         self._records = records
         self._reference_hz = reference_hz
-        self.steady = all(before == most and not firsts[-1] for _, before, firsts in columns)
-        if self.steady:
+        self.steady = False
+        for _, before, firsts in columns:
+            if before != most or firsts[-1]:
+                break
+        else:
+            self.steady = True
             self.held = [[most] * len(columns)] * len(columns[0].firsts)
             return
         held = [
             [min(end - first, most) for end, first in enumerate(firsts, before + 1)] for _, before, firsts in columns
         ]
         self.held = [list(row) for row in zip(*held, strict=True)]
-
-    def __len__(self) -> int:
-        return len(self.held)
 
     def count_faults(self) -> Counter[str]:
         """Count the records that gave no frequency, by cause."""
@@ -145,8 +148,7 @@ class Window:
             for gates, before, firsts in self._columns:
                 end = before + self._gate + 1
                 held = end - firsts[self._gate] >= self.frames
-                parts = [sums for sums, _, _ in gates[end - self.frames : end]] if held else []
-                self._sums.append(merge_adjacent(parts) if held else None)
+                self._sums.append(merge_adjacent(map(_SUMS, gates[end - self.frames : end])) if held else None)
         return self._sums
 
     @property
@@ -160,13 +162,13 @@ class Window:
 
         Valid for channels that hold the window.
         """
-        held = [
-            gates[max(before + self._gate + 1 - self.frames, 0) : before + self._gate + 1]
-            for gates, before, _ in self._columns
-        ]
-        return [[hertz for _, hertz, _ in gates] for gates in held], [
-            [residual_ticks2 for _, _, residual_ticks2 in gates] for gates in held
-        ]
+        all_hertz, all_residuals = [], []
+        for gates, before, _ in self._columns:
+            end = before + self._gate + 1
+            _, hertz, residuals = zip(*gates[max(end - self.frames, 0) : end], strict=True)
+            all_hertz.append(list(hertz))
+            all_residuals.append(list(residuals))
+        return all_hertz, all_residuals
 
 
 class ToneWindows:
@@ -207,24 +209,29 @@ class ToneWindows:
             raise ValueError(f"{count:g} records for {self.channels} channels")
         records = list(SINGLE_TONE_STRUCT.iter_unpack(payload))
         channels, most, reference_hz, band_hz = self.channels, self.frames, self._reference_hz, self._band_hz
+        all_read = read_gates(records, reference_hz, band_hz)
         columns: list[Column] = []
         codes = [0] * len(records)
         for channel, gates in enumerate(self._gates):
             before, first, firsts = len(gates), 0, []
-            for gate, record in enumerate(records[channel::channels]):
-                read = read_gate(record, reference_hz, band_hz)
+            for at in range(channel, len(records), channels):
+                read = all_read[at]
                 if isinstance(read, int):
-                    codes[gate * channels + channel] = read
+                    codes[at] = read
                     gates.append(_NOTHING)
                     first = len(gates)
                 else:
                     if first < len(gates):
-                        last_sums, last_hz, _ = gates[-1]
-                        sums, hertz, _ = read
+                        (last_edge, last_ticks, stamps, last_stride_edges, span_ticks, *_), last_hz, _ = gates[-1]
+                        (edge, ticks, _, stride_edges, *_), hertz, _ = read
+                        gap_ticks = (ticks - last_ticks - span_ticks) & WRAP_MASK
                         if (
-                            record[_FLAGS] & _STRIDE_BREAK
+                            records[at][_FLAGS] & _STRIDE_BREAK
                             or abs(hertz - last_hz) > FREQUENCY_JUMP * hertz
-                            or not continues(last_sums, sums)
+                            # A stamp is missing, or there is one too many.
+                            or stride_edges != last_stride_edges
+                            or (last_edge + stamps * stride_edges - edge) & WRAP_MASK
+                            or not 0 < gap_ticks * (stamps - 1) < 2 * span_ticks
                         ):
                             first = len(gates)
                     gates.append(read)

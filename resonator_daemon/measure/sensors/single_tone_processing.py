@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import Final, Literal
 
 import numpy as np
@@ -23,6 +24,7 @@ from resonator_daemon.estimate.tones.tone_windows import GateBlock, ToneWindows,
 from resonator_daemon.measure.sensors.corner_tones import CornerTones
 from resonator_daemon.measure.sensors.usual_reasons import BOARD_RESTARTED, COMMON_MODE_PENDING
 
+_SITE: Final = attrgetter("site")
 BASELINE_READINGS: Final = 20  # untouched readings before the common mode counts as known
 UNKNOWN_CONTACT_S: Final = 0.5
 ONSET_FRAMES: Final = 2  # window of the fast path
@@ -146,9 +148,12 @@ class SingleToneProcessing:
 
     def process(self, frames: Sequence[Frame]) -> list[ForceReading]:
         """Return the readings that end with one of these adjacent frames."""
-        counted = [frame for frame in frames if isinstance(frame, SingleToneFrame)]
-        ticks = [frame.board_ticks for frame in counted]
-        return self.push(counted[0].index, ticks, b"".join([frame.payload for frame in counted])) if counted else []
+        ticks, payloads = [], []
+        for frame in frames:
+            if isinstance(frame, SingleToneFrame):
+                ticks.append(frame.board_ticks)
+                payloads.append(frame.payload)
+        return self.push(frames[0].index, ticks, b"".join(payloads)) if ticks else []
 
     def push(self, first_sequence: int, board_ticks: Sequence[int], payload: bytes) -> list[ForceReading]:
         """Process adjacent frames: their records as on the wire, one of each channel, frame after frame.
@@ -164,20 +169,22 @@ class SingleToneProcessing:
         crowded = self._note(block)
         changed = self._tone_has_changed(block)
         others: list[int] | None = None  # looked for while nothing is touched
-        step, count = self._step_frames, len(block)
+        step, count = self._step_frames, len(block.held)
         self._last = first_sequence + count - 1, board_ticks[-1]
         steps = range(-(first_sequence + 1) % step, count, step)
         readings = []
+        touched = bool(self._tracker.contacts)
         for gate in range(count):
             at_step = gate in steps
             if not at_step:
-                if others is None and not self._tracker.any_open:
+                if others is None and not touched:
                     others = self._other_tones(block)
-                something_new = gate in (changed if self._tracker.any_open else others or ())
+                something_new = gate in (changed if touched else others or ())
                 if not (something_new and self._common_mode.known):
                     continue
             window = self._window_at(block, gate)
             reading = self._read(first_sequence + gate, board_ticks[gate], window, crowded[gate], at_step=at_step)
+            touched = bool(reading.contacts)
             if at_step or reading.events:
                 readings.append(reading)
         return readings
@@ -194,7 +201,7 @@ class SingleToneProcessing:
         """Count unusable records; return for how many frames in a row no tone was the strongest on each channel."""
         if not block.faults:
             self._crowded = self._quiet
-            return [self._quiet] * len(block)
+            return [self._quiet] * len(block.held)
         self.unusable.update(block.count_faults())
         rows = []
         for faults in block.faults:
@@ -227,8 +234,11 @@ class SingleToneProcessing:
     ) -> ForceReading:
         frames, measured_hz = window.frames, window.frequency_hz
         pilot_hz, tolerance, unknown = self._pilot_hz, PILOT_TOLERANCE, math.nan
-        off = [f / pilot_hz - 1 for f in measured_hz]
-        pilot = tuple([g if -tolerance < g < tolerance else unknown for g in off])
+        relative_hz = [unknown] * len(measured_hz)
+        for channel, f in enumerate(measured_hz):
+            if -tolerance < (g := f / pilot_hz - 1) < tolerance:
+                relative_hz[channel] = g
+        pilot = tuple(relative_hz)
         silent, others = sum(map(math.isnan, measured_hz)), sum(map(math.isnan, pilot))
         pilots, tones = len(pilot) - others, others - silent
         untouched = tones == 0 and pilots >= 2
@@ -246,10 +256,14 @@ class SingleToneProcessing:
             status, reason = "pressed_at_start", _PRESSED
         elif tones >= 2:
             counts = self._counted(window, measured_hz, pilot)
-            beats = tuple([channel for channel, count in enumerate(counts) if count.beats])
+            second_tone = False
+            for channel, count in enumerate(counts):
+                second_tone = second_tone or count.others
+                if count.beats:
+                    beats += (channel,)
             match = self._latch.apply(self._match(counts, frames))
             status, reason, forces = match.status, match.reason, match.forces
-            if status == "ok" and any(count.others for count in counts):
+            if status == "ok" and second_tone:
                 status, reason = "possibly_more", _SECOND_TONE
             elif status == "ok" and max(crowded) >= CROWDED_FRAMES:
                 status, reason = "possibly_more", self._tones_alike("two tones are alike", window)
@@ -357,7 +371,7 @@ class SingleToneProcessing:
 
         While a tone takes over a corner, a window of two gates may give any site.
         """
-        before, self._touch_sites = self._touch_sites, {touch.site for touch in touches}
+        before, self._touch_sites = self._touch_sites, set(map(_SITE, touches))
         if frames > self._onset_frames:
             return touches
         known = before | {contact.touch.site for contact in self._tracker.contacts}

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from resonator_daemon.estimate.tones.frequency_estimators import (
     Sums,
-    continues,
     counter_std,
     frequency_hz,
     merge_adjacent,
@@ -44,25 +43,6 @@ def test_merged_parts_equal_one_long_gate_exactly(lengths, interval, first_edge,
     assert merged[:7] == whole[:7]
     assert merged.q2_ticks2 == sum(part.q2_ticks2 for part in parts)
     assert merged.second_differences == sum(lengths) - 2 * len(lengths)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"first_edge": 1000 + 1},
-        {"first_edge": 1000 - 10},
-        {"first_edge": 1000 + (1 << 20)},
-        {"stride_edges": 11},
-        {"first_ticks": 100 * 1000 - 1000},  # the last stamp again
-        {"first_ticks": 102 * 1000},
-        {"first_ticks": 100 * 1000 - 5000},
-    ],
-)
-def test_parts_that_do_not_run_on_are_recognised(change):
-    ticks = [1000 * k for k in range(200)]
-    earlier, later = split(ticks, [100, 100], 0, 10)
-    assert continues(earlier, later)
-    assert not continues(earlier, later._replace(**change))
 
 
 @given(steps=st.lists(st.integers(90, 110), min_size=3, max_size=40), stride=st.integers(1, 1000))

@@ -6,14 +6,14 @@ from brute_force_board import REFERENCE_HZ, record_of
 
 from firmware_protocol.layouts import RecordFlag, SingleToneRecord
 from resonator_daemon.estimate.tones.frequency_estimators import Sums, frequency_hz
-from resonator_daemon.estimate.tones.record_checks import FAULTS, read_gate
+from resonator_daemon.estimate.tones.record_checks import FAULTS, read_gates
 
 GOOD = record_of([1000 * k for k in range(1000)], 0, 10)
 
 
 def gate_of(record, band_hz=(1e3, 1e9)):
     """Fault and frequency of one record."""
-    gate = read_gate(tuple(record), REFERENCE_HZ, band_hz)
+    (gate,) = read_gates([record], REFERENCE_HZ, band_hz)
     return (FAULTS[gate], math.nan) if isinstance(gate, int) else (None, gate[1])
 
 
@@ -25,7 +25,7 @@ def fault(record):
 def test_a_gate_has_the_record_s_sums_their_frequency_and_the_residual_of_its_ends(step):
     ticks = [step * k + (k % 3 == 0) for k in range(77)]
     record = record_of(ticks, 4_294_967_000, 10)
-    sums, hertz, residual_ticks2 = read_gate(tuple(record), REFERENCE_HZ, (1e3, 1e9))
+    ((sums, hertz, residual_ticks2),) = read_gates([record], REFERENCE_HZ, (1e3, 1e9))
     assert sums == Sums.of(record)
     assert hertz == frequency_hz(Sums.of(record), REFERENCE_HZ)
     number = np.arange(77)

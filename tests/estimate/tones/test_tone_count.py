@@ -7,7 +7,7 @@ import pytest
 from brute_force_board import record_of
 
 from resonator_daemon.estimate.tones.frequency_estimators import Sums
-from resonator_daemon.estimate.tones.record_checks import read_gate
+from resonator_daemon.estimate.tones.record_checks import read_gates
 from resonator_daemon.estimate.tones.tone_count import (
     EXCESS_LIMIT,
     RESIDUAL_LIMIT,
@@ -173,7 +173,7 @@ def gates(rng, count, *, ratio=0.0, distance_hz=4000.0, noise_ticks=0.6):
 
 
 def end_residual_ticks2(ticks):
-    _, _, residual_ticks2 = read_gate(tuple(record_of(ticks.tolist(), 0, STRIDE_EDGES)), REFERENCE_HZ, (9e6, 11e6))
+    ((_, _, residual_ticks2),) = read_gates([record_of(ticks.tolist(), 0, STRIDE_EDGES)], REFERENCE_HZ, (9e6, 11e6))
     return residual_ticks2
 
 

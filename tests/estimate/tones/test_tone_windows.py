@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from brute_force_board import REFERENCE_HZ, Channel, payload_of
+from brute_force_board import REFERENCE_HZ, Channel, payload_of, record_of
 
 from firmware_protocol.layouts import RecordFlag, SingleToneRecord
 from resonator_daemon.estimate.tones.frequency_estimators import Sums, frequency_hz, merge_adjacent
@@ -37,7 +37,7 @@ def full_after(slide, records):
     block = slide.push(payload_of(records))
     return [
         block.window(gate, 1).faults[0] or ("full" if block.held[gate][0] == slide.frames else "filling")
-        for gate in range(len(block))
+        for gate in range(len(block.held))
     ]
 
 
@@ -49,7 +49,7 @@ def test_a_window_has_the_sums_of_its_last_gates(frames):
     )
     for start, end in ((0, 1), (1, 510), (510, 515), (515, 520)):
         block = slide.push(payload_of(records[start:end]))
-        gates = sorted({0, len(block) // 2, len(block) - 1})
+        gates = sorted({0, len(block.held) // 2, len(block.held) - 1})
         for last in {1, min(2, frames), frames}:
             for gate in gates:
                 window, held = block.window(gate, last), records[: start + gate + 1]
@@ -62,7 +62,7 @@ def test_a_window_has_the_sums_of_its_last_gates(frames):
                 assert window.frequency_hz == [frequency_hz(wanted, REFERENCE_HZ)]
                 hertz = [frequency_hz(Sums.of(record), REFERENCE_HZ) for record in held[-last:]]
                 assert window.gates[0] == [hertz]
-        assert [held for (held,) in block.held] == [min(start + gate + 1, frames) for gate in range(len(block))]
+        assert [held for (held,) in block.held] == [min(start + gate + 1, frames) for gate in range(len(block.held))]
 
 
 def test_the_largest_gates_that_there_are_do_not_overflow():
@@ -131,3 +131,22 @@ def test_another_length_keeps_the_newest_gates():
     block = slide.push(payload_of(records[7:8]))
     assert block.held == [[2]]
     assert without_start(block.window(0, 2).sums) == [expected(records[6:8])]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"first_edge": 1000 + 1},
+        {"first_edge": 1000 - 10},
+        {"first_edge": 1000 + (1 << 20)},
+        {"stride_edges": 11},
+        {"first_ticks": 100 * 1000 - 1000},  # the last stamp again
+        {"first_ticks": 102 * 1000},
+        {"first_ticks": 100 * 1000 - 5000},
+    ],
+)
+def test_a_record_whose_stamps_do_not_run_on_begins_a_window(change):
+    ticks = [1000 * k for k in range(200)]
+    earlier, later = record_of(ticks[:100], 0, 10), record_of(ticks[100:], 1000, 10)
+    for second, held in ((later, 2), (later._replace(**change), 1)):
+        assert windows().push(payload_of([earlier, second])).held == [[1], [held]]
