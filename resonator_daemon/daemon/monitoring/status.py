@@ -1,11 +1,20 @@
-"""Status of a running daemon for programs on the same computer: its states, health, and configuration."""
+"""Status of a running daemon, one snapshot for socket, metrics and `health`: states, counters, configuration."""
 
-from typing import Literal
+import asyncio
+import time
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, Final, Literal
 
 from pydantic import Field
 
+from resonator_daemon.base.host.load import HostLoad, ProcessUsage
 from resonator_daemon.base.reasons import ReasonCode
-from resonator_daemon.mqtt.payloads import Health, Int64, Message, RecordingInfo, State
+from resonator_daemon.board.session.counters import LinkCounters
+from resonator_daemon.mqtt.payloads import BootInfo, DecoderProcessInfo, Health, Int64, Message, RecordingInfo, State
+
+_DELAY_MAX_S: Final = 10.0  # from a moment until it is seen, if the wall clock was not set meanwhile
+_NOT_READY: Final = "not_ready"  # frames that came while the decoder was being set up: nothing is lost by them
 
 
 class ConfigChange(Message):
@@ -70,3 +79,107 @@ class Status(Message):
         "their states, the last `outage` ended, the broker is `connected`, the `recording` began, each where there is "
         "such a moment; by the monotonic clock",
     )
+
+
+class StatusMonitor:
+    """Makes `health` and the ages in a status of this process; to be asked by tasks of the event loop, once a second.
+
+    Rates are over the time since the last `health`. Ages count by the monotonic clock since the monitor first saw the
+    moment. The wall clock, which may be set, is used only for the time before that, and only if it is short.
+    """
+
+    def __init__(self) -> None:
+        self._process = ProcessUsage()
+        self._started_s = self._last_s = time.monotonic()
+        self._last_frames = 0
+        self._begun: dict[str, tuple[int, float]] = {}  # moment in UTC and by the monotonic clock, by name
+
+    def health(
+        self,
+        header: Mapping[str, Any],
+        link: LinkCounters,
+        load: HostLoad,
+        decoder: DecoderProcessInfo | None = None,
+        **other: Any,
+    ) -> Health:
+        """Return a message with this header, and with `other` fields as they are."""
+        now_s = time.monotonic()
+        rate_hz = (link.frames - self._last_frames) / max(now_s - self._last_s, 1e-3)
+        self._last_s, self._last_frames = now_s, link.frames
+        use = self._process.measure()
+        skipped = decoder.skipped if decoder is not None else {}
+        return Health(
+            **header,
+            reason_code=load.busy.code if load.busy else None,
+            uptime_s=now_s - self._started_s,
+            frames=link.frames,
+            frame_rate_hz=rate_hz,
+            parts_lost=link.parts_lost,
+            frames_not_decoded=sum(count for cause, count in skipped.items() if cause != _NOT_READY),
+            packets_ignored={
+                "stale": link.messages_stale,
+                "malformed": link.messages_malformed,
+                "unknown": link.messages_unknown,
+                "log": link.log_lines_dropped,
+            },
+            bytes_in=link.bytes_received,
+            bytes_by_outcome={
+                outcome: getattr(link, f"bytes_{outcome}")
+                for outcome in ("accepted", "other_version", "echo", "discarded", "waiting")
+            },
+            connections=link.connections,
+            host_overruns=link.host_overruns,
+            boots=tuple(
+                BootInfo(
+                    board_boot_id=f"{boot.boot_id:08x}",
+                    connections=boot.connections,
+                    frames=boot.frames,
+                    lost=asdict(boot.lost),
+                    lost_in_outages=asdict(boot.lost_in_outages),
+                )
+                for boot in link.boots
+            ),
+            clock_outliers=link.clock_outliers,
+            clock_restarts=link.clock_restarts,
+            cpu_percent=use.cpu_percent,
+            processor_wait_percent=load.processor_wait_percent,
+            rss_mb=use.rss_mb,
+            tasks=len(asyncio.all_tasks()),
+            threads=use.threads,
+            file_descriptors=use.file_descriptors,
+            decoder=decoder,
+            **other,
+        )
+
+    def with_ages(self, status: Status) -> Status:
+        """Return a status with its `ages_s`."""
+        now_s, utc_ns = time.monotonic(), time.time_ns()
+        uptime_s = now_s - self._started_s
+        ages = {"started": uptime_s}
+        for name, moment_ns in _moments(status).items():
+            if moment_ns is None:
+                continue
+            if moment_ns == status.started_t_ns:
+                ages[name] = uptime_s
+                continue
+            known_ns, begun_s = self._begun.get(name, (None, now_s))
+            if known_ns != moment_ns:
+                passed_s = (utc_ns - moment_ns) * 1e-9
+                begun_s = now_s - min(passed_s, uptime_s) if 0 <= passed_s <= _DELAY_MAX_S else now_s
+                self._begun[name] = moment_ns, begun_s
+            ages[name] = now_s - begun_s
+        return status.model_copy(update={"ages_s": ages})
+
+
+def _moments(status: Status) -> dict[str, int | None]:
+    daemon, link, sensor = status.daemon, status.link, status.sensor
+    outage = link.last_outage if link else None
+    return {
+        "config": status.config.loaded_t_ns,
+        "daemon": daemon.since_t_ns if daemon else None,
+        "link": link.since_t_ns if link else None,
+        "sensor": sensor.since_t_ns if sensor else None,
+        "outage": outage.end_t_ns if outage else None,
+        "connected": daemon.connected_t_ns if daemon else None,
+        "recording": status.recording.since_t_ns,
+    }

@@ -37,11 +37,9 @@ from resonator_daemon.board.session.frames import (
     ReaderFailed,
 )
 from resonator_daemon.board.session.link_reasons import all_of
-from resonator_daemon.daemon.monitoring.ages import Ages
-from resonator_daemon.daemon.monitoring.health import HealthMonitor
 from resonator_daemon.daemon.monitoring.liveness import DECLARED_WAITING, LivenessMonitor
-from resonator_daemon.daemon.monitoring.metrics_server import MetricsServer
-from resonator_daemon.daemon.monitoring.status import BrokerStatus, Status
+from resonator_daemon.daemon.monitoring.metrics import MetricsServer
+from resonator_daemon.daemon.monitoring.status import BrokerStatus, Status, StatusMonitor
 from resonator_daemon.daemon.monitoring.status_server import SOCKET_NAME, AlreadyRunningError, StatusServer
 from resonator_daemon.daemon.service.arrival_loop import ArrivalLoop
 from resonator_daemon.daemon.service.command_handlers import CommandHandlers, DaemonParts
@@ -55,7 +53,7 @@ from resonator_daemon.measure.pipeline.control_requests import ControlRequests, 
 from resonator_daemon.measure.sensors.base import Sensor
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.daemon_state import DaemonSnapshot, DaemonState
-from resonator_daemon.mqtt.payloads import Condition, Health, Message, MessageAccount, State
+from resonator_daemon.mqtt.payloads import Condition, Health, Message, State
 from resonator_daemon.mqtt.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
 
 if TYPE_CHECKING:
@@ -99,7 +97,7 @@ class Service:
     """One board from its bytes to its messages."""
 
     def __init__(self, store: ConfigStore) -> None:
-        self._ages = Ages()
+        self._monitor = StatusMonitor()
         self._in_use = ConfigInUse(store)
         config = self._in_use.config
         self._config_path = store.path
@@ -135,7 +133,6 @@ class Service:
         self._recordings: RecordingCommands | None = None
         self._step_ns = round(1e9 * self._pipeline.sensor.step_s)
         self._tasks = asyncio.TaskGroup()
-        self._monitor = HealthMonitor()
         self._state_logs = {STATE_DAEMON: StateLog("daemon", log), STATE_SENSOR: StateLog("sensor", log)}
         self._daemon = DaemonState(self.daemon_boot_id, self._publish_daemon_state, self._plate_publisher.restore_now)
         self._version = version("resonatord")  # asked for once: it is in a file
@@ -210,11 +207,6 @@ class Service:
     def link_counters(self) -> LinkCounters:
         """Where the link's bytes and frames went."""
         return self._reader.counters()
-
-    @property
-    def message_account(self) -> MessageAccount:
-        """Where the messages went."""
-        return self._plate_publisher.account
 
     def _begin_publishing(self, name: str) -> RecordingCommands:
         parts = DaemonParts(
@@ -420,25 +412,26 @@ class Service:
     def _status(self) -> Status:
         """Return how all of this is, for programs on the same computer."""
         last = self._plate_publisher.last_message
-        status = Status.model_validate(
-            {
-                "name": self._name,
-                "instance": self._instance,
-                "pid": os.getpid(),
-                "version": self._version,
-                "started_t_ns": self._started_utc_ns,
-                "config": self._in_use.status,
-                "daemon": last(STATE_DAEMON.path),
-                "link": last(STATE_LINK.path),
-                "sensor": last(STATE_SENSOR.path),
-                "health": self._health,
-                "broker": BrokerStatus(
-                    url=self._config.mqtt.anonymous().url, connected=self._plate_publisher.connected
-                ),
-                "recording": recording_info(self._recording),
-            }
+        return self._monitor.with_ages(
+            Status.model_validate(
+                {
+                    "name": self._name,
+                    "instance": self._instance,
+                    "pid": os.getpid(),
+                    "version": self._version,
+                    "started_t_ns": self._started_utc_ns,
+                    "config": self._in_use.status,
+                    "daemon": last(STATE_DAEMON.path),
+                    "link": last(STATE_LINK.path),
+                    "sensor": last(STATE_SENSOR.path),
+                    "health": self._health,
+                    "broker": BrokerStatus(
+                        url=self._config.mqtt.anonymous().url, connected=self._plate_publisher.connected
+                    ),
+                    "recording": recording_info(self._recording),
+                }
+            )
         )
-        return status.model_copy(update={"ages_s": self._ages.of(status)})
 
     async def _keep_reporting(self) -> None:
         while True:
@@ -447,15 +440,15 @@ class Service:
             self._status()  # so that the age of what is new is counted from now on, asked for or not
 
     def _report_health(self) -> Health:
-        health = self._monitor.report(
+        health = self._monitor.health(
             self._pipeline.headers.of(HEALTH, time.time_ns()),
             self.link_counters,
-            self.message_account,
-            self._reader.clock_rate_ppm,
             self._reader.load,
-            self._pipeline.sensor.records_unusable,
+            self._decoder.info() if self._decoder is not None else None,
+            messages=self._plate_publisher.account,
+            clock_drift_ppm=self._reader.clock_rate_ppm,
+            records_unusable=self._pipeline.sensor.records_unusable,
             latency=self._pipeline.output.latencies.info(),
-            decoder=self._decoder.info() if self._decoder is not None else None,
             recording=recording_info(self._recording),
             commands=self._plate_publisher.command_counts,
         )

@@ -11,14 +11,13 @@ from example_messages import header
 from resonator_daemon.base.host.load import HostLoad
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.session.counters import LinkCounters
-from resonator_daemon.daemon.monitoring import health
-from resonator_daemon.daemon.monitoring.health import HealthMonitor
-from resonator_daemon.mqtt.payloads import Health, LatencyInfo, Lost
+from resonator_daemon.daemon.monitoring import status
+from resonator_daemon.daemon.monitoring.status import StatusMonitor
+from resonator_daemon.mqtt.payloads import Health, Lost
 
-MESSAGES = status_samples.health().messages
-LATENCY = {"forces": LatencyInfo(bounds_ms=(1.0, 2.0), counts=(7, 3, 1))}
-RECORDING = status_samples.RECORDING
-COMMANDS = {"done": 2, "denied": 1}
+OTHER = status_samples.health().model_dump(
+    include={"messages", "clock_drift_ppm", "records_unusable", "latency", "recording", "commands"}
+)
 HEADER = header(lost=Lost(damaged=9))
 
 
@@ -49,22 +48,20 @@ class Machine:
         self.now_s = 5000.0
         self.load = HostLoad()
 
-    def health(self, monitor: HealthMonitor, **link: int) -> Health:
-        return monitor.report(
-            HEADER, LinkCounters(**link), MESSAGES, 1.5, self.load, {"edges": 3}, LATENCY, RECORDING, COMMANDS
-        )  # type: ignore[arg-type]
+    def health(self, monitor: StatusMonitor, **link: int) -> Health:
+        return monitor.health(HEADER, LinkCounters(**link), self.load, **OTHER)
 
 
 @pytest.fixture
 def machine(monkeypatch: pytest.MonkeyPatch) -> Machine:
     machine = Machine()
-    monkeypatch.setattr(health, "time", SimpleNamespace(monotonic=lambda: machine.now_s))
+    monkeypatch.setattr(status, "time", SimpleNamespace(monotonic=lambda: machine.now_s))
     monkeypatch.setattr("resonator_daemon.base.host.load.psutil.Process", Process)
     return machine
 
 
 async def test_rates_are_those_since_the_last_call(machine: Machine) -> None:
-    monitor = HealthMonitor()
+    monitor = StatusMonitor()
     made = []
     for seconds, frames in ((2.0, 2000), (0.5, 2450), (0.0, 2450), (1.0, 3450)):
         machine.now_s += seconds
@@ -77,7 +74,7 @@ async def test_rates_are_those_since_the_last_call(machine: Machine) -> None:
 
 
 async def test_a_busy_computer_has_its_code_and_the_share_of_waiting_time(machine: Machine) -> None:
-    monitor = HealthMonitor()
+    monitor = StatusMonitor()
     machine.load = HostLoad(0, 83.0, Reason(ReasonCode.COMPUTER_BUSY, "busy"))
     made = machine.health(monitor)
     assert (made.reason_code, made.processor_wait_percent) == ("computer_busy", 83.0)
@@ -90,6 +87,5 @@ async def test_frames_before_the_decoder_is_ready_are_not_lost() -> None:
     info = status_samples.health().decoder
     assert info is not None
     info = info.model_copy(update={"skipped": {"not_ready": 178, "newer_frame": 4, "decoder_ended": 2}})
-    given = HEADER, LinkCounters(), MESSAGES, 1.5, HostLoad(), {}, LATENCY, RECORDING, COMMANDS, info
-    made = HealthMonitor().report(*given)  # type: ignore[arg-type]
+    made = StatusMonitor().health(HEADER, LinkCounters(), HostLoad(), info, **OTHER)
     assert (made.frames_not_decoded, made.decoder) == (6, info)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import status_samples
-from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client import generate_latest
 from prometheus_client.openmetrics.exposition import generate_latest as generate_openmetrics
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
 from prometheus_client.parser import text_string_to_metric_families
@@ -19,12 +19,8 @@ Key = tuple[str, frozenset[tuple[str, str]]]
 DOCS = Path(__file__).parents[3] / "docs"
 
 
-def text_of(status: Status | None) -> str:
-    collector = StatusCollector()
-    collector.status = status
-    registry = CollectorRegistry()
-    registry.register(collector)
-    return generate_latest(registry).decode()
+def text_of(status: Status) -> str:
+    return generate_latest(StatusCollector(status)).decode()
 
 
 def metrics(status: Status) -> dict[Key, float]:
@@ -116,11 +112,8 @@ def test_what_only_grows_is_a_counter_and_nothing_else_is() -> None:
 
 
 def test_the_strict_parser_of_openmetrics_takes_it_all() -> None:
-    collector = StatusCollector()
-    collector.status = status_samples.status(name='a"b\\c\nd')
-    registry = CollectorRegistry()
-    registry.register(collector)
-    families = {family.name: family for family in parse_openmetrics(generate_openmetrics(registry).decode())}
+    text = generate_openmetrics(StatusCollector(status_samples.status(name='a"b\\c\nd'))).decode()
+    families = {family.name: family for family in parse_openmetrics(text)}
     assert families["resonatord_latency_seconds"].type == "histogram"
     assert families["resonatord_info"].samples[0].labels["name"] == 'a"b\\c\nd'
 

@@ -15,7 +15,7 @@ from brokers import free_port
 from observer import running_task
 
 from resonator_daemon.board.config.tables import Listen
-from resonator_daemon.daemon.monitoring.metrics_server import TOGETHER, MetricsServer, MetricsTimes
+from resonator_daemon.daemon.monitoring.metrics import TOGETHER, MetricsServer, MetricsTimes
 from resonator_daemon.daemon.monitoring.status import Status
 
 DEADLINE_S = 20.0
