@@ -35,6 +35,7 @@ from resonator_daemon.tools.live_page.protocol import (
     Seek,
     Watch,
     payload_frame,
+    payload_of,
     text_frame,
 )
 
@@ -75,9 +76,7 @@ class Hub:
         self._sources = sources
         self._browsers: set[Browser] = set()
         self._retained: dict[tuple[str, str], bytes] = {}  # by plate and path: messages to the page
-        self._named: dict[str, Board] = {}  # by plate: the board that it names in `info`
-        self._measuring: set[str] = set()  # plates whose daemon is online, and no replay
-        self._boards: dict[str, Board] = {}  # by plate: the boards of those that measure
+        self._boards: dict[str, Board] = {}  # by plate: the boards of those that are online, and no replay
         self._status: dict[str, Any] = {"connected": False, "reason_code": CONNECTING, "reason": ""}
         broker = sources.broker
         self._relay = None if broker is None else BrokerRelay(broker, self._relay_message, self._set_status)
@@ -168,21 +167,18 @@ class Hub:
                 self._retained[plate, path] = message
         self._send_to_all(message)
         if path in (INFO.path, STATE_DAEMON.path) and self._sources.presses:
-            self._find_board(plate, path, payload)
+            self._find_boards()
 
-    def _find_board(self, plate: str, path: str, payload: bytes) -> None:
-        """Remember which board a plate measures now, so that presses of it go to its emulator."""
-        if path == INFO.path:
-            self._named.pop(plate, None)
-        else:
-            self._measuring.discard(plate)
-        with suppress(ValueError, RecursionError, KeyError, TypeError):
-            content = json.loads(payload)
-            if path == INFO.path:
-                self._named[plate] = Board(str(content["plate"]), str(content["serial_number"]))
-            elif content["state"] == Condition.ONLINE and content["reason_code"] != ReasonCode.REPLAYING:
-                self._measuring.add(plate)
-        boards = {plate: board for plate, board in self._named.items() if plate in self._measuring}
+    def _find_boards(self) -> None:
+        """Find which board each plate measures now, so that presses of it go to its emulator."""
+        boards = {}
+        for plate in {plate for plate, _ in self._retained}:
+            with suppress(ValueError, RecursionError, KeyError, TypeError):
+                info, state = (
+                    json.loads(payload_of(self._retained[plate, topic.path])) for topic in (INFO, STATE_DAEMON)
+                )
+                if state["state"] == Condition.ONLINE and state["reason_code"] != ReasonCode.REPLAYING:
+                    boards[plate] = Board(str(info["plate"]), str(info["serial_number"]))
         if boards != self._boards:
             self._boards = boards
             self._send_hello()

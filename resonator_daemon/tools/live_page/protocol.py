@@ -29,6 +29,11 @@ def payload_frame(source: str, plate: str, path: str, payload: bytes) -> bytes |
     return b"".join((bytes((len(address),)), address, payload))
 
 
+def payload_of(frame: bytes) -> bytes:
+    """Return the payload of a binary message."""
+    return frame[1 + frame[0] :]
+
+
 def text_frame(key: str, content: Any) -> str:
     """Return a text message: a JSON object with one key."""
     return json.dumps({key: content}, separators=(",", ":"))
