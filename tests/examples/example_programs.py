@@ -46,11 +46,21 @@ def example(language: str, name: str) -> list[str]:
     return [sys.executable, str(EXAMPLES / "python" / f"{name}.py")]
 
 
+async def finished(name: str, broker_url: str, *arguments: str | Path) -> tuple[int | None, str, str]:
+    """Run an example in Python at a broker; return its exit code and what it printed on stdout and stderr."""
+    at = Mqtt(url=broker_url)
+    command = [*example("python", name), at.host, str(at.port), *arguments]
+    program = await asyncio.create_subprocess_exec(*command, stdout=PIPE, stderr=PIPE)
+    async with asyncio.timeout(DEADLINE_S):
+        printed, reported = await program.communicate()
+    return program.returncode, printed.decode(), reported.decode()
+
+
 @asynccontextmanager
-async def running(language: str, name: str, broker_url: str) -> AsyncIterator[Process]:
+async def running(language: str, name: str, broker_url: str, *arguments: str) -> AsyncIterator[Process]:
     """Let an example subscribe at a broker for as long as the context lasts."""
     at = Mqtt(url=broker_url)
-    command = [*example(language, name), at.host, str(at.port)]
+    command = [*example(language, name), at.host, str(at.port), *arguments]
     program = await asyncio.create_subprocess_exec(*command, stdout=PIPE, stderr=DEVNULL)
     try:
         async with asyncio.timeout(DEADLINE_S):

@@ -1,14 +1,11 @@
 """docs/examples/python/discover.py finds every plate on a broker and draws it from `info` alone."""
 
-import asyncio
-import sys
-from asyncio.subprocess import PIPE
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from example_programs import DEADLINE_S, EXAMPLES
+from example_programs import finished
 from published import HEADER, publish
 from report_makers import Messages, configured
 
@@ -30,13 +27,9 @@ def info(tmp_path: Path, plate: str) -> Info:
 
 
 async def discover(broker_url: str, folder: Path) -> str:
-    at = Mqtt(url=broker_url)
-    command = (sys.executable, EXAMPLES / "python" / "discover.py", at.host, str(at.port), at.prefix, folder)
-    program = await asyncio.create_subprocess_exec(*command, stdout=PIPE)
-    async with asyncio.timeout(DEADLINE_S):
-        said, _ = await program.communicate()
-    assert program.returncode == 0
-    return said.decode()
+    code, said, _ = await finished("discover", broker_url, Mqtt(url=broker_url).prefix, folder)
+    assert code == 0
+    return said
 
 
 def drawn(picture: Path, kind: str) -> tuple[list[str | None], np.ndarray]:

@@ -1,16 +1,12 @@
 """docs/examples/python/events.py prints each event once and in order, whatever it missed."""
 
-import asyncio
-import sys
-from asyncio.subprocess import DEVNULL, PIPE, Process
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from asyncio.subprocess import Process
 from itertools import pairwise
 
 import aiomqtt
 from brokers import Amqtt, Mosquitto
 from commanded import commanded, state
-from example_programs import DEADLINE_S, EXAMPLES, next_line
+from example_programs import next_line, running
 from published import event
 from relay import relay
 
@@ -52,19 +48,6 @@ class Store:
         )
 
 
-@asynccontextmanager
-async def following(broker_url: str) -> AsyncIterator[Process]:
-    at = Mqtt(url=broker_url)
-    command = (EXAMPLES / "python" / "events.py", at.host, str(at.port), "left")
-    program = await asyncio.create_subprocess_exec(sys.executable, *command, stdout=PIPE, stderr=DEVNULL)
-    try:
-        async with asyncio.timeout(DEADLINE_S):
-            yield program
-    finally:
-        program.kill()
-        await program.communicate()
-
-
 async def printed(program: Process, count: int) -> list[tuple[str, int]]:
     lines = [(await next_line(program)).split() for _ in range(count)]
     return [(line[0], int(line[1])) for line in lines]
@@ -79,7 +62,7 @@ async def test_each_event_is_printed_once(broker: Mosquitto | Amqtt) -> None:
         commanded(broker.url, store.handlers) as left,
         relay(broker.url) as way,
         aiomqtt.Client(at.host, at.port) as daemon,
-        following(way.url) as program,
+        running("python", "events", way.url, "left") as program,
     ):
 
         async def publish(*events: ContactEvent) -> None:
