@@ -8,8 +8,8 @@ from typing import Any, Final
 
 from resonator_daemon.base.errors import ExitCode, MissingLibraryError, UsageError, UserError
 from resonator_daemon.base.host.text import how_to_install
+from resonator_daemon.extensions.fleet.chunk_decoding import decode_chunk
 from resonator_daemon.extensions.fleet.chunks import Chunk, Job
-from resonator_daemon.extensions.fleet.worker import decode_chunk
 
 try:
     import dask

@@ -17,9 +17,8 @@ from resonator_daemon.base.host.files import replace_file
 from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.recording.reader import damage_in_words
 from resonator_daemon.extensions.fleet import changes
-from resonator_daemon.extensions.fleet.chunk_files import REPORTS, cannot_write, has_results
+from resonator_daemon.extensions.fleet.chunk_decoding import REPORTS, cannot_write, decode_chunk, has_results, report_of
 from resonator_daemon.extensions.fleet.chunks import Chunk, Job, plan
-from resonator_daemon.extensions.fleet.worker import decode_chunk, report_of
 from resonator_daemon.mqtt.topics import SIGNALS, STATE_LINK, STATE_SENSOR
 from resonator_daemon.tools.export.tables import WITH_TABLE
 

@@ -11,8 +11,10 @@ import pyarrow.parquet as pq
 import pytest
 from export_bench import Played, played, write
 
+from resonator_daemon.mqtt.payloads import Contact, Contacts, Health
 from resonator_daemon.mqtt.units import NO_UNIT, unit_of
 from resonator_daemon.tools.export.output import TableOutput
+from resonator_daemon.tools.export.tables import sources
 
 OF_SITE = ("force_newton", "noise_newton", "systematic_newton", "unobserved_bound_newton")
 CASES = ("touches", "comb", "slide", "skin")
@@ -179,3 +181,15 @@ def test_csv_has_what_parquet_has(case: str, tmp_path: Path) -> None:
     at = [tables["forces"].schema.names.index(name) for name in ("t_ns", "board_ticks")]
     read = np.loadtxt(tmp_path / "out-forces.csv", np.uint64, delimiter=",", quotechar='"', skiprows=1, usecols=at)
     assert read.tolist() == [[message.t_ns, message.board_ticks] for message in played_case.messages("forces")]
+
+
+def test_what_has_no_fixed_length_is_no_column() -> None:
+    with pytest.raises(ValueError, match=r"contacts is tuple.*, which is no column"):
+        list(sources(Contacts))
+    with pytest.raises(ValueError, match=r"records_unusable is dict"):
+        list(sources(Health))
+
+
+def test_the_components_of_a_vector_that_is_missing_are_missing() -> None:
+    get = {source.column.name: source.get for source in sources(Contact)}
+    assert get["moment_y_newton_m"](Contact.model_construct(moment_newton_m=None)) is None

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from rich.segment import Segment
 
-from resonator_daemon.tools.view.maps import SiteMark, pooling, round_scale, site_map, traction_map
+from resonator_daemon.tools.view.maps import SiteMark, as_pixels, pooling, round_scale, site_map, traction_map
 
 SQUARE_M = ((-0.01, -0.01), (0.01, -0.01), (0.01, 0.01), (-0.01, 0.01))
+HOUSE_M = ((-4e-3, -8e-3), (4e-3, -8e-3), (4e-3, 3.9e-3), (0.0, 8e-3), (-4e-3, 3.9e-3))
+HOUSE_SITES_M = ((-2.03e-3, -6.01e-3), (3.04e-3, -5.1e-3), (0.5e-3, 5e-3))
 DARK = (68, 1, 84)
 BRIGHT = (253, 231, 37)
 
@@ -99,11 +101,9 @@ def test_unknown_pixels_are_question_marks() -> None:
         assert [letter == "?" for letter in bottom] == [False, False, True]
 
 
-def test_pooling_is_the_least_that_fits() -> None:
-    assert pooling((32, 32), rows=16, columns=32) == 1
-    assert pooling((32, 32), rows=15, columns=32) == 2
-    assert pooling((32, 32), rows=16, columns=31) == 2
-    assert pooling((32, 32), rows=5, columns=80) == 4
+@pytest.mark.parametrize(("rows", "columns", "pool"), [(16, 32, 1), (15, 32, 2), (16, 31, 2), (5, 80, 4)])
+def test_pooling_is_the_least_that_fits(rows: int, columns: int, pool: int) -> None:
+    assert pooling((32, 32), rows, columns) == pool
 
 
 @pytest.mark.parametrize(
@@ -111,3 +111,25 @@ def test_pooling_is_the_least_that_fits() -> None:
 )
 def test_scales_are_round(value: float, scale: float) -> None:
     assert round_scale(value) == pytest.approx(scale)
+
+
+def test_each_pixel_is_that_of_the_nearest_site_by_brute_force() -> None:
+    values = np.array([1.0, 2.0, math.nan])
+    pixels = as_pixels(values, HOUSE_M, HOUSE_SITES_M)
+    assert pixels.shape == (32, 16)
+    for row in range(32):
+        for column in range(16):
+            place = (-3.75e-3 + 0.5e-3 * column, -7.75e-3 + 0.5e-3 * row)
+            under_the_roof = 1.025 * abs(place[0]) + max(place[1] - 3.9e-3, 0.0) < 4.1e-3
+            nearest = min(range(3), key=lambda site: math.dist(place, HOUSE_SITES_M[site]))
+            expected = values[nearest] if under_the_roof else -math.inf
+            assert np.array_equal(pixels[row, column], expected, equal_nan=True), place
+    assert set(pixels[np.isfinite(pixels)]) == {1.0, 2.0}
+    assert np.isnan(pixels).any()
+
+
+def test_an_outline_that_pixels_do_not_fill_evenly_is_covered() -> None:
+    triangle = ((0.0, 0.0), (10e-3, 0.0), (0.0, 3.1e-3))
+    pixels = as_pixels(np.array([5.0]), triangle, ((1e-3, 1e-3),))
+    assert pixels.shape == (10, 32)
+    assert np.isfinite(pixels).mean() == 0.5
