@@ -190,7 +190,7 @@ class SimulatedLink:
                 idle = False
             if not turn_ns:
                 machine.apply(wire.TimersRun(host.now(_DELAY_NS), idle=idle))
-            if request := machine.opened.data_to_send():
+            if request := machine.opened.session.data_to_send():
                 machine.apply(wire.Sent(host.now(turn_ns + 2 * _DELAY_NS), request))
                 self._board.write(request, host.elapsed_ns + turn_ns + 3 * _DELAY_NS)
 

@@ -56,7 +56,7 @@ def record(
         return HostTime(10**12 + elapsed_ns, utc_ns - 10**12, 0)
 
     def send(elapsed_ns: int) -> None:
-        if request := machine.opened.data_to_send():
+        if request := machine.opened.session.data_to_send():
             ticks = int((elapsed_ns + 20_000) * ticks_per_ns)
             machine.apply(wire.Sent(now(elapsed_ns), request))
             board.advance(ticks)
@@ -93,7 +93,7 @@ class _WrittenEvents:
 
     def put(self, event: wire.WireEvent) -> None:
         writer = self._writer
-        is_written = not writer.begun or (writer.snapshot_due and not _is_of_closed_link(event))
+        is_written = not writer.replayable or (writer.snapshot_due and not _is_of_closed_link(event))
         if not isinstance(event, wire.SnapshotTaken) or is_written:
             writer.write(event)
         if event.now.monotonic_ns % 1_000_000_000 < STEP_NS:
