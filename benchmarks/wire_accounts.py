@@ -210,7 +210,7 @@ class Receiver:
             self.connection.receive(data, _host_time(now_ns))
         self.connection.run_timers(_host_time(now_ns), idle=True)
         self.arrivals += self._queue.pop_all()
-        return self.connection.data_to_send()
+        return self.connection.session.data_to_send()
 
     def check_bytes(self) -> None:
         now = self.account.copy()

@@ -20,8 +20,8 @@ from small_disk import small_disk
 
 from resonator_daemon.board.config.values import plate_text
 from resonator_daemon.commands import main
-from resonator_daemon.tools.replay.recorded_pipeline import open_replay
 from resonator_daemon.extensions.fleet.chunk_decoding import REPORTS
+from resonator_daemon.tools.replay.recorded_pipeline import open_replay
 
 CORPUS = Path(__file__).parents[2] / "corpus"
 FILE = "recording.mcap"
