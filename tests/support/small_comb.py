@@ -5,8 +5,7 @@ import math
 import numpy as np
 from brute_force_board import Ladder
 
-from resonator_daemon.estimate.forces.force_sites import ForceSites, Warmth
-from resonator_daemon.estimate.forces.force_tones import ForceTones
+from resonator_daemon.estimate.forces.force_sites import ForceSites, ForceTones, Warmth
 from resonator_daemon.measure.sensors.multitone_processing import MultitoneProcessing
 
 REFERENCE_HZ = 250e6

@@ -12,9 +12,9 @@ import numpy as np
 from scipy.special import chdtri, fdtri
 
 from resonator_daemon.base.arrays import Floats, Indices
+from resonator_daemon.estimate.forces.force_sites import SiteResponse
 from resonator_daemon.estimate.forces.loading_fit import LoadingFit, LoadingProblem
 from resonator_daemon.estimate.forces.loadings import Readings, StepMeans, Steps
-from resonator_daemon.estimate.forces.site_response import SiteResponse
 
 CHANCE: Final = 1e-3  # that a calibration without a bad loading has a doubtful one, or exchanged ones
 RIVAL_GAP: Final = 13.8  # of chi2, between two explanations: odds of 1000 : 1

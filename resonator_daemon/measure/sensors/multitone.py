@@ -3,7 +3,7 @@
 from typing import Final
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.forces.force_tones import ForceTones
+from resonator_daemon.estimate.forces.force_sites import ForceTones
 from resonator_daemon.estimate.tones.tone_detector import MultitoneDetector, ToneDetector
 from resonator_daemon.measure.sensors.expected_tones import ExpectedTones, force_tones
 from resonator_daemon.measure.sensors.force_sensor import ForceSensor

@@ -13,8 +13,7 @@ from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.session.frames import ChannelisedFrame, Frame
 from resonator_daemon.estimate.forces.contacts import ONSET_NEWTON, ContactEvent, ContactTracker, Touch, touch_of
-from resonator_daemon.estimate.forces.force_sites import ForceSites, cell_std_m
-from resonator_daemon.estimate.forces.force_tones import ForceTones, SiteShifts
+from resonator_daemon.estimate.forces.force_sites import ForceSites, ForceTones, SiteShifts, cell_std_m
 from resonator_daemon.estimate.forces.plate_drift import OFF_SIGMAS, DriftReading, PlateDrift
 from resonator_daemon.estimate.forces.readings import Compensation, ForceReading, SensorStatus
 from resonator_daemon.estimate.forces.site_errors import PressedSites, SiteErrors

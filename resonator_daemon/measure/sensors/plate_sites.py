@@ -6,8 +6,13 @@ import numpy as np
 
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL, TEMPERATURE_SIGNAL, Response
-from resonator_daemon.estimate.forces.force_sites import DEFAULT_COEFFICIENT_STD, ForceSites, Warmth, known_coefficients
-from resonator_daemon.estimate.forces.site_response import SiteResponse
+from resonator_daemon.estimate.forces.force_sites import (
+    DEFAULT_COEFFICIENT_STD,
+    ForceSites,
+    SiteResponse,
+    Warmth,
+    known_coefficients,
+)
 
 
 def force_sites(plate: Plate) -> ForceSites:

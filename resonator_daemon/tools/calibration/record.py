@@ -13,7 +13,7 @@ from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import Calibration, Coupling, Response, Validity
 from resonator_daemon.estimate.forces.calibration_fit import fit_temperature
-from resonator_daemon.estimate.forces.site_response import SiteResponse
+from resonator_daemon.estimate.forces.force_sites import SiteResponse
 from resonator_daemon.tools.calibration.load_procedure import Loading, LoadProcedure
 from resonator_daemon.tools.calibration.load_readings import site_codes
 from resonator_daemon.tools.calibration.outcome import COMMON_MODE_STD, Outcome

@@ -15,9 +15,8 @@ from resonator_daemon.estimate.surface.decoded import Decoded, check_gain, noise
 from resonator_daemon.estimate.surface.layout import as_grid, at_border, refuse_duplicates
 from resonator_daemon.estimate.surface.open_plane.grid_modes import LEVELS, GridCovariance, GridModes
 from resonator_daemon.estimate.surface.open_plane.linear_map import Estimate, LinearMap, ModeSet
-from resonator_daemon.estimate.surface.open_plane.modes import DenseModes, Modes
+from resonator_daemon.estimate.surface.open_plane.modes import DenseModes, Modes, ScaleGrid
 from resonator_daemon.estimate.surface.open_plane.prior_tables import Field, StationaryPrior
-from resonator_daemon.estimate.surface.open_plane.scale_grid import ScaleGrid
 from resonator_daemon.estimate.surface.skin import DEFAULT_PRIOR, Prior
 
 _SCALES = np.logspace(-1.0, 4.0, 126)  # standard deviation of f_z over the traction that makes a signal of the noise

@@ -20,8 +20,7 @@ from resonator_daemon.estimate.surface.decoded import (
     Decoded,
     stated,
 )
-from resonator_daemon.estimate.surface.open_plane.modes import Modes, Surface
-from resonator_daemon.estimate.surface.open_plane.scale_grid import Choice, ScaleGrid, row_energies
+from resonator_daemon.estimate.surface.open_plane.modes import Choice, Modes, ScaleGrid, Surface, row_energies
 
 _SIGNIFICANT = 3.0  # standard deviations
 _LOST_SETS = 8  # sets of lost signals of which the solution is kept
