@@ -24,12 +24,9 @@ from resonator_daemon.tools.doctor.host_checks import BusyCheck, Host
 RESOLVES: Final = Check("broker.name", Area.SOFTWARE, "name of the broker")
 LISTENS: Final = Check("broker.listens", Area.SOFTWARE, "broker listens")
 ACCEPTS: Final = Check("broker.accepts", Area.SOFTWARE, "broker takes this user")
-ROUND_TRIP: Final = Check(
-    "broker.round_trip",
-    Area.SOFTWARE,
-    "round trip to the broker",
-    "the broker, or the network to it, is slow: look at its load, or use a nearer one",
-)
+_FIX_ROUND_TRIP: Final = "the broker, or the network to it, is slow: look at its load, or use a nearer one"
+
+ROUND_TRIP: Final = Check("broker.round_trip", Area.SOFTWARE, "round trip to the broker", _FIX_ROUND_TRIP)
 
 _CONNECT_S: Final = 5.0
 ACCEPT_S: Final = 8.0

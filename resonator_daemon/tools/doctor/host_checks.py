@@ -18,24 +18,15 @@ from resonator_daemon.board.config.tables import Recording
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding
 
-_SOURCE: Final = Check(
-    "clock.source",
-    Area.SOFTWARE,
-    "clock source",
-    "look into `dmesg | grep -i -e tsc -e clocksource` for why the processor's own counter was given up",
+_FIX_SOURCE: Final = (
+    "look into `dmesg | grep -i -e tsc -e clocksource` for why the processor's own counter was given up"
 )
-_DATE: Final = Check(
-    "clock.date",
-    Area.SOFTWARE,
-    "date",
-    "set the clock (sudo timedatectl set-ntp true, or date -s), and see to the battery of the clock",
-)
-_SYNCHRONISED: Final = Check(
-    "clock.synchronised",
-    Area.SOFTWARE,
-    "time synchronisation",
-    "sudo timedatectl set-ntp true, or install chrony; without a network nothing is to be done",
-)
+_FIX_DATE: Final = "set the clock (sudo timedatectl set-ntp true, or date -s), and see to the battery of the clock"
+_FIX_SYNCHRONISED: Final = "sudo timedatectl set-ntp true, or install chrony; without a network nothing is to be done"
+
+_SOURCE: Final = Check("clock.source", Area.SOFTWARE, "clock source", _FIX_SOURCE)
+_DATE: Final = Check("clock.date", Area.SOFTWARE, "date", _FIX_DATE)
+_SYNCHRONISED: Final = Check("clock.synchronised", Area.SOFTWARE, "time synchronisation", _FIX_SYNCHRONISED)
 _STATE: Final = Check("disk.state", Area.SOFTWARE, "space for state")
 _RECORDINGS: Final = Check("disk.recordings", Area.SOFTWARE, "space for recordings")
 _BUDGET: Final = Check(

@@ -35,47 +35,34 @@ MESSAGES: Final = Check("board.messages", Area.SENSOR, "messages of the board", 
 PINGS: Final = Check("board.pings", Area.SENSOR, "answers to pings", _FIRMWARE)
 FITS: Final = Check("board.fits", Area.SENSOR, "board and plate file", _RIGHT_PLATE)
 UNIT: Final = Check("board.unit", Area.SENSOR, "board that was calibrated")
-REFERENCE: Final = Check(
-    "board.reference",
-    Area.SENSOR,
-    "reference of the board",
-    "repair the board's reference oscillator, or its frequency in the firmware; check this computer's clock",
-    "ppm",
-    fault_above=float(TOLERANCE_PPM),
+_FIX_REFERENCE: Final = (
+    "repair the board's reference oscillator, or its frequency in the firmware; check this computer's clock"
 )
-ROUND_TRIP: Final = Check(
-    "link.round_trip",
-    Area.WIRING,
-    "round trip to the board",
+_FIX_ROUND_TRIP: Final = (
     f"an adapter that collects bytes: shorten its latency timer ({page('how-to/connect.md')}); of TCP, check the "
-    "network",
-    "ms",
-    warning_above=5.0,  # median; an FTDI timer of 16 ms, its default, gives 8 ms more
+    "network"
+)
+_FIX_COUNTS: Final = "restart the board; if that does not help, it or its firmware is broken"
+_FIX_STEADY: Final = "check plug, cable, hub and the board's power: move the cable and watch"
+_FIX_ERRORS: Final = (
+    "exchange the cable, keep it away from motors, ground both ends; on a line with a baud rate, see that both ends "
+    "have the same"
+)
+_FIX_OVERRUN: Final = "relieve the computer: something delays its interrupts"
+
+REFERENCE: Final = Check(
+    "board.reference", Area.SENSOR, "reference of the board", _FIX_REFERENCE, "ppm", fault_above=float(TOLERANCE_PPM)
+)
+# median; an FTDI timer of 16 ms, its default, gives 8 ms more
+ROUND_TRIP: Final = Check(
+    "link.round_trip", Area.WIRING, "round trip to the board", _FIX_ROUND_TRIP, "ms", warning_above=5.0
 )
 RESET: Final = Check("board.reset", Area.WIRING, "last reset of the board")
 FRAMES: Final = Check("board.frames", Area.SENSOR, "frames of the board", _FIRMWARE, "packets", fault_above=0.0)
-COUNTS: Final = Check(
-    "board.counts",
-    Area.SENSOR,
-    "board sends frames",
-    "restart the board; if that does not help, it or its firmware is broken",
-)
-STEADY: Final = Check(
-    "link.steady",
-    Area.WIRING,
-    "link stays",
-    "check plug, cable, hub and the board's power: move the cable and watch",
-    "interruptions",
-    fault_above=0.0,
-)
+COUNTS: Final = Check("board.counts", Area.SENSOR, "board sends frames", _FIX_COUNTS)
+STEADY: Final = Check("link.steady", Area.WIRING, "link stays", _FIX_STEADY, "interruptions", fault_above=0.0)
 ERRORS: Final = Check(
-    "link.errors",
-    Area.WIRING,
-    "errors on the cable",
-    "exchange the cable, keep it away from motors, ground both ends; on a line with a baud rate, see that both ends "
-    "have the same",
-    warning_above=0.0,
-    fault_above=ERRORS_FAULT,
+    "link.errors", Area.WIRING, "errors on the cable", _FIX_ERRORS, warning_above=0.0, fault_above=ERRORS_FAULT
 )
 OVERFLOW: Final = Check(
     "link.overflow",
@@ -89,12 +76,7 @@ OVERFLOW: Final = Check(
 _OVERFLOW_OF_THIS_COMPUTER: Final = replace(OVERFLOW, area=Area.SOFTWARE, remedy=REMEDY)
 COMPUTER_BUSY: Final = Check(ReasonCode.COMPUTER_BUSY, Area.SOFTWARE, "load of this computer", REMEDY)
 OVERRUN: Final = Check(
-    "host.overrun",
-    Area.SOFTWARE,
-    "bytes that the driver lost",
-    "relieve the computer: something delays its interrupts",
-    "times",
-    fault_above=0.0,
+    "host.overrun", Area.SOFTWARE, "bytes that the driver lost", _FIX_OVERRUN, "times", fault_above=0.0
 )
 OF_A_PROBE: Final = (FITS, UNIT, REFERENCE, ROUND_TRIP, RESET)
 OF_A_CAPTURE: Final = (COUNTS, STEADY, ERRORS, OVERFLOW, OVERRUN)

@@ -19,43 +19,24 @@ PERMISSION: Final = Check("port.permission", Area.WIRING, "permission on the por
 HOLDER: Final = Check(
     "port.holder", Area.WIRING, "who else has the port open", "end that program, or have it use another port"
 )
-MODEM_MANAGER: Final = Check(
-    "port.modem_manager",
-    Area.SOFTWARE,
-    "ModemManager",
-    f"{_RULES_FILE}; or, where there is no modem: sudo systemctl disable --now ModemManager",
+_FIX_MODEM_MANAGER: Final = f"{_RULES_FILE}; or, where there is no modem: sudo systemctl disable --now ModemManager"
+_FIX_BRLTTY: Final = "sudo apt-get remove brltty, or take the line with these ids out of its rules"
+_FIX_LATENCY_TIMER: Final = 'a udev rule: ACTION=="add", SUBSYSTEM=="usb-serial", ATTR{latency_timer}="1"'
+_FIX_AUTOSUSPEND: Final = (
+    f'a udev rule: TEST=="power/control", ATTR{{power/control}}="on" ({page("how-to/connect.md")}, or: resonatord '
+    "install)"
 )
-BRLTTY: Final = Check(
-    "port.brltty",
-    Area.SOFTWARE,
-    "brltty",
-    "sudo apt-get remove brltty, or take the line with these ids out of its rules",
-)
+_FIX_HUBS: Final = "connect it nearer to the computer: each hub adds delay, and shares its power and bandwidth"
+
+MODEM_MANAGER: Final = Check("port.modem_manager", Area.SOFTWARE, "ModemManager", _FIX_MODEM_MANAGER)
+BRLTTY: Final = Check("port.brltty", Area.SOFTWARE, "brltty", _FIX_BRLTTY)
 LATENCY_TIMER: Final = Check(
-    "port.latency_timer",
-    Area.SOFTWARE,
-    "latency timer of the adapter",
-    'a udev rule: ACTION=="add", SUBSYSTEM=="usb-serial", ATTR{latency_timer}="1"',
-    "ms",
-    warning_above=1.0,
+    "port.latency_timer", Area.SOFTWARE, "latency timer of the adapter", _FIX_LATENCY_TIMER, "ms", warning_above=1.0
 )
 DEVICE: Final = Check("usb.device", Area.WIRING, "USB device")
-AUTOSUSPEND: Final = Check(
-    "usb.autosuspend",
-    Area.SOFTWARE,
-    "USB autosuspend",
-    f'a udev rule: TEST=="power/control", ATTR{{power/control}}="on" ({page("how-to/connect.md")}, or: resonatord '
-    "install)",
-)
+AUTOSUSPEND: Final = Check("usb.autosuspend", Area.SOFTWARE, "USB autosuspend", _FIX_AUTOSUSPEND)
 SPEED: Final = Check("usb.speed", Area.WIRING, "USB speed")
-HUBS: Final = Check(
-    "usb.hubs",
-    Area.WIRING,
-    "USB path",
-    "connect it nearer to the computer: each hub adds delay, and shares its power and bandwidth",
-    "hubs",
-    warning_above=2.0,
-)
+HUBS: Final = Check("usb.hubs", Area.WIRING, "USB path", _FIX_HUBS, "hubs", warning_above=2.0)
 
 _IGNORED: Final = re.compile(r"^E:ID_MM_(PORT|DEVICE)_IGNORE=1$", re.MULTILINE)
 _FULL_SPEED_MBIT: Final = 12

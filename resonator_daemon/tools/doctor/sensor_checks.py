@@ -18,62 +18,43 @@ from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, 
 CALIBRATE: Final = "resonatord calibrate, with known masses"
 _RELEASE: Final = "take everything off the plate and retry"
 
-CHANNELS: Final = Check(
-    "sensor.channels",
-    Area.SENSOR,
-    "channels",
-    "check the transducer, its plug and its amplifier; if all channels are dead, the drive of the plate",
+_FIX_CHANNELS: Final = (
+    "check the transducer, its plug and its amplifier; if all channels are dead, the drive of the plate"
 )
-STAMPS: Final = Check(
-    "board.stamps",
-    Area.SENSOR,
-    "stamps from gate to gate",
-    "correct the firmware: the edge index and the ticks of stamps run on from gate to gate (PROTOCOL.md)",
+_FIX_STAMPS: Final = (
+    "correct the firmware: the edge index and the ticks of stamps run on from gate to gate (PROTOCOL.md)"
 )
+_FIX_NOISE: Final = "look for vibration, a loose plate or plug, a supply that hums, a neighbouring motor"
+_FIX_SCATTER: Final = "the signal drowns: look at transducer, amplifier, shield and supply of that channel"
+_FIX_CROSS_TALK: Final = "one of them receives the other's signal: check plugs and shields of both transducers"
+_FIX_DRIFT: Final = "let plate and board warm up, keep draughts and hands away, and retry"
+_FIX_TEMPERATURE: Final = "cool or warm the board; a value that no board can have means a broken thermometer"
+
+CHANNELS: Final = Check("sensor.channels", Area.SENSOR, "channels", _FIX_CHANNELS)
+STAMPS: Final = Check("board.stamps", Area.SENSOR, "stamps from gate to gate", _FIX_STAMPS)
 AT_REST: Final = Check("sensor.at_rest", Area.SENSOR, "plate at rest", _RELEASE)
 TONES: Final = Check("sensor.tones", Area.SENSOR, "tones")
+# over what counter and oscillator give
 NOISE: Final = Check(
-    "sensor.noise",
-    Area.SENSOR,
-    "noise floor",
-    "look for vibration, a loose plate or plug, a supply that hums, a neighbouring motor",
-    "times",  # over what counter and oscillator give
-    warning_above=3.0,
-    fault_above=10.0,
+    "sensor.noise", Area.SENSOR, "noise floor", _FIX_NOISE, "times", warning_above=3.0, fault_above=10.0
 )
 # What a counter takes for a signal is three times as strong as its noise; where they are equal, edges are lost.
 _SCATTER: Final = Check(
-    NOISE.id,
-    Area.SENSOR,
-    NOISE.title,
-    "the signal drowns: look at transducer, amplifier, shield and supply of that channel",
-    "rad",
-    warning_above=1.0 / 3.0,
-    fault_above=1.0,
+    NOISE.id, Area.SENSOR, NOISE.title, _FIX_SCATTER, "rad", warning_above=1.0 / 3.0, fault_above=1.0
 )
+# less than two channels of their own could differ
 CROSS_TALK: Final = Check(
     "sensor.cross_talk",
     Area.SENSOR,
     "cross-talk between channels",
-    "one of them receives the other's signal: check plugs and shields of both transducers",
-    "times",  # less than two channels of their own could differ
+    _FIX_CROSS_TALK,
+    "times",
     warning_above=2.0,
     fault_above=8.0,
 )
-DRIFT: Final = Check(
-    "sensor.drift",
-    Area.SENSOR,
-    "drift",
-    "let plate and board warm up, keep draughts and hands away, and retry",
-    "ppb/s",
-    warning_above=20.0,  # that of 10 mK/s at a usual site, and 3 mN/s
-)
-TEMPERATURE: Final = Check(
-    "board.temperature",
-    Area.SENSOR,
-    "temperature of the board",
-    "cool or warm the board; a value that no board can have means a broken thermometer",
-)
+# that of 10 mK/s at a usual site, and 3 mN/s
+DRIFT: Final = Check("sensor.drift", Area.SENSOR, "drift", _FIX_DRIFT, "ppb/s", warning_above=20.0)
+TEMPERATURE: Final = Check("board.temperature", Area.SENSOR, "temperature of the board", _FIX_TEMPERATURE)
 CALIBRATION: Final = Check("sensor.calibration", Area.SENSOR, "calibration record", CALIBRATE)
 _OF_TONES: Final = (CHANNELS, TONES, NOISE, CROSS_TALK, DRIFT)
 OF_THE_PLATE: Final = (AT_REST, *_OF_TONES, TEMPERATURE)
