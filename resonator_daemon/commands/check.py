@@ -7,7 +7,7 @@ import argparse
 
 from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.base.host.text import print_note
-from resonator_daemon.tools.command_line import add_config, print_json
+from resonator_daemon.tools.command_line import add_config, finish
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,10 +29,8 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     except UserError as error:
         error.partial_result = {**head, "errors": error.messages, "notes": ()}
         raise
-    if arguments.json:
-        print_json({"verb": "check", "ok": True, **head, "errors": (), "notes": notes})
-    else:
+    if not arguments.json:
         for line in notes:
             print_note(f"note: {line}")
         print_note(f"{arguments.config}: no errors")
-    return ExitCode.DONE
+    return finish(arguments, {**head, "errors": (), "notes": notes})

@@ -10,8 +10,8 @@ import argparse
 import logging
 from pathlib import Path
 
-from resonator_daemon.base.errors import DifferenceError, ExitCode, NoRecordingError
-from resonator_daemon.tools.command_line import picture, print_json, print_page
+from resonator_daemon.base.errors import ExitCode, NoRecordingError
+from resonator_daemon.tools.command_line import finish, picture, print_page
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,11 +35,6 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         raise NoRecordingError(str(error)) from error
     if arguments.picture is not None:
         compared.write_picture(arguments.picture)
-    wrong = [*compared.a.problems, *compared.b.problems]
     if not arguments.json:
         print_page(compared.table())
-    if wrong:
-        raise DifferenceError(*wrong, partial_result=compared.as_json())
-    if arguments.json:
-        print_json({"verb": "compare", "ok": True, **compared.as_json()})
-    return ExitCode.DONE
+    return finish(arguments, compared.as_json(), [*compared.a.problems, *compared.b.problems])

@@ -6,9 +6,9 @@ Example: resonatord export run.mcap --output run.parquet
 import argparse
 from pathlib import Path
 
-from resonator_daemon.base.errors import DifferenceError, ExitCode, NoRecordingError
+from resonator_daemon.base.errors import ExitCode, NoRecordingError
 from resonator_daemon.base.host.text import print_note
-from resonator_daemon.tools.command_line import print_json
+from resonator_daemon.tools.command_line import finish
 from resonator_daemon.tools.export import formats
 
 
@@ -65,8 +65,4 @@ def run(arguments: argparse.Namespace) -> ExitCode:
             print_note(f"{file}: {size_bytes / 1e3:.0f} kB")
         counts = ", ".join(f"{count} of {topic}" for topic, count in result["rows"].items())
         print_note(f"{result['frames']} frames gave {counts or 'nothing'}")
-    if wrong:
-        raise DifferenceError(*wrong, partial_result=result)
-    if arguments.json:
-        print_json({"verb": "export", "ok": True, **result})
-    return ExitCode.DONE
+    return finish(arguments, result, wrong)

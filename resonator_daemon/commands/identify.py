@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from resonator_daemon.base.errors import ExitCode, IncompatibleBoardError, UsageError, UserError
-from resonator_daemon.tools.command_line import link_or_config, print_json, separate_config
+from resonator_daemon.tools.command_line import finish, link_or_config, separate_config
 
 if TYPE_CHECKING:
     from resonator_daemon.base.reasons import ReasonCode
@@ -66,9 +66,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         raise IncompatibleBoardError(
             *(f"{arguments.config}: {problem.text}" for problem in problems), partial_result=answer
         )
-    if arguments.json:
-        print_json({"verb": "identify", "ok": True, **answer})
-    return ExitCode.DONE
+    return finish(arguments, answer)
 
 
 def _probe(target: "LinkTarget", *, blink: bool) -> "ProbeResult":

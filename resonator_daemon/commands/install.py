@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.base.host.text import print_note, with_pages
-from resonator_daemon.tools.command_line import print_json
+from resonator_daemon.tools.command_line import finish
 
 if TYPE_CHECKING:
     from resonator_daemon.base.host.install import Action, Installation
@@ -60,9 +60,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
             )
     if failed := [f"{' '.join(command)}: {error}" for command, error in done.commands if error]:
         raise InstallError(*failed, partial_result=result)
-    if arguments.json:
-        print_json({"verb": verb, "ok": True, **result})
-    return ExitCode.DONE
+    return finish(arguments, result)
 
 
 def _lines(verb: str, done: "Installation") -> Iterator[str]:

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.tools.command_line import add_config, options_of, positive, print_json
+from resonator_daemon.tools.command_line import add_config, finish, options_of, positive
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,9 +38,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         result = record(arguments.config, options_of(RecordOptions, arguments))
     except PortInUseError as error:
         raise PortInUseError(f"{error}{_of_the_daemon(arguments.config)}") from None
-    if arguments.json:
-        print_json({"verb": "record", "ok": True, **result})
-    return ExitCode.DONE
+    return finish(arguments, result)
 
 
 def _of_the_daemon(config_path: Path) -> str:

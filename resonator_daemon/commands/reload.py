@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from resonator_daemon.base.errors import ConfigurationError, ExitCode, UserError
 from resonator_daemon.base.host.text import printable
-from resonator_daemon.tools.command_line import print_json
+from resonator_daemon.tools.command_line import finish
 
 if TYPE_CHECKING:
     from resonator_daemon.daemon.monitoring.status_client import Answer
@@ -57,16 +57,14 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     shown = {key: config[key] for key in ("file", "problems", "changes")}
     if problems:
         raise NotAppliedError(*problems, partial_result=shown)
-    if arguments.json:
-        print_json({"verb": "reload", "ok": True, **shown})
-    else:
+    if not arguments.json:
         lines = [
             f"{change['key']}: {change['old']} -> {change['new']} "
             f"({'applied' if change['applied'] else 'after a restart'})"
             for change in changes
         ]
         sys.stdout.writelines(f"{printable(line)}\n" for line in lines or ["nothing changed"])
-    return ExitCode.DONE
+    return finish(arguments, shown)
 
 
 async def _reload(name: str) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import sys
 
 from resonator_daemon.base.errors import ExitCode, UsageError
 from resonator_daemon.base.host.text import printable
-from resonator_daemon.tools.command_line import add_broker, add_daemon, client_of, print_json
+from resonator_daemon.tools.command_line import add_broker, add_daemon, client_of, finish
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,8 +34,6 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     if (name := client.name) is None:
         raise UsageError(f"{arguments.name} has no name, as the board's serial number is used; give NAME")
     removed = asyncio.run(remove_plate(client.mqtt, name, force=arguments.force))
-    if arguments.json:
-        print_json({"verb": "remove", "ok": True, "name": name, "removed": list(removed)})
-    else:
+    if not arguments.json:
         sys.stdout.write(f"{printable(name)} removed; retained topics cleared: {', '.join(map(printable, removed))}\n")
-    return ExitCode.DONE
+    return finish(arguments, {"name": name, "removed": list(removed)})

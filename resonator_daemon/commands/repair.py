@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.base.host.text import print_note
-from resonator_daemon.tools.command_line import print_json
+from resonator_daemon.tools.command_line import finish
 
 if TYPE_CHECKING:
     from resonator_daemon.board.recording.repair import RepairResult
@@ -31,11 +31,8 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     copy = arguments.output or path.parent / f"{path.stem}-repaired.mcap"
     with interruptible("no copy is made"):
         done = repair(path, copy)
-    if arguments.json:
-        made = None if done.was_whole else str(copy)
-        print_json({"verb": "repair", "ok": True, "output": made, **asdict(done)})
     print_note(_summary(path, copy, done))
-    return ExitCode.DONE
+    return finish(arguments, {"output": None if done.was_whole else str(copy), **asdict(done)})
 
 
 def _summary(path: Path, copy: Path, done: "RepairResult") -> str:

@@ -11,9 +11,9 @@ import time
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.base.errors import DifferenceError, ExitCode, NoRecordingError, UsageError
+from resonator_daemon.base.errors import ExitCode, NoRecordingError, UsageError
 from resonator_daemon.base.host.text import print_note
-from resonator_daemon.tools.command_line import options_of, print_json
+from resonator_daemon.tools.command_line import finish, options_of
 
 _DEFAULT_URL: Final = "mqtt://127.0.0.1:1883"
 
@@ -57,11 +57,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     if not arguments.json:
         messages = sum(result["messages"].values())
         print_note(f"{path}: {result['frames']} frames, {messages} messages in {took_s:.1f} s")
-    if wrong:
-        raise DifferenceError(*(f"{path}: {sentence}" for sentence in wrong), partial_result=result)
-    if arguments.json:
-        print_json({"verb": "replay", "ok": True, **result})
-    return ExitCode.DONE
+    return finish(arguments, result, [f"{path}: {sentence}" for sentence in wrong])
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.base.host.text import printable
-from resonator_daemon.tools.command_line import print_failure, print_json
+from resonator_daemon.tools.command_line import finish, print_failure, print_json
 
 if TYPE_CHECKING:
     from resonator_daemon.daemon.monitoring.status_client import Answer
@@ -60,12 +60,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         console = Console(highlight=False)
         columns = console.width if console.is_terminal else None  # else a line stays whole, as for grep
         console.print(status_page(answers, columns), soft_wrap=columns is None)
-    failed = _failure(answers, arguments.name)
-    if failed is not None:
-        raise failed
-    if arguments.json:
-        print_json({"verb": "status", "ok": True, **_as_json(answers)})
-    return ExitCode.DONE
+    return finish(arguments, _checked(answers, arguments.name))
 
 
 async def _watch(name: str | None, *, as_json: bool) -> None:
@@ -87,10 +82,11 @@ async def _watch(name: str | None, *, as_json: bool) -> None:
             live.update(page, refresh=True)
         elif not as_json:
             console.print(page, Text(), soft_wrap=True)
-        elif failed := _failure(answers, name):
-            print_failure("status", failed)
         else:
-            print_json({"verb": "status", "ok": True, **_as_json(answers)})
+            try:
+                print_json({"verb": "status", "ok": True, **_checked(answers, name)})
+            except UserError as error:
+                print_failure("status", error)
         sys.stdout.flush()
 
     async def keep_asking() -> None:
@@ -113,26 +109,19 @@ async def _ask(name: str | None) -> "list[Answer]":
     return await ask_all(name)
 
 
-def _as_json(answers: "list[Answer]") -> dict[str, object]:
-    return {
+def _checked(answers: "list[Answer]", name: str | None) -> dict[str, object]:
+    """Return the answers for programs; raise an error that has them where a daemon is missing or does not answer."""
+    problems = [answer for answer in answers if answer.problem is not None]
+    result: dict[str, object] = {
         "daemons": [answer.status for answer in answers if answer.problem is None],
-        "problems": [
-            {"socket": str(answer.socket), "problem": answer.problem}
-            for answer in answers
-            if answer.problem is not None
-        ],
+        "problems": [{"socket": str(answer.socket), "problem": answer.problem} for answer in problems],
     }
-
-
-def _failure(answers: "list[Answer]", name: str | None) -> UserError | None:
-    if not answers:
-        failed: UserError = _nobody(name)
-    elif problems := [f"{answer.socket}: {answer.problem}" for answer in answers if answer.problem is not None]:
-        failed = NoStatusError(*problems)
-    else:
-        return None
-    failed.partial_result = _as_json(answers)
-    return failed
+    if problems or not answers:
+        lines = [f"{answer.socket}: {answer.problem}" for answer in problems]
+        failed = NoStatusError(*lines) if problems else _nobody(name)
+        failed.partial_result = result
+        raise failed
+    return result
 
 
 def _nobody(name: str | None) -> NoDaemonError:

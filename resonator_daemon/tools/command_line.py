@@ -7,11 +7,11 @@ import json
 import math
 import os.path
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from resonator_daemon.base.errors import ConfigurationError, UsageError, UserError
+from resonator_daemon.base.errors import ConfigurationError, DifferenceError, ExitCode, UsageError, UserError
 from resonator_daemon.base.host.systemd import error_prefix
 from resonator_daemon.base.host.text import coloured, printable
 
@@ -198,6 +198,15 @@ def client_of(arguments: argparse.Namespace) -> "Client":
 def print_json(value: object) -> None:
     """Print a value as one line of JSON."""
     sys.stdout.write(json.dumps(value) + "\n")
+
+
+def finish(arguments: argparse.Namespace, result: Mapping[str, Any], problems: Sequence[str] = ()) -> ExitCode:
+    """Print the result as JSON where that is wanted; raise DifferenceError with it where there are problems."""
+    if problems:
+        raise DifferenceError(*problems, partial_result=result)
+    if arguments.json:
+        print_json({"verb": arguments.command, "ok": True, **result})
+    return ExitCode.DONE
 
 
 def print_failure(command: str, error: UserError) -> None:
