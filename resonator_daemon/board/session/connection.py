@@ -24,8 +24,7 @@ from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
 from resonator_daemon.board.links.link import LinkLostError
 from resonator_daemon.board.session import link_reasons
-from resonator_daemon.board.session.blink import BlinkRequests
-from resonator_daemon.board.session.board_log import RESET_CAUSES, BoardLogFilter
+from resonator_daemon.board.session.board_reports import RESET_CAUSES, BlinkRequests, BoardLogFilter, RefusalWatch
 from resonator_daemon.board.session.clock import BoardClock, Exchange, HostTime
 from resonator_daemon.board.session.compatibility import (
     BoardRefusedError,
@@ -41,11 +40,10 @@ from resonator_daemon.board.session.frame_numbers import Accepted, FrameNumberin
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.frame_receiver import AssembledFrame, FrameReceiver
 from resonator_daemon.board.session.frames import BoardOnline
+from resonator_daemon.board.session.link_events import ConnectionSnapshot
 from resonator_daemon.board.session.link_reasons import UNANSWERED_S
-from resonator_daemon.board.session.link_snapshot import ConnectionSnapshot
 from resonator_daemon.board.session.link_state import LinkState
 from resonator_daemon.board.session.pings import Pings
-from resonator_daemon.board.session.refusal_watch import RefusalWatch
 
 _MS = 1_000_000
 _S = 1_000_000_000

@@ -7,13 +7,44 @@ from typing import Annotated, Any, NamedTuple, get_args
 
 from pydantic import Field, Strict, TypeAdapter, ValidationError
 
-from resonator_daemon.base.host.load import NO_LOAD, LoadSample
+from firmware_protocol.host import Described
+from firmware_protocol.messages import Configuration
+from resonator_daemon.base.host.load import NO_LOAD, HostLoad, LoadSample
 from resonator_daemon.base.reasons import Condition, Reason
-from resonator_daemon.board.session.clock import HostTime
-from resonator_daemon.board.session.link_snapshot import LinkSnapshot
-from resonator_daemon.board.session.stored_reasons import StoredReason
+from resonator_daemon.board.session.clock import ClockSnapshot, HostTime
+from resonator_daemon.board.session.frame_numbers import NumberingSnapshot
+from resonator_daemon.board.session.link_reasons import StoredReason
+from resonator_daemon.board.session.link_state import LinkStateSnapshot
+from resonator_daemon.board.session.pings import Ping
 
 _HEAD = struct.Struct("<Bq")  # kind, boottime_less_monotonic_ns
+
+
+class ConnectionSnapshot(NamedTuple):
+    """A connection whose board counts, between two packets and two frames.
+
+    `request_number` is that of the last request, `answered_ns` the monotonic time of the last answer, `rate_doubt` what
+    is odd about the board's ticks, `newest_ticks` the newest in any message.
+    """
+
+    described: Described
+    configuration: Configuration
+    request_number: int
+    answered_ns: int
+    rate_doubt: str | None
+    newest_ticks: int
+    clock: ClockSnapshot
+    pings: tuple[Ping, ...]
+    load: HostLoad = HostLoad()  # older recordings have none
+
+
+class LinkSnapshot(NamedTuple):
+    """State of a link; `running` None while it is closed, `known` the board of the connection before."""
+
+    state: LinkStateSnapshot
+    numbers: NumberingSnapshot
+    known: Described | None
+    running: ConnectionSnapshot | None
 
 
 class StateAnnounced(NamedTuple):

@@ -1,7 +1,9 @@
 """Reasons of the states of a link, as codes and sentences."""
 
 from collections.abc import Iterable
-from typing import Final
+from typing import Annotated, Any, Final
+
+from pydantic import BeforeValidator
 
 from firmware_protocol.host import PacketRefusal
 from resonator_daemon.base.reasons import Reason, ReasonCode, joined
@@ -82,3 +84,17 @@ def silence(bytes_received: int, refused: PacketRefusal | None, described: str |
 
 def _packets_refused(refused: PacketRefusal) -> Reason:
     return Reason(_OF_PACKETS[refused.code], f"packets are refused ({refused.code}): {refused.text}")
+
+
+def _complete(stored: Any) -> Reason:
+    """Return a stored reason with a code that this version has."""
+    match stored:
+        case str():
+            return Reason(ReasonCode.UNSPECIFIED, stored)
+        case [str() as code, str() as text]:
+            return Reason(ReasonCode(code), text)
+    raise ValueError("a reason is [code, text]")
+
+
+StoredReason = Annotated[Reason, BeforeValidator(_complete)]
+"""A reason that is written as [code, text]; a text alone can be read, too."""

@@ -8,8 +8,7 @@ from resonator_daemon.base.host.state_log import StateLog
 from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.frames import Arrival, LinkChange, Outage
-from resonator_daemon.board.session.link_reasons import OPENING, all_of
-from resonator_daemon.board.session.stored_reasons import StoredReason
+from resonator_daemon.board.session.link_reasons import OPENING, StoredReason, all_of
 
 log = logging.getLogger(__name__)
 

@@ -14,8 +14,8 @@ from resonator_daemon.board.session.counters import FrameLoss, LinkCounters
 from resonator_daemon.board.session.frame_numbers import FrameNumbering
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.frames import BoardRefused, ControlRequest
+from resonator_daemon.board.session.link_events import LinkSnapshot
 from resonator_daemon.board.session.link_reasons import all_of
-from resonator_daemon.board.session.link_snapshot import LinkSnapshot
 from resonator_daemon.board.session.link_state import LinkState
 
 SNAPSHOT_EVERY_NS = 100_000_000

@@ -1,14 +1,23 @@
 """Pings on their way to a board and back; a replay that begins midway follows the recorded ones."""
 
+from typing import NamedTuple
+
 from firmware_protocol.host import HostSession
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.packets import Packet, PacketDecoder
 from resonator_daemon.board.session.clock import HostTime
-from resonator_daemon.board.session.link_snapshot import Ping
 
 _LOST_NS = 5_000_000_000
 _NUMBER_BYTES = 8
 _NUMBERS = 1 << 32
+
+
+class Ping(NamedTuple):
+    """A ping on its way: what it carries, when it left, and the newest ticks that were known then."""
+
+    number: int
+    sent_ns: int
+    known_ticks: int
 
 
 class Pings:

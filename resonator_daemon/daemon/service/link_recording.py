@@ -22,7 +22,7 @@ from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.config import Config, load_config
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.recorder import Recorder
-from resonator_daemon.board.session.blocking_reader import BlockingReader
+from resonator_daemon.board.session.board_reader import BlockingReader
 from resonator_daemon.board.session.frames import (
     Arrival,
     BoardOnline,

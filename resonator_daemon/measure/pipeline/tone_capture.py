@@ -5,7 +5,7 @@ from typing import Any
 
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.links.target import LinkTarget
-from resonator_daemon.board.session.blocking_reader import BlockingReader
+from resonator_daemon.board.session.board_reader import BlockingReader
 from resonator_daemon.board.session.compatibility import oscillator_hz
 from resonator_daemon.board.session.frames import Arrival, BoardOnline, ChannelisedFrame, ReaderFailed, SingleToneFrame
 from resonator_daemon.estimate.tones.tone_detector import ToneDetector, ToneReading, reading_frames

@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from resonator_daemon.board.session.ping_pacing import PingPacing
+from resonator_daemon.board.session.clock import PingPacing
 
 MS, S = 1_000_000, 1_000_000_000
 

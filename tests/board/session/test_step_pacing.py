@@ -2,7 +2,7 @@
 
 import random
 
-from resonator_daemon.board.session.step_pacing import StepPacing
+from resonator_daemon.board.session.board_reader import StepPacing
 
 MS = 1_000_000
 FRAME_BYTES = 204
