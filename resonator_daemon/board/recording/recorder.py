@@ -87,6 +87,10 @@ class Recorder:
         The file that is being written, or was last; the directory where none could be made yet.
     failure
         Why nothing is written any more; None while all is well.
+    written : Contents
+        What is flushed to the kernel; `frames` are 0 where `put` is not handed their numbers.
+    counts : RecordingCounts
+        What it has come to; what is missing did not fit, or the disk failed.
 
     Raises
     ------
@@ -116,8 +120,8 @@ class Recorder:
         self._items: deque[Item] = deque()
         self._waiting_bytes = 0
         self._missing_events = self._missing_bytes = 0  # since the last event that fitted
-        self._written = Contents()
-        self._counts = RecordingCounts()
+        self.written = Contents()
+        self.counts = RecordingCounts()
         self.failure: Reason | None = None
         self._logged = set[ReasonCode]()  # failures, each once, until a chunk is written again
         self.path = place if isinstance(place, Path) else place.directory
@@ -147,28 +151,10 @@ class Recorder:
         self.close()
 
     @property
-    def events(self) -> int:
-        """Events that are flushed to the kernel."""
-        with self._lock:
-            return self._written.events
-
-    @property
-    def frames(self) -> int:
-        """Frames whose events are flushed to the kernel; 0 where `put` is not handed their numbers."""
-        with self._lock:
-            return self._written.frames
-
-    @property
     def all_bytes(self) -> int:
         """Of all its files."""
         with self._lock:
-            return self._ended_bytes + self._counts.file_bytes
-
-    @property
-    def counts(self) -> RecordingCounts:
-        """What it has come to; what is missing did not fit, or the disk failed."""
-        with self._lock:
-            return self._counts
+            return self._ended_bytes + self.counts.file_bytes
 
     def put(self, event: WireEvent, frames_before: int = 0) -> None:
         """Queue an event; never waits. A snapshot is written only where a replay can begin or go on with it.
@@ -238,8 +224,8 @@ class Recorder:
         self._missing_bytes += len(event.data) if isinstance(event, Received | Sent) else 0
 
     def _count_missing(self, *, events: int = 0, messages: int = 0) -> None:
-        counts = self._counts
-        self._counts = counts._replace(
+        counts = self.counts
+        self.counts = counts._replace(
             events_missing=counts.events_missing + events, messages_missing=counts.messages_missing + messages
         )
 
@@ -338,9 +324,9 @@ class Recorder:
         with self._lock:
             self.failure = None
             self._path_before, self.path, self._file = self.path, file.path, file
-            self._ended_bytes += self._counts.file_bytes
-            self._ended = self._written
-            self._counts = self._counts._replace(files=self._counts.files + 1, file_bytes=file.size_bytes)
+            self._ended_bytes += self.counts.file_bytes
+            self._ended = self.written
+            self.counts = self.counts._replace(files=self.counts.files + 1, file_bytes=file.size_bytes)
 
     def _flush(self) -> None:
         """Hand what was written to the kernel, and look after the room on the disk."""
@@ -371,10 +357,10 @@ class Recorder:
     def _update_counts(self) -> None:
         with self._lock:
             if self._file is not None:
-                self._written = self._ended.plus(self._file.whole)
-                self._counts = self._counts._replace(file_bytes=self._file.size_bytes, messages=self._written.messages)
+                self.written = self._ended.plus(self._file.whole)
+                self.counts = self.counts._replace(file_bytes=self._file.size_bytes, messages=self.written.messages)
             if self._disk_space is not None:
-                self._counts = self._counts._replace(files_removed=self._disk_space.files_removed)
+                self.counts = self.counts._replace(files_removed=self._disk_space.files_removed)
         if self._logged and self._file is not None and self._is_to_keep(self._file):
             self._logged.clear()
             self._log_line(logging.INFO, f"recording goes on in {self.path}")
@@ -427,7 +413,7 @@ class Recorder:
                 if not is_kept:
                     kept = f"the file has no {'frame' if self._needs_frame else 'event'} and is removed"
                     self.path = self._path_before
-                    self._counts = self._counts._replace(files=self._counts.files - 1)
+                    self.counts = self.counts._replace(files=self.counts.files - 1)
         self._fail(_code(error), text, kept)
 
     def _is_to_keep(self, file: RecordingWriter) -> bool:
@@ -461,15 +447,10 @@ def _is_of_use(snapshot: SnapshotTaken, file: RecordingWriter) -> bool:
 def size_bytes(item: Item) -> int:
     """Return about what an item takes of memory while it waits."""
     match item:
-        case Received() | Sent():
-            return EVENT_BYTES + len(item.data)
+        case Received(data=content) | Sent(data=content) | Published(payload=content):
+            return EVENT_BYTES + len(content)
         case Mark():
             return EVENT_BYTES + len(item.text)
-        case Published():
-            return EVENT_BYTES + len(item.payload)
         case SnapshotTaken():
             return _SNAPSHOT_BYTES
-        case BoardOnline():
-            return 0
-        case _:
-            return EVENT_BYTES
+    return 0 if isinstance(item, BoardOnline) else EVENT_BYTES

@@ -152,7 +152,7 @@ class RecordingSwitch:
             recorder.path,
             counts.files,
             recorder.all_bytes,
-            recorder.events,
+            recorder.written.events,
             counts.events_missing,
             round(seconds, 3),
             recorder.failure,

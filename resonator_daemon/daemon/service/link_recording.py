@@ -150,7 +150,7 @@ class _LinkRecording:
         finally:
             self._measure_the_rest()
             self._recorder.close()
-            is_kept = self._recorder.frames > 0 and self._recorder.path.exists()
+            is_kept = self._recorder.written.frames > 0 and self._recorder.path.exists()
             if not is_kept and self._recorder.path.is_file():
                 self._recorder.path.unlink()  # it would only be in the way of the next attempt
             for number, handler in handlers.items():
@@ -199,7 +199,7 @@ class _LinkRecording:
             "board": self._board.identity.serial_number if self._board is not None else None,
             "seconds": 0.0 if self._first_frame_s is None else round(self._ended_s - self._first_frame_s, 3),
             "bytes_received": counters.bytes_received,
-            "frames": self._recorder.frames,
+            "frames": self._recorder.written.frames,
             "frames_lost": asdict(counters.lost),
             "connections": counters.connections,
             "events_missing": counts.events_missing,
@@ -263,7 +263,7 @@ def _pipeline(config: Config, boot_id: str, recorder: Recorder) -> "BoardPipelin
 
 def _progress(lost: int, recorder: Recorder) -> str:
     counts = recorder.counts
-    line = f"{recorder.path}: {recorder.frames} frames, {lost} lost, {counts.file_bytes / 1e6:.1f} MB"
+    line = f"{recorder.path}: {recorder.written.frames} frames, {lost} lost, {counts.file_bytes / 1e6:.1f} MB"
     if counts.files > 1:
         line += f", file {counts.files}"
     for what, missing in (("events", counts.events_missing), ("messages", counts.messages_missing)):

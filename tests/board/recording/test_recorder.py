@@ -117,7 +117,10 @@ def test_whatever_else_goes_wrong_ends_the_recording_and_is_said(
     recorder = record(path, [Opened(at(0)), Sent(at(1), b"x")])
     said = "RuntimeError('LZ4 has no memory'): nothing more is recorded; the file has no event and is removed"
     assert recorder.failure == Reason(ReasonCode.WRITE_FAILED, f"{path}: {said}")
-    assert (recorder.events, recorder.counts.events_missing) == (0, 2)  # the other waited for its chunk to be full
+    assert (recorder.written.events, recorder.counts.events_missing) == (
+        0,
+        2,
+    )  # the other waited for its chunk to be full
     recorder.put(Closed(at(2)))
     assert recorder.counts.events_missing == 3
 
@@ -134,7 +137,7 @@ def test_what_is_whole_counts_as_written_though_the_end_of_the_file_fails(
     deadline = time.monotonic() + DEADLINE_S
     with Recorder(path, Origin(PLATE, "tcp://board:1"), times=RecorderTimes(flush_s=3600.0)) as recorder:
         recorder.put(written[0])
-        while not recorder.events:  # flushed once
+        while not recorder.written.events:  # flushed once
             assert time.monotonic() < deadline
             threading.Event().wait(0.01)
         for event in written[1:]:
@@ -142,7 +145,7 @@ def test_what_is_whole_counts_as_written_though_the_end_of_the_file_fails(
     assert recorder.failure is not None
     assert recorder.failure.code == "disk_full"
     assert read(path)[0] == written
-    assert (recorder.events, recorder.counts.events_missing) == (3, 0)
+    assert (recorder.written.events, recorder.counts.events_missing) == (3, 0)
     assert recorder.all_bytes == path.stat().st_size
 
 

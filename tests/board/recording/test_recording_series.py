@@ -58,7 +58,7 @@ def test_the_next_file_begins_with_the_standing_at_which_the_last_ended(tmp_path
     assert all(isinstance(events[0], SnapshotTaken) for events in contents(tmp_path))
     received = [event.data for events in contents(tmp_path) for event in events if isinstance(event, Received)]
     assert received == [bytes([number]) for number in range(30)]
-    assert (recorder.events, recorder.counts.files, recorder.counts.events_missing) == (63, 3, 0)
+    assert (recorder.written.events, recorder.counts.files, recorder.counts.events_missing) == (63, 3, 0)
 
 
 def test_a_file_ends_once_it_is_large(tmp_path: Path) -> None:
@@ -73,7 +73,7 @@ def test_a_file_ends_once_it_is_large(tmp_path: Path) -> None:
     assert all(400_000 <= size < 400_000 + 300_000 + 50_000 for size in sizes[:-1])
     received = [event for events in contents(tmp_path) for event in events if isinstance(event, Received)]
     assert [event.now for event in received] == [at(ms) for ms in range(0, 1000, 10)]
-    assert recorder.events == sum(map(len, contents(tmp_path)))
+    assert recorder.written.events == sum(map(len, contents(tmp_path)))
     assert recorder.all_bytes == sum(sizes)
     assert recorder.counts.file_bytes == sizes[-1]
 
@@ -91,7 +91,7 @@ def test_a_recorder_keeps_the_budget_while_it_writes(tmp_path: Path) -> None:
     old = made(tmp_path, 0, size_bytes=50_000)
     with Recorder(Series(tmp_path, "left", budget_bytes=60_000), LEFT, times=FLUSHING) as recorder:
         recorder.put(Received(at(0), b"x"))
-        wait_until(lambda: recorder.events == 1)
+        wait_until(lambda: recorder.written.events == 1)
         assert old.exists()
         recorder.put(Received(at(1), Random(1).randbytes(50_000)))
         wait_until(lambda: recorder.counts.files_removed == 1)
@@ -108,7 +108,7 @@ def test_a_recording_ends_before_the_disk_is_full_and_resumes_where_it_may(
     series = Series(tmp_path, "left", keep_free_bytes=100, resumes=resumes)
     with Recorder(series, LEFT, log_line=lambda *line: said.append(line), times=FLUSHING) as recorder:
         recorder.put(Opened(at(0)))
-        wait_until(lambda: recorder.events == 1)
+        wait_until(lambda: recorder.written.events == 1)
         free_bytes.append(99)
         wait_until(lambda: recorder.failure is not None)
         assert recorder.failure is not None
@@ -124,7 +124,7 @@ def test_a_recording_ends_before_the_disk_is_full_and_resumes_where_it_may(
         recorder.put(Received(at(3), b"x"))
         recorder.put(snapshot(at(4)))
         recorder.put(Received(at(4), b"y"))
-        wait_until(lambda: recorder.events + recorder.counts.events_missing == (6 if resumes else 5))
+        wait_until(lambda: recorder.written.events + recorder.counts.events_missing == (6 if resumes else 5))
     if resumes:
         assert recorder.failure is None
         assert contents(tmp_path)[1:] == [[snapshot(at(4)), Received(at(4), b"y")]]
@@ -141,7 +141,7 @@ def test_a_recording_ends_before_the_disk_is_full_and_resumes_where_it_may(
 def test_after_an_error_a_recording_goes_on_in_a_new_file(tmp_path: Path) -> None:
     with Recorder(Series(tmp_path, "left", resumes=True), LEFT, times=NO_PAUSE) as recorder:
         recorder.put(Opened(at(0)))
-        wait_until(lambda: recorder.events == 1)
+        wait_until(lambda: recorder.written.events == 1)
         assert recorder._file is not None
         os.close(recorder._file._file.fileno())  # as a disk that was pulled out
         shutil.rmtree(tmp_path)
@@ -165,12 +165,12 @@ def test_an_attempt_without_an_event_or_frame_leaves_no_file(tmp_path: Path, *, 
             for ms in range(3):
                 recorder.put(snapshot(at(ms)))
                 if needs_frame:
-                    wait_until(lambda: recorder.events == 1)
+                    wait_until(lambda: recorder.written.events == 1)
                 recorder.put(Received(at(ms), Random(ms).randbytes(600_000)))
                 wait_until(lambda ms=ms: recorder.counts.events_missing == ms + 1)  # type: ignore[misc]
                 assert list(tmp_path.iterdir()) == []
                 assert (recorder.counts.files, recorder.all_bytes, recorder.path) == (0, 0, tmp_path)
-                assert (recorder.events, recorder.frames) == (0, 0)
+                assert (recorder.written.events, recorder.written.frames) == (0, 0)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert said == [logging.WARNING]
@@ -182,7 +182,7 @@ def test_a_file_that_nobody_finds_any_more_is_said_once_and_another_begun(tmp_pa
     directory = tmp_path / "recordings"
     with Recorder(Series(directory, "left", resumes=True), LEFT, log_line=lambda *line: said.append(line)) as recorder:
         recorder.put(snapshot(at(0)))
-        wait_until(lambda: recorder.events == 1)
+        wait_until(lambda: recorder.written.events == 1)
         first = recorder.path
         if how == "removed":
             shutil.rmtree(directory)
