@@ -5,6 +5,7 @@ import re
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from resonator_daemon.base.errors import UserError
@@ -12,7 +13,10 @@ from resonator_daemon.board.config import Config
 from resonator_daemon.board.config.tables import Measurement
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import Origin
-from resonator_daemon.board.recording.switch import NothingRecordedError, RecordingNow, RecordingSummary
+from resonator_daemon.board.recording.recorder import RecordingCounts
+from resonator_daemon.board.recording.switch import NothingRecordedError
+from resonator_daemon.board.recording.writer import Contents
+from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.daemon.service.command_handlers import CommandHandlers, DaemonParts
 from resonator_daemon.daemon.service.recording_commands import RecordingCommands
 from resonator_daemon.measure.pipeline.control_requests import Control, Tare
@@ -39,7 +43,7 @@ class StandIn:
         self.board_refuses: str | None = None
         self.disk_problem = ""
         self.streams: tuple[str, ...] = ("forces", "contacts")
-        self.current: RecordingNow | None = None
+        self.current: SimpleNamespace | None = None
 
     @property
     def common_mode(self) -> tuple[float, ...]:
@@ -80,12 +84,15 @@ class StandIn:
         self.acts.append(("start", path))
         if self.disk_problem:
             raise UserError(f"{path} cannot be written: {self.disk_problem}")
-        self.current = RecordingNow(path, 1789000000000000000, None)
+        self.current = SimpleNamespace(path=path, since=HostTime(0, 1789000000000000000, 0), failure=None)
 
-    def stop(self) -> RecordingSummary | None:
+    def stop(self) -> SimpleNamespace | None:
         self.acts.append(("stop",))
-        now, self.current = self.current, None
-        return RecordingSummary(now.path, 1, 1000, 20, 1, 2.5, now.failure) if now else None
+        ended, self.current = self.current, None
+        if ended is not None:
+            counts = RecordingCounts(files=1, events_missing=1)
+            vars(ended).update(counts=counts, written=Contents(events=20), all_bytes=1000, seconds=2.5)
+        return ended
 
     def mark(self, text: str) -> int:
         if self.current is None or self.current.failure is not None:

@@ -87,6 +87,10 @@ class Recorder:
         The file that is being written, or was last; the directory where none could be made yet.
     failure
         Why nothing is written any more; None while all is well.
+    since : HostTime
+        When it began.
+    seconds : float
+        How long it lasted, once it is closed.
     written : Contents
         What is flushed to the kernel; `frames` are 0 where `put` is not handed their numbers.
     counts : RecordingCounts
@@ -135,8 +139,10 @@ class Recorder:
         self._sync_is_due = False
         self._ended_bytes, self._ended = 0, Contents()  # of the files before
         self._file: RecordingWriter | None = None
+        self.since = read_host_time()
+        self.seconds = 0.0
         try:
-            self._begin_file(read_host_time().utc_ns)
+            self._begin_file(self.since.utc_ns)
         except UserError as error:
             if not self._resumes:
                 raise
@@ -206,6 +212,7 @@ class Recorder:
 
     def close(self) -> None:
         """Write what waits, and the end of the file; call it once the reader has stopped."""
+        self.seconds = round((read_host_time().monotonic_ns - self.since.monotonic_ns) * 1e-9, 3)
         self._closing.set()
         self._thread.join()
 

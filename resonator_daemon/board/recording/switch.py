@@ -4,15 +4,13 @@ import logging
 import operator
 import threading
 from pathlib import Path
-from typing import NamedTuple
 
 from resonator_daemon.base.errors import UserError
-from resonator_daemon.base.reasons import Reason
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import Mark, Origin
 from resonator_daemon.board.recording.recorder import EVENT_BYTES, Recorder, RecordingCounts, size_bytes
 from resonator_daemon.board.recording.writer import Published
-from resonator_daemon.board.session.clock import HostTime, read_host_time
+from resonator_daemon.board.session.clock import read_host_time
 from resonator_daemon.board.session.frames import BoardOnline
 from resonator_daemon.board.session.link_events import Received, SnapshotTaken, WireEvent
 
@@ -27,26 +25,6 @@ class RecordingRunningError(UserError):
 
 class NothingRecordedError(UserError):
     """No recording runs, or the one that did has failed."""
-
-
-class RecordingNow(NamedTuple):
-    """The recording that runs; `failure` has the reason why nothing is written any more, None while all is well."""
-
-    path: Path
-    since_utc_ns: int
-    failure: Reason | None
-
-
-class RecordingSummary(NamedTuple):
-    """A recording that has ended; `file` is the last of its files, `events_missing` are in none."""
-
-    file: Path
-    files: int
-    all_bytes: int
-    events: int
-    events_missing: int
-    seconds: float
-    failure: Reason | None
 
 
 class RecordingSwitch:
@@ -75,7 +53,6 @@ class RecordingSwitch:
         self._before = RecordingCounts()  # of all earlier ones
         self._states: dict[str, Published] = {}
         self._awaits_snapshot = False
-        self._since: HostTime | None = None
 
     def put(self, event: WireEvent) -> None:
         """Record one event, in the reader's thread; never waits for a disk."""
@@ -124,7 +101,6 @@ class RecordingSwitch:
                 raise RecordingRunningError(f"{self._recorder.path} is being recorded; stop that first")
             recorder = Recorder(place, origin, log_line=log.log)
             with self._lock:
-                self._since = read_host_time()
                 for state in self._states.values():
                     recorder.publish(state)
                 kept = self._kept or []
@@ -137,26 +113,14 @@ class RecordingSwitch:
                 self._before = self._all_counts()
                 self._recorder = self._last = recorder
 
-    def stop(self) -> RecordingSummary | None:
-        """End the recording; waits for the disk. Return None where none ran."""
+    def stop(self) -> Recorder | None:
+        """End the recording and return it; waits for the disk. Return None where none ran."""
         with self._switching:
             with self._lock:
                 recorder, self._recorder = self._recorder, None
-                since = self._since
-            if recorder is None or since is None:
-                return None
-            seconds = (read_host_time().monotonic_ns - since.monotonic_ns) * 1e-9
-            recorder.close()
-        counts = recorder.counts
-        return RecordingSummary(
-            recorder.path,
-            counts.files,
-            recorder.all_bytes,
-            recorder.written.events,
-            counts.events_missing,
-            round(seconds, 3),
-            recorder.failure,
-        )
+            if recorder is not None:
+                recorder.close()
+            return recorder
 
     def mark(self, text: str) -> int:
         """Write a text into the file at the present time; return that time, in ns of UTC.
@@ -177,13 +141,9 @@ class RecordingSwitch:
         return now.utc_ns
 
     @property
-    def current(self) -> RecordingNow | None:
+    def current(self) -> Recorder | None:
         """What is being recorded; None where nothing is."""
-        with self._lock:
-            if self._recorder is None or self._since is None:
-                return None
-            recorder = self._recorder
-            return RecordingNow(recorder.path, self._since.utc_ns, recorder.failure)
+        return self._recorder
 
     @property
     def totals(self) -> RecordingCounts:

@@ -9,12 +9,8 @@ from resonator_daemon.board.config import Config
 from resonator_daemon.board.config.values import plate_text, settings_text
 from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import Origin
-from resonator_daemon.board.recording.switch import (
-    NothingRecordedError,
-    RecordingNow,
-    RecordingSummary,
-    RecordingSwitch,
-)
+from resonator_daemon.board.recording.recorder import Recorder
+from resonator_daemon.board.recording.switch import NothingRecordedError, RecordingSwitch
 from resonator_daemon.mqtt.commands import CommandRefusedError
 from resonator_daemon.mqtt.payloads import RecordingInfo
 from resonator_daemon.mqtt.verbs import (
@@ -81,7 +77,7 @@ class RecordingCommands:
             self._label, self._by_config = request.label, False
             if (now := self._switch.current) is None:
                 raise CommandRefusedError("recording_failed", "the daemon is stopping", "send it again when it is back")
-            return StartRecordingAnswer(file=as_json_text(now.path), since_t_ns=now.since_utc_ns, was_active=False)
+            return StartRecordingAnswer(file=as_json_text(now.path), since_t_ns=now.since.utc_ns, was_active=False)
 
     async def keep_recording(self) -> None:
         """Record from now on, if `continuous` is configured and nothing is recorded."""
@@ -101,20 +97,20 @@ class RecordingCommands:
         self._config, self._config_sha256 = config, config_sha256
         if changed:
             async with self._one_at_a_time:
-                if self._by_config and (summary := await self._end()) is not None:
-                    log.info("recording ended with %s: [recording] was changed", summary.file)
+                if self._by_config and (ended := await self._end()) is not None:
+                    log.info("recording ended with %s: [recording] was changed", ended.path)
             await self.keep_recording()
 
     async def stop(self, _request: StopRecording) -> StopRecordingAnswer:
         async with self._one_at_a_time:
-            summary = await self._end()
-            return StopRecordingAnswer(recording=self._last, was_active=summary is not None)
+            ended = await self._end()
+            return StopRecordingAnswer(recording=self._last, was_active=ended is not None)
 
-    async def _end(self) -> RecordingSummary | None:
-        summary = await asyncio.to_thread(self._switch.stop)
-        if summary is not None:
-            self._last = _summary_info(summary)
-        return summary
+    async def _end(self) -> Recorder | None:
+        ended = await asyncio.to_thread(self._switch.stop)
+        if ended is not None:
+            self._last = _summary_info(ended)
+        return ended
 
     def mark(self, request: Mark) -> MarkAnswer:
         try:
@@ -128,14 +124,14 @@ class RecordingCommands:
                 raise _ended(now) from None
             raise CommandRefusedError("recording_failed", str(error), "send it again later") from None
 
-    def _already(self, now: RecordingNow, label: str | None) -> StartRecordingAnswer:
+    def _already(self, now: Recorder, label: str | None) -> StartRecordingAnswer:
         if now.failure is not None:
             raise _ended(now)
         if label is not None and label != self._label:
             raise CommandRefusedError(
                 "recording", f"{as_json_text(now.path)} is being recorded", "send stop_recording first"
             )
-        return StartRecordingAnswer(file=as_json_text(now.path), since_t_ns=now.since_utc_ns, was_active=True)
+        return StartRecordingAnswer(file=as_json_text(now.path), since_t_ns=now.since.utc_ns, was_active=True)
 
     def _begin(self, label: str | None) -> None:
         """Begin a recording; it takes a while, and waits for the disk."""
@@ -170,7 +166,7 @@ def _series(config: Config, name: str, label: str | None) -> Series:
     )
 
 
-def _ended(now: RecordingNow) -> CommandRefusedError:
+def _ended(now: Recorder) -> CommandRefusedError:
     return CommandRefusedError(
         "recording_failed",
         f"{as_json_text(now.path)} takes nothing more: {as_json_text(now.failure.text if now.failure else '')}",
@@ -178,27 +174,28 @@ def _ended(now: RecordingNow) -> CommandRefusedError:
     )
 
 
-def _summary_info(summary: RecordingSummary) -> RecordingSummaryInfo:
+def _summary_info(ended: Recorder) -> RecordingSummaryInfo:
     return RecordingSummaryInfo(
-        file=as_json_text(summary.file),
-        files=summary.files,
-        all_bytes=summary.all_bytes,
-        events=summary.events,
-        events_missing=summary.events_missing,
-        duration_s=summary.seconds,
-        failure_code=summary.failure.code if summary.failure else None,
-        failure=as_json_text(summary.failure.text) if summary.failure else None,
+        file=as_json_text(ended.path),
+        files=ended.counts.files,
+        all_bytes=ended.all_bytes,
+        events=ended.written.events,
+        events_missing=ended.counts.events_missing,
+        duration_s=ended.seconds,
+        failure_code=ended.failure.code if ended.failure else None,
+        failure=as_json_text(ended.failure.text) if ended.failure else None,
     )
 
 
 def recording_info(switch: RecordingSwitch) -> RecordingInfo:
     """Return the part of `health` about recordings."""
     now = switch.current
+    failure = now.failure if now else None  # the recording goes on meanwhile
     return RecordingInfo(
         file=as_json_text(now.path) if now else None,
-        since_t_ns=now.since_utc_ns if now else None,
-        failure_code=now.failure.code if now and now.failure else None,
-        failure=as_json_text(now.failure.text) if now and now.failure else None,
+        since_t_ns=now.since.utc_ns if now else None,
+        failure_code=failure.code if failure else None,
+        failure=as_json_text(failure.text) if failure else None,
         **switch.totals._asdict(),
     )
 

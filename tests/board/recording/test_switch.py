@@ -115,7 +115,8 @@ def test_a_recording_begun_while_frames_come_is_replayed_with_their_numbers(tmp_
     assert damage is None
     assert isinstance(events[0], SnapshotTaken)
     assert summary is not None
-    assert summary == (path, 1, path.stat().st_size, len(events), 0, summary.seconds, None)
+    assert (summary.path, summary.all_bytes, summary.failure) == (path, path.stat().st_size, None)
+    assert (summary.counts.files, summary.written.events, summary.counts.events_missing) == (1, len(events), 0)
     assert 1.0 < summary.seconds < DEADLINE_S
 
 
@@ -132,7 +133,7 @@ def test_one_recording_runs_at_a_time_and_no_file_is_overwritten(tmp_path: Path)
     now = switch.current
     assert now is not None
     assert (now.path, now.failure) == (tmp_path / "one.mcap", None)
-    assert before_ns <= now.since_utc_ns <= time.time_ns()
+    assert before_ns <= now.since.utc_ns <= time.time_ns()
     switch.stop()
     assert switch.current is None
     with pytest.raises(UserError, match=r"one\.mcap exists already, and nothing is overwritten"):
@@ -150,7 +151,7 @@ def test_a_mark_is_a_line_of_text_at_its_time(tmp_path: Path, caplog: pytest.Log
     switch.put(StateAnnounced(at(1), Condition.WAITING, Reason(ReasonCode.NO_SUCH_PORT, "second")))
     summary = switch.stop()
     assert summary is not None
-    assert (summary.events, summary.events_missing) == (2, 0)
+    assert (summary.written.events, summary.counts.events_missing) == (2, 0)
     assert marks(path) == list(zip(times_ns, ["the finger slips", "¼ N"], strict=True))
     assert times_ns[0] <= times_ns[1] <= time.time_ns()
     arrivals, _, differences = replayed(path)
@@ -197,7 +198,7 @@ def test_what_is_kept_is_bounded_and_a_recording_begins_with_the_next_standing(t
     switch.put(TimersRun(at(6), idle=True))
     summary = switch.stop()
     assert summary is not None
-    assert (summary.events, summary.events_missing) == (2, 1)
+    assert (summary.written.events, summary.counts.events_missing) == (2, 1)
     events, _ = read(path)
     assert events == [Skipped(snapshot.now, 1, 7), snapshot, TimersRun(at(6), idle=True)]
 

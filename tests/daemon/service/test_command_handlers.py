@@ -8,7 +8,6 @@ import pytest
 from command_stand_ins import StandIn, configured, handlers_on, messages
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.board.recording.switch import RecordingNow
 from resonator_daemon.daemon.service import command_handlers
 from resonator_daemon.daemon.service.command_handlers import CommandHandlers
 from resonator_daemon.mqtt.commands import CommandRefusedError
@@ -109,7 +108,7 @@ async def test_a_disk_that_takes_nothing_is_said(bench: Bench) -> None:
 async def test_a_recording_that_has_failed_is_not_taken_for_one_that_runs(bench: Bench) -> None:
     await bench.ask("start_recording")
     assert bench.daemon.current is not None
-    bench.daemon.current = RecordingNow(bench.daemon.current.path, 1, Reason(ReasonCode.DISK_FULL, "disk full"))
+    bench.daemon.current.failure = Reason(ReasonCode.DISK_FULL, "disk full")
     for verb, request in (("start_recording", {}), ("mark", {"text": "a"})):
         refused = await bench.refusal(verb, **request)
         assert (refused.code, refused.hint) == ("recording_failed", "send stop_recording, then start_recording")
