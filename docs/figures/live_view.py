@@ -12,9 +12,9 @@ from rich.console import Console
 
 from resonator_daemon.mqtt.subscriber import subscribe
 from resonator_daemon.mqtt.topics import CONTACTS
+from resonator_daemon.tools.command_line import broker_at
 from resonator_daemon.tools.view.plate_view import PlateView
 from resonator_daemon.tools.view.terminal import render
-from resonator_daemon.tools.view.watch import broker_at
 
 OUTPUT: Final = Path(__file__).with_name("live-view.svg")
 COMMAND: Final = (".venv/bin/resonatord", "demo", "--headless", "--seconds", "60")

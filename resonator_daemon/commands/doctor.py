@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
 
 def _broker(url: str) -> object:
-    from resonator_daemon.tools.view.watch import broker_at
+    from resonator_daemon.tools.command_line import broker_at
 
     try:
         return broker_at(url, "resonator", named_by="--broker")

@@ -144,11 +144,30 @@ def add_broker(parser: argparse.ArgumentParser, *, config_is_argument: bool = Fa
     parser.add_argument("--prefix", help="first level of the topics (default: that of the configuration, or resonator)")
 
 
+def broker_at(url: str, prefix: str, *, named_by: str = "--url") -> "Mqtt":
+    """Return the broker of the command line's options; `named_by` is that of the address.
+
+    Raises
+    ------
+    UsageError
+        The address or the prefix cannot be used.
+    """
+    from pydantic import ValidationError
+
+    from resonator_daemon.base.toml import shown
+    from resonator_daemon.board.config.mqtt import Mqtt
+
+    try:
+        return Mqtt(url=url, prefix=prefix).with_name(named_by)
+    except ValidationError as error:
+        findings = [(f["loc"][0], shown(f["input"]), f["msg"].removeprefix("Value error, ")) for f in error.errors()]
+        raise UsageError(*(f"--{key}: got {value}; {sentence}" for key, value, sentence in findings)) from None
+
+
 def broker_of(arguments: argparse.Namespace) -> "Mqtt":
     """Return the broker that is meant; UserError where it cannot be used."""
     from resonator_daemon.board.config.clients import load_client
     from resonator_daemon.board.config.mqtt import Mqtt
-    from resonator_daemon.tools.view.watch import broker_at
 
     if arguments.config is None:
         return broker_at(arguments.url or Mqtt().url, arguments.prefix or Mqtt().prefix)

@@ -11,7 +11,7 @@ from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.board.links.link import LinkUnavailableError
 
 # Options of the command line that messages name, as arguments of the package's functions.
-_ARGUMENTS: Final = {"--config FILE": "config=FILE", "--from": "start", "--until": "until"}
+_ARGUMENTS: Final = {"--config FILE": "config=FILE", "--url": "url", "--from": "start", "--until": "until"}
 
 
 class RecordingError(UserError):

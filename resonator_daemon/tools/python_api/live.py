@@ -4,10 +4,8 @@ from collections.abc import AsyncGenerator, Collection
 from contextlib import aclosing
 from typing import Any
 
-from pydantic import ValidationError
-
 from resonator_daemon.base.errors import UsageError
-from resonator_daemon.base.toml import nearest, shown
+from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.config.tables import plate_name
 from resonator_daemon.mqtt.daemon_search import find_online, find_plate
@@ -16,6 +14,7 @@ from resonator_daemon.mqtt.subscriber import EVERY_PLATE, Received
 from resonator_daemon.mqtt.subscriber import subscribe as subscribe_at
 from resonator_daemon.mqtt.topics import TOPICS
 from resonator_daemon.mqtt.verbs import Answer
+from resonator_daemon.tools.command_line import broker_at
 from resonator_daemon.tools.python_api import readable_errors
 
 
@@ -120,14 +119,7 @@ async def command(
 
 
 def _broker(url: str | Mqtt) -> Mqtt:
-    if isinstance(url, Mqtt):
-        return url.with_name("url")
-    try:
-        return Mqtt(url=url).with_name("url")
-    except ValidationError as error:
-        (finding,) = error.errors()
-        sentence = finding["msg"].removeprefix("Value error, ")
-        raise UsageError(f"url: got {shown(finding['input'])}; {sentence}") from None
+    return url.with_name("url") if isinstance(url, Mqtt) else broker_at(url, Mqtt().prefix, named_by="url")
 
 
 def _plate(name: str) -> str:

@@ -19,6 +19,7 @@ from resonator_daemon.board.config.tables import plate_name
 from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.mqtt.payloads import Info
 from resonator_daemon.mqtt.topics import Topic
+from resonator_daemon.tools.command_line import broker_at
 from resonator_daemon.tools.replay.outputs import BrokerOutput, FileOutput
 from resonator_daemon.tools.replay.recorded_pipeline import (
     Moment,
@@ -27,7 +28,6 @@ from resonator_daemon.tools.replay.recorded_pipeline import (
     open_replay,
 )
 from resonator_daemon.tools.replay.span import Progress, Span, find_span
-from resonator_daemon.tools.view.watch import broker_at
 
 _AT_ONCE_S: Final = 1e-3  # a wait takes longer than this
 

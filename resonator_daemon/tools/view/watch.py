@@ -10,14 +10,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import aclosing, contextmanager
 from typing import Final
 
-from pydantic import ValidationError
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from resonator_daemon.base.errors import UsageError
 from resonator_daemon.base.host.signals import on_signals
-from resonator_daemon.base.toml import shown
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.subscriber import subscribe
@@ -57,21 +54,6 @@ def json_line(plate: str, path: str, message: Message) -> str:
     """Return a message as one line of JSON: arrays as nested lists, numbers that are not known as null."""
     payload = message.model_dump_json(fallback=lambda array: array.tolist())
     return f'{{"plate": {json.dumps(plate)}, "topic": {json.dumps(path)}, "message": {payload}}}\n'
-
-
-def broker_at(url: str, prefix: str, *, named_by: str = "--url") -> Mqtt:
-    """Return the broker of the command line's options; `named_by` is that of the address.
-
-    Raises
-    ------
-    UsageError
-        The address or the prefix cannot be used.
-    """
-    try:
-        return Mqtt(url=url, prefix=prefix).with_name(named_by)
-    except ValidationError as error:
-        findings = [(f["loc"][0], shown(f["input"]), f["msg"].removeprefix("Value error, ")) for f in error.errors()]
-        raise UsageError(*(f"--{key}: got {value}; {sentence}" for key, value, sentence in findings)) from None
 
 
 def _discard_stdout() -> None:
