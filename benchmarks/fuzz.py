@@ -44,12 +44,12 @@ from resonator_daemon.daemon.service.command_handlers import SNAPSHOT_BYTES_MAX
 from resonator_daemon.mqtt.commands import (
     AT_ONCE,
     CORRELATION_BYTES_MAX,
+    PAYLOAD_BYTES_MAX,
     RESPONSE_TOPIC_BYTES_MAX,
     WAITING_MAX,
     Commands,
 )
-from resonator_daemon.mqtt.mqtt_messages import Incoming, Outgoing
-from resonator_daemon.mqtt.strict_json import PAYLOAD_BYTES_MAX
+from resonator_daemon.mqtt.packets import Incoming, Outgoing
 from resonator_daemon.mqtt.verbs import ID_LENGTH_MAX, VERBS, ErrorCode
 
 IDENTITY = Identity("fuzzed", "0042", "1.0", 0, credit_bytes=256)

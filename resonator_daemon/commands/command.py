@@ -100,8 +100,7 @@ async def send_command(
     """
     import asyncio
 
-    from resonator_daemon.mqtt.daemon_search import find_daemon
-    from resonator_daemon.mqtt.requests import reach, request
+    from resonator_daemon.mqtt.requests import find_daemon, reach, request
 
     await reach(client.mqtt)
     name = await find_daemon(client)

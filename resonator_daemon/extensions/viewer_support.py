@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.recording.mcap_messages import CHUNK_BYTES
+from resonator_daemon.mqtt.payload_types import AXES, with_axis
 from resonator_daemon.mqtt.payloads import Condition, Contact, Decoded, Forces, Info, Message, Signals, State
-from resonator_daemon.mqtt.units import AXES, with_axis
 from resonator_daemon.tools.export.output import Output
 
 Places = NDArray[np.float64]

@@ -14,12 +14,10 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.mqtt import connection_errors
+from resonator_daemon.mqtt import connecting
 from resonator_daemon.mqtt.broker_limits import BrokerLimits, limits_of
-from resonator_daemon.mqtt.connection_errors import BrokerError
-from resonator_daemon.mqtt.mqtt_messages import Incoming
-from resonator_daemon.mqtt.packets import PackedProperties, pack
-from resonator_daemon.mqtt.tls import make_tls
+from resonator_daemon.mqtt.connecting import BrokerError, make_tls
+from resonator_daemon.mqtt.packets import Incoming, PackedProperties, pack
 
 MQTT_5: Final = MQTTProtocolVersion.MQTTv5
 NO_SUBSCRIBERS: Final = 0x10  # reason codes of MQTT 5
@@ -192,7 +190,7 @@ class BrokerConnection:
             opening.add_done_callback(self._discard)  # the thread cannot be interrupted
             raise
         except OSError as error:
-            raise connection_errors.of_opening(error, self._broker) from None
+            raise connecting.of_opening(error, self._broker) from None
         except UnicodeError as error:
             raise BrokerError(f"not a host name: {error}") from None
         try:
@@ -203,7 +201,7 @@ class BrokerConnection:
                 raise BrokerError("the broker ended the connection at once")
         except TimeoutError:
             self.abort()
-            raise connection_errors.SilentError(self._broker) from None
+            raise connecting.SilentError(self._broker) from None
         except BaseException:
             self.abort()
             raise
@@ -425,7 +423,7 @@ class BrokerConnection:
         self, _client: object, _userdata: object, _flags: object, reason: Any, properties: Any
     ) -> None:
         self.limits = limits_of(properties)
-        if refused := connection_errors.WILL_LIMITS.get(reason.value):
+        if refused := connecting.WILL_LIMITS.get(reason.value):
             self.limits = self.limits._replace(**refused)
         if self._accepted.done():
             return
@@ -440,7 +438,7 @@ class BrokerConnection:
                 refused.set_result("connection lost")
         self._subscribing.clear()
         if not self._accepted.done():
-            self._accepted.set_exception(connection_errors.of_silent_end(reason.value, self.version, self._broker))
+            self._accepted.set_exception(connecting.of_silent_end(reason.value, self.version, self._broker))
         elif not self.lost.done() and reason.is_failure:
             self.lost.set_exception(BrokerError(str(reason), code=reason.value))
         elif not self.lost.done():

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.mqtt.headers import BoardFields
-from resonator_daemon.mqtt.mqtt_messages import Incoming
 from resonator_daemon.mqtt.pacing import TokenBucket
+from resonator_daemon.mqtt.packets import Incoming
 from resonator_daemon.mqtt.payloads import Condition, State
+from resonator_daemon.mqtt.topics import HeaderFields
 
 SILENT_S: Final = 90.0  # after which another daemon has ended; a running one restores its state each minute
 _PROMPT_AT_ONCE: Final = 2  # announcements that a conflict begins or ends; further ones wait for the restoration
@@ -33,7 +33,7 @@ class DaemonSnapshot(NamedTuple):
     connections: int
     connected_utc_ns: int | None
 
-    def message(self, header: BoardFields) -> State:
+    def message(self, header: HeaderFields) -> State:
         """Return the message for `state/daemon` under a header."""
         return State(
             **header,

@@ -16,8 +16,7 @@ from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode, models_json_schema
 from pydantic_core import core_schema
 
-from resonator_daemon.mqtt.payload_types import Header
-from resonator_daemon.mqtt.units import unit_of
+from resonator_daemon.mqtt.payload_types import Header, unit_of
 
 REF: Final = "#/components/schemas/{model}"
 

@@ -8,9 +8,9 @@ import numpy as np
 from pydantic import BaseModel
 
 from resonator_daemon.mqtt.codec import encode, read_arrays
+from resonator_daemon.mqtt.payload_types import UNITS
 from resonator_daemon.mqtt.payloads import WITH_ARRAYS, ContactEvent, Contacts, Forces, Grid, Message, State
 from resonator_daemon.mqtt.topics import DECODER_HEALTH, DECODER_STATE, SCHEMA_VERSION, TOPICS
-from resonator_daemon.mqtt.units import UNITS
 from resonator_daemon.mqtt.verbs import VERBS, Refusal
 
 # Value of each key in all messages, or in one model. A key without one has the value of what has not happened.

@@ -1,4 +1,4 @@
-"""What all payloads are made of: numbers that may be unknown, arrays, the closed sets of words, and the header.
+"""What all payloads are made of: numbers that may be unknown, units, arrays, closed sets of words, and the header.
 
 Floats that are not known are NaN here and null in JSON. 64-bit integers are decimal strings in JSON, because many
 readers of JSON hold numbers as doubles, exact only to 2^53.
@@ -23,6 +23,68 @@ from pydantic import (
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.reasons import Word
+
+UNITS: Final[dict[str, str]] = {
+    "ns": "ns",
+    "ms": "ms",
+    "s": "s",
+    "hz": "Hz",
+    "m": "m",
+    "m2": "m2",
+    "newton": "N",
+    "newton_m": "N.m",
+    "pascal": "Pa",
+    "kelvin": "K",
+    "percent": "%",
+    "ppm": "[ppm]",
+    "bytes": "By",
+    "mb": "MBy",
+    "ticks": "{tick}",
+}
+"""Unit by the ending of a key, in the notation of UCUM; a tick is one of the board's clock."""
+
+DIMENSIONLESS: Final = frozenset(
+    {
+        "chi2",
+        "common_mode",
+        "friction_coefficient",
+        "gain",
+        "model_error",
+        "noise",
+        "poisson_ratio",
+        "position_correlation",
+        "residual",
+        "sensitivity",
+        "signals",
+        "slip_margin",
+        "stick_ratio",
+        "tangential_ratio",
+    }
+)
+"""Keys of numbers without a unit, without the `_std` that a standard deviation has at its end."""
+
+NO_UNIT: Final = "1"
+AXES: Final = "xyz"
+
+
+def unit_of(key: str) -> str | None:
+    """Return the unit of a key's numbers: that of the longest ending in `UNITS`, `_std` left off; None for others."""
+    bare = key.removesuffix("_std")
+    if bare in DIMENSIONLESS:
+        return NO_UNIT
+    parts = bare.split("_")
+    endings = ("_".join(parts[start:]) for start in range(1, len(parts)))
+    return next((UNITS[ending] for ending in endings if ending in UNITS), None)
+
+
+def with_axis(name: str, axis: str) -> str:
+    """Return the name of a vector's component: its letter before the unit, as `force_x_newton`."""
+    parts = name.split("_")
+    for start in range(1, len(parts)):
+        if "_".join(parts[start:]) in UNITS:
+            return "_".join((*parts[:start], axis, *parts[start:]))
+    return f"{name}_{axis}"
+
 
 _DECIMAL: Final = {"type": "string", "pattern": "^[0-9]{1,20}$"}
 _DIGITS: Final = 2  # of a standard deviation: further ones are noise

@@ -13,11 +13,10 @@ from typing import Any, Final, NamedTuple
 import aiomqtt
 
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.mqtt import connection_errors
+from resonator_daemon.mqtt import connecting
 from resonator_daemon.mqtt.broker_connection import ConnectionTimes
-from resonator_daemon.mqtt.connection_errors import BrokerError
+from resonator_daemon.mqtt.connecting import BrokerError, make_tls
 from resonator_daemon.mqtt.reconnection import Attempt, keep_connected
-from resonator_daemon.mqtt.tls import make_tls
 
 END_TIMEOUT_S: Final = 2.0  # an attempt to connect cannot be cancelled
 
@@ -179,8 +178,8 @@ def _broker_error(error: aiomqtt.MqttError, broker: Mqtt, *, accepted: bool) -> 
     if accepted:
         return BrokerError("connection lost")
     if isinstance(error.__context__, OSError):
-        return connection_errors.of_opening(error.__context__, broker)
-    return connection_errors.SilentError(broker)
+        return connecting.of_opening(error.__context__, broker)
+    return connecting.SilentError(broker)
 
 
 def _finish(future: asyncio.Future[None]) -> None:

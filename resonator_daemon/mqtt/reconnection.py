@@ -10,9 +10,9 @@ from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.base.errors import reason_of
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.mqtt import connection_errors
+from resonator_daemon.mqtt import connecting
 from resonator_daemon.mqtt.broker_connection import MQTT_3, MQTT_5, BrokerConnection, ConnectionTimes
-from resonator_daemon.mqtt.connection_errors import BrokerError
+from resonator_daemon.mqtt.connecting import BrokerError
 from resonator_daemon.mqtt.pacing import Backoff
 
 log = logging.getLogger(__name__)
@@ -96,14 +96,14 @@ async def keep_connected(
                 return
             await session(Attempt(version, attempts == 1, accepted))
         except (BrokerError, OSError) as caught:
-            error = connection_errors.of_answer(caught, broker)
+            error = connecting.of_answer(caught, broker)
             on_failure(error)
-            refused = isinstance(error, connection_errors.RefusalError)
+            refused = isinstance(error, connecting.RefusalError)
             if refused:
                 longest_pause_s = times.refused_pause_s
             if broker.username is None or version is MQTT_3 or not (accepted_s is not None or refused):
                 version = None  # another broker may answer next time; else one attempt without a user name is spared
-            answered = connection_errors.code_of(error) != connection_errors.UNSPECIFIED
+            answered = connecting.code_of(error) != connecting.UNSPECIFIED
             reason = reason_of(error) if isinstance(error, OSError) else error
             report_change(logging.WARNING, f"{reason if answered else 'connection lost'}; trying again")
         if accepted_s is not None and loop.time() - accepted_s > times.stable_s:
@@ -155,15 +155,15 @@ async def find_version(
     try:
         if not await _connect(probe, closing):
             return None
-    except connection_errors.RefusalError:
+    except connecting.RefusalError:
         raise
-    except connection_errors.NoAnswerError:
+    except connecting.NoAnswerError:
         if broker.username is None:
             raise
     except BrokerError as error:
         if error.code is None:
             raise
-        return MQTT_3 if error.code == connection_errors.UNSUPPORTED_VERSION else MQTT_5
+        return MQTT_3 if error.code == connecting.UNSUPPORTED_VERSION else MQTT_5
     else:
         await probe.disconnect()
     return MQTT_5

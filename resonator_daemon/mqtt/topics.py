@@ -1,8 +1,10 @@
-"""The topics below `prefix/name/`: what each carries, how it is sent, and how often at most to people."""
+"""The topics below `prefix/name/`: what each carries, how it is sent, how often at most to people, and its headers."""
 
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, Generic, Literal, TypeVar
+from typing import Any, Final, Generic, Literal, TypeVar
 
 from resonator_daemon.mqtt.payloads import (
     WITH_ARRAYS,
@@ -15,6 +17,7 @@ from resonator_daemon.mqtt.payloads import (
     Forces,
     Health,
     Info,
+    Lost,
     Measured,
     Message,
     Signals,
@@ -27,6 +30,7 @@ JSON: Final = "application/json"
 CBOR: Final = "application/cbor"
 
 MessageT = TypeVar("MessageT", bound=Message)
+HeaderFields = dict[str, Any]  # of `BoardHeader` or `Measured`, by name
 
 
 @dataclass(frozen=True)
@@ -115,3 +119,66 @@ def split_topic(prefix: str, topic: str) -> tuple[str, str]:
     """Split a full topic below the prefix into the plate's name and the path."""
     name, _, path = topic.removeprefix(f"{prefix}/").partition("/")
     return name, path
+
+
+class Headers:
+    """Makes the headers of one run of the daemon; numbers the messages of each topic.
+
+    Parameters
+    ----------
+    name
+        Of the plate; empty where it is not known yet.
+    daemon_boot_id
+        Identifier of the run.
+    lost
+        Returns the losses as they are when a header is made.
+
+    Attributes
+    ----------
+    name
+        Of the plate; empty before it is known, which no message to a broker shows.
+    board_boot_id
+        Of the board that counts; None before there is one.
+    """
+
+    def __init__(self, name: str, daemon_boot_id: str, lost: Callable[[], Lost]) -> None:
+        self.name = name
+        self._daemon_boot_id = daemon_boot_id
+        self.lost = lost
+        self._seq: Counter[str] = Counter()
+        self.board_boot_id: str | None = None
+
+    def of(self, topic: Topic[Any], utc_ns: int) -> HeaderFields:
+        """Return the header of a message about a moment on the host's clock."""
+        return {
+            "name": self.name,
+            "seq": self.next_seq(topic),
+            "daemon_boot_id": self._daemon_boot_id,
+            "t_ns": utc_ns,
+            "t_uncertainty_ns": 0,
+            "lost": self.lost(),
+            "board_boot_id": self.board_boot_id,
+        }
+
+    def of_window(self, t_ns: int, t_uncertainty_ns: int, board_ticks: int) -> HeaderFields:
+        """Return what headers of messages about a window share: the UTC of its middle, the board's ticks at its end."""
+        return {
+            "name": self.name,
+            "daemon_boot_id": self._daemon_boot_id,
+            "t_ns": t_ns,
+            "t_uncertainty_ns": t_uncertainty_ns,
+            "lost": self.lost(),
+            "board_ticks": board_ticks,
+        }
+
+    def next_seq(self, topic: Topic[Any]) -> int:
+        """Return the next number `seq` of a topic."""
+        path = topic.path
+        seq = self._seq[path]
+        self._seq[path] = seq + 1
+        return seq
+
+    def skip(self, *topics: Topic[Any]) -> None:
+        """Skip one number `seq` of each topic, for a message that is not made."""
+        for topic in topics:
+            self._seq[topic.path] += 1

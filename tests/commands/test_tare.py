@@ -13,7 +13,7 @@ from command_line import exit_code
 from commanded import commanded, state
 
 from resonator_daemon.commands import main
-from resonator_daemon.mqtt import daemon_search
+from resonator_daemon.mqtt import requests
 from resonator_daemon.mqtt.commands import CommandRefusedError, Handler
 from resonator_daemon.mqtt.message_examples import EXAMPLES
 from resonator_daemon.mqtt.payloads import Info
@@ -105,7 +105,7 @@ async def test_every_failure_is_an_object(mosquitto: Mosquitto, tare: Ask, monke
     codes = []
     for place, name in ((url, ""), (mosquitto.url, ""), (mosquitto.url, 'name = "left"\nmetrics.listen = 1')):
         with monkeypatch.context() as patch:
-            patch.setattr(daemon_search, "LOOK_S", 0.3)
+            patch.setattr(requests, "LOOK_S", 0.3)
             code, printed, reported = await tare(place, "--json", name=name)
         answer = json.loads(printed)
         assert (answer["verb"], answer["ok"]) == ("tare", False)

@@ -17,7 +17,7 @@ from resonator_daemon.mqtt.commands import (
     Commands,
     Handler,
 )
-from resonator_daemon.mqtt.mqtt_messages import Incoming, Outgoing
+from resonator_daemon.mqtt.packets import Incoming, Outgoing
 from resonator_daemon.mqtt.verbs import Answer, Identify, IdentifyAnswer, Mark, MarkAnswer, Ping, Pong, Tare
 
 BASE = "resonator/left"

@@ -8,8 +8,7 @@ from contextlib import asynccontextmanager
 import pytest
 
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.mqtt.embedded_broker import embedded_broker
-from resonator_daemon.mqtt.embedded_delivery import UNREAD_BYTES_MAX, PacketReader
+from resonator_daemon.mqtt.embedded_broker import UNREAD_BYTES_MAX, PacketReader, embedded_broker
 
 CONNECT, CONNACK, PUBLISH, PUBACK, SUBSCRIBE, SUBACK, UNSUBSCRIBE = (0x10, 0x20, 0x30, 0x40, 0x82, 0x90, 0xA2)
 DISCONNECT = 0xE0

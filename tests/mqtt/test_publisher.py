@@ -11,7 +11,7 @@ from observer import observe
 from resonator_daemon.mqtt import outbox, topics
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.event_log import IN_MEMORY_MAX
-from resonator_daemon.mqtt.mqtt_messages import Outgoing
+from resonator_daemon.mqtt.packets import Outgoing
 
 ONLINE = Messages.state("online", "all is well")
 

@@ -10,7 +10,7 @@ from brokers import Mosquitto
 
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, BrokerConnection
-from resonator_daemon.mqtt.connection_errors import BrokerError
+from resonator_daemon.mqtt.connecting import BrokerError
 
 PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "secure-the-broker.md").read_text()
 COMMANDS = re.findall(r"<!-- runs in tests -->\n```sh\n(.*?)```", PAGE, re.DOTALL)

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from resonator_daemon.mqtt.strict_json import NESTING_MAX, PAYLOAD_BYTES_MAX, read_object
+from resonator_daemon.mqtt.commands import NESTING_MAX, PAYLOAD_BYTES_MAX, read_object
 
 
 @pytest.mark.parametrize(

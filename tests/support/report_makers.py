@@ -15,8 +15,8 @@ from resonator_daemon.measure.sensors.kinds import sensor_of
 from resonator_daemon.measure.sensors.output import MessageOutput
 from resonator_daemon.measure.sensors.sensor_state import SensorState
 from resonator_daemon.mqtt.codec import Encoded, decoded, encode
-from resonator_daemon.mqtt.headers import Headers
 from resonator_daemon.mqtt.payloads import Contacts, Forces, Lost, Message
+from resonator_daemon.mqtt.topics import Headers
 
 MessageT = TypeVar("MessageT", bound=Message)
 

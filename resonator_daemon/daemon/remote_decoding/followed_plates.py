@@ -21,10 +21,9 @@ from resonator_daemon.measure.pipeline.frame_timeout import CONTACTS_END_S
 from resonator_daemon.measure.sensors.surface_decoding import Origin, Skipped, SurfaceClient, SurfaceDecoding
 from resonator_daemon.measure.sensors.surface_worker import Reply, SurfaceSettings, SurfaceWorker
 from resonator_daemon.mqtt.codec import Encoded
-from resonator_daemon.mqtt.headers import MeasuredFields
-from resonator_daemon.mqtt.mqtt_messages import Incoming
+from resonator_daemon.mqtt.packets import Incoming
 from resonator_daemon.mqtt.payloads import ContactEvent, DecoderPlateHealth, DecoderProcessInfo, Lost, Message, Signals
-from resonator_daemon.mqtt.topics import CONTACT_EVENT, Topic
+from resonator_daemon.mqtt.topics import CONTACT_EVENT, HeaderFields, Topic
 
 LOOK_S: Final = 0.1
 
@@ -170,7 +169,7 @@ class FollowedPlate(RemotePlate):
         """Return the daemon's losses, as the signals state them."""
         return origin.lost
 
-    def contacts_header(self, origin: Signals) -> MeasuredFields:
+    def contacts_header(self, origin: Signals) -> HeaderFields:
         """Return the header of one more message on `contacts`."""
         return header_of(origin)
 

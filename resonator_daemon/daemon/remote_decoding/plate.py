@@ -15,9 +15,8 @@ from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.surface.skin import Prior, Skin
 from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame
 from resonator_daemon.mqtt.codec import decode
-from resonator_daemon.mqtt.headers import MeasuredFields
-from resonator_daemon.mqtt.payloads import Condition, DecoderPlateHealth, Info, Signals, Status
-from resonator_daemon.mqtt.topics import DECODED, SCHEMA_VERSION
+from resonator_daemon.mqtt.payloads import Condition, DecoderPlateHealth, Info, Measured, Signals, Status
+from resonator_daemon.mqtt.topics import DECODED, SCHEMA_VERSION, HeaderFields
 
 NO_INFO = Reason(ReasonCode.NO_INFO, "no info yet: no daemon has published under this name")
 DECODED_BY_DAEMON = Reason(
@@ -167,10 +166,9 @@ class RemotePlate:
         self._last = message.daemon_boot_id, message.seq
 
 
-def header_of(message: Signals) -> MeasuredFields:
+def header_of(message: Signals) -> HeaderFields:
     """Return the header for what is decoded of these signals: it belongs to the same instant and has the same `seq`."""
-    header: MeasuredFields = {key: getattr(message, key) for key in MeasuredFields.__annotations__}  # type: ignore[assignment]
-    return header
+    return {key: getattr(message, key) for key in Measured.model_fields}
 
 
 def frame_of(message: Signals) -> SurfaceFrame:

@@ -27,7 +27,7 @@ from resonator_daemon.daemon.remote_decoding.followed_plates import FollowedPlat
 from resonator_daemon.daemon.remote_decoding.plates import RemotePlates
 from resonator_daemon.daemon.remote_decoding.shared_plates import SharedPlates
 from resonator_daemon.mqtt.codec import Encoded, encode
-from resonator_daemon.mqtt.mqtt_messages import Incoming, Outgoing
+from resonator_daemon.mqtt.packets import Incoming, Outgoing
 from resonator_daemon.mqtt.payloads import Condition, DecoderHealth, DecoderState
 from resonator_daemon.mqtt.publisher import FRESH_S, Publisher, Subscription
 from resonator_daemon.mqtt.topics import (

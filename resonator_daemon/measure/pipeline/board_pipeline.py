@@ -28,9 +28,8 @@ from resonator_daemon.measure.sensors.calendar import DAY_NS, utc_day
 from resonator_daemon.measure.sensors.kinds import sensor_of
 from resonator_daemon.measure.sensors.output import MessageOutput, Publish
 from resonator_daemon.measure.sensors.sensor_state import SensorState
-from resonator_daemon.mqtt.headers import Headers
 from resonator_daemon.mqtt.payloads import Condition, Lost
-from resonator_daemon.mqtt.topics import INFO, STATE_LINK, STATE_SENSOR
+from resonator_daemon.mqtt.topics import INFO, STATE_LINK, STATE_SENSOR, Headers
 
 if TYPE_CHECKING:
     from resonator_daemon.measure.sensors.surface_decoding import MakeSurfaceDecoding

@@ -14,7 +14,7 @@ from resonator_daemon.board.session.frames import BoardOnline, LinkChange, Outag
 from resonator_daemon.estimate.forces.readings import Compensation as AppliedCompensation
 from resonator_daemon.measure.sensors.base import Sensor
 from resonator_daemon.mqtt.daemon_state import DaemonSnapshot
-from resonator_daemon.mqtt.headers import Headers
+from resonator_daemon.mqtt.payload_types import UNITS
 from resonator_daemon.mqtt.payloads import (
     CalibrationInfo,
     Compensation,
@@ -32,9 +32,9 @@ from resonator_daemon.mqtt.topics import (
     STATE_DAEMON,
     STATE_LINK,
     STATE_SENSOR,
+    Headers,
     Topic,
 )
-from resonator_daemon.mqtt.units import UNITS
 from resonator_daemon.mqtt.verbs import permitted
 
 _VERSION: Final = version("resonatord")  # of this process; an upgrade replaces the file that has it

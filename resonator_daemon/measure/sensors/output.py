@@ -9,9 +9,8 @@ from resonator_daemon.estimate.forces.readings import ForceReading, SkinReading
 from resonator_daemon.measure.latency import Latencies
 from resonator_daemon.measure.sensors.sensor_state import SensorState
 from resonator_daemon.mqtt.codec import Encoded
-from resonator_daemon.mqtt.headers import Headers, WindowFields
 from resonator_daemon.mqtt.payloads import Message
-from resonator_daemon.mqtt.topics import Topic
+from resonator_daemon.mqtt.topics import HeaderFields, Headers, Topic
 
 Publish = Callable[[Topic[Any], Any], None]
 
@@ -69,7 +68,7 @@ class MessageOutput:
         self.headers.skip(*topics)
         self.skipped_late += len(topics)
 
-    def window(self, reading: ForceReading | SkinReading, gate_middle: Instant) -> WindowFields:
+    def window(self, reading: ForceReading | SkinReading, gate_middle: Instant) -> HeaderFields:
         """Return the header of all messages about a reading whose last gate has this middle, without `seq`."""
         t_ns = gate_middle.utc_ns - round((reading.window_s - self._gate_s) * _NS / 2)
         return self.headers.of_window(t_ns, gate_middle.uncertainty_ns, reading.board_ticks)

@@ -20,9 +20,16 @@ from resonator_daemon.measure.sensors.surface_decoding import MakeSurfaceDecodin
 from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame, SurfaceSettings
 from resonator_daemon.measure.sensors.usual_reasons import BOARD_RESTARTED
 from resonator_daemon.mqtt.codec import Encoded
-from resonator_daemon.mqtt.headers import MeasuredFields
 from resonator_daemon.mqtt.payloads import Condition, ContactEvent, Lost, Message, Signals, Status
-from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, SIGNALS, Topic
+from resonator_daemon.mqtt.topics import (
+    CONTACT_EVENT,
+    CONTACTS,
+    DECODED,
+    DECODED_SUMMARY,
+    SIGNALS,
+    HeaderFields,
+    Topic,
+)
 
 _SURFACE: Final = (DECODED, DECODED_SUMMARY, CONTACTS)
 _CONDITIONS: Final = {  # while nothing is decoded
@@ -178,7 +185,7 @@ class SkinSensor(Sensor[SkinReading]):
         )
         if decoding is not None:
             # If the frame is skipped, these numbers `seq` are missing.
-            header: MeasuredFields = {"seq": next_seq(DECODED), **window}
+            header: HeaderFields = {"seq": next_seq(DECODED), **window}
             decoding.offer(
                 (reading, gate_middle),
                 SurfaceFrame(header, next_seq(CONTACTS), reading.signals, reading.noise_std, reading.at_rest),
@@ -223,7 +230,7 @@ class SkinSensor(Sensor[SkinReading]):
         """Return the losses up to now."""
         return self._output.headers.lost()
 
-    def contacts_header(self, origin: Origin) -> MeasuredFields:
+    def contacts_header(self, origin: Origin) -> HeaderFields:
         """Return the header of one more message on `contacts` about a frame."""
         return {"seq": self._output.headers.next_seq(CONTACTS), **self._output.window(*origin)}
 

@@ -22,9 +22,8 @@ from resonator_daemon.measure.sensors.surface_worker import (
     Work,
 )
 from resonator_daemon.mqtt.codec import Encoded
-from resonator_daemon.mqtt.headers import MeasuredFields
 from resonator_daemon.mqtt.payloads import ContactEvent, Contacts, EventContact, Lost, Message, Status
-from resonator_daemon.mqtt.topics import CONTACTS, DECODED, TOPICS, Topic
+from resonator_daemon.mqtt.topics import CONTACTS, DECODED, TOPICS, HeaderFields, Topic
 
 WAIT_MAX_NS: Final = 30_000_000  # of a frame while newer ones are there: a rebuild lasts some 10 ms
 AGE_MAX_NS: Final = 100_000_000  # of a frame that is decoded, since it was offered
@@ -49,7 +48,7 @@ class SurfaceClient(Protocol[TakenOrigin]):
     def announce(self, note: Reason | None) -> None:
         """Report what is being set up, or why nothing is decoded; None while frames are decoded."""
 
-    def contacts_header(self, origin: TakenOrigin) -> MeasuredFields:
+    def contacts_header(self, origin: TakenOrigin) -> HeaderFields:
         """Return the header of one more message on `contacts`."""
 
     def lost(self, origin: TakenOrigin) -> Lost:

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.measure.sensors.usual_reasons import reason_fields
-from resonator_daemon.mqtt.headers import MeasuredFields
 from resonator_daemon.mqtt.payload_types import rounded, rounded_std
 from resonator_daemon.mqtt.payloads import (
     Contact,
@@ -22,6 +21,7 @@ from resonator_daemon.mqtt.payloads import (
     Patch,
     Status,
 )
+from resonator_daemon.mqtt.topics import HeaderFields
 
 if TYPE_CHECKING:
     from resonator_daemon.estimate.surface.decoded import Decoded as DecodedFrame
@@ -73,7 +73,7 @@ class SurfaceMessages:
         self._uncertainty = uncertainty
         self.present: dict[int, EventContact] = {}
 
-    def decoded(self, header: MeasuredFields, frame: "DecodedFrame") -> Decoded:
+    def decoded(self, header: HeaderFields, frame: "DecodedFrame") -> Decoded:
         return Decoded(
             **header,
             traction_pascal=frame.traction_pascal,
@@ -83,7 +83,7 @@ class SurfaceMessages:
             decoder_id=self._decoder_id,
         )
 
-    def summary(self, header: MeasuredFields, surface: "SurfaceReading", *, numbered: bool = True) -> DecodedSummary:
+    def summary(self, header: HeaderFields, surface: "SurfaceReading", *, numbered: bool = True) -> DecodedSummary:
         """Return the summary; `numbered`: contacts are followed, and have ids."""
         frame = surface.decoded
         return DecodedSummary(
@@ -98,7 +98,7 @@ class SurfaceMessages:
             decoder_id=self._decoder_id,
         )
 
-    def contacts(self, header: MeasuredFields, surface: "SurfaceReading", *, numbered: bool = True) -> Contacts:
+    def contacts(self, header: HeaderFields, surface: "SurfaceReading", *, numbered: bool = True) -> Contacts:
         """Return the contacts; `numbered` as of `summary`."""
         frame, present = surface.decoded, self.present
         contacts = tuple(
@@ -120,7 +120,7 @@ class SurfaceMessages:
             decoder_id=self._decoder_id,
         )
 
-    def event(self, header: MeasuredFields, event: "SkinEvent") -> ContactEvent:
+    def event(self, header: HeaderFields, event: "SkinEvent") -> ContactEvent:
         contact, middle_ns = event.contact, header["t_ns"]
         before = self.present.pop(contact.id, None)
         since_ns = before.since_t_ns if before is not None else middle_ns

@@ -15,9 +15,8 @@ from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.surface.streaming import StreamingDecoder, UndecodableError
 from resonator_daemon.measure.sensors.surface_messages import SurfaceMessages
 from resonator_daemon.mqtt.codec import Encoded
-from resonator_daemon.mqtt.headers import MeasuredFields
 from resonator_daemon.mqtt.payloads import EventContact, Message
-from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY
+from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, HeaderFields
 
 _PAUSE: Final = 2.4  # between rebuilds, times as long as one took: rebuilds take at most 30 % of a core
 
@@ -77,7 +76,7 @@ class SurfaceFrame:
         Whether nothing has touched the skin for a while, as of a `SkinReading`.
     """
 
-    header: MeasuredFields
+    header: HeaderFields
     contacts_seq: int
     signals: Floats
     noise_std: Floats
@@ -96,7 +95,7 @@ class Work:
 class EndContacts:
     """Request to release all contacts; `header` is that of the message on `contacts`, None if there are no contacts."""
 
-    header: MeasuredFields | None
+    header: HeaderFields | None
     reason: Reason
 
 

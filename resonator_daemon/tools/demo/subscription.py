@@ -13,7 +13,7 @@ from typing import Final
 from urllib.parse import urlsplit
 
 from resonator_daemon.base.errors import UserError, reason_of
-from resonator_daemon.mqtt.embedded_delivery import packet_ends
+from resonator_daemon.mqtt.embedded_broker import packet_ends
 from resonator_daemon.mqtt.receiver import Arrival
 
 _CONNECT, _PUBLISH, _PUBACK, _SUBSCRIBE = b"\x10", 3, b"\x40\x02", b"\x82"

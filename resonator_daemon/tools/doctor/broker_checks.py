@@ -13,9 +13,9 @@ from paho.mqtt.enums import MQTTProtocolVersion
 from resonator_daemon.base.errors import meaning_of, reason_of
 from resonator_daemon.base.host.text import page
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.mqtt import connection_errors
+from resonator_daemon.mqtt import connecting
 from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes
-from resonator_daemon.mqtt.mqtt_messages import Incoming
+from resonator_daemon.mqtt.packets import Incoming
 from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
 from resonator_daemon.mqtt.topics import full_topic
 from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, downgraded, not_checked
@@ -163,7 +163,7 @@ async def _measure(broker: Mqtt, times: ConnectionTimes | None) -> tuple[_Probe,
 
 def _findings(broker: Mqtt, probe: _Probe, last_text: str, busy: str) -> Iterator[Finding]:
     if not probe.accepted.is_set():
-        silent = str(connection_errors.SilentError(broker)) in last_text
+        silent = str(connecting.SilentError(broker)) in last_text
         remedy = f"correct the keys of [mqtt], or the broker's accounts; {page('how-to/secure-the-broker.md')}"
         if silent:
             named = f"see that {broker.named_by} names the broker's host and port"

@@ -13,7 +13,7 @@ from resonator_daemon.base.host.files import check_new, takes_a_stream
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.config import Config
-from resonator_daemon.mqtt.units import UNITS
+from resonator_daemon.mqtt.payload_types import UNITS
 from resonator_daemon.tools.export import format_class, formats
 from resonator_daemon.tools.export.output import Output, Recorded
 from resonator_daemon.tools.replay.recorded_pipeline import Moment, RecordingReplay, open_replay

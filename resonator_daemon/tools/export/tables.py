@@ -13,6 +13,7 @@ from pydantic import PlainSerializer
 from pydantic.fields import FieldInfo
 
 from resonator_daemon.base.plate import Plate
+from resonator_daemon.mqtt.payload_types import AXES, NO_UNIT, unit_of, with_axis
 from resonator_daemon.mqtt.payloads import (
     Compensation,
     Contact,
@@ -38,7 +39,6 @@ from resonator_daemon.mqtt.topics import (
     STATE_SENSOR,
     Topic,
 )
-from resonator_daemon.mqtt.units import AXES, NO_UNIT, unit_of, with_axis
 
 DataType = Literal["int64", "uint64", "float64", "bool", "text", "float32 array"]
 Value = int | float | bool | str | NDArray[np.float32] | None

@@ -23,7 +23,7 @@ from resonator_daemon.board.config.broker_files import (
     read_password,
 )
 from resonator_daemon.board.config.mqtt import is_this_computer
-from resonator_daemon.mqtt.tls import LEAST_VERSION
+from resonator_daemon.mqtt.connecting import LEAST_VERSION
 
 COOKIE: Final = "resonatord_view_{}"  # with the port: browsers send the cookies of a host to all of its ports
 LOGIN: Final = "/login"

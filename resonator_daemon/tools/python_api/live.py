@@ -8,8 +8,7 @@ from resonator_daemon.base.errors import UsageError
 from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.config.tables import plate_name
-from resonator_daemon.mqtt.daemon_search import find_online, find_plate
-from resonator_daemon.mqtt.requests import ANSWER_S, execute, reach
+from resonator_daemon.mqtt.requests import ANSWER_S, execute, find_online, find_plate, reach
 from resonator_daemon.mqtt.subscriber import EVERY_PLATE, Received
 from resonator_daemon.mqtt.subscriber import subscribe as subscribe_at
 from resonator_daemon.mqtt.topics import TOPICS

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from resonator_daemon.base.errors import ExitCode, MissingLibraryError, UserError
 from resonator_daemon.base.host.text import how_to_install
 from resonator_daemon.base.plate import Plate
+from resonator_daemon.mqtt.payload_types import AXES
 from resonator_daemon.mqtt.topics import CONTACTS, DECODED_SUMMARY
-from resonator_daemon.mqtt.units import AXES
 from resonator_daemon.tools.export.tables import Column
 
 if TYPE_CHECKING:

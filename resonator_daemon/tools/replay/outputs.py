@@ -18,14 +18,13 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.codec import Encoded, encode
 from resonator_daemon.mqtt.daemon_state import DaemonSnapshot, DaemonState
-from resonator_daemon.mqtt.headers import Headers
 from resonator_daemon.mqtt.message_account import Cause
-from resonator_daemon.mqtt.mqtt_messages import Outgoing
+from resonator_daemon.mqtt.packets import Outgoing
 from resonator_daemon.mqtt.payloads import Condition, Lost, Message, State
 from resonator_daemon.mqtt.publisher import Publisher, Subscription
 from resonator_daemon.mqtt.requests import BrokerUnreachableError, reach
 from resonator_daemon.mqtt.subscriber import subscribe
-from resonator_daemon.mqtt.topics import STATE_DAEMON, TOPICS, full_topic
+from resonator_daemon.mqtt.topics import STATE_DAEMON, TOPICS, Headers, full_topic
 from resonator_daemon.tools.replay.recorded_pipeline import Published
 
 

@@ -15,9 +15,8 @@ from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame, SurfaceSettings
 from resonator_daemon.mqtt.codec import decode, encode
-from resonator_daemon.mqtt.headers import MeasuredFields
 from resonator_daemon.mqtt.payloads import ContactEvent, Lost, Message
-from resonator_daemon.mqtt.topics import Topic
+from resonator_daemon.mqtt.topics import HeaderFields, Topic
 
 NOTHING = np.zeros((3, SITES))
 SKIN = Skin(HalfSpace(E, NU), SITES_M, 1e-3)
@@ -29,8 +28,8 @@ def settings(skin: Skin = SKIN, **options: Any) -> SurfaceSettings:
     )
 
 
-def header(seq: int) -> MeasuredFields:
-    return MeasuredFields(
+def header(seq: int) -> HeaderFields:
+    return HeaderFields(
         name="hand",
         seq=seq,
         daemon_boot_id=BOOT,
@@ -68,7 +67,7 @@ class Client:
     def lost(self, _origin: int) -> Lost:
         return Lost(link_gap=3, skipped_late=3 * self.supervisor.frames_late)
 
-    def contacts_header(self, origin: int) -> MeasuredFields:
+    def contacts_header(self, origin: int) -> HeaderFields:
         return header(origin) | {"seq": 5000}  # type: ignore[return-value]
 
     def on(self, path: str) -> list[Any]:

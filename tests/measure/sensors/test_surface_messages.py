@@ -21,8 +21,7 @@ from resonator_daemon.measure.sensors.surface_messages import SurfaceMessages
 from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame
 from resonator_daemon.mqtt import payloads
 from resonator_daemon.mqtt.codec import decode, encode
-from resonator_daemon.mqtt.headers import MeasuredFields
-from resonator_daemon.mqtt.topics import DECODED
+from resonator_daemon.mqtt.topics import DECODED, HeaderFields
 
 LITTLE = Reason(ReasonCode.SLIPS_TOO_LITTLE, "hardly slips")
 GATE_MIDDLE = gate_middle(10_000_000)
@@ -53,7 +52,7 @@ class SkinReporter:
     def skin_event(self, event: SkinEvent, reading: SkinReading, middle: Instant) -> payloads.ContactEvent:
         return self._surface.event(self._header(reading, middle), event)
 
-    def _header(self, reading: SkinReading, middle: Instant) -> MeasuredFields:
+    def _header(self, reading: SkinReading, middle: Instant) -> HeaderFields:
         return {"seq": self.messages.headers.next_seq(DECODED), **self.messages.output.window(reading, middle)}
 
 

@@ -11,8 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 from export_bench import Played, played, write
 
+from resonator_daemon.mqtt.payload_types import NO_UNIT, unit_of
 from resonator_daemon.mqtt.payloads import Contact, Contacts, Health
-from resonator_daemon.mqtt.units import NO_UNIT, unit_of
 from resonator_daemon.tools.export.output import TableOutput
 from resonator_daemon.tools.export.tables import sources
 

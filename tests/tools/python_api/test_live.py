@@ -10,7 +10,7 @@ from brokers import Mosquitto
 from commanded import Commanded, commanded, state
 from example_messages import example
 
-from resonator_daemon.mqtt import daemon_search
+from resonator_daemon.mqtt import requests
 from resonator_daemon.mqtt.commands import CommandRefusedError
 from resonator_daemon.mqtt.topics import FORCES, STATE_DAEMON, STATE_LINK
 from resonator_daemon.mqtt.verbs import Mark, Ping, Pong
@@ -67,7 +67,7 @@ async def test_a_command_is_answered_or_refused(broker: Mosquitto, left: Command
 async def test_what_cannot_be_reached_has_a_code(
     broker: Mosquitto, left: Commanded, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(daemon_search, "LOOK_S", 0.3)
+    monkeypatch.setattr(requests, "LOOK_S", 0.3)
     codes = []
     for url, plate in ((NOWHERE, "left"), (broker.url, "nobody"), (broker.url, "+"), ("127.0.0.1", "left")):
         for attempt in (anext(resonatord.subscribe(url, plate)), resonatord.command(url, plate, "ping")):

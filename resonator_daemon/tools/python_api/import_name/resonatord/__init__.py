@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Final
 if TYPE_CHECKING:
     from resonator_daemon.base.errors import UserError
     from resonator_daemon.board.config.mqtt import Mqtt
-    from resonator_daemon.mqtt.daemon_search import NoDaemonError
     from resonator_daemon.mqtt.payloads import (
         ContactEvent,
         Contacts,
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
         Signals,
         State,
     )
-    from resonator_daemon.mqtt.requests import BrokerUnreachableError, NoAnswerError, RefusedError
+    from resonator_daemon.mqtt.requests import BrokerUnreachableError, NoAnswerError, NoDaemonError, RefusedError
     from resonator_daemon.mqtt.subscriber import Received
     from resonator_daemon.tools.python_api import RecordingError, RecordingWarning
     from resonator_daemon.tools.python_api.live import command, subscribe
@@ -67,11 +66,10 @@ __all__ = [
 _MODULES: Final = {
     "resonator_daemon.board.config": ("Mqtt",),
     "resonator_daemon.base.errors": ("UserError",),
-    "resonator_daemon.mqtt.daemon_search": ("NoDaemonError",),
     "resonator_daemon.mqtt.payloads": (
         *("ContactEvent", "Contacts", "Decoded", "DecodedSummary", "Forces", "Health", "Info", "Signals", "State"),
     ),
-    "resonator_daemon.mqtt.requests": ("BrokerUnreachableError", "NoAnswerError", "RefusedError"),
+    "resonator_daemon.mqtt.requests": ("BrokerUnreachableError", "NoAnswerError", "NoDaemonError", "RefusedError"),
     "resonator_daemon.mqtt.subscriber": ("Received",),
     "resonator_daemon.tools.python_api": ("RecordingError", "RecordingWarning"),
     "resonator_daemon.tools.python_api.live": ("command", "subscribe"),
