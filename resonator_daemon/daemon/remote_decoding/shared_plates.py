@@ -3,13 +3,10 @@
 import asyncio
 import logging
 import time
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from itertools import islice
+from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
@@ -30,7 +27,6 @@ PROBLEMS_MAX: Final = 100  # of plates that are not in the table
 NAME_LENGTH_MAX: Final = 100
 REPLACED_AFTER_S: Final = 60.0  # without messages, by another plate
 DECODERS_MAX: Final = 4  # of some 80 MB; equal skins share one
-TOGETHER_MAX: Final = 16  # frames of equal skins whose maps are computed together
 
 log = logging.getLogger(__name__)
 
@@ -40,7 +36,6 @@ class _Frame:
     message: Signals
     frame: SurfaceFrame
     skin: SkinPlate
-    shows_load: bool = False  # by a map that was computed together with others
 
 
 class SharedPlate(RemotePlate):
@@ -70,8 +65,7 @@ class SharedPlate(RemotePlate):
 class SharedPlates(RemotePlates[SharedPlate]):
     """Decoder of each frame by itself, as the broker delivers them to this process: no contact ids, no events.
 
-    Decoding runs in a thread. Signals that arrive while it is busy replace waiting ones of the same plate. Waiting
-    frames of equal skins are decoded together; those that show a load wait again, and are decoded one by one. A plate
+    Decoding runs in a thread. Signals that arrive while it is busy replace waiting ones of the same plate. A plate
     is there from its first `info` with a skin until its `info` is withdrawn.
 
     Parameters
@@ -122,7 +116,10 @@ class SharedPlates(RemotePlates[SharedPlate]):
 
     async def _decode_next(self, pool: ThreadPoolExecutor) -> None:
         plate = next(iter(self._queue))
-        frame = self._take(plate)
+        del self._queue[plate]
+        frame, plate.newest, plate.is_busy = plate.newest, None, True
+        if frame is None:
+            raise ValueError("no frame waits")
         decoder = await self._decoder_for(plate, frame, pool)
         if not plate.is_busy:  # it was removed meanwhile
             return
@@ -130,45 +127,11 @@ class SharedPlates(RemotePlates[SharedPlate]):
             plate.unusable += 1
             plate.is_busy = False
             return
-        frames = {plate: frame}
-        if not frame.shows_load:
-            frames |= {each: self._take(each) for each in self._alike(frame, decoder)}
-        for each, its in frames.items():
-            each.is_decoded = its.skin is each.skin
-        readings = await asyncio.get_running_loop().run_in_executor(pool, _decode, decoder, list(frames.values()))
-        for (each, its), reading in zip(frames.items(), readings, strict=True):
-            if not each.is_busy:
-                continue
-            each.is_busy = False
-            if reading is not None:
-                self._publish_reading(each, its, reading)
-            elif each.newest is not None:  # a newer frame takes its turn
-                each.skipped += 1
-            else:
-                each.newest = replace(its, shows_load=True)
-                self._queue[each] = None
-
-    def _take(self, plate: SharedPlate) -> _Frame:
-        """Return the waiting frame of a plate, which is being decoded from now on."""
-        frame, plate.newest = plate.newest, None
-        if frame is None:
-            raise ValueError("no frame waits")
-        del self._queue[plate]
-        plate.is_busy = True
-        return frame
-
-    def _alike(self, frame: _Frame, decoder: SkinDecoder) -> list[SharedPlate]:
-        """Return plates whose waiting frames the decoder of this frame can decode with it."""
-        geometry = frame.skin.geometry
-        alike = (
-            plate
-            for plate in self._queue
-            if (newest := plate.newest) is not None
-            and not newest.shows_load
-            and newest.skin.geometry == geometry
-            and decoder.fits(newest.frame.noise_std)
-        )
-        return list(islice(alike, TOGETHER_MAX - 1))
+        plate.is_decoded = frame.skin is plate.skin
+        reading = await asyncio.get_running_loop().run_in_executor(pool, _decode, decoder, frame.frame)
+        if plate.is_busy:
+            plate.is_busy = False
+            self._publish_reading(plate, frame, reading)
 
     async def _decoder_for(self, plate: SharedPlate, frame: _Frame, pool: ThreadPoolExecutor) -> SkinDecoder | None:
         geometry, noise_std = frame.skin.geometry, frame.frame.noise_std
@@ -263,12 +226,8 @@ def _is_plate(name: str) -> bool:
         return False
 
 
-def _decode(decoder: SkinDecoder, frames: Sequence[_Frame]) -> Sequence[SurfaceReading | None]:
-    """Decode a frame, or those among several that show no load; None for the others."""
+def _decode(decoder: SkinDecoder, frame: SurfaceFrame) -> SurfaceReading:
     try:
-        if len(frames) == 1:
-            return [decoder.decode_alone(frames[0].frame.signals, frames[0].frame.noise_std)]
-        signals = np.array([each.frame.signals for each in frames])
-        return decoder.decode_untouched(signals, np.array([each.frame.noise_std for each in frames]))
+        return decoder.decode_alone(frame.signals, frame.noise_std)
     except Exception as error:  # noqa: BLE001  an error of one frame must not stop the next
-        return [failed(decoder, error)] if len(frames) == 1 else [None] * len(frames)
+        return failed(decoder, error)

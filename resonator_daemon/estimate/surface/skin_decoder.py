@@ -7,7 +7,7 @@ import numpy as np
 
 from resonator_daemon.base.arrays import Bools, Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDecoder, shows_load
+from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDecoder
 from resonator_daemon.estimate.surface.decoded import Decoded
 from resonator_daemon.estimate.surface.fitting.parametric_decoder import ParametricDecoder, sparse_reason
 from resonator_daemon.estimate.surface.fourier.decoder import FourierDecoder
@@ -79,18 +79,6 @@ class MapEstimator:
         decoder = self.physics or self._linear
         return decoder.decode(frame.reshape(3, *self.shape), displacement=self._displacement)
 
-    def read_untouched(self, frames: Floats) -> list[Decoded | None]:
-        """Return the maps of frames (k, 3, n) of k skins, computed together; None for each that shows a load.
-
-        Method "fourier" reads none of them.
-        """
-        if not isinstance(self._linear, OpenPlaneDecoder):
-            return [None] * len(frames)
-        if self.physics is not None:
-            self.physics.reset(rows_kept=True)
-        estimates = self._linear.estimates(frames.reshape(-1, 3, *self.shape), displacement=self._displacement)
-        return [None if shows_load(estimate) else estimate.decoded(self._displacement) for estimate in estimates]
-
     def patches(self, decoded: Decoded) -> list[Patch]:
         """Return the patches on the map that was read last."""
         if self.physics is None:
@@ -151,10 +139,6 @@ class ParametricEstimator:
     def read(self, frame: Floats) -> Decoded:
         decoded, self._patch = self._decoder.decode_with_patch(frame, displacement=self._displacement)
         return decoded
-
-    def read_untouched(self, frames: Floats) -> list[Decoded | None]:
-        """Return None for each frame: they are read one by one."""
-        return [None] * len(frames)
 
     def patches(self, _decoded: Decoded) -> list[Patch]:
         return [] if self._patch is None else [self._patch]
@@ -277,19 +261,6 @@ class SkinDecoder:
             self._estimator.physics.reset(rows_kept=True)
         decoded = self._estimator.read(frame)
         return SurfaceReading(self.name, decoded, self.contacts.alone(frame, self._estimator.patches(decoded)))
-
-    def decode_untouched(self, signals: Floats, noise_std: Floats) -> list[SurfaceReading | None]:
-        """Read frames of k equal skins together, both arrays (k, 3, n), as `decode_alone` reads each, but for rounding.
-
-        None for a frame that shows a load, and where only single frames can be read: use `decode_alone`.
-        """
-        frames = self._sound(signals, noise_std)
-        return [
-            None
-            if decoded is None
-            else SurfaceReading(self.name, decoded, self.contacts.alone(frame, self._estimator.patches(decoded)))
-            for frame, decoded in zip(frames, self._estimator.read_untouched(frames), strict=True)
-        ]
 
     def _sound(self, signals: Floats, noise_std: Floats) -> Floats:
         return np.where(noise_std < _NOISY * self._noise_std, signals, np.nan)

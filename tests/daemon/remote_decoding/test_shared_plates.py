@@ -70,7 +70,6 @@ class Substitute:
 
     name, shape = "substitute", (144,)
     built: list[tuple[float, float]]
-    together: list[list[float]]  # what was decoded at once
     released = threading.Semaphore()
 
     def __init__(self, of: Skin, noise_std: Floats) -> None:
@@ -86,18 +85,13 @@ class Substitute:
             raise ZeroDivisionError("shared")
         return SurfaceReading(self.name, Decoded(signals, signals, None, False, 0.0, 1.0, "ok", ""))
 
-    def decode_untouched(self, signals: Floats, noise_std: Floats) -> list[SurfaceReading | None]:
-        """Frames of a value above 0 show a load."""
-        self.together.append(signals[:, 0, 0].tolist())
-        return [None if one[0, 0] > 0.0 else self.decode_alone(one, noise_std[0]) for one in signals]
-
     def reset(self, reason: str) -> tuple[()]:
         return ()
 
 
 @pytest.fixture
 def substitute(monkeypatch: pytest.MonkeyPatch) -> type[Substitute]:
-    Substitute.built, Substitute.together = [], []
+    Substitute.built = []
     Substitute.released = threading.Semaphore(0)
 
     def put(of: Skin, _wanted: DecodingOptions, noise_std: Floats, _progress: Callable[[str], None]) -> Substitute:
@@ -131,33 +125,6 @@ async def test_plates_take_turns_and_of_each_the_newest_is_decoded(substitute: t
         substitute.released.release(4)
         await until(lambda: len(shared.decoded) == 4)
     assert shared.decoded == [("a", 0), ("a", 4), ("b", 4), ("c", 4)]
-
-
-async def test_waiting_frames_of_equal_skins_are_decoded_together_but_for_those_that_show_a_load(
-    substitute: type[Substitute],
-) -> None:
-    names = [f"plate-{number}" for number in range(20)]
-    async with Shared().running() as shared:
-        for name in ("first", *names):
-            shared.send_info(name, info())
-        shared.send_info("deep", deep(2e-3))
-        shared.send("first", marked(0))
-        await until(lambda: shared.account("first").waiting == 1 and bool(substitute.built))
-        shared.send("deep", marked(1))
-        for number, name in enumerate(names):
-            shared.send(name, marked(number, float(number in (3, 4))))
-        substitute.released.release(2)
-        await until(lambda: bool(substitute.together))
-        shared.send("plate-4", marked(104, 1.0))  # while a frame of it that shows a load is decoded
-        shared.withdraw("plate-5")
-        substitute.released.release(100)
-        await until(lambda: len(shared.decoded) == 21)
-        healths = shared.plates.health()
-    assert [len(values) for values in substitute.together] == [16, 5]
-    assert shared.decoded[19:] == [("plate-3", 3), ("plate-4", 104)]
-    assert "plate-5" not in dict(shared.decoded)
-    assert {name: health.skipped for name, health in healths.items() if health.skipped} == {"plate-4": 1}
-    assert all(health.unusable == health.waiting == 0 for health in healths.values())
 
 
 async def test_equal_skins_share_a_decoder_and_of_others_those_used_last_are_kept(substitute: type[Substitute]) -> None:

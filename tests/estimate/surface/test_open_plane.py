@@ -99,30 +99,6 @@ def test_grid_form_and_dense_form_agree(decoder):
             assert one.chi2 == pytest.approx(other.chi2, rel=0.12)  # the scales are apart by at most one step, of 9 %
 
 
-@pytest.mark.parametrize("layout", ["grid", "scattered"])
-def test_frames_together_are_decoded_as_each_of_them_alone(layout: str):
-    sites = grid_positions((16, 18))
-    if layout == "scattered":
-        sites = sites + np.random.default_rng(1).uniform(-5e-5, 5e-5, sites.shape)
-    together = OpenPlaneDecoder(SKIN, sites, DEPTH_M, NOISE_STD, gain_std=0.01)
-    truth = scene((0.7e-3, 0.3e-3), positions_m=sites, direction=0.4, radius_m=1.5e-3)
-    stack = np.stack([at(truth, [11, 30, 45][n % 3]).frame(NOISE_STD, n) for n in range(20)])  # three levels of modes
-    stack[4] = truth.frame(NOISE_STD, 0) - truth.signals  # untouched
-    stack[5, 0, 7], stack[6], stack[7] = np.nan, np.nan, 9.0 * (-1.0) ** np.arange(len(sites))  # rejected
-    decoded = together.decode(stack.reshape(4, 5, 3, -1), displacement=True)
-    for n, frame in enumerate(stack):
-        alone, n = together.decode(frame, displacement=True), divmod(n, 5)
-        assert (decoded.status[n], decoded.reason_code[n]) == (alone.status, alone.reason_code)
-        assert decoded.border_contact[n] == alone.border_contact
-        assert decoded.chi2[n] == pytest.approx(alone.chi2, rel=1e-2, nan_ok=True)  # scatters by 4 %
-        for name, tolerance in (("traction_pascal", 1e-5), ("traction_std_pascal", 5e-3), ("displacement_m", 1e-5)):
-            largest = np.abs(getattr(alone, name)).max()
-            np.testing.assert_allclose(
-                getattr(decoded, name)[n], getattr(alone, name), rtol=0, atol=tolerance * largest
-            )
-    assert sorted(set(decoded.status.ravel())) == ["no_signal", "ok", "rejected"]
-
-
 def test_estimate_std_and_evidence_are_those_of_the_dense_gaussian():
     """Plain solves with the covariance, no eigenmodes; rows of lost signals deleted."""
     rng = np.random.default_rng(4)

@@ -170,18 +170,6 @@ def test_frames_give_contacts_and_a_new_start_ends_them(physics: SkinDecoder) ->
     assert physics.decode(frame(), NOISE).contacts == ()
 
 
-def test_untouched_frames_together_are_read_as_each_of_them_alone(physics: SkinDecoder) -> None:
-    still = NOISE * np.random.default_rng(0).standard_normal((3, *NOISE.shape))
-    read = physics.decode_untouched(np.stack([*still, frame()]), np.stack([NOISE] * 4))
-    assert read[3] is None
-    for reading, signals in zip(read[:3], still, strict=True):
-        alone = physics.decode_alone(signals, NOISE)
-        assert reading is not None
-        assert (reading.contacts, reading.events, reading.decoder) == ((), (), alone.decoder)
-        size = np.abs(alone.decoded.traction_pascal).max()
-        np.testing.assert_allclose(reading.decoded.traction_pascal, alone.decoded.traction_pascal, atol=1e-5 * size)
-
-
 def test_a_successor_goes_on_counting_and_reports_how_contacts_end(linear: SkinDecoder, physics: SkinDecoder) -> None:
     for seed in range(2):
         (*_, last) = physics.decode(frame(seed), NOISE).contacts or [None]

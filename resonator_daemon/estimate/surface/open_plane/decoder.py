@@ -185,9 +185,8 @@ class OpenPlaneDecoder:
         Parameters
         ----------
         signals
-            Shape (..., 3, n), or (..., 3, ny, nx) for a grid; dimensionless. The frames next to it change a frame's
-            result by rounding only. A signal that is NaN, infinite or beyond 10 counts as lost and drops out of the
-            model, alone; the error bars around it widen.
+            Shape (..., 3, n), or (..., 3, ny, nx) for a grid; dimensionless. A signal that is NaN, infinite or beyond
+            10 counts as lost and drops out of the model, alone; the error bars around it widen.
         displacement
             Also the surface displacement that the decoded traction causes, alone on the plane.
 
@@ -209,18 +208,13 @@ class OpenPlaneDecoder:
         frames, leading, shape = self._frames(signals)
         if not leading:
             return self._map.estimate(frames[0], shape).decoded(displacement)
-        estimates = self._map.estimates(frames, shape, displacement)
-        return Decoded.stack([estimate.decoded(displacement) for estimate in estimates], leading, shape)
+        decoded = [self._map.estimate(frame, shape).decoded(displacement) for frame in frames]
+        return Decoded.stack(decoded, leading, shape)
 
     def estimate(self, signals: ArrayLike) -> Estimate:
         """Estimate the surface from one frame, (3, n) or (3, ny, nx), as `decode` does, as far as it is asked for."""
         (frame,), _, shape = self._frames(signals)
         return self._map.estimate(frame, shape)
-
-    def estimates(self, signals: ArrayLike, *, displacement: bool) -> list[Estimate]:
-        """Estimate the surfaces from frames (k, 3, n) or (k, 3, ny, nx) together: as `estimate`, but for rounding."""
-        frames, _, shape = self._frames(signals)
-        return self._map.estimates(frames, shape, displacement)
 
     def anomaly_scores(self, signals: ArrayLike) -> Floats:
         """Deviation of each signal from what all others predict, in standard deviations, of the shape of the signals.

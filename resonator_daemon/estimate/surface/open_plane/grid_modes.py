@@ -57,23 +57,11 @@ class _Synthesis:
         self._x = np.ascontiguousarray(bases.x.T, np.float32)
 
     def __call__(self, modes: Singles) -> Singles:
-        if modes.ndim > 1:
-            return self._stack(modes)
         coefficients = np.zeros(self._size + 1, np.float32)
         coefficients[self._places] = (self._blocks @ modes.reshape(4, -1, 1)).ravel()
         columns = coefficients[:-1].reshape(-1, len(self._y)).dot(self._y).reshape(len(self._x), -1)
         field: Singles = columns.T.dot(self._x).ravel()
         return field
-
-    def _stack(self, modes: Singles) -> Singles:
-        """From modes (4 r, k) to fields (k, 3 ny nx)."""
-        count = modes.shape[1]
-        coefficients = np.zeros((count, self._size + 1), np.float32)
-        coefficients[:, self._places] = (self._blocks @ modes.reshape(4, -1, count)).reshape(-1, count).T
-        columns = coefficients[:, :-1].reshape(count, len(self._x), -1).swapaxes(1, 2)  # (k, 3 ky, kx)
-        rows = np.matmul(columns, self._x).reshape(count, -1, len(self._y), self._x.shape[1])
-        fields: Singles = np.matmul(self._y.T, rows).reshape(count, -1)
-        return fields
 
     def quarter(self, index: int) -> Singles:
         """Return the modes of a class on a quarter of the grid, (r, 3, ny / 2, nx / 2) rounded up."""
@@ -171,26 +159,12 @@ class GridModes(Modes):
         self.displacement = _Synthesis(bases["displacement"], surface["displacement"])
         self._x = np.ascontiguousarray(self._sensor.x.T, np.float32)
         self._y = np.ascontiguousarray(self._sensor.y, np.float32)
-        x, channel, y = np.unravel_index(self._sensor.places, (len(self._x), 3, self._y.shape[1]))
-        # Of coefficients in (3, 2 ky, 2 kx).
-        self._stack_places = np.ravel_multi_index((channel, y, x), (3, self._y.shape[1], len(self._x)))
         self._to_modes = np.ascontiguousarray(self._rotation.swapaxes(1, 2), np.float32)
 
     def project(self, whitened: Singles) -> Singles:
-        if whitened.ndim > 1:
-            return self._project_stack(whitened)
         columns = self._x.dot(whitened.reshape(-1, self._grid.shape[1]).T).reshape(-1, self._grid.shape[0])
         coefficients = columns.dot(self._y).take(self._sensor.places)
         modes: Singles = (self._to_modes @ coefficients[..., None]).ravel()
-        return modes
-
-    def _project_stack(self, whitened: Singles) -> Singles:
-        """From signals (k, 3 n) to modes (4 r, k)."""
-        count, (ny, nx) = len(whitened), self._grid.shape
-        rows = (whitened.reshape(-1, nx) @ self._x.T).reshape(count, 3, ny, -1)
-        coefficients = np.matmul(self._y.T, rows).reshape(count, -1).take(self._stack_places, axis=1)
-        by_class = np.ascontiguousarray(coefficients.transpose(1, 2, 0))  # (4, kept, k)
-        modes: Singles = np.matmul(self._to_modes, by_class).reshape(-1, count)
         return modes
 
     def explained_variance(self, scales: Floats) -> Floats:

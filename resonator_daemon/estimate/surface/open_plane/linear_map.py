@@ -20,11 +20,10 @@ from resonator_daemon.estimate.surface.decoded import (
     Decoded,
     stated,
 )
-from resonator_daemon.estimate.surface.open_plane.modes import Choice, Modes, ScaleGrid, Surface, row_energies
+from resonator_daemon.estimate.surface.open_plane.modes import Choice, Modes, ScaleGrid, Surface
 
 _SIGNIFICANT = 3.0  # standard deviations
 _LOST_SETS = 8  # sets of lost signals of which the solution is kept
-_STACK = 16  # frames at once: many more would not stay in the processor's cache
 
 
 class LostSignals:
@@ -202,47 +201,17 @@ class LinearMap:
                 unexplained = Reason(ReasonCode.SIGNALS_UNEXPLAINED, text)
                 return Estimate(*frame, choice.log_evidence, choice.chi2, "rejected", unexplained)
 
-        amplitudes = mode_set.scale_grid.gain[choice.scale] * modes
-        surface = self._surface(mode_set.modes, amplitudes, std, choice)
-        return Estimate(*frame, choice.log_evidence, choice.chi2, "ok", lost, surface)
-
-    def estimates(self, signals: Floats, shape: tuple[int, ...], displacement: bool) -> list[Estimate]:
-        """Estimate the surfaces from frames (k, 3 n) as `estimate` does for each, but for rounding.
-
-        Those that the same modes serve are estimated together, unless signals are lost or the modes leave too much.
-        """
-        found: dict[int, Estimate] = {}
-        levels = [mode_set.level for mode_set in self._mode_sets[:-1]]
-        for begin in range(0, len(signals), _STACK):
-            whitened = signals[begin : begin + _STACK].astype(np.float32) * self._whiten
-            energy = row_energies(whitened)
-            whole = energy <= self._sound_energy  # False for NaN
-            of_level = np.searchsorted(levels, energy / self._whiten.size)
-            for level in np.unique(of_level[whole]).tolist():
-                rows = np.flatnonzero(whole & (of_level == level))
-                _, modes, scale_grid = self._mode_sets[level]
-                by_mode = modes.project(whitened[rows])
-                choices = scale_grid.choose_each(by_mode, energy[rows], 1.0 + self._gain_floor * energy[rows])
-                if any(choice.chi2 > CHI2_LIMIT for choice in choices):
-                    continue
-                amplitudes = scale_grid.gain[[choice.scale for choice in choices]].T * by_mode
-                traction = modes.traction(amplitudes)
-                moved = modes.displacement(amplitudes) if displacement else None
-                by_frame = np.ascontiguousarray(amplitudes.T)
-                for number, (row, choice) in enumerate(zip(rows.tolist(), choices, strict=True)):
-                    surface = self._surface(modes, by_frame[number], self._std[choice.scale], choice)
-                    vars(surface)["traction"] = traction[number]
-                    if moved is not None:
-                        vars(surface)["displacement"] = moved[number]
-                    outcome = choice.log_evidence, choice.chi2, "ok", None, surface
-                    found[begin + row] = Estimate(shape, whitened[row], None, float(energy[row]), *outcome)
-        return [found[n] if n in found else self.estimate(frame, shape) for n, frame in enumerate(signals)]
-
-    def _surface(self, modes: Modes, amplitudes: Singles, std: Floats, choice: Choice) -> Surface:
         excess = math.sqrt(choice.excess)
-        least_pressure = _SIGNIFICANT * excess * float(self._least_std[choice.scale])
-        by_component = std.reshape(3, -1)
-        return Surface(modes, amplitudes, by_component, excess, self._contact_factor, least_pressure, self._border)
+        surface = Surface(
+            mode_set.modes,
+            mode_set.scale_grid.gain[choice.scale] * modes,
+            std.reshape(3, -1),
+            excess,
+            self._contact_factor,
+            _SIGNIFICANT * excess * float(self._least_std[choice.scale]),
+            self._border,
+        )
+        return Estimate(*frame, choice.log_evidence, choice.chi2, "ok", lost, surface)
 
     def anomaly_scores(self, signals: Floats) -> Floats:
         """Residual of each signal against the prediction from all others, in its standard deviations, (3 n,)."""

@@ -26,7 +26,7 @@ _STRIDE = 5  # the likelihood of every fifth scale is computed; a parabola finds
 class Modes(ABC):
     """Whitened signals have the covariance q V diag(L) V' + 1 for a prior of scale q, the surface q F V' with them.
 
-    Built in double precision, applied in single precision. k frames at once have modes (r, k) and fields (k, 3 m).
+    Built in double precision, applied in single precision.
     """
 
     eigenvalues: Floats  # L, (r,)
@@ -36,7 +36,7 @@ class Modes(ABC):
 
     @abstractmethod
     def project(self, whitened: Singles) -> Singles:
-        """V' times the whitened signals: (3 n,) to the modes (r,), or (k, 3 n) to (r, k)."""
+        """V' times the whitened signals: (3 n,) to the modes (r,)."""
 
     @abstractmethod
     def explained_variance(self, scales: Floats) -> Floats:
@@ -76,7 +76,7 @@ class DenseModes(Modes):
         self.displacement = partial(_field, (displacement @ scaled).astype(np.float32))
 
     def project(self, whitened: Singles) -> Singles:
-        return self._project @ whitened.T
+        return self._project @ whitened
 
     def explained_variance(self, scales: Floats) -> Floats:
         gain = scales[:, None] ** 2 / (scales[:, None] * self.eigenvalues + 1.0)
@@ -87,7 +87,7 @@ class DenseModes(Modes):
 
 
 def _field(matrix: Singles, modes: Singles) -> Singles:
-    field: Singles = (matrix @ modes).T
+    field: Singles = matrix @ modes
     return field
 
 
@@ -203,30 +203,6 @@ class ScaleGrid:
                 scale += round(_STRIDE * 0.5 * (before - after) / (before - 2.0 * here + after))
         return self._choice(scale, mode_energy, noise_energy, floor, samples, self._constant)
 
-    def choose_each(self, modes: Singles, energy: Floats, floor: Floats) -> list[Choice]:
-        """Choose as `choose` does for each of k frames: modes (r, k), energy and floor (k,)."""
-        by_frame, samples = np.ascontiguousarray(modes.T), self._samples
-        noise_energy = energy - row_energies(by_frame)
-        by_frame = by_frame * by_frame
-        scale = np.zeros(energy.size, np.intp)
-        if self.scales.size > 1:
-            left = (self._left_coarse @ by_frame.T).astype(np.float64)
-            innovation = (left + noise_energy) / (samples * floor)
-            excess = np.maximum(innovation, 1.0)
-            deviance = self._log_det_coarse[:, None] + samples * (np.log(excess) + innovation / excess)
-            best = deviance.argmin(axis=0)
-            inner = np.flatnonzero((best > 0) & (best < len(deviance) - 1))
-            before, here, after = deviance[best[inner] + np.array([[-1], [0], [1]]), inner]
-            scale = best * _STRIDE
-            scale[inner] += np.rint(_STRIDE * 0.5 * (before - after) / (before - 2.0 * here + after)).astype(np.intp)
-        left = (self._left[scale][:, None] @ by_frame[..., None]).ravel().astype(np.float64)
-        chi2 = (left + noise_energy) / (samples * floor)
-        excess = np.maximum(chi2, 1.0)
-        deviance = self._log_det[scale] + samples * (np.log(excess) + chi2 / excess)
-        deviance += samples * np.log(2.0 * np.pi * floor) + self._constant
-        found = scale, chi2, floor * excess, -0.5 * deviance
-        return [Choice(*one) for one in zip(*(values.tolist() for values in found), strict=True)]
-
     def judge(self, scale: int, modes: Singles, energy: float, floor: float, lost: Indices, log_det: float) -> Choice:
         """Likelihood of one scale where lost signals were filled in by the others' prediction.
 
@@ -245,8 +221,3 @@ class ScaleGrid:
         deviance = float(self._log_det[scale]) + samples * (math.log(excess) + chi2 / excess)
         deviance += samples * math.log(2.0 * math.pi * floor) + constant
         return Choice(scale, chi2, floor * excess, -0.5 * deviance)
-
-
-def row_energies(rows: Singles) -> Floats:
-    """Return the sum of squares of each row, (k, n) to (k,), rounded as that of a single one."""
-    return np.asarray((rows[:, None, :] @ rows[:, :, None]).ravel(), np.float64)
