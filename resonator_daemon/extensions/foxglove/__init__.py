@@ -4,7 +4,7 @@ Foxglove opens ws://127.0.0.1:8765 as a "Foxglove WebSocket". With --plate the c
 recordings; without it, the name of its plate goes before each. Any program of this computer can read, without a
 password. Other computers need a tunnel, as `ssh -L`.
 
-docs/how-to/viewers.md explains more.
+docs/how-to/dashboards.md explains more.
 
 Example: resonatord bridge foxglove --url mqtt://127.0.0.1:1883 --plate left-index
 """

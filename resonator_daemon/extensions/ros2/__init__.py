@@ -3,7 +3,7 @@
 Topics are /NAME/wrench, /NAME/contacts/wrench, /NAME/decoded/cloud and others, with states on /diagnostics. Everybody
 in the DDS domain can read them; CYCLONEDDS_URI names the network interface.
 
-docs/how-to/viewers.md explains more.
+docs/how-to/dashboards.md explains more.
 
 Example: resonatord bridge ros2 --url mqtt://127.0.0.1:1883 --domain-id 7
 """
