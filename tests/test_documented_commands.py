@@ -22,6 +22,7 @@ ELSEWHERE = {
     "--step": "keys that somebody presses",
     "mqtt://robot:1883": "another computer",
     "status --watch": "somebody who ends it",
+    "decode-recordings": "recordings of a fleet",
     "tcp://192.168.7.2": "a board in a network",
 }
 
