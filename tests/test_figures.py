@@ -49,8 +49,8 @@ def test_figures_are_drawn_and_the_page_states_what_they_print(tmp_path: Path) -
         assert stated[row] == pytest.approx(numbers, rel=0.03, abs=3e-3), row
 
 
-def test_the_example_of_the_elastic_page_runs() -> None:
-    block = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "explanation" / "elastic.md").read_text(), re.DOTALL)
-    assert block
-    run = subprocess.run([sys.executable, "-c", block[1]], capture_output=True, text=True, check=True)
-    assert re.search(r"\d+ pixels stick, \d+ slip", run.stdout)
+def test_the_examples_of_the_elastic_page_run() -> None:
+    page = (ROOT / "docs" / "explanation" / "elastic.md").read_text()
+    program = "\n".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL))
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert "3 p_n / (2 E) is -1.67e-06 per pascal" in run.stdout

@@ -1,4 +1,4 @@
-"""What a connection handles beside frames and clock: the board's log, refused packets, requests to blink."""
+"""What a connection handles besides frames and clock: the board's log, refused packets, requests to blink."""
 
 from collections.abc import Mapping
 from typing import Final

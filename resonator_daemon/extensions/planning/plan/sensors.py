@@ -5,7 +5,7 @@ load, the bandwidth, symmetry and rank of the signals, and the effect of pitch a
 signals over the plane of spatial frequencies.
 
 A feature of 1 mm is one stripe of a grating with 1 mm stripes and 1 mm gaps. It is resolved if a best linear estimate
-recovers at least half of it. docs/explanation/sensors.md explains more.
+recovers at least half of it. docs/explanation/codes.md explains more.
 Example: resonatord plan sensors --set p_n,xz,yz --depth-mm 1 --pitch-mm 0.4 --snr-db 30
 """
 
