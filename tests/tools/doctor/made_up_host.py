@@ -1,7 +1,9 @@
-"""A made-up computer below a directory: what /sys, /proc, /etc, /run and /dev would have."""
+"""A made-up computer below a directory: what /sys, /proc, /etc, /run and /dev would have; and findings by their ids."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
+from resonator_daemon.tools.doctor.finding import Finding, Outcome
 from resonator_daemon.tools.doctor.host_checks import Host
 
 USB = "sys/devices/pci0/usb1/1-1/1-1.4"
@@ -38,3 +40,12 @@ class MadeUpHost:
     def host(self, *, closed: str = "") -> Host:
         """Return it as checks see it; `closed` is in the name of what this user may not open."""
         return Host(self.root, lambda path: not closed or closed not in str(path))
+
+
+def by_id(findings: Iterable[Finding]) -> dict[str, Finding]:
+    return {finding.id: finding for finding in findings}
+
+
+def bad(findings: dict[str, Finding]) -> dict[str, Outcome]:
+    """Return the outcomes of those with something wrong."""
+    return {name: finding.outcome for name, finding in findings.items() if finding.bad}

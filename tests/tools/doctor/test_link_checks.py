@@ -4,6 +4,7 @@ import dataclasses
 
 import pytest
 from emulation import emulated
+from made_up_host import bad, by_id
 
 from firmware_protocol.messages import Description, Identity, ResetCause
 from resonator_daemon.base.plate import Plate, load_plate
@@ -44,11 +45,7 @@ def identifying(probed: ProbeResult, **change: object) -> ProbeResult:
 
 
 def judged(probed: ProbeResult, plate: Plate | None, busy: str = "") -> dict[str, Finding]:
-    return {finding.id: finding for finding in check_probe(probed, plate, busy)}
-
-
-def bad(findings: dict[str, Finding]) -> dict[str, Outcome]:
-    return {name: f.outcome for name, f in findings.items() if f.outcome in (Outcome.WARNING, Outcome.FAULT)}
+    return by_id(check_probe(probed, plate, busy))
 
 
 def test_a_board_that_is_well_has_nothing_wrong(answers: ProbeResult, quartz16: Plate) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from emulation import emulated
+from made_up_host import bad, by_id
 
 from firmware_protocol.host import PacketRefusal
 from firmware_protocol.layouts import CHANNEL_COUNT
@@ -45,15 +46,7 @@ def calm() -> Capture:
 
 
 def judged(capture: Capture, plate: Plate) -> dict[str, Finding]:
-    return {finding.id: finding for finding in check_plate(capture, plate)}
-
-
-def bad(findings: dict[str, Finding]) -> dict[str, Outcome]:
-    return {
-        name: finding.outcome
-        for name, finding in findings.items()
-        if finding.outcome in (Outcome.WARNING, Outcome.FAULT)
-    }
+    return by_id(check_plate(capture, plate))
 
 
 def changed(capture: Capture, **change: object) -> Capture:
@@ -67,6 +60,17 @@ def changed(capture: Capture, **change: object) -> Capture:
     return dataclasses.replace(capture, readings=readings)
 
 
+def with_shift(capture: Capture, add: object, tones: object = slice(None), channels: object = slice(None)) -> Capture:
+    """Return the capture with this added to the shifts of some tones on some channels; NaN: not counted."""
+
+    def shifted(reading: PlateReading, _number: int) -> np.ndarray:
+        shift = reading.shift.copy()
+        shift[tones, channels] += add
+        return shift
+
+    return changed(capture, shift=shifted)
+
+
 def test_a_plate_that_is_well_has_nothing_wrong(calm: Capture, quartz16: Plate) -> None:
     findings = judged(calm, quartz16)
     assert bad(findings) == {}
@@ -75,12 +79,8 @@ def test_a_plate_that_is_well_has_nothing_wrong(calm: Capture, quartz16: Plate) 
 
 
 def test_a_channel_that_hears_nothing_is_dead(calm: Capture, quartz16: Plate) -> None:
-    def deaf(reading: PlateReading, _number: int) -> np.ndarray:
-        shift = reading.shift.copy()
-        shift[:, 2] = np.nan
-        return shift
-
-    findings = judged(changed(calm, shift=deaf, gates_counted=np.array([1.0, 1.0, 0.0, 1.0])), quartz16)
+    deaf = changed(with_shift(calm, np.nan, channels=2), gates_counted=np.array([1.0, 1.0, 0.0, 1.0]))
+    findings = judged(deaf, quartz16)
     assert bad(findings) == {"sensor.channels": Outcome.FAULT}
     assert "channel 2 of 0 to 3" in findings["sensor.channels"].evidence
 
@@ -195,35 +195,20 @@ def test_a_comb_that_is_well_has_nothing_wrong(comb: Capture, comb16: Plate) -> 
 
 
 def test_a_tone_that_no_channel_hears_is_a_fault(comb: Capture, comb16: Plate) -> None:
-    def deaf(reading: PlateReading, _number: int) -> np.ndarray:
-        shift = reading.shift.copy()
-        shift[4] = np.nan
-        return shift
-
-    findings = judged(changed(comb, shift=deaf), comb16)
+    findings = judged(with_shift(comb, np.nan, 4), comb16)
     assert findings["sensor.tones"].outcome is Outcome.FAULT
     assert (findings["sensor.tones"].value, findings["sensor.tones"].limit) == (1.0, 0.0)
 
 
 def test_a_site_that_stays_pressed_is_a_fault_of_a_calibrated_plate(comb: Capture, comb16: Plate) -> None:
-    def pressed(reading: PlateReading, _number: int) -> np.ndarray:
-        shift = reading.shift.copy()
-        shift[4] += 0.1 * comb16.force_max_newton * comb16.tones.sensitivity[4]
-        return shift
-
+    pressed = with_shift(comb, 0.1 * comb16.force_max_newton * comb16.tones.sensitivity[4], 4)
     dated = comb16.model_copy(update={"calibration": comb16.calibration.model_copy(update={"id": "abc"})})
-    assert judged(changed(comb, shift=pressed), dated)["sensor.at_rest"].outcome is Outcome.FAULT
-    assert judged(changed(comb, shift=pressed), comb16)["sensor.at_rest"].outcome is Outcome.OK
+    assert judged(pressed, dated)["sensor.at_rest"].outcome is Outcome.FAULT
+    assert judged(pressed, comb16)["sensor.at_rest"].outcome is Outcome.OK
 
 
 def test_a_tone_out_of_its_band_is_named(comb: Capture, comb16: Plate) -> None:
-
-    def off(reading: PlateReading, _number: int) -> np.ndarray:
-        shift = reading.shift.copy()
-        shift[4] += 2e-4
-        return shift
-
-    findings = judged(changed(comb, shift=off), comb16)
+    findings = judged(with_shift(comb, 2e-4, 4), comb16)
     assert bad(findings) == {"sensor.tones": Outcome.FAULT}
     site = comb16.site_ids[comb16.tones.site_index[4]]
     assert f"1 of 16 out of band, the worst is site {site}:" in findings["sensor.tones"].evidence
@@ -241,7 +226,7 @@ def test_a_tone_out_of_its_band_is_named(comb: Capture, comb16: Plate) -> None:
 def test_what_befalls_the_link_is_told_apart(tmp_path: Path, scenario: str, id: str) -> None:
     (tmp_path / "scenario.toml").write_text(scenario)
     capture = listened(scenario=str(tmp_path / "scenario.toml"), seconds=1.2)
-    found = {finding.id: finding for finding in check_capture(capture)}
+    found = by_id(check_capture(capture))
     assert found[id].outcome is Outcome.FAULT
     assert next(finding.id for finding in found.values() if finding.outcome is Outcome.FAULT) == id
 
@@ -260,7 +245,7 @@ def test_frames_that_the_board_dropped_are_a_finding_on_a_busy_computer_too(
 ) -> None:
     lost = dataclasses.replace(calm.after.lost, board_overflow=calm.before.lost.board_overflow + 20)
     capture = dataclasses.replace(calm, busy=busy, after=dataclasses.replace(calm.after, lost=lost))
-    found = {finding.id: finding for finding in check_capture(capture)}["link.overflow"]
+    found = by_id(check_capture(capture))["link.overflow"]
     assert (found.outcome, found.value, found.area) == (Outcome.FAULT, 20, area)
 
 
@@ -279,7 +264,7 @@ def test_a_packet_that_was_cut_is_no_broken_cable(
 ) -> None:
     lost = dataclasses.replace(calm.after.lost, damaged=calm.before.lost.damaged + damaged)
     counters = dataclasses.replace(calm.after, lost=lost, bytes_discarded=calm.before.bytes_discarded + discarded)
-    found = {finding.id: finding for finding in check_capture(dataclasses.replace(calm, after=counters))}
+    found = by_id(check_capture(dataclasses.replace(calm, after=counters)))
     assert found["link.errors"].outcome is outcome
 
 
@@ -287,7 +272,7 @@ def test_frames_that_are_refused_are_named_with_their_code(calm: Capture) -> Non
     refused = PacketRefusal("frame_length", "a frame has 176 bytes, got 175")
     counters = dataclasses.replace(calm.before, refusals=Counter({refused: 900}))
     capture = dataclasses.replace(calm, seconds=0.0, before=counters, after=counters, link="no frames")
-    found = {finding.id: finding for finding in check_capture(capture)}
+    found = by_id(check_capture(capture))
     assert {name for name, finding in found.items() if finding.outcome is Outcome.FAULT} == {"board.frames"}
     assert "frame_length" in found["board.frames"].evidence
 
