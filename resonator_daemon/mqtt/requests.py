@@ -4,7 +4,7 @@ import asyncio
 import json
 import secrets
 from collections.abc import Mapping
-from contextlib import aclosing
+from contextlib import aclosing, suppress
 from typing import Any, Final
 
 from paho.mqtt.enums import MQTTProtocolVersion
@@ -230,8 +230,9 @@ async def find_daemon(config: Client) -> str:
     try:
         async with asyncio.timeout(LOOK_S) as limit, aclosing(subscribe(config.mqtt, topics)) as messages:
             async for plate, path, message in messages:
-                if isinstance(message, Info) and parse_link(message.link) == config.link:
-                    names.add(plate)
+                if isinstance(message, Info):
+                    with suppress(ValueError):  # a later version's kind of link
+                        names |= {plate} if parse_link(message.link).same_board(config.link) else set()
                 elif isinstance(message, State) and path == STATE_DAEMON.path:
                     if message.state is Condition.OFFLINE:
                         offline[plate] = message.reason

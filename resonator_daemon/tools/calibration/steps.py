@@ -55,7 +55,6 @@ class Step:
     mass_kg: float
     kelvin: float
     hold_s: float
-    unloading: bool = False
     continues: bool = False
     at_temperature: bool = False  # of the temperature sweep
 
@@ -100,7 +99,7 @@ def _site_loads(request: LoadRequest, site_id: int, kelvin: float) -> Iterator[S
             yield Step(0, site_id, mass_kg, kelvin, hold_s, continues=request.response and index > 0)
         if request.response:
             for mass_kg in reversed(request.masses_kg[:-1]):
-                yield Step(0, site_id, mass_kg, kelvin, hold_s, unloading=True, continues=True)
+                yield Step(0, site_id, mass_kg, kelvin, hold_s, continues=True)
 
 
 def _site_findings(request: LoadRequest, plate: Plate) -> Iterator[str]:

@@ -13,11 +13,12 @@ from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.host.text import page
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.config import load_config
+from resonator_daemon.board.config.clients import Client
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.daemon.monitoring.status_client import Answer, ask_all
-from resonator_daemon.mqtt.payloads import Condition, Info
+from resonator_daemon.mqtt import requests
+from resonator_daemon.mqtt.payloads import Condition
 from resonator_daemon.mqtt.subscriber import subscribe
 from resonator_daemon.mqtt.topics import TOPICS
 from resonator_daemon.tools.doctor import link_checks, sensor_checks
@@ -41,9 +42,9 @@ _REMEDIES: Final[Mapping[Any, str]] = {
     Condition.UNCALIBRATED: sensor_checks.CALIBRATE,
 }
 
-_STATUS_TOPICS: Final = ("info", "state/daemon", "state/link", "state/sensor", "health")
+_STATUS_TOPICS: Final = ("state/daemon", "state/link", "state/sensor", "health")
 _NS_MAX: Final = 2**63
-LOOK_S, _STATUS_S = 2.0, 4.0  # the broker has the states, health comes each second
+_STATUS_S: Final = 4.0  # the broker has the states, health comes each second
 
 
 def check_daemon(answer: Answer) -> Iterator[Finding]:
@@ -203,32 +204,17 @@ def _has(status: Mapping[str, Any], link: LinkTarget, config_path: Path | None) 
 async def published_status(broker: Mqtt, name: str | None, link: LinkTarget) -> dict[str, Any] | None:
     """Return the status that a daemon publishes, as its socket would give it; None where none comes in time.
 
-    Without a name it is that of the daemon whose status names `link`.
+    Without a name it is that of a daemon on the board of `link`.
     """
-    plates: dict[str, dict[str, Any]] = {}
+    status: dict[str, Any] = {}
     topics = tuple(TOPICS[path] for path in _STATUS_TOPICS)
     try:
-        async with asyncio.timeout(LOOK_S) as limit, aclosing(subscribe(broker, topics)) as messages:
-            async for plate, path, message in messages:
-                status = plates.setdefault(plate, {})
-                if isinstance(message, Info):
-                    status["is_ours"] = _names(message.link, link)
-                else:
-                    status[path.removeprefix("state/")] = message.model_dump(mode="json")
-                wanted = plate == name if name else status.get("is_ours")
-                if wanted and "daemon" in status and status["daemon"].get("state") != Condition.ONLINE:
-                    return None
-                if wanted and path in ("info", "state/daemon"):
-                    limit.reschedule(asyncio.get_running_loop().time() + _STATUS_S)
-                if wanted and status.keys() >= {"daemon", "link", "sensor", "health"}:
+        plate = await requests.find_daemon(Client.model_construct(name=name, link=link, mqtt=broker))
+        async with asyncio.timeout(_STATUS_S), aclosing(subscribe(broker, topics, plate=plate)) as messages:
+            async for _, path, message in messages:
+                status[path.removeprefix("state/")] = message.model_dump(mode="json")
+                if len(status) == len(topics):
                     return {**status, "broker": {"connected": True, "url": broker.anonymous().url}}
-    except TimeoutError:
+    except (TimeoutError, requests.NoDaemonError):
         pass
     return None
-
-
-def _names(text: str, link: LinkTarget) -> bool:
-    try:
-        return parse_link(text).same_board(link)
-    except ValueError:
-        return False  # a later version's kind of link

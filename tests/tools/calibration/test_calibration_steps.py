@@ -26,7 +26,6 @@ def test_a_response_goes_up_and_down_without_releasing_the_site() -> None:
     steps = plan_steps(replace(USUAL, sites=(3,), response=True), NOMINAL)
     assert [step.mass_kg for step in steps] == [0.05, 0.2, 0.5, 0.2, 0.05]
     assert [step.continues for step in steps] == [False, True, True, True, True]
-    assert [step.unloading for step in steps] == [False, False, False, True, True]
     assert {step.hold_s for step in steps} == {60.0}
 
 

@@ -19,6 +19,7 @@ from resonator_daemon.board.links.port_holders import Holder, Holders
 from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.commands import main
 from resonator_daemon.daemon.monitoring.status_client import Answer, ask_all
+from resonator_daemon.mqtt import requests
 from resonator_daemon.tools.doctor import daemon_checks, run
 from resonator_daemon.tools.doctor.daemon_checks import (
     SENSOR,
@@ -118,13 +119,13 @@ async def test_a_running_daemon_counts_on_while_the_doctor_looks(
 async def test_what_a_daemon_publishes_is_heard_by_its_name_or_its_link(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    broker, link = Mqtt(url=bench.broker_url), SerialTarget(str(bench.port), 4_000_000)
+    broker, link = Mqtt(url=bench.broker_url), SerialTarget(str(bench.port), 9600)
     async with bench.emulated(scenario="still"), observe(bench.broker_url) as heard:
         async with bench.running(bench.service()):
             await measuring(heard)
             by_name = await published_status(broker, "hand", TcpTarget("10.0.0.1", 1))
             by_link = await published_status(broker, None, link)
-            monkeypatch.setattr(daemon_checks, "LOOK_S", 0.3)
+            monkeypatch.setattr(requests, "LOOK_S", 0.3)
             neither = await published_status(broker, None, SerialTarget("/dev/ttyACM7", 4_000_000))
             nobody = await published_status(broker, "foot", link)
         offline = await published_status(broker, "hand", link)
