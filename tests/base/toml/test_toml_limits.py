@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon.base import toml_syntax as toml_limits
 from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.base.toml import parse_toml
 from resonator_daemon.base.toml_syntax import (
@@ -74,18 +73,6 @@ def test_too_many_are_refused(unit: str, limit: int, what: str) -> None:
     found = excess(unit * (limit + 1))
     assert found is not None
     assert found.sentence.startswith(f"about {limit + 1} {what}, and {limit} are read at most")
-
-
-@pytest.mark.parametrize(
-    ("line", "names"), [("[1]\n", 1), ("[[a.b]]\n", 2), ('["a,b"]\n', 1), ("a.b=1\n", 2), ("1.5=1\n", 2)]
-)
-def test_too_many_tables_are_refused(monkeypatch: pytest.MonkeyPatch, line: str, names: int) -> None:
-    monkeypatch.setattr(toml_limits, "MAX_NAMES", 60)
-    assert excess(line * (60 // names)) is None
-    found = excess(line * (60 // names + 1))
-    assert found is not None
-    assert found.line == 60 // names + 1
-    assert "more than 60 names in [headers] and dotted keys" in found.sentence
 
 
 @pytest.mark.parametrize("sign", ["1", "a", "-"])
