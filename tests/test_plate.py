@@ -261,3 +261,11 @@ def test_as_many_explicit_tones_as_a_frame_holds() -> None:
     assert len(Plate.model_validate(explicit_sites(15_624)).tones.f0_hz) == 46_872
     with pytest.raises(ValidationError, match="46872"):
         Plate.model_validate(explicit_sites(15_625))
+
+
+def test_a_sensor_that_no_package_has_is_refused_with_those_that_are_there(tmp_path: Path) -> None:
+    (tmp_path / "two.toml").write_text(FORCE_PLATE.replace(PILOT, PILOT + 'sensor = "unheard-of"\n'))
+    with pytest.raises(ConfigurationError, match="multitone, single-tone, skin"):
+        load_plate(tmp_path / "two.toml")
+    (tmp_path / "two.toml").write_text(FORCE_PLATE.replace(PILOT, PILOT + 'sensor = "single-tone"\n'))
+    assert load_plate(tmp_path / "two.toml").sensor_kind == "single-tone"

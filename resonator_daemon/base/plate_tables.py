@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from datetime import date
+from functools import partial
+from operator import is_
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
@@ -10,6 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, Strict, StrictBool,
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.arrays import Floats, Integers
+from resonator_daemon.base.entry_points import entry_names
 from resonator_daemon.base.toml import Count, Number, Table
 
 FORCE_SIGNAL: Final = "force"
@@ -78,6 +81,8 @@ class Counter(Table):
     ]
     pilot_hz: Hertz | None = None  # captured by a single-tone counter without touches; see Plate.pilot_hz
     codes_may_overlap: StrictBool = False  # accept a plate whose sites may be mistaken for each other
+    # An entry of resonatord.sensors; None, which fingerprints of recordings omit: that of resonatord for the plate.
+    sensor: str | None = Field(None, exclude_if=partial(is_, None))
 
     @property
     def frames_in_parts(self) -> bool:
@@ -90,6 +95,13 @@ class Counter(Table):
         if info.data.get("kind") == "channelised" and pilot_hz is not None:
             raise ValueError("belongs to a single-tone counter; leave it out")
         return pilot_hz
+
+    @field_validator("sensor")
+    @classmethod
+    def _an_installed_package_has_the_sensor(cls, sensor: str | None) -> str | None:
+        if sensor is not None and sensor not in (names := entry_names("sensors")):
+            raise ValueError(f"no installed package has this kind of sensor; there are {', '.join(names)}")
+        return sensor
 
 
 def _default(seen: dict[str, Any], single_tone: float, channelised: float) -> float:

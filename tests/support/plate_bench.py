@@ -11,8 +11,8 @@ from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.config.tables import Measurement
 from resonator_daemon.board.session.compatibility import gate_ticks, oscillator_hz
 from resonator_daemon.estimate.forces.readings import ForceReading
+from resonator_daemon.measure.sensors.base import sensor_of
 from resonator_daemon.measure.sensors.force_sensor import ForceSensor
-from resonator_daemon.measure.sensors.kinds import sensor_of
 from resonator_daemon.measure.sensors.single_tone_processing import SingleToneProcessing
 from simulators.comb_plate import CombPlate
 from simulators.physics import Physics

@@ -10,8 +10,8 @@ from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.estimate.forces.readings import ForceReading
 from resonator_daemon.measure.pipeline.state_messages import StateMessages
+from resonator_daemon.measure.sensors.base import sensor_of
 from resonator_daemon.measure.sensors.force_messages import ForceMessages
-from resonator_daemon.measure.sensors.kinds import sensor_of
 from resonator_daemon.measure.sensors.output import MessageOutput
 from resonator_daemon.measure.sensors.sensor_state import SensorState
 from resonator_daemon.mqtt.codec import Encoded, decoded, encode

@@ -93,7 +93,7 @@ def decode_mark(data: bytes, monotonic_ns: int, utc_ns: int) -> Mark:
 
 def plate_fingerprints(plate: Plate) -> dict[str, str]:
     """Return fingerprints of a plate: name, hash of the file, and hash of what decides the frames."""
-    wire = hashlib.sha256(plate.counter.model_dump_json().encode())
+    wire = hashlib.sha256(plate.counter.model_dump_json(exclude={"sensor"}).encode())
     wire.update(plate.tones.f0_hz.tobytes())
     return {
         "plate": plate.name,

@@ -16,7 +16,7 @@ from resonator_daemon.base.host.files import replace_file
 from resonator_daemon.base.toml import TomlFile, named, parse_toml, read_toml
 from resonator_daemon.board.config import Config, config_from, load_config
 from resonator_daemon.board.config.values import load_plate_text, plate_text
-from resonator_daemon.measure.sensors.kinds import sensor_of
+from resonator_daemon.measure.sensors.base import sensor_of
 
 _MAX_COPY_BYTES: Final = 64 << 20  # of two files that were read, one as it was and one with all its defaults
 

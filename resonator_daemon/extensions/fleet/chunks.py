@@ -19,7 +19,7 @@ from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
 from resonator_daemon.extensions.fleet.outline import PartStart, read_outline
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
-from resonator_daemon.measure.sensors.kinds import sensor_of
+from resonator_daemon.measure.sensors.base import sensor_of
 from resonator_daemon.tools.replay.recorded_pipeline import recorded_config
 
 
@@ -164,9 +164,9 @@ def chunks_of(path: Path, job: Job) -> list[Chunk]:
     """
     with open_recording(str(path), job.plate) as recording:
         config = job.config(recording)
-        comes_to_rest = sensor_of(config.plate, config.measurement, config.decoding).comes_to_rest
-    outline = read_outline(path, job.chunk_s if comes_to_rest else float("inf"))
-    starts = outline.starts[: None if comes_to_rest else 1]
+        independent_at_rest = sensor_of(config.plate, config.measurement, config.decoding).independent_at_rest
+    outline = read_outline(path, job.chunk_s if independent_at_rest else float("inf"))
+    starts = outline.starts[: None if independent_at_rest else 1]
     return [
         Chunk(path, outline.identity, number, starts, outline.size_bytes, outline.changed_ns, outline.channels)
         for number in range(len(starts))

@@ -24,8 +24,8 @@ from resonator_daemon.estimate.forces.readings import Compensation, ForceReading
 from resonator_daemon.measure.pipeline.control_requests import SetWindow, Tare, parse_request
 from resonator_daemon.measure.pipeline.frame_timeout import CallLater, FrameTimeout
 from resonator_daemon.measure.pipeline.state_messages import StateMessages
+from resonator_daemon.measure.sensors.base import sensor_of
 from resonator_daemon.measure.sensors.calendar import DAY_NS, utc_day
-from resonator_daemon.measure.sensors.kinds import sensor_of
 from resonator_daemon.measure.sensors.output import MessageOutput, Publish
 from resonator_daemon.measure.sensors.sensor_state import SensorState
 from resonator_daemon.mqtt.payloads import Condition, Lost

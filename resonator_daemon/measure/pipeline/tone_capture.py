@@ -9,7 +9,7 @@ from resonator_daemon.board.session.board_reader import BlockingReader
 from resonator_daemon.board.session.compatibility import oscillator_hz
 from resonator_daemon.board.session.frames import Arrival, BoardOnline, ChannelisedFrame, ReaderFailed, SingleToneFrame
 from resonator_daemon.estimate.tones.tone_detector import ToneDetector, ToneReading, reading_frames
-from resonator_daemon.measure.sensors.kinds import sensor_of
+from resonator_daemon.measure.sensors.base import sensor_of
 
 _TURN_S = 0.1
 

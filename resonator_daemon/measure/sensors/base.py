@@ -1,10 +1,12 @@
-"""Interface of a sensor: what a plate with its counter amounts to."""
+"""Interface of a sensor: what a plate with its counter amounts to; installed packages have the kinds."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 from resonator_daemon.base.arrays import Floats
+from resonator_daemon.base.entry_points import load_entry
+from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason
 from resonator_daemon.board.config.tables import Decoding, Measurement
@@ -43,13 +45,13 @@ class Sensor(ABC, Generic[Reading]):
         Topic of the results whose latency counts.
     adjustable
         Whether the zero can be tared and the window be set.
-    comes_to_rest
+    independent_at_rest
         Whether readings at rest do not depend on what was before; drift of force sites is followed for hours.
     """
 
     result: ClassVar[Topic[Any]]
     adjustable: ClassVar[bool]
-    comes_to_rest: ClassVar[bool] = False
+    independent_at_rest: ClassVar[bool] = False
 
     def __init__(self, plate: Plate, measurement: Measurement, decoding: Decoding) -> None:
         self.plate = plate
@@ -165,3 +167,24 @@ class Sensor(ABC, Generic[Reading]):
 
     async def run(self) -> None:
         """Decode until cancelled; return at once if nothing is decoded."""
+
+
+def sensor_of(plate: Plate, measurement: Measurement | None = None, decoding: Decoding | None = None) -> Sensor[Any]:
+    """Return the sensor that a plate with its counter amounts to; settings that are not given have their defaults.
+
+    Its module is imported when needed: decoding a skin loads much of scipy, for 0.5 s.
+
+    Raises
+    ------
+    ConfigurationError
+        No installed package has this kind of sensor.
+    """
+    kind = load_entry("sensors", plate.sensor_kind, _is_sensor)
+    if kind is None:
+        raise ConfigurationError(f"plate {plate.name!r}: no package has a usable sensor {plate.sensor_kind!r}")
+    sensor: Sensor[Any] = kind(plate, measurement or Measurement(), decoding or Decoding())
+    return sensor
+
+
+def _is_sensor(kind: Any) -> bool:
+    return issubclass(kind, Sensor)

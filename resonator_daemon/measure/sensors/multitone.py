@@ -1,7 +1,5 @@
 """Sensor whose counter counts all tones of force sites at once."""
 
-from typing import Final
-
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.estimate.forces.force_sites import ForceTones
 from resonator_daemon.estimate.tones.tone_detector import MultitoneDetector, ToneDetector
@@ -32,6 +30,3 @@ class MultitoneSensor(ForceSensor):
             step_frames=self.step_frames,
             spread_width_m=plate.spread_width_m,
         )
-
-
-SENSOR: Final = MultitoneSensor

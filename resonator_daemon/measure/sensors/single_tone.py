@@ -68,6 +68,3 @@ class SingleToneSensor(ForceSensor):
             load_sharing_exponent=plate.load_sharing_exponent,
             tones_period_frames=math.ceil(plate.counter.frame_rate_hz / (TONES.rate_max_hz or math.inf)),
         )
-
-
-SENSOR: Final = SingleToneSensor

@@ -47,7 +47,7 @@ class SkinSensor(Sensor[SkinReading]):
 
     result: ClassVar[Topic[Any]] = DECODED
     adjustable: ClassVar[bool] = False
-    comes_to_rest: ClassVar[bool] = True
+    independent_at_rest: ClassVar[bool] = True
     _processing: SkinProcessing | None = None
     _decoding: SurfaceDecoding[Origin] | None = None
 
@@ -233,6 +233,3 @@ class SkinSensor(Sensor[SkinReading]):
     def contacts_header(self, origin: Origin) -> HeaderFields:
         """Return the header of one more message on `contacts` about a frame."""
         return {"seq": self._output.headers.next_seq(CONTACTS), **self._output.window(*origin)}
-
-
-SENSOR: Final = SkinSensor

@@ -14,7 +14,7 @@ from resonator_daemon.base.host.text import print_note
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
 from resonator_daemon.board.config import load_config
 from resonator_daemon.board.session.frames import BoardOnline
-from resonator_daemon.measure.sensors.kinds import sensor_of
+from resonator_daemon.measure.sensors.base import sensor_of
 from resonator_daemon.tools.calibration.load_procedure import Loading, LoadProcedure, Prompt
 from resonator_daemon.tools.calibration.load_readings import CapturedLoads, MultitoneLoads, board_readings
 from resonator_daemon.tools.calibration.outcome import Outcome, fit_loadings

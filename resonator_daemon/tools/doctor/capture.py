@@ -22,8 +22,8 @@ from resonator_daemon.board.session.frames import BoardRefused, ChannelisedFrame
 from resonator_daemon.board.session.link_events import Received, WireEvent
 from resonator_daemon.estimate.tones.tone_detector import ToneReading
 from resonator_daemon.measure.pipeline.tone_capture import ToneCapture
+from resonator_daemon.measure.sensors.base import sensor_of
 from resonator_daemon.measure.sensors.expected_tones import ExpectedTones
-from resonator_daemon.measure.sensors.kinds import sensor_of
 from resonator_daemon.tools.doctor.host_checks import BusyCheck, Host
 
 OPEN_S: Final = 6.0  # in which a board must count

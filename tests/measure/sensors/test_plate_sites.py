@@ -9,7 +9,7 @@ import pytest
 
 from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.board.config.tables import Measurement
-from resonator_daemon.measure.sensors.kinds import sensor_of
+from resonator_daemon.measure.sensors.base import sensor_of
 from resonator_daemon.measure.sensors.plate_sites import force_sites
 
 QUARTZ, COMB = load_plate("quartz16"), load_plate("comb16")
@@ -18,7 +18,7 @@ QUARTZ, COMB = load_plate("quartz16"), load_plate("comb16")
 def test_a_daemon_of_captured_tones_loads_no_scipy() -> None:
     code = (
         "import sys, resonator_daemon.daemon.service.daemon; from resonator_daemon.base.plate import load_plate;"
-        "from resonator_daemon.measure.sensors.kinds import sensor_of; sensor_of(load_plate('quartz16'));"
+        "from resonator_daemon.measure.sensors.base import sensor_of; sensor_of(load_plate('quartz16'));"
         "sys.exit('scipy' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -14,7 +14,7 @@ from firmware_protocol.layouts import CHANNEL_COUNT, TONE_FIELDS, single_tone_re
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.estimate.tones.tone_detector import reading_frames
-from resonator_daemon.measure.sensors.kinds import sensor_of
+from resonator_daemon.measure.sensors.base import sensor_of
 from resonator_daemon.tools.calibration.load_procedure import LoadProcedure, Prompt
 from resonator_daemon.tools.calibration.load_readings import CapturedLoads, LoadReading, MultitoneLoads
 from resonator_daemon.tools.calibration.outcome import Outcome, fit_loadings

@@ -1,1 +1,1 @@
-"""An extension of resonatord: a carrier, an export format and a finding of the doctor."""
+"""An extension of resonatord: a carrier, an export format, a finding of the doctor and a kind of sensor."""
