@@ -158,7 +158,7 @@ class _Played:
                 if plate is not None and replaying.config.plate != plate:
                     raise UsageError(f"{path} is of another plate, or calibration, than {self._paths[0]}")
                 plate = replaying.config.plate
-                yield from _part(replaying, self._spans[path], progress)
+                yield from moments_within(replaying, self._spans[path], progress)
                 self.frames += replaying.counters.frames
                 self.differences += replaying.differences
                 self.damage = self.damage or replaying.damage
@@ -180,9 +180,11 @@ def _write(output: Output, path: Path, moments: Iterator[Moment]) -> dict[str, i
         raise ExportFailedError(f"{path} cannot be written: {meaning_of(error)}{removed}") from error
 
 
-def _part(replaying: RecordingReplay, span: Span, progress: Progress) -> Iterator[Moment]:
+def moments_within(replaying: RecordingReplay, span: Span, progress: Progress | None = None) -> Iterator[Moment]:
+    """Yield the moments of a part of a recording."""
     for moment in replaying.moments():
-        progress.at(replaying.read_bytes)
+        if progress is not None:
+            progress.at(replaying.read_bytes)
         if span.is_over(moment.now):
             return
         if not span.is_before(moment.now):

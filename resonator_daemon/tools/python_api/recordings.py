@@ -12,7 +12,7 @@ from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.config import Config, load_config
 from resonator_daemon.tools.export.output import Recorded
-from resonator_daemon.tools.export.run import differences_in_words, file_metadata
+from resonator_daemon.tools.export.run import differences_in_words, file_metadata, moments_within
 from resonator_daemon.tools.export.table_formats import MemoryOutput
 from resonator_daemon.tools.export.tables import WITH_ARRAYS, WITH_TABLE
 from resonator_daemon.tools.python_api import RecordingError, RecordingWarning, readable_errors
@@ -178,11 +178,7 @@ def _load(
         output = MemoryOutput(topics, recorded)
         output.begin()
         marks = []
-        for moment in replaying.moments():
-            if span.is_over(moment.now):
-                break
-            if span.is_before(moment.now):
-                continue
+        for moment in moments_within(replaying, span):
             output.add(moment)
             if moment.mark is not None:
                 marks.append(Mark(moment.now.utc_ns, moment.mark))
