@@ -2,11 +2,10 @@
 
 from typing import Any
 
-import aiomqtt
+import brokers
 import numpy as np
 from example_messages import example, header
 
-from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import ContactEvent, Decoded, Forces, Grid, Message, SiteForce
 
@@ -32,6 +31,4 @@ def decoded(seq: int, traction_pascal: np.ndarray, grid: Grid | None) -> Decoded
 
 async def publish(broker_url: str, path: str, message: Message, *, plate: str = "left") -> None:
     """Publish a message as a daemon does; retained, so that whoever comes later has it, too."""
-    at = Mqtt(url=broker_url)
-    async with aiomqtt.Client(at.host, at.port) as client:
-        await client.publish(f"{at.prefix}/{plate}/{path}", encode(message), qos=1, retain=True)
+    await brokers.publish(broker_url, f"resonator/{plate}/{path}", encode(message), retain=True)

@@ -3,14 +3,12 @@
 from asyncio.subprocess import Process
 from itertools import pairwise
 
-import aiomqtt
-from brokers import Amqtt, Mosquitto
+from brokers import Amqtt, Mosquitto, client_of
 from commanded import commanded, state
 from example_programs import next_line, running
 from published import event
 from relay import relay
 
-from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.commands import CommandRefusedError, Handler
 from resonator_daemon.mqtt.payloads import ContactEvent
@@ -57,11 +55,10 @@ async def test_each_event_is_printed_once(broker: Mosquitto | Amqtt) -> None:
     store = Store()
     for _ in range(4):
         store.happen("first")
-    at = Mqtt(url=broker.url)
     async with (
         commanded(broker.url, store.handlers) as left,
         relay(broker.url) as way,
-        aiomqtt.Client(at.host, at.port) as daemon,
+        client_of(broker.url) as daemon,
         running("python", "events", way.url, "left") as program,
     ):
 

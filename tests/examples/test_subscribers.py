@@ -6,15 +6,13 @@ from asyncio.subprocess import Process
 from collections.abc import AsyncIterator
 from pathlib import Path
 
-import aiomqtt
 import numpy as np
 import pytest
-from brokers import Amqtt, Mosquitto
+from brokers import Amqtt, Mosquitto, client_of
 from example_programs import LANGUAGES, next_line, running
 from published import decoded, event, force, forces, publish
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import Grid
 
@@ -106,10 +104,9 @@ async def test_a_restart_of_the_broker_is_survived(mosquitto, language: str) -> 
 @pytest.mark.parametrize("language", LANGUAGES)
 async def test_events_arrive_while_streams_are_behind(mosquitto, language: str) -> None:
     """Mosquitto keeps 1000 packets for a connection whose reader is behind, and drops what comes then, QoS 1 too."""
-    at = Mqtt(url=mosquitto.url)
     await publish(mosquitto.url, "forces", forces(1, force(7, 1.0)))
     await publish(mosquitto.url, "contacts/event", event(1, "onset"))
-    async with running(language, "forces", mosquitto.url) as program, aiomqtt.Client(at.host, at.port) as daemon:
+    async with running(language, "forces", mosquitto.url) as program, client_of(mosquitto.url) as daemon:
         assert len({await next_line(program) for _ in range(2)}) == 2  # both are subscribed
         program.send_signal(signal.SIGSTOP)
         padded = encode(forces(2))[:-1] + b', "padding": "' + 16_000 * b"x" + b'"}'

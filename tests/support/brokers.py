@@ -7,7 +7,9 @@ import socket
 import subprocess
 from contextlib import AsyncExitStack
 from pathlib import Path
+from urllib.parse import urlsplit
 
+import aiomqtt
 import pytest
 
 from resonator_daemon.mqtt.embedded_broker import embedded_broker
@@ -23,6 +25,17 @@ def free_port() -> int:
         if port not in _given_ports:
             _given_ports.add(port)
             return port
+
+
+def client_of(url: str) -> aiomqtt.Client:
+    """Return a client of the broker at `mqtt://HOST:PORT`."""
+    at = urlsplit(url)
+    return aiomqtt.Client(at.hostname or "", at.port or 1883)
+
+
+async def publish(url: str, topic: str, payload: bytes | str, *, retain: bool = False) -> None:
+    async with client_of(url) as client:
+        await client.publish(topic, payload, qos=1, retain=retain)
 
 
 class Mosquitto:

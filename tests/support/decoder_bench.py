@@ -5,11 +5,11 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 import aiomqtt
 import example_messages
 import numpy as np
+from brokers import client_of
 from observer import until as until
 
 from resonator_daemon.base.arrays import Floats
@@ -96,8 +96,7 @@ class Daemon:
 
 @asynccontextmanager
 async def daemon(url: str) -> AsyncIterator[Daemon]:
-    parts = urlsplit(url)
-    async with aiomqtt.Client(parts.hostname or "", parts.port or 1883) as client:
+    async with client_of(url) as client:
         yield Daemon(client)
 
 

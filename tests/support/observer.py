@@ -5,10 +5,10 @@ import json
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import asynccontextmanager, suppress
 from typing import Any
-from urllib.parse import urlsplit
 
 import aiomqtt
 import pytest
+from brokers import client_of
 
 DEADLINE_S = 30.0  # far beyond what any wait takes: it ends a test that hangs
 
@@ -94,8 +94,7 @@ class Observer:
 
 @asynccontextmanager
 async def observe(url: str, topics: str = "#") -> AsyncIterator[Observer]:
-    parts = urlsplit(url)
-    async with aiomqtt.Client(parts.hostname or "", parts.port or 1883) as client:
+    async with client_of(url) as client:
         observer = Observer(client)
         await client.subscribe(topics, qos=1)
         listening = asyncio.create_task(observer.listen(client))

@@ -14,10 +14,10 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import aiomqtt
 import foxglove.messages
 import numpy as np
 import pytest
+from brokers import publish
 from example_messages import NOW_NS, example, header
 from export_bench import played, points
 from jsonschema import Draft202012Validator
@@ -26,7 +26,6 @@ from scipy.spatial.transform import Rotation
 from websockets.asyncio.client import ClientConnection, connect
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.config.tables import Listen
 from resonator_daemon.commands import main
 from resonator_daemon.extensions.foxglove.messages import FoxgloveMessages
@@ -237,14 +236,12 @@ async def test_the_command_survives_its_broker_and_ends_at_once(mosquitto: Any) 
             pass
         async with viewer(int(url.removeprefix("ws://127.0.0.1:"))) as seen:
             for count, word in enumerate(("online", "lost"), 1):
-                async with aiomqtt.Client("127.0.0.1", Mqtt(url=mosquitto.url).port) as client:
-                    await client.publish("resonator/left/state/link", encode(state(word)), qos=1, retain=True)
+                await publish(mosquitto.url, "resonator/left/state/link", encode(state(word)), retain=True)
                 assert (await seen.until("state/link", count))["state"] == word
                 await mosquitto.kill()
                 await mosquitto.start()
             for payload in (encode(INFO), b""):  # there, and removed
-                async with aiomqtt.Client("127.0.0.1", Mqtt(url=mosquitto.url).port) as client:
-                    await client.publish("resonator/left/info", payload, qos=1, retain=True)
+                await publish(mosquitto.url, "resonator/left/info", payload, retain=True)
                 await (seen.until("plate/scene") if payload else seen.until_closed(""))
         process.send_signal(signal.SIGTERM)
         assert await process.wait() == 0

@@ -10,10 +10,9 @@ from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
-import aiomqtt
 import numpy as np
 import pytest
-from brokers import Mosquitto
+from brokers import Mosquitto, publish
 from example_messages import NOW_NS, example, header
 
 from resonator_daemon.mqtt.codec import encode
@@ -46,15 +45,12 @@ class Bridged:
 
     async def until(self, right: Callable[[Line], Any], **messages: Message) -> Line:
         """Return the first line that is right; publish the messages again each half second, `_` for `/`."""
-        host, port = self.broker.url.removeprefix("mqtt://").split(":")
         async with asyncio.timeout(60):
             line = asyncio.ensure_future(self._line())
             while True:
-                if messages:
-                    async with aiomqtt.Client(host, int(port)) as client:
-                        for path, message in messages.items():
-                            topic = f"resonator/left-index/{path.replace('_', '/')}"
-                            await client.publish(topic, encode(message), qos=1)
+                for path, message in messages.items():
+                    topic = f"resonator/left-index/{path.replace('_', '/')}"
+                    await publish(self.broker.url, topic, encode(message))
                 while (await asyncio.wait([line], timeout=0.5))[0]:
                     if right(line.result()):
                         return line.result()

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import aiohttp
-import aiomqtt
+import brokers
 import pytest
-from brokers import Mosquitto
+from brokers import Mosquitto, client_of
 from emulation import emulated
 from page_client import Browser, browser, served
 from wire_host import opened
@@ -28,9 +28,7 @@ PAYLOAD = bytes(range(256)) * 100  # no JSON and no CBOR: nothing is decoded on 
 
 
 async def publish(broker: Mosquitto, path: str, payload: bytes | str, *, retain: bool = False) -> None:
-    url = Mqtt(url=broker.url)
-    async with aiomqtt.Client(url.host, url.port) as client:
-        await client.publish(f"resonator/{path}", payload, qos=1, retain=retain)
+    await brokers.publish(broker.url, f"resonator/{path}", payload, retain=retain)
 
 
 def info(plate: str, serial_number: str = "EMU-0001", **more: Any) -> str:
@@ -62,8 +60,7 @@ async def test_a_second_tab_receives_the_same_and_each_watches_its_own_plate(mos
 
 async def subscribed(broker: Mosquitto, tab: Browser, path: str) -> None:
     """Publish until a stream reaches a browser, whose subscription takes a moment; check that it is as published."""
-    url = Mqtt(url=broker.url)
-    async with aiomqtt.Client(url.host, url.port) as client:
+    async with client_of(broker.url) as client:
         while True:
             await client.publish(f"resonator/{path}", PAYLOAD)
             message = await tab.receive()
@@ -78,8 +75,7 @@ async def test_a_browser_that_does_not_read_delays_nobody_and_misses_only_stream
         await stalled.watch("left", "decoded")
         await reading.watch("left", "decoded")
         await subscribed(mosquitto, reading, "left/decoded")
-        address = Mqtt(url=mosquitto.url)
-        async with aiomqtt.Client(address.host, address.port) as client:
+        async with client_of(mosquitto.url) as client:
             for number in range(frames):
                 await client.publish("resonator/left/decoded", bytes((number,)) * size)
                 await reading.frame("live/left/decoded", lambda it, number=number: it[0] == number and len(it) == size)
@@ -160,8 +156,7 @@ async def test_commands_are_those_of_the_list_and_for_plates_that_are_there(mosq
         await tab.frame("live/left/info")
         for plate, verb, code in (("left", "reload", "unknown_verb"), ("right", "tare", "unknown_plate")):
             assert await tab.refusal({"command": {"plate": plate, "verb": verb}}) == code
-        address = Mqtt(url=mosquitto.url)
-        async with aiomqtt.Client(address.host, address.port) as daemon:
+        async with client_of(mosquitto.url) as daemon:
             await daemon.subscribe("resonator/left/cmd/mark")
             mark = {"plate": "left", "verb": "mark", "arguments": {"text": "here"}}
             await tab.socket.send_json({"id": 7, "command": mark})

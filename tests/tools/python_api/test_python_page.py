@@ -7,14 +7,12 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-import aiomqtt
 import numpy as np
 import pytest
-from brokers import Mosquitto
+from brokers import Mosquitto, client_of
 from commanded import commanded, state
 from example_messages import example
 
-from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import Forces, SiteForce
 from resonator_daemon.mqtt.topics import STATE_DAEMON
@@ -50,11 +48,10 @@ async def test_the_examples_of_the_page_run(
     def pong(_: Ping) -> Pong:
         return Pong(t_ns=1, daemon_boot_id="first", uptime_s=60.25)
 
-    at = Mqtt(url=mosquitto.url)
     forces = example(Forces, sites=(example(SiteForce, site=3, force_newton=1.75),))
     async with (
         commanded(mosquitto.url, {"ping": pong}, name="left-index") as daemon,
-        aiomqtt.Client(at.host, at.port) as client,
+        client_of(mosquitto.url) as client,
     ):
         daemon.publisher.publish(daemon.base, STATE_DAEMON, state("online", "measuring"))
         await client.publish(f"{daemon.base}/forces", encode(forces), retain=True)  # until the example has subscribed

@@ -9,26 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 import resonatord
+from export_bench import played, recording
 
-from resonator_daemon.mqtt.codec import decoded
-from resonator_daemon.tools.replay.recorded_pipeline import open_replay
-
-CORPUS = Path(__file__).parents[2] / "corpus"
 LIBRARIES = {"scipy", "numpy", "pydantic", "paho", "aiomqtt", "mcap", "pandas", "xarray"}
-
-
-def recording(case: str) -> Path:
-    return CORPUS / case / "recording.mcap"
-
-
-def published(case: str, path: str) -> list[Any]:
-    with open_replay(recording(case)) as replaying:
-        return [
-            decoded(topic.payload, message)
-            for moment in replaying.moments()
-            for topic, message in moment.messages
-            if topic.path == path
-        ]
 
 
 def loaded_libraries(folder: Path, code: str) -> set[str]:
@@ -47,7 +30,7 @@ def test_the_import_needs_no_library_and_force_sites_no_scipy(tmp_path: Path) ->
 
 def test_forces_are_those_that_are_published() -> None:
     forces = resonatord.load_recording(recording("touches")).forces
-    messages = published("touches", "forces")
+    messages = played("touches").messages("forces")
     assert forces["t_ns"].tolist() == [message.t_ns for message in messages]
     expected = np.full((len(messages), 16), np.nan)
     for row, message in zip(expected, messages, strict=True):
@@ -76,7 +59,7 @@ def test_contacts_have_a_row_each_and_missing_counts_are_masked() -> None:
     contacts = resonatord.load_recording(recording("slide")).contacts
     ids = [
         contact.id if contact else None
-        for message in published("slide", "contacts")
+        for message in played("slide").messages("contacts")
         for contact in message.contacts or (None,)
     ]
     assert None in ids
@@ -89,7 +72,7 @@ def test_contacts_have_a_row_each_and_missing_counts_are_masked() -> None:
 
 def test_maps_of_a_skin_are_loaded_where_asked_for() -> None:
     skin = resonatord.load_recording(recording("skin"), topics=["decoded", "signals"])
-    messages = published("skin", "decoded")
+    messages = played("skin").messages("decoded")
     data = skin.decoded.to_xarray()
     np.testing.assert_array_equal(data.traction_pascal, np.stack([message.traction_pascal for message in messages]))
     assert data.traction_pascal.dims == ("time", "component", "y", "x")
@@ -118,7 +101,7 @@ def test_a_part_lies_between_marks_or_seconds() -> None:
 def test_a_damaged_recording_is_loaded_up_to_the_damage() -> None:
     with pytest.warns(resonatord.RecordingWarning):
         cut_off = resonatord.load_recording(recording("cut-off"))
-    assert cut_off.forces.row_count == len(published("cut-off", "forces"))
+    assert cut_off.forces.row_count == len(played("cut-off").messages("forces"))
     assert len(cut_off.problems) == 1
 
 
