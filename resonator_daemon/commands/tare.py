@@ -13,8 +13,7 @@ from pathlib import Path
 
 from resonator_daemon.base.errors import ConfigurationError, ExitCode
 from resonator_daemon.base.host.text import print_note
-from resonator_daemon.commands.command import print_answer, send_command
-from resonator_daemon.tools.command_line import add_broker, add_daemon, client_of, number
+from resonator_daemon.tools.command_line import add_broker, add_daemon, client_of, number, print_answer, send_command
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -17,8 +17,13 @@ from resonator_daemon.board.session.frames import BoardOnline
 from resonator_daemon.measure.sensors.base import sensor_of
 from resonator_daemon.tools.calibration.load_procedure import Loading, LoadProcedure, Prompt
 from resonator_daemon.tools.calibration.load_readings import CapturedLoads, MultitoneLoads, board_readings
-from resonator_daemon.tools.calibration.outcome import Outcome, fit_loadings
-from resonator_daemon.tools.calibration.outliers import OutlierSite, find_outliers, refuse_unknown_sensitivity
+from resonator_daemon.tools.calibration.outcome import (
+    Outcome,
+    OutlierSite,
+    find_outliers,
+    fit_loadings,
+    refuse_unknown_sensitivity,
+)
 from resonator_daemon.tools.calibration.plate_file import (
     PlateFile,
     Session,

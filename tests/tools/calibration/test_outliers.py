@@ -8,8 +8,7 @@ import pytest
 from emulated_loads import NOMINAL, fitted
 
 from resonator_daemon.tools.calibration.load_procedure import Loading, LoadProcedure
-from resonator_daemon.tools.calibration.outcome import Outcome
-from resonator_daemon.tools.calibration.outliers import OutlierSite, find_outliers, refuse_unknown_sensitivity
+from resonator_daemon.tools.calibration.outcome import Outcome, OutlierSite, find_outliers, refuse_unknown_sensitivity
 from resonator_daemon.tools.calibration.steps import STANDARD_GRAVITY, CalibrationRefusedError, LoadRequest, plan_steps
 
 ONE = LoadRequest(sites=(1,))
