@@ -1,4 +1,4 @@
-"""The configurations of docs/how-to/dashboards.md for Telegraf and Node-RED, on messages of the contract.
+"""The configurations of docs/examples/dashboards for Telegraf and Node-RED, on messages of the contract.
 
 `make test-dashboards` installs Node-RED in build/dashboards. Debian has no package of Telegraf:
 json_v2.go reads its configuration instead, with the library that Telegraf reads paths with.
@@ -7,7 +7,6 @@ json_v2.go reads its configuration instead, with the library that Telegraf reads
 import asyncio
 import json
 import os
-import re
 import subprocess
 import tomllib
 from pathlib import Path
@@ -23,9 +22,9 @@ from resonator_daemon.mqtt.payloads import Condition, Status
 
 HERE = Path(__file__).parent
 TOOLS = HERE.parents[1] / "build" / "dashboards"
-PAGE = (HERE.parents[1] / "docs" / "how-to" / "dashboards.md").read_text()
-TELEGRAF = tomllib.loads(re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)[0])
-FLOW = re.findall(r"```json\n(.*?)```", PAGE, re.DOTALL)[0]
+EXAMPLES_DIR = HERE.parents[1] / "docs" / "examples" / "dashboards"
+TELEGRAF = tomllib.loads((EXAMPLES_DIR / "telegraf.conf").read_text())
+FLOW = (EXAMPLES_DIR / "node-red.json").read_text()
 GO = {"GO111MODULE": "off", "GOPATH": "/usr/share/gocode", "GOCACHE": str(TOOLS / "go-cache")}
 
 

@@ -11,4 +11,4 @@ PAGE = configuration_tables.PAGE.read_text()
 
 def test_example_and_keys_are_those_of_the_models() -> None:
     assert configuration_tables.with_tables(PAGE) == PAGE, "python docs/tables/configuration_tables.py writes them"
-    assert len(re.findall(r"^\| `", PAGE, re.MULTILINE)) == len(config_keys())
+    assert len(re.findall(r"^- `[\w.]+` \(", PAGE, re.MULTILINE)) == len(config_keys())

@@ -136,6 +136,9 @@ def test_every_metric_of_the_dashboard_exists() -> None:
 
 def test_the_page_lists_every_metric_and_no_other() -> None:
     page = (DOCS / "how-to" / "monitor.md").read_text()
-    listed = set(re.findall(r"^\| `((?:resonatord|process)_[a-z_]+)", page, re.MULTILINE))
+    listed = set(re.findall(r"^- `((?:resonatord|process)_[a-z_]+)", page, re.MULTILINE))
     assert listed == there_are()
     assert named_in(page) - {"resonatord_latency_seconds"} <= there_are()
+    alerts = named_in((DOCS / "grafana" / "alerts.yaml").read_text())
+    assert len(alerts) > 5
+    assert alerts <= there_are()
