@@ -21,10 +21,11 @@ from threadpoolctl import threadpool_limits
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.estimate.elastic import HalfSpace
-from resonator_daemon.estimate.surface import FourierDecoder, OpenPlaneDecoder
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDecoder
 from resonator_daemon.estimate.surface.decoder_setup import set_up
+from resonator_daemon.estimate.surface.fourier.decoder import FourierDecoder
+from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Prior, Skin
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder
 from simulators.contact import hertz_parts, pixel_tractions

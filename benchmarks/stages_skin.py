@@ -13,11 +13,11 @@ from stages import Stage, Work
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.estimate.elastic.contact import paraboloid, press
 from resonator_daemon.estimate.elastic.influence import SurfaceCompliance, Z
-from resonator_daemon.estimate.surface import OpenPlaneDecoder
 from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDecoder
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
 from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart
 from resonator_daemon.estimate.surface.fitting.slip_fitter import SlipWatch
+from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder
 

@@ -5,8 +5,10 @@ from numpy.typing import ArrayLike, NDArray
 from scene import BODY, COUNT, DEPTH_M, FRICTION, PITCH_M, SITES_M
 from scipy import fft
 
-from resonator_daemon.estimate.elastic import SpectralGrid, SurfaceFields
-from resonator_daemon.estimate.surface import ContactDecoder, OpenPlaneDecoder
+from resonator_daemon.estimate.elastic.fields import SurfaceFields
+from resonator_daemon.estimate.elastic.grid import SpectralGrid
+from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDecoder
+from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -17,8 +17,9 @@ from matplotlib.path import Path as Curve
 from numpy.typing import NDArray
 
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.estimate.elastic import HalfSpace
-from resonator_daemon.estimate.surface import ContactDecoder, OpenPlaneDecoder
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
+from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDecoder
+from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder
 from simulators.contact import hertz_parts, point_tractions, pressed_signals
 from simulators.pressing import RADIUS_M_AT_1_NEWTON
 from simulators.skin_plate import GAIN_ERROR, SIGNAL_TO_NOISE_DB

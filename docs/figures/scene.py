@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from resonator_daemon.estimate.elastic import HalfSpace, SurfaceFields
+from resonator_daemon.estimate.elastic.fields import SurfaceFields
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from simulators.contact import pixel_tractions
 from simulators.half_space_fields import hertz_fields
 

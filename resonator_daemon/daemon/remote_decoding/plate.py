@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.skin import Prior, Skin
 from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame
 from resonator_daemon.mqtt.codec import decode

@@ -6,7 +6,7 @@ from typing import Final, Literal
 import numpy as np
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.layout import as_grid, diagonal_m, refuse_duplicates
 
 _SITES_MIN: Final = 3  # with three signals each, more than the six unknowns of a contact

@@ -8,7 +8,7 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.compatibility import oscillator_hz
 from resonator_daemon.board.session.frames import BoardOnline, ChannelisedFrame, Frame, variance_of
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.forces.readings import SkinReading
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Prior, Skin, refuse_undecodable
 from resonator_daemon.estimate.tones.tone_detector import MultitoneDetector, ToneDetector

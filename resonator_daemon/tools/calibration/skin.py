@@ -16,7 +16,7 @@ from resonator_daemon.base.host.text import print_note
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import Skin
 from resonator_daemon.board.config import Config, load_config
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.open_plane.prior_fit import PriorFit, fit_prior, has_load
 from resonator_daemon.estimate.surface.skin import DEFAULT_PRIOR
 from resonator_daemon.mqtt.payloads import Signals

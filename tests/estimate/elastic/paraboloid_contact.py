@@ -3,8 +3,8 @@
 import numpy as np
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.elastic.friction import FrictionalContact
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
 
 SIDE_M, A_M, R_M, G_PASCAL = 12.8e-3, 2.5e-3, 20e-3, 7e4

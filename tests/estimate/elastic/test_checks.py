@@ -5,20 +5,16 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from resonator_daemon.estimate.elastic import (
-    FrictionalContact,
-    HalfSpace,
-    MixedBoundary,
-    NotConvergedError,
-    SensorArray,
-    SensorSet,
-    SpectralGrid,
-    SurfaceCompliance,
-    SurfaceFields,
-    press,
-    solve_regions,
-)
-from resonator_daemon.estimate.elastic.contact import paraboloid
+from resonator_daemon.estimate.elastic.constrained import NotConvergedError
+from resonator_daemon.estimate.elastic.contact import paraboloid, press
+from resonator_daemon.estimate.elastic.fields import SurfaceFields
+from resonator_daemon.estimate.elastic.friction import FrictionalContact
+from resonator_daemon.estimate.elastic.grid import SpectralGrid
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
+from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
+from resonator_daemon.estimate.elastic.mixed import MixedBoundary, solve_regions
+from resonator_daemon.estimate.elastic.sensor_resolution import SensorArray
+from resonator_daemon.estimate.elastic.sensor_sets import SensorSet
 
 BODY = HalfSpace(2e5, 0.3)
 PITCH = 1e-3

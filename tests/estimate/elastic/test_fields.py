@@ -7,9 +7,8 @@ import pytest
 from scipy.special import erf
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.elastic.fields import Method, SurfaceFields
-from resonator_daemon.estimate.elastic.half_space import Input, Output
+from resonator_daemon.estimate.elastic.half_space import HalfSpace, Input, Output
 from simulators.contact import pixel_tractions
 from simulators.half_space_fields import hertz_fields
 

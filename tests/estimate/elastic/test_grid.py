@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import fft
 
-from resonator_daemon.estimate.elastic import HalfSpace, SpectralGrid
+from resonator_daemon.estimate.elastic.grid import SpectralGrid
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 
 E = 2.0e5
 

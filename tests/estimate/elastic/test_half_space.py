@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from boundary_value_problem import BoundaryValueProblem, mp
 
-from resonator_daemon.estimate.elastic import Convention, HalfSpace
-from resonator_daemon.estimate.elastic.half_space import Input, Output
+from resonator_daemon.estimate.elastic.half_space import Convention, HalfSpace, Input, Output
 from resonator_daemon.estimate.elastic.transfer_matrices import MATRICES
 
 POISSON = [-0.7, 0.0, 0.3, 0.49, 0.5]

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
 
 E = 2.0e5

@@ -8,7 +8,8 @@ from boundary_value_problem import BoundaryValueProblem, mp
 from dense_surface import dense_compliance
 
 from resonator_daemon.base.arrays import Complexes, Floats
-from resonator_daemon.estimate.elastic import HalfSpace, SpectralGrid
+from resonator_daemon.estimate.elastic.grid import SpectralGrid
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
 from resonator_daemon.estimate.elastic.mixed import MixedBoundary, Quantity, RegionSolution, solve_regions
 

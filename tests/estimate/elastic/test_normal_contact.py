@@ -5,8 +5,8 @@ import pytest
 from scipy.optimize import nnls
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic import HalfSpace
 from resonator_daemon.estimate.elastic.contact import NormalContact, flat_punch, paraboloid, press, relief, sphere
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
 from simulators.contact import pixel_tractions
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from candidate_sets import CANDIDATES
 
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.elastic.sensor_resolution import LOADS, Load, SensorArray
 from resonator_daemon.estimate.elastic.sensor_sets import SensorSet
 

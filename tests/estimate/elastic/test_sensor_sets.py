@@ -7,7 +7,7 @@ import pytest
 from candidate_sets import CANDIDATES
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.elastic.sensor_sets import COMPONENTS, SensorSet
 
 E = 2.0e5

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic import HalfSpace
-from resonator_daemon.estimate.surface import Decoded, FourierDecoder
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
+from resonator_daemon.estimate.surface.decoded import Decoded
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
+from resonator_daemon.estimate.surface.fourier.decoder import FourierDecoder
 from simulators.contact import hertz_parts, pixel_tractions
 from simulators.half_space_fields import hertz_fields
 

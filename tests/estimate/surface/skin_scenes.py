@@ -4,7 +4,7 @@ import numpy as np
 from contact_scenes import DEPTH_M, NU, E, contact_signals, grid_positions
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.skin import Skin
 
 SHAPE = NY, NX = 12, 24

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from contact_scenes import DEPTH_M, PITCH_M, E, centred_noise, grid_positions, scene
 
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.contact_physics import decoder as decoder_module
 from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDecoder
 from resonator_daemon.estimate.surface.contact_physics.support_search import SupportSearch

@@ -5,7 +5,7 @@ import pytest
 from contact_scenes import DEPTH_M, NU, SITES_M, E, disc_model, hertz
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
 
 

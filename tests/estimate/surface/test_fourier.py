@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from contact_scenes import DEPTH_M, PITCH_M, E, Scene, fourier_decoder, grid_scene, noise_std
 
-from resonator_daemon.estimate.elastic import HalfSpace
-from resonator_daemon.estimate.surface import Decoded, FourierDecoder
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
+from resonator_daemon.estimate.surface.decoded import Decoded
+from resonator_daemon.estimate.surface.fourier.decoder import FourierDecoder
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,9 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from resonator_daemon.base.arrays import Complexes, Floats
-from resonator_daemon.estimate.elastic import HalfSpace, SpectralGrid
-from resonator_daemon.estimate.surface import FourierDecoder
+from resonator_daemon.estimate.elastic.grid import SpectralGrid
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
+from resonator_daemon.estimate.surface.fourier.decoder import FourierDecoder
 from resonator_daemon.estimate.surface.fourier.spectra import prior_root
 from resonator_daemon.estimate.surface.skin import Prior
 

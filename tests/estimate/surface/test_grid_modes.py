@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.layout import Grid
 from resonator_daemon.estimate.surface.open_plane.decoder import SiteCovariance
 from resonator_daemon.estimate.surface.open_plane.estimate_power import CLASSES, FIELDS

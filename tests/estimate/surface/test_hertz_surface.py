@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.fitting.parametric_decoder import hertz_displacement, hertz_traction
 
 RADIUS_M = 1.7e-3

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from contact_scenes import DEPTH_M, E, Scene, centred_noise, grid_positions, scene
 
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder, SiteCovariance
 from resonator_daemon.estimate.surface.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.estimate.surface.skin import Prior

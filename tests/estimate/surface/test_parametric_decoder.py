@@ -8,7 +8,7 @@ from contact_scenes import NU, E, contact_signals
 from scipy.stats import norm
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.fitting.parametric_decoder import ParametricDecoder, sparse_reason
 from resonator_daemon.estimate.surface.patches import Patch
 

@@ -7,7 +7,7 @@ import pytest
 from contact_scenes import DEPTH_M, NU, SITES_M, Contact, E, disc_model, noise_std, noisy
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
 from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart, Friction, PartialSlip, stick_ratio
 from resonator_daemon.estimate.surface.fitting.slip_fitter import fit_partial_slip

@@ -5,7 +5,7 @@ import pytest
 from contact_scenes import DEPTH_M, E, grid_positions
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.estimate.surface.open_plane.prior_fit import fit_prior, has_load
 from resonator_daemon.estimate.surface.skin import Prior

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import jv
 
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.estimate.surface.skin import Prior
 

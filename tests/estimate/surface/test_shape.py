@@ -5,7 +5,7 @@ import pytest
 from contact_scenes import DEPTH_M, NU, SITES_M, Contact, E, disc_model, hertz, noise_std, noisy
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart
 from resonator_daemon.estimate.surface.fitting.shape import ShapeFitter
 from resonator_daemon.estimate.surface.fitting.slip_fitter import fit_partial_slip

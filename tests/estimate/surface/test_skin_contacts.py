@@ -9,8 +9,9 @@ from contact_scenes import DEPTH_M, FRICTION, NU, E
 from skin_scenes import NOISE, RADIUS_M, SITES, SITES_M, SKIN, noisy, press
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.surface import ContactDecoder, OpenPlaneDecoder
+from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDecoder
 from resonator_daemon.estimate.surface.layout import cell_areas_m2
+from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.estimate.surface.patches import PatchFinder
 from resonator_daemon.estimate.surface.skin import Skin
 from resonator_daemon.estimate.surface.skin_contacts import SkinContact, SkinContacts, SkinEvent

@@ -11,8 +11,9 @@ from skin_scenes import SITES_M, noisy, press
 from skin_scenes import SKIN as SKIN_LONG
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic import HalfSpace
-from resonator_daemon.estimate.surface import FourierDecoder, OpenPlaneDecoder
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
+from resonator_daemon.estimate.surface.fourier.decoder import FourierDecoder
+from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Prior, Skin
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 

@@ -12,8 +12,9 @@ from skin_scenes import noisy, press
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.estimate.elastic import HalfSpace
-from resonator_daemon.estimate.surface import Decoded, decoder_setup
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
+from resonator_daemon.estimate.surface import decoder_setup
+from resonator_daemon.estimate.surface.decoded import Decoded
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.surface.skin_contacts import SkinEvent
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder, SurfaceReading

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.elastic.sensor_resolution import SensorArray
 from resonator_daemon.estimate.elastic.sensor_sets import SensorSet
 from resonator_daemon.extensions.planning.sensor_plan import FEATURES_M, SensorPlan

@@ -10,7 +10,7 @@ from decoder_bench import BOOT, NOISE, NU, PITCH_M, SITES, SITES_M, T_NS, E, Flo
 from observer import running_task
 
 from resonator_daemon.base.reasons import Reason
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame, SurfaceSettings

@@ -12,7 +12,8 @@ from scipy import fft
 from scipy.spatial import Delaunay, QhullError
 
 from resonator_daemon.base.arrays import Bools, ComplexSingles, Floats, Indices, Singles
-from resonator_daemon.estimate.elastic import HalfSpace, SurfaceCompliance
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
+from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
 from resonator_daemon.estimate.surface.layout import as_grid
 
 _PITCH_DEPTHS = 0.4  # finer pixels than this cannot be distinguished at depth

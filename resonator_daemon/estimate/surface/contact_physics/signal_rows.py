@@ -10,7 +10,7 @@ from numpy.lib.stride_tricks import as_strided
 from scipy.linalg import cholesky, solve_triangular
 
 from resonator_daemon.base.arrays import Bools, Floats, Singles
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.contact_physics.pixels import PixelLattice
 from resonator_daemon.estimate.surface.layout import as_grid
 from resonator_daemon.estimate.surface.open_plane.prior_tables import Kernel, StationaryPrior

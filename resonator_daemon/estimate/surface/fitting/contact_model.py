@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.special import j0, j1
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.decoded import positions, positive
 from resonator_daemon.estimate.surface.fitting.slip_signals import SlipSignals
 from resonator_daemon.estimate.surface.layout import diagonal_m

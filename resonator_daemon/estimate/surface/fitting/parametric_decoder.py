@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from resonator_daemon.base.arrays import Bools, Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.decoded import (
     GAIN_FLOOR,
     KNOWN_LIMIT,

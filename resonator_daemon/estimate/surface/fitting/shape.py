@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.decoded import SIGNAL_LIMIT
 from resonator_daemon.estimate.surface.fitting.contact_fit import Fit, fit
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel

@@ -21,7 +21,8 @@ from numpy.typing import ArrayLike
 
 from resonator_daemon.base.arrays import Bools, Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.estimate.elastic import HalfSpace, SpectralGrid
+from resonator_daemon.estimate.elastic.grid import SpectralGrid
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.decoded import (
     CHI2_LIMIT,
     KNOWN_LIMIT,

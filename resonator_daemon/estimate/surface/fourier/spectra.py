@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from resonator_daemon.base.arrays import Complexes, Floats
-from resonator_daemon.estimate.elastic import SpectralGrid
+from resonator_daemon.estimate.elastic.grid import SpectralGrid
 from resonator_daemon.estimate.surface.skin import Prior
 
 Spectra = Callable[[Floats, Floats], NDArray[np.inexact[Any]]]

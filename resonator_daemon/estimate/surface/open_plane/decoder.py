@@ -10,7 +10,7 @@ from scipy.interpolate import BarycentricInterpolator
 from scipy.spatial.distance import cdist
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.decoded import Decoded, check_gain, noise_of_signals, positions, positive
 from resonator_daemon.estimate.surface.layout import as_grid, at_border, refuse_duplicates
 from resonator_daemon.estimate.surface.open_plane.grid_modes import LEVELS, GridCovariance, GridModes

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from resonator_daemon.base.arrays import Bools, Floats, Indices
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.decoded import SIGNAL_LIMIT, noise_of_signals
 from resonator_daemon.estimate.surface.layout import as_grid
 from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder

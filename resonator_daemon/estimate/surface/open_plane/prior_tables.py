@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import j0, j1
 
 from resonator_daemon.base.arrays import Complexes, Floats, Indices
-from resonator_daemon.estimate.elastic import HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.skin import Prior
 
 Field = Literal["sensor", "traction", "displacement"]

@@ -1,23 +1,15 @@
 """Elastic half-space in the domain of spatial frequency: transfer matrices, fields, contact with friction."""
 
-from resonator_daemon.estimate.elastic import (
-    Convention,
-    FrictionalContact,
-    HalfSpace,
-    MixedBoundary,
-    NotConvergedError,
-    SensorArray,
-    SensorSet,
-    SpectralGrid,
-    SurfaceCompliance,
-    SurfaceFields,
-    flat_punch,
-    paraboloid,
-    press,
-    relief,
-    solve_regions,
-    sphere,
-)
+from resonator_daemon.estimate.elastic.constrained import NotConvergedError
+from resonator_daemon.estimate.elastic.contact import flat_punch, paraboloid, press, relief, sphere
+from resonator_daemon.estimate.elastic.fields import SurfaceFields
+from resonator_daemon.estimate.elastic.friction import FrictionalContact
+from resonator_daemon.estimate.elastic.grid import SpectralGrid
+from resonator_daemon.estimate.elastic.half_space import Convention, HalfSpace
+from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
+from resonator_daemon.estimate.elastic.mixed import MixedBoundary, solve_regions
+from resonator_daemon.estimate.elastic.sensor_resolution import SensorArray
+from resonator_daemon.estimate.elastic.sensor_sets import SensorSet
 
 __all__ = [
     "Convention",
