@@ -41,6 +41,7 @@ from firmware_protocol.messages import (
 from firmware_protocol.packets import MAX_PACKET_BYTES, SYNC, Packet, PacketDecoder, encode_packet
 from firmware_protocol.states import HostState
 from resonator_daemon.daemon.service.command_handlers import SNAPSHOT_BYTES_MAX
+from resonator_daemon.mqtt.codec import Incoming, Outgoing
 from resonator_daemon.mqtt.commands import (
     AT_ONCE,
     CORRELATION_BYTES_MAX,
@@ -49,7 +50,6 @@ from resonator_daemon.mqtt.commands import (
     WAITING_MAX,
     Commands,
 )
-from resonator_daemon.mqtt.packets import Incoming, Outgoing
 from resonator_daemon.mqtt.verbs import ID_LENGTH_MAX, VERBS, ErrorCode
 
 IDENTITY = Identity("fuzzed", "0042", "1.0", 0, credit_bytes=256)

@@ -23,7 +23,7 @@ import numpy as np
 
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.config.tables import Measurement
-from resonator_daemon.mqtt.receiver import Arrival
+from resonator_daemon.mqtt.subscriber import Arrival
 from resonator_daemon.mqtt.topics import DECODED, FORCES, full_topic
 from resonator_daemon.tools.demo.processes import local_broker, raise_if_ended, start_daemon, start_emulator
 from resonator_daemon.tools.demo.subscription import Subscription

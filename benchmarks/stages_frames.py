@@ -37,9 +37,8 @@ from resonator_daemon.estimate.tones.tone_detector import capture_band_hz
 from resonator_daemon.estimate.tones.tone_windows import ToneWindows
 from resonator_daemon.measure.sensors.plate_sites import force_sites
 from resonator_daemon.measure.sensors.single_tone_processing import SingleToneProcessing
-from resonator_daemon.mqtt.codec import encode
+from resonator_daemon.mqtt.codec import Outgoing, encode
 from resonator_daemon.mqtt.message_examples import EXAMPLES
-from resonator_daemon.mqtt.packets import Outgoing
 from resonator_daemon.mqtt.payloads import Forces, Lost
 from resonator_daemon.mqtt.publisher import Publisher
 from resonator_daemon.mqtt.topics import Topic

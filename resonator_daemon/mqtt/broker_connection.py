@@ -16,8 +16,9 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt import connecting
 from resonator_daemon.mqtt.broker_limits import BrokerLimits, limits_of
+from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.connecting import BrokerError, make_tls
-from resonator_daemon.mqtt.packets import Incoming, PackedProperties, pack
+from resonator_daemon.mqtt.packets import PackedProperties, pack
 
 MQTT_5: Final = MQTTProtocolVersion.MQTTv5
 NO_SUBSCRIBERS: Final = 0x10  # reason codes of MQTT 5

@@ -22,6 +22,26 @@ _DIMENSIONS_MAX: Final = 3
 MessageT = TypeVar("MessageT", bound=Message)
 
 
+class Incoming(NamedTuple):
+    """A message as it came; the last two are MQTT 5's, None where the sender gave none."""
+
+    topic: str
+    payload: bytes
+    retained: bool
+    response_topic: str | None
+    correlation: bytes | None
+
+
+class Outgoing(NamedTuple):
+    """A message on its way, QoS 1; the correlation data go with MQTT 5 alone."""
+
+    topic: str
+    payload: bytes
+    correlation: bytes | None = None
+    retained: bool = False
+    expiry_s: int | None = None
+
+
 class Encoded(NamedTuple):
     """A measured message in its encoded form."""
 

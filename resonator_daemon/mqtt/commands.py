@@ -17,8 +17,8 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from resonator_daemon.base.toml import nearest
+from resonator_daemon.mqtt.codec import Incoming, Outgoing
 from resonator_daemon.mqtt.pacing import TokenBucket
-from resonator_daemon.mqtt.packets import Incoming, Outgoing
 from resonator_daemon.mqtt.verbs import (
     UNKNOWN,
     VERBS,

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.pacing import TokenBucket
-from resonator_daemon.mqtt.packets import Incoming
 from resonator_daemon.mqtt.payloads import Condition, State
 from resonator_daemon.mqtt.topics import HeaderFields
 

@@ -1,37 +1,16 @@
-"""Messages as clients take and give them, and what is packed once for all messages of a topic.
+"""What is packed once for all messages of a topic: the library would pack properties and headers again for each.
 
-The library would pack properties and headers again for each. Packets are those of MQTT 5, section 3.3.
+Packets are those of MQTT 5, section 3.3.
 """
 
 from functools import cache
-from typing import Final, NamedTuple
+from typing import Final
 
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.topics import JSON, SCHEMA_VERSION, Topic
-
-
-class Incoming(NamedTuple):
-    """A message as it came; the last two are MQTT 5's, None where the sender gave none."""
-
-    topic: str
-    payload: bytes
-    retained: bool
-    response_topic: str | None
-    correlation: bytes | None
-
-
-class Outgoing(NamedTuple):
-    """A message on its way, QoS 1; the correlation data go with MQTT 5 alone."""
-
-    topic: str
-    payload: bytes
-    correlation: bytes | None = None
-    retained: bool = False
-    expiry_s: int | None = None
-
 
 _TEXT: Final = 1  # payload format indicator: UTF-8
 _PUBLISH: Final = PacketTypes.PUBLISH << 4  # QoS 0, not retained

@@ -16,12 +16,12 @@ from paho.mqtt.packettypes import PacketTypes
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes, Will
 from resonator_daemon.mqtt.broker_limits import BrokerLimits
-from resonator_daemon.mqtt.codec import Encoded, encode
+from resonator_daemon.mqtt.codec import Encoded, Incoming, Outgoing, encode
 from resonator_daemon.mqtt.event_log import EventPage
 from resonator_daemon.mqtt.message_account import Account, Cause
 from resonator_daemon.mqtt.outbox import Outbox, Packet
 from resonator_daemon.mqtt.pacing import Decimator
-from resonator_daemon.mqtt.packets import Incoming, Outgoing, StreamPackets, pack, properties_of
+from resonator_daemon.mqtt.packets import StreamPackets, pack, properties_of
 from resonator_daemon.mqtt.payloads import ContactEvent, Header, Message, MessageAccount
 from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
 from resonator_daemon.mqtt.retained_topics import RetainedTopics

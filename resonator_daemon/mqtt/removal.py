@@ -13,7 +13,7 @@ from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.base.reasons import Condition
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import BrokerConnection
-from resonator_daemon.mqtt.packets import Incoming
+from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
 from resonator_daemon.mqtt.requests import BrokerUnreachableError, DeniedError, reach
 from resonator_daemon.mqtt.topics import STATE_DAEMON, full_topic

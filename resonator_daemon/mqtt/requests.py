@@ -14,7 +14,7 @@ from resonator_daemon.board.config.clients import Client
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, BrokerConnection
-from resonator_daemon.mqtt.packets import Incoming
+from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.payloads import Condition, Info, State
 from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
 from resonator_daemon.mqtt.subscriber import subscribe

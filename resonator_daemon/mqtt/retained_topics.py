@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
-from resonator_daemon.mqtt.packets import Incoming
+from resonator_daemon.mqtt.codec import Incoming
 
 PAUSES_S: Final = (0.0, 5.0, 30.0, 60.0)  # before the first, second, ... restoration of a topic; the last pause repeats
 QUIET_S: Final = 120.0  # without a restoration, after which the pauses begin again

@@ -1,22 +1,32 @@
-"""Receives messages of every plate below a prefix, across restarts of the broker."""
+"""Receives messages of every plate below a prefix, across restarts of the broker, in a thread of its own.
+
+A busy consumer does not delay the times of arrival.
+"""
 
 import asyncio
 import logging
+import threading
 import time
+import uuid
 from collections import deque
-from collections.abc import AsyncGenerator, Callable, Collection
+from collections.abc import AsyncGenerator, Callable, Collection, Mapping, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from typing import Final, NamedTuple
 
+from paho.mqtt.client import topic_matches_sub
+from paho.mqtt.enums import MQTTProtocolVersion
 from pydantic import ValidationError
 
 from resonator_daemon.base.host.text import printable
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.mqtt.codec import decode
+from resonator_daemon.mqtt.broker_connection import BrokerConnection
+from resonator_daemon.mqtt.codec import Incoming, decode
 from resonator_daemon.mqtt.payloads import Message
-from resonator_daemon.mqtt.receiver import Arrival, Receiver
+from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
 from resonator_daemon.mqtt.topics import TOPICS, Topic, full_topic, split_topic
 
+END_TIMEOUT_S: Final = 2.0  # an attempt to connect cannot be cancelled
 STREAM_AGE_MAX_S: Final = 0.25  # of a message of a stream, where the same topic has a newer one
 STREAM_WAITING_MAX: Final = 1024  # the oldest are dropped
 OTHERS_WAITING_MAX: Final = 65_536  # bounds the memory where a consumer never reads
@@ -24,10 +34,129 @@ OTHERS_WAITING_MAX: Final = 65_536  # bounds the memory where a consumer never r
 EVERY_PLATE: Final = "+"  # MQTT's wildcard
 
 _REASON_MAX: Final = 200  # characters
+_TOPICS_MAX: Final = 1024  # that are remembered
+_BY_PATH: Final = TOPICS | {topic.slow_path: topic for topic in TOPICS.values() if topic.slow_hz is not None}
 
 log = logging.getLogger(__name__)
 
-_BY_PATH: Final = TOPICS | {topic.slow_path: topic for topic in TOPICS.values() if topic.slow_hz is not None}
+
+class Arrival(NamedTuple):
+    """A message and its time of arrival, UTC."""
+
+    topic: str
+    payload: bytes
+    arrived_ns: int
+
+
+class Receiver:
+    """Subscription to topics of a broker, across its restarts, from `start` to `close`.
+
+    Parameters
+    ----------
+    broker
+        Where to connect.
+    connections
+        For each connection its topic filters and their QoS. Connections are opened, and filters requested, in this
+        order: when a message of the last filter has arrived, all others are subscribed.
+    on_arrival
+        Called in the receiving thread with each message. It must return at once.
+    on_end
+        Called in the receiving thread when that ends without `close`, which is a defect; `close` raises it.
+    """
+
+    def __init__(
+        self,
+        broker: Mqtt,
+        connections: Sequence[Mapping[str, int]],
+        on_arrival: Callable[[Arrival], None],
+        on_end: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._broker = broker
+        self._connections = connections
+        self._on_arrival = on_arrival
+        self._on_end = on_end
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._closing: asyncio.Future[None] | None = None
+        self._defect: BaseException | None = None
+        self._reported = ""
+        self._ready = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="receiver", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread; returns when its event loop runs."""
+        self._thread.start()
+        self._ready.wait()
+
+    async def close(self) -> None:
+        """Disconnect; raise the defect that ended the thread, if one did."""
+        if self._loop is not None and self._closing is not None:
+            with suppress(RuntimeError):  # it has ended already
+                self._loop.call_soon_threadsafe(_finish, self._closing)
+            await asyncio.to_thread(self._thread.join, END_TIMEOUT_S)
+        if self._defect is not None:
+            raise self._defect
+
+    def _run(self) -> None:
+        try:
+            asyncio.run(self._receive())
+        except Exception as error:  # noqa: BLE001 - `close` raises it
+            self._defect = error
+        self._ready.set()
+        self._on_end()
+
+    async def _receive(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        closing = self._closing = self._loop.create_future()
+        self._ready.set()
+        before: asyncio.Future[None] | None = None
+        keeping = []
+        for filters in self._connections:
+            subscribed: asyncio.Future[None] = self._loop.create_future()
+            keeping.append(self._keep(filters, before, subscribed, closing))
+            before = subscribed
+        await asyncio.gather(*keeping)
+
+    async def _keep(
+        self,
+        filters: Mapping[str, int],
+        before: asyncio.Future[None] | None,
+        subscribed: asyncio.Future[None],
+        closing: asyncio.Future[None],
+    ) -> None:
+        """Keep one connection, from when the one before it has subscribed for the first time."""
+
+        @lru_cache(_TOPICS_MAX)
+        def requested(topic: str) -> bool:  # amqtt delivers retained messages of other topics, too
+            return any(topic_matches_sub(topic_filter, topic) for topic_filter in filters)
+
+        def receive(message: Incoming) -> None:
+            if requested(message.topic):
+                self._on_arrival(Arrival(message.topic, message.payload, time.time_ns()))
+
+        def make_connection(version: MQTTProtocolVersion) -> BrokerConnection:
+            # amqtt takes connections without an identifier for a single client
+            return BrokerConnection(self._broker, version, identifier=uuid.uuid4().hex, on_message=receive)
+
+        async def serve(connection: BrokerConnection, _at_once: bool) -> None:
+            await asyncio.wait([connection.subscribe(*each) for each in filters.items()])
+            _finish(subscribed)
+            await asyncio.wait([connection.lost])
+
+        if before is not None:
+            await asyncio.wait([before, closing], return_when=asyncio.FIRST_COMPLETED)
+        session = connection_session(make_connection, serve, closing)
+        await keep_connected(self._broker, session, closing, report=self._report)
+
+    def _report(self, level: int, text: str) -> None:
+        """Log a change of the connections, once where it is the same of all."""
+        if text != self._reported:
+            log.log(level, "%s", text)
+        self._reported = text
+
+
+def _finish(future: asyncio.Future[None]) -> None:
+    if not future.done():
+        future.set_result(None)
 
 
 class Received(NamedTuple):

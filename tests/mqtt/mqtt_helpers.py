@@ -16,8 +16,7 @@ from sample_messages import Messages as Messages
 
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import ConnectionTimes
-from resonator_daemon.mqtt.codec import encode
-from resonator_daemon.mqtt.packets import Outgoing
+from resonator_daemon.mqtt.codec import Outgoing, encode
 from resonator_daemon.mqtt.publisher import Publisher, Subscription
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, STATE_DAEMON
 

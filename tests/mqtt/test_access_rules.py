@@ -17,8 +17,8 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, BrokerConnection, Will
+from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.connecting import BrokerError
-from resonator_daemon.mqtt.packets import Incoming
 from resonator_daemon.mqtt.topics import TOPICS
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "mosquitto"

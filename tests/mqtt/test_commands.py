@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from mqtt_helpers import until
 
+from resonator_daemon.mqtt.codec import Incoming, Outgoing
 from resonator_daemon.mqtt.commands import (
     AT_ONCE,
     REFUSALS_AT_ONCE,
@@ -17,7 +18,6 @@ from resonator_daemon.mqtt.commands import (
     Commands,
     Handler,
 )
-from resonator_daemon.mqtt.packets import Incoming, Outgoing
 from resonator_daemon.mqtt.verbs import Answer, Identify, IdentifyAnswer, Mark, MarkAnswer, Ping, Pong, Tare
 
 BASE = "resonator/left"

@@ -10,7 +10,7 @@ from mqtt_helpers import QUICK, publishing, said, scripted_broker, until
 
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection
-from resonator_daemon.mqtt.packets import Incoming
+from resonator_daemon.mqtt.codec import Incoming
 
 
 async def test_the_version_is_asked_for_without_name_password_and_will_which_old_brokers_misread() -> None:

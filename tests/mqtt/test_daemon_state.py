@@ -6,8 +6,8 @@ import pytest
 from observer import skipping
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.daemon_state import SILENT_S, DaemonSnapshot, DaemonState
-from resonator_daemon.mqtt.packets import Incoming
 from resonator_daemon.mqtt.payloads import Condition
 
 MEASURING = Reason(ReasonCode.MEASURING, "measuring")

@@ -9,9 +9,8 @@ from mqtt_helpers import IMPATIENT, LEFT, Messages, assert_exact, publishing, sc
 from observer import observe
 
 from resonator_daemon.mqtt import outbox, topics
-from resonator_daemon.mqtt.codec import Encoded
+from resonator_daemon.mqtt.codec import Encoded, Outgoing
 from resonator_daemon.mqtt.event_log import IN_MEMORY_MAX
-from resonator_daemon.mqtt.packets import Outgoing
 
 ONLINE = Messages.state("online", "all is well")
 

@@ -7,7 +7,7 @@ from mqtt_helpers import LEFT, Messages, publishing, until
 from observer import observe, skipping
 
 from resonator_daemon.mqtt import topics
-from resonator_daemon.mqtt.packets import Incoming
+from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.publisher import Subscription
 from resonator_daemon.mqtt.retained_topics import QUIET_S, RetainedTopics
 

@@ -16,8 +16,7 @@ from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt import subscriber, topics
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import Message
-from resonator_daemon.mqtt.receiver import Arrival
-from resonator_daemon.mqtt.subscriber import Received, subscribe
+from resonator_daemon.mqtt.subscriber import Arrival, Received, subscribe
 
 
 async def next_of(received: AsyncIterator[Received], path: str) -> Received:

@@ -7,7 +7,7 @@ from relay import relay
 
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt import topics
-from resonator_daemon.mqtt.packets import Incoming
+from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.publisher import Subscription
 
 ONLINE = Messages.state("online", "all is well")

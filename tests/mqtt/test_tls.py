@@ -18,8 +18,9 @@ from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import BrokerConnection
+from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.connecting import make_tls
-from resonator_daemon.mqtt.packets import Incoming, StreamPackets, pack
+from resonator_daemon.mqtt.packets import StreamPackets, pack
 from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
 from resonator_daemon.mqtt.requests import reach
 

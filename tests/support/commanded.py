@@ -7,8 +7,8 @@ from contextlib import asynccontextmanager
 from example_messages import header
 
 from resonator_daemon.board.config.mqtt import Mqtt
+from resonator_daemon.mqtt.codec import Outgoing
 from resonator_daemon.mqtt.commands import Commands, Handler
-from resonator_daemon.mqtt.packets import Outgoing
 from resonator_daemon.mqtt.payloads import State
 from resonator_daemon.mqtt.publisher import Publisher, Subscription
 from resonator_daemon.mqtt.topics import STATE_DAEMON

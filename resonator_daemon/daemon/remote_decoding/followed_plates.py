@@ -20,8 +20,7 @@ from resonator_daemon.measure.decoder_process.supervisor import DecoderSuperviso
 from resonator_daemon.measure.pipeline.frame_timeout import CONTACTS_END_S
 from resonator_daemon.measure.sensors.surface_decoding import Origin, Skipped, SurfaceClient, SurfaceDecoding
 from resonator_daemon.measure.sensors.surface_worker import Reply, SurfaceSettings, SurfaceWorker
-from resonator_daemon.mqtt.codec import Encoded
-from resonator_daemon.mqtt.packets import Incoming
+from resonator_daemon.mqtt.codec import Encoded, Incoming
 from resonator_daemon.mqtt.payloads import ContactEvent, DecoderPlateHealth, DecoderProcessInfo, Lost, Message, Signals
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, HeaderFields, Topic
 

@@ -10,8 +10,7 @@ from resonator_daemon.daemon.remote_decoding.plate import NO_SIGNALS, RemotePlat
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.measure.latency import LatencyHistogram
 from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings
-from resonator_daemon.mqtt.codec import Encoded
-from resonator_daemon.mqtt.packets import Incoming
+from resonator_daemon.mqtt.codec import Encoded, Incoming
 from resonator_daemon.mqtt.payloads import Condition, DecoderPlateHealth, DecoderProcessInfo, Message, Signals
 from resonator_daemon.mqtt.publisher import Subscription
 from resonator_daemon.mqtt.topics import DECODED, INFO, SIGNALS, MessageT, Topic, full_topic, split_topic

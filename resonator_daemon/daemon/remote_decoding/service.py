@@ -26,8 +26,7 @@ from resonator_daemon.daemon.monitoring.liveness import LivenessMonitor
 from resonator_daemon.daemon.remote_decoding.followed_plates import FollowedPlates
 from resonator_daemon.daemon.remote_decoding.plates import RemotePlates
 from resonator_daemon.daemon.remote_decoding.shared_plates import SharedPlates
-from resonator_daemon.mqtt.codec import Encoded, encode
-from resonator_daemon.mqtt.packets import Incoming, Outgoing
+from resonator_daemon.mqtt.codec import Encoded, Incoming, Outgoing, encode
 from resonator_daemon.mqtt.payloads import Condition, DecoderHealth, DecoderState
 from resonator_daemon.mqtt.publisher import FRESH_S, Publisher, Subscription
 from resonator_daemon.mqtt.topics import (

@@ -18,7 +18,7 @@ from resonator_daemon.estimate.surface.decoder_setup import CANNOT_DECODE, set_u
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 from resonator_daemon.estimate.surface.streaming import failed
 from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame
-from resonator_daemon.mqtt.packets import Incoming
+from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.payloads import Condition, Signals
 from resonator_daemon.mqtt.topics import CONTACTS, DECODED, DECODED_SUMMARY
 

@@ -10,11 +10,10 @@ from resonator_daemon.base.host.files import state_directory
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config import Config
 from resonator_daemon.mqtt import asyncapi
-from resonator_daemon.mqtt.codec import Encoded, decoded, encode
+from resonator_daemon.mqtt.codec import Encoded, Outgoing, decoded, encode
 from resonator_daemon.mqtt.commands import Commands, Handler
 from resonator_daemon.mqtt.daemon_state import DaemonState
 from resonator_daemon.mqtt.event_log import EventPage
-from resonator_daemon.mqtt.packets import Outgoing
 from resonator_daemon.mqtt.payloads import Info, Message, MessageAccount, State
 from resonator_daemon.mqtt.publisher import FRESH_S, Publisher, Subscription
 from resonator_daemon.mqtt.topics import (

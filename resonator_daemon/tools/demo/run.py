@@ -24,8 +24,7 @@ from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.text import print_note
 from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.mqtt.receiver import Arrival
-from resonator_daemon.mqtt.subscriber import read_message, topic_filters
+from resonator_daemon.mqtt.subscriber import Arrival, read_message, topic_filters
 from resonator_daemon.mqtt.topics import SIGNALS, TOPICS, full_topic, split_topic
 from resonator_daemon.tools.demo.processes import (
     BROKER_PART,

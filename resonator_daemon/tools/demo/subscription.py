@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 
 from resonator_daemon.base.errors import UserError, reason_of
 from resonator_daemon.mqtt.embedded_broker import packet_ends
-from resonator_daemon.mqtt.receiver import Arrival
+from resonator_daemon.mqtt.subscriber import Arrival
 
 _CONNECT, _PUBLISH, _PUBACK, _SUBSCRIBE = b"\x10", 3, b"\x40\x02", b"\x82"
 _CONNACK: Final = b"\x20\x02\x00\x00"

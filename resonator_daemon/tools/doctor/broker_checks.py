@@ -15,7 +15,7 @@ from resonator_daemon.base.host.text import page
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt import connecting
 from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes
-from resonator_daemon.mqtt.packets import Incoming
+from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
 from resonator_daemon.mqtt.topics import full_topic
 from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, downgraded, not_checked

@@ -9,8 +9,8 @@ from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import MQTT_3, BrokerConnection
+from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.connecting import UNSUPPORTED_VERSION, RefusalError, code_of
-from resonator_daemon.mqtt.packets import Incoming
 from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
 from resonator_daemon.mqtt.subscriber import EVERY_PLATE, topic_filters
 from resonator_daemon.mqtt.topics import TOPICS, full_topic, split_topic

@@ -16,10 +16,9 @@ from resonator_daemon.base.host.files import NoNewFileError, check_new, takes_a_
 from resonator_daemon.base.host.text import printable
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.mqtt.codec import Encoded, encode
+from resonator_daemon.mqtt.codec import Encoded, Outgoing, encode
 from resonator_daemon.mqtt.daemon_state import DaemonSnapshot, DaemonState
 from resonator_daemon.mqtt.message_account import Cause
-from resonator_daemon.mqtt.packets import Outgoing
 from resonator_daemon.mqtt.payloads import Condition, Lost, Message, State
 from resonator_daemon.mqtt.publisher import Publisher, Subscription
 from resonator_daemon.mqtt.requests import BrokerUnreachableError, reach

@@ -16,7 +16,7 @@ from plates import plate_head, skin_grid, skin_table
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.mqtt.packets import Outgoing
+from resonator_daemon.mqtt.codec import Outgoing
 from resonator_daemon.mqtt.payloads import Lost, Signals
 from resonator_daemon.mqtt.publisher import Publisher
 from resonator_daemon.mqtt.topics import SIGNALS

@@ -8,7 +8,7 @@ import pytest
 
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.mqtt.receiver import Arrival
+from resonator_daemon.mqtt.subscriber import Arrival
 from resonator_daemon.tools.demo.subscription import Subscription
 
 

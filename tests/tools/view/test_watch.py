@@ -17,8 +17,7 @@ from view_messages import NOW_NS, S, decoded, forces, info, site_force, state
 
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt import topics
-from resonator_daemon.mqtt.codec import encode
-from resonator_daemon.mqtt.packets import Outgoing
+from resonator_daemon.mqtt.codec import Outgoing, encode
 from resonator_daemon.mqtt.payloads import Signals
 from resonator_daemon.mqtt.publisher import Publisher
 from resonator_daemon.tools.view.watch import json_line
