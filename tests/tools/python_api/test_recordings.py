@@ -24,7 +24,7 @@ def test_the_import_needs_no_library_and_force_sites_no_scipy(tmp_path: Path) ->
     (tmp_path / "resonatord").mkdir()  # as a checkout, in whose parent Python is started
     assert loaded_libraries(tmp_path, "assert resonatord.__version__") == set()
     used = loaded_libraries(tmp_path, f"resonatord.load_recording({str(recording('touches'))!r}).forces")
-    assert used == {"numpy", "pydantic", "mcap", "paho"}
+    assert used == {"numpy", "pydantic", "mcap"}
     assert all(hasattr(resonatord, name) for name in resonatord.__all__)
 
 
