@@ -49,12 +49,6 @@ def _nothing_at_home(_homes: tuple[Path, Iterator[int]], monkeypatch: pytest.Mon
 
 
 @pytest.fixture(autouse=True)
-def _hang_ups_end() -> None:
-    """A daemon that ran in this process has left SIGHUP ignored."""
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
-
-
-@pytest.fixture(autouse=True)
 def _logging_as_before() -> Iterator[None]:
     """The level a verb sets for its process ends with the test; what loggers are set to otherwise stays as it was."""
     before = _own_loggers()

@@ -17,10 +17,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     import asyncio
+    import signal
 
     from resonator_daemon.base.host.files import state_directory
     from resonator_daemon.daemon.service.config_store import ConfigStore
     from resonator_daemon.daemon.service.daemon import serve
 
-    asyncio.run(serve(ConfigStore(arguments.config, state_directory() / "last-good")))
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # also after it is handled: a reload never ends the process
+    try:
+        asyncio.run(serve(ConfigStore(arguments.config, state_directory() / "last-good")))
+    except BaseException:
+        signal.signal(signal.SIGHUP, before)
+        raise
     return ExitCode.DONE

@@ -16,7 +16,7 @@ from resonator_daemon.base.errors import ConfigurationError, ExitCode
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.config.values import plate_text
 from resonator_daemon.commands import main
-from resonator_daemon.daemon.service.config_store import ConfigStore
+from resonator_daemon.daemon.service.config_store import ConfigStore, load_checked
 from resonator_daemon.daemon.service.daemon import Service
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
@@ -71,7 +71,7 @@ def refusals_of_run(path: Path) -> tuple[str, ...]:
     store = ConfigStore(path, path.parent / "last-good")
     made: list[SurfaceSettings] = []
     try:
-        config = store.reload().config
+        config = load_checked(path)
 
         async def set_up() -> None:
             Service(store)

@@ -17,15 +17,15 @@ from resonator_daemon.board.recording.recorder import RecordingCounts
 from resonator_daemon.board.recording.switch import NothingRecordedError
 from resonator_daemon.board.recording.writer import Contents
 from resonator_daemon.board.session.clock import HostTime
-from resonator_daemon.daemon.service.command_handlers import CommandHandlers, DaemonParts
-from resonator_daemon.daemon.service.recording_commands import RecordingCommands
+from resonator_daemon.daemon.service.command_handlers import CommandHandlers
+from resonator_daemon.daemon.service.recordings import RecordingCommands
 from resonator_daemon.measure.pipeline.control_requests import Control, Tare
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.event_file import EventFileError
 from resonator_daemon.mqtt.event_log import EventPage, UnknownRunError
 from resonator_daemon.mqtt.message_examples import EXAMPLES
-from resonator_daemon.mqtt.payloads import Health, Message
-from resonator_daemon.mqtt.topics import TOPICS
+from resonator_daemon.mqtt.payloads import Condition, Health, Message
+from resonator_daemon.mqtt.topics import CONTACTS, FORCES, TOPICS, Topic
 
 BOOT_ID = "9f3c"
 RECORDING_NAME = re.compile(r"left-\d{8}T\d{6}\.\d{3}Z(-[A-Za-z0-9_-]{1,64})?\.mcap")
@@ -39,20 +39,26 @@ class StandIn:
         self.directory = directory
         self.touched: str | None = None
         self.measurement = Measurement()
-        self.counts = True
+        self.ready = True
+        self.link = SimpleNamespace(state=Condition.ONLINE)
         self.board_refuses: str | None = None
         self.disk_problem = ""
-        self.streams: tuple[str, ...] = ("forces", "contacts")
+        self.streams: tuple[Topic[Any], ...] = (FORCES, CONTACTS)
+        self.last_message: Callable[[str], Message | None]
         self.current: SimpleNamespace | None = None
 
     @property
     def common_mode(self) -> tuple[float, ...]:
         return (1e-6, math.nan, math.nan, math.nan)
 
-    def sensor(self) -> "StandIn | None":
-        return self if self.counts else None
+    @property
+    def sensor(self) -> "StandIn":
+        return self
 
-    def locate(self, done: Callable[[str | None], None]) -> None:
+    def answers_for(self, _boot_id: str | None) -> bool:
+        return True
+
+    def blink(self, done: Callable[[str | None], None]) -> None:
         self.acts.append(("locate",))
         done(self.board_refuses)
 
@@ -116,18 +122,10 @@ def handlers_on(stand_in: StandIn, config: Config) -> CommandHandlers:
     health = last_messages["health"]
     if not isinstance(health, Health):
         raise TypeError("health carries Health")
-    parts = DaemonParts(
-        report_health=lambda: health,
-        last_message=last_messages.get,
-        sensor=stand_in.sensor,  # type: ignore[arg-type]
-        locate=stand_in.locate,
-        streams=stand_in.streams,
-        answers_for=lambda _boot_id: True,
-        stored_events=stand_in.stored_events,
-        measurement=lambda: stand_in.measurement,
-        apply=stand_in.apply,
-    )
-    return CommandHandlers(config, BOOT_ID, parts, RecordingCommands(config, "left", stand_in))  # type: ignore[arg-type]
+    stand_in.last_message = last_messages.get
+    parts = dict.fromkeys(("pipeline", "publisher", "daemon", "reader", "requests"), stand_in)
+    recording = RecordingCommands(config, "left", stand_in)  # type: ignore[arg-type]
+    return CommandHandlers(config, BOOT_ID, recording, report_health=lambda: health, **parts)  # type: ignore[arg-type]
 
 
 def configured(directory: Path, link: str = "tcp://127.0.0.1:5000") -> Config:

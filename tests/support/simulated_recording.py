@@ -15,7 +15,7 @@ from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.frames import BoardOnline
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
-from resonator_daemon.daemon.service.recorded_messages import RecordedMessages
+from resonator_daemon.daemon.service.recordings import RecordedMessages
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 from simulators.emulator import emulated_board
 from simulators.faults.misbehaviour import Misbehaviour

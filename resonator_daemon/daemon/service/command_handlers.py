@@ -2,21 +2,23 @@
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from typing import Any, Final, get_args
 
 from resonator_daemon.board.config import Config, timing_problems
-from resonator_daemon.board.config.tables import Measurement
-from resonator_daemon.daemon.service.recording_commands import RecordingCommands, as_json_text
+from resonator_daemon.board.session.board_reader import BoardReader
+from resonator_daemon.daemon.service.plate_publisher import PlatePublisher
+from resonator_daemon.daemon.service.recordings import RecordingCommands, as_json_text
 from resonator_daemon.measure.pipeline import control_requests
-from resonator_daemon.measure.pipeline.control_requests import Control
+from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
+from resonator_daemon.measure.pipeline.control_requests import ControlRequests
 from resonator_daemon.measure.sensors.base import Sensor
 from resonator_daemon.mqtt.codec import decode
 from resonator_daemon.mqtt.commands import CommandRefusedError, Handler, NotAddressedError
+from resonator_daemon.mqtt.daemon_state import DaemonState
 from resonator_daemon.mqtt.event_file import EventFileError
 from resonator_daemon.mqtt.event_log import EventPage, UnknownRunError
-from resonator_daemon.mqtt.payloads import ContactEvent, Health, Message
+from resonator_daemon.mqtt.payloads import Condition, ContactEvent, Health, Message
 from resonator_daemon.mqtt.topics import CONTACTS
 from resonator_daemon.mqtt.verbs import (
     Events,
@@ -39,45 +41,6 @@ from resonator_daemon.mqtt.verbs import (
 SNAPSHOT_BYTES_MAX: Final = 128 * 1024
 EVENTS_BYTES_MAX: Final = 128 * 1024
 
-Located = Callable[[str | None], None]
-
-
-@dataclass(frozen=True)
-class DaemonParts:
-    """What commands reach of the daemon.
-
-    Attributes
-    ----------
-    report_health
-        Makes a message of `health`, publishes it and returns it.
-    last_message
-        Returns the last message of the topic with this path; None where there was none.
-    sensor
-        Returns the sensor while a board counts, None otherwise.
-    locate
-        Asks the board to blink; calls, on the event loop, with why it did not, or None.
-    streams
-        Paths of the topics that this daemon publishes as streams.
-    answers_for
-        Returns whether this daemon, and no other of its name, answers for a run (None: the present one).
-    stored_events
-        Returns stored events of a run (None: the present one), beyond a `seq`, up to a size in bytes.
-    measurement
-        Returns the window that holds now.
-    apply
-        Applies a control request after the frames that have arrived; returns why that could not be done, or None.
-    """
-
-    report_health: Callable[[], Health]
-    last_message: Callable[[str], Message | None]
-    sensor: Callable[[], Sensor[Any] | None]
-    locate: Callable[[Located], None]
-    streams: Collection[str]
-    answers_for: Callable[[str | None], bool]
-    stored_events: Callable[[str | None, int, int], Awaitable[EventPage]]
-    measurement: Callable[[], Measurement]
-    apply: Callable[[Control], Awaitable[str | None]]
-
 
 class CommandHandlers:
     """Does what commands ask for; to be used from the event loop's thread only.
@@ -87,16 +50,35 @@ class CommandHandlers:
     config
     daemon_boot_id
         Of this run.
-    parts
-        Of the daemon.
     recording
-        Does the commands of recordings.
+        Executes the commands of recordings.
+    pipeline, publisher, daemon, reader, requests
+        Of the daemon.
+    report_health
+        Makes a message of `health`, publishes it and returns it.
     """
 
-    def __init__(self, config: Config, daemon_boot_id: str, parts: DaemonParts, recording: RecordingCommands) -> None:
+    def __init__(
+        self,
+        config: Config,
+        daemon_boot_id: str,
+        recording: RecordingCommands,
+        *,
+        pipeline: BoardPipeline,
+        publisher: PlatePublisher,
+        daemon: DaemonState,
+        reader: BoardReader,
+        requests: ControlRequests,
+        report_health: Callable[[], Health],
+    ) -> None:
         self._plate = config.plate
         self._daemon_boot_id = daemon_boot_id
-        self._parts = parts
+        self._pipeline = pipeline
+        self._publisher = publisher
+        self._daemon = daemon
+        self._reader = reader
+        self._requests = requests
+        self._report_health = report_health
         self._started_s = time.monotonic()
         self.by_verb: Mapping[str, Handler] = {
             "ping": self._ping,
@@ -116,7 +98,7 @@ class CommandHandlers:
         return Pong(t_ns=time.time_ns(), daemon_boot_id=self._daemon_boot_id, uptime_s=uptime_s)
 
     def _health(self, _request: HealthRequest) -> HealthAnswer:
-        return HealthAnswer(health=self._parts.report_health())
+        return HealthAnswer(health=self._report_health())
 
     def _snapshot(self, request: Snapshot) -> SnapshotAnswer:
         wanted = get_args(JsonTopic) if request.topics is None else dict.fromkeys(request.topics)
@@ -124,7 +106,7 @@ class CommandHandlers:
         omitted = []
         room_bytes = SNAPSHOT_BYTES_MAX
         for path in wanted:
-            message = self._parts.last_message(path)
+            message = self._publisher.last_message(path)
             if message is None:
                 continue
             size_bytes = len(message.model_dump_json())
@@ -136,14 +118,14 @@ class CommandHandlers:
         return SnapshotAnswer(messages=messages, omitted=tuple(omitted))
 
     async def _events(self, request: Events) -> EventsAnswer:
-        if not self._parts.answers_for(request.daemon_boot_id):
+        if not self._daemon.answers_for(request.daemon_boot_id):
             raise NotAddressedError
-        if CONTACTS.path not in self._parts.streams:
+        if CONTACTS not in self._pipeline.sensor.streams:
             raise CommandRefusedError(
                 "not_published", "this daemon publishes no contacts", "see decoder_id in contacts"
             )
         try:
-            page = await self._parts.stored_events(request.daemon_boot_id, request.after_seq, EVENTS_BYTES_MAX)
+            page = await self._publisher.stored_events(request.daemon_boot_id, request.after_seq, EVENTS_BYTES_MAX)
         except UnknownRunError:
             raise CommandRefusedError(
                 "unknown_boot", "no such run of the daemon is stored", "retry without daemon_boot_id"
@@ -155,18 +137,18 @@ class CommandHandlers:
 
     async def _tare(self, _request: Tare) -> TareAnswer:
         sensor = self._adjustable_sensor()
-        if reason := await self._parts.apply(control_requests.Tare()):
+        if reason := await self._requests.apply(control_requests.Tare()):
             raise CommandRefusedError("not_untouched", reason, "take everything off the plate and retry")
         return TareAnswer(message="the present readings are the new zero", common_mode=sensor.common_mode)
 
     async def _set_window(self, request: SetWindow) -> SetWindowAnswer:
-        self._adjustable_sensor()
-        measurement = self._parts.measurement().model_copy(update=request.model_dump(exclude_none=True))
+        sensor = self._adjustable_sensor()
+        measurement = sensor.measurement.model_copy(update=request.model_dump(exclude_none=True))
         spans_ms = {"window_ms": measurement.window_ms, "step_ms": measurement.step_ms}
         if problems := timing_problems(spans_ms, self._plate):
             faults = "; ".join(f"{key}: got {value:g}; {sentence}" for key, value, sentence in problems)
             raise CommandRefusedError("window", faults, "send window_ms and step_ms that fit each other and the frames")
-        if reason := await self._parts.apply(control_requests.SetWindow(measurement=measurement)):
+        if reason := await self._requests.apply(control_requests.SetWindow(measurement=measurement)):
             raise CommandRefusedError("window", reason, "see state/sensor")
         return SetWindowAnswer(window_s=measurement.window_s, step_s=measurement.step_s)
 
@@ -177,7 +159,7 @@ class CommandHandlers:
             if not answered.done():  # else nobody waits any more
                 answered.set_result(refused)
 
-        self._parts.locate(done)
+        self._reader.blink(done)
         if (refused := await answered) is not None:
             raise CommandRefusedError("not_located", refused, "see state/link")
         return IdentifyAnswer()
@@ -187,7 +169,8 @@ class CommandHandlers:
             raise CommandRefusedError(
                 "not_ready", "the plate has a skin, and no force sites", "its zero is followed by itself"
             )
-        if (sensor := self._parts.sensor()) is None:
+        sensor, link = self._pipeline.sensor, self._pipeline.link
+        if not sensor.ready or link is None or link.state != Condition.ONLINE:  # no board sends frames
             raise CommandRefusedError(
                 "not_ready", "no force sites are being measured", "see state/link and state/sensor"
             )

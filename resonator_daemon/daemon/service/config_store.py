@@ -1,5 +1,6 @@
-"""The last good configuration: a daemon whose file is bad runs on the copy of the last one that was not."""
+"""The configuration in use, and its last good copy, on which a daemon runs if its file is bad at the start."""
 
+import asyncio
 import hashlib
 import logging
 import os
@@ -13,9 +14,19 @@ from pydantic import BaseModel, Field, ValidationError
 
 from resonator_daemon.base.errors import ConfigurationError, meaning_of
 from resonator_daemon.base.host.files import replace_file
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.base.toml import TomlFile, named, parse_toml, read_toml
 from resonator_daemon.board.config import Config, config_from, load_config
-from resonator_daemon.board.config.values import load_plate_text, plate_text
+from resonator_daemon.board.config.values import (
+    Changes,
+    applied,
+    changes,
+    load_plate_text,
+    plate_text,
+    values_in_words,
+)
+from resonator_daemon.daemon.monitoring.status import ConfigChange, ConfigStatus
+from resonator_daemon.daemon.service.recordings import as_json_text
 from resonator_daemon.measure.sensors.base import sensor_of
 
 _MAX_COPY_BYTES: Final = 64 << 20  # of two files that were read, one as it was and one with all its defaults
@@ -44,10 +55,11 @@ class _Copy(BaseModel):
 
 
 class ConfigStore:
-    """Loads a configuration file, and keeps a copy of it, with its plate, while it is good.
+    """Loads the configuration of a daemon, and again when asked; keeps a copy of it, with its plate, while it is good.
 
-    Password, certificates and keys stay where they are: a copy names them as the file does. The copy can be read by
-    the daemon's user alone, since the address of a broker may have a password in it.
+    A file that is bad changes nothing while the daemon runs. Password, certificates and keys stay where they are: a
+    copy names them as the file does. The copy can be read by the daemon's user alone, since the address of a broker may
+    have a password in it.
 
     Parameters
     ----------
@@ -55,13 +67,25 @@ class ConfigStore:
         The configuration file.
     directory
         Where copies are kept, as `state_directory() / "last-good"`; made where it is missing.
+
+    Attributes
+    ----------
+    config
+        In use since `load`: the file's content then, with the keys that were changed live since.
     """
+
+    config: Config
+    _loaded: Loaded
 
     def __init__(self, path: Path, directory: Path) -> None:
         self.path = path.absolute()  # messages with it are read by programs that run elsewhere
         normal = os.path.abspath(path)
         self._copy = directory / f"{path.stem}-{hashlib.sha256(os.fsencode(normal)).hexdigest()[:16]}.json"
         self._reported: str | None = None  # why no copy can be kept
+        self._problems: tuple[str, ...] = ()  # of the file as it is now
+        self._waiting: tuple[str, ...] = ()  # keys whose new values need a restart
+        self._reloads = 0
+        self._changes: tuple[ConfigChange, ...] = ()  # of the last reload
 
     def load(self) -> Loaded:
         """Load the file, else the last good copy, which is logged.
@@ -74,23 +98,72 @@ class ConfigStore:
             The file cannot be used, and no copy can; what is wrong with the file.
         """
         try:
-            return self.reload()
+            self._loaded = self._load_file()
         except ConfigurationError as error:
             if not os.path.lexists(self.path):
                 raise
-            loaded = self._last_good(error)
-        for problem in loaded.problems:
+            self._loaded = self._last_good(error)
+        for problem in self._loaded.problems:
             log.error("%s", problem)
-        return loaded
+        self.config, self._problems = self._loaded.config, _one_line_each(self._loaded.problems)
+        return self._loaded
 
-    def reload(self) -> Loaded:
-        """Load the file, and keep a copy of it; blocks for up to a second, while it is computed and on the disk.
+    async def reload(self) -> Changes | None:
+        """Read the file again and apply what needs no restart; None, and the log, where it cannot be used."""
+        self._reloads += 1
+        try:
+            loaded = await asyncio.to_thread(self._load_file)
+        except ConfigurationError as error:
+            self._changes, self._problems = (), _one_line_each(error.messages)
+            for message in error.messages:
+                log.error("%s", message)
+            log.error("the configuration cannot be used; all goes on as before")
+            return None
+        found = changes(self.config, loaded.config)
+        before, after = values_in_words(self.config), values_in_words(loaded.config)
+        self._changes = tuple(
+            ConfigChange(
+                key=key, old=as_json_text(before[key]), new=as_json_text(after[key]), applied=key in found.live
+            )
+            for key in (*found.live, *found.restart)
+        )
+        self.config = applied(self.config, loaded.config)
+        self._loaded, self._problems, self._waiting = loaded, (), found.restart
+        log.info("configuration read again: %s", found)
+        return found
 
-        Raises
-        ------
-        ConfigurationError
-            The file cannot be used; every finding.
-        """
+    @property
+    def sha256(self) -> str:
+        """Of the text that the configuration was read from."""
+        return self._loaded.sha256
+
+    @property
+    def remark(self) -> Reason | None:
+        """What is wrong with the file or waits for a restart; None if the file is in use as it is."""
+        if self._problems:
+            last_good = self._loaded.in_use == "last_good"
+            on = "on the last good configuration" if last_good else "its changed configuration cannot be used"
+            more = f", and {len(self._problems) - 1} more" if len(self._problems) > 1 else ""
+            return Reason(ReasonCode.BAD_CONFIGURATION, f"{on}: {self._problems[0]}{more}")
+        if self._waiting:
+            return Reason(ReasonCode.RESTART_NEEDED, f"restart for changed {', '.join(self._waiting)}")
+        return None
+
+    @property
+    def status(self) -> ConfigStatus:
+        return ConfigStatus(
+            file=as_json_text(self.path),
+            in_use=self._loaded.in_use,
+            reason_code=self.remark.code if self.remark is not None else None,
+            problems=self._problems,
+            loaded_t_ns=self._loaded.utc_ns,
+            needs_restart=self._waiting,
+            reloads=self._reloads,
+            changes=self._changes,
+        )
+
+    def _load_file(self) -> Loaded:
+        """Load the file, and keep a copy of it; blocks for up to a second, while it is computed and on the disk."""
         file = read_toml(self.path)
         config = _checked(config_from(file, self.path.parent), self.path)
         self._keep(file, config)
@@ -175,3 +248,8 @@ def _open_at_once(path: str, flags: int) -> int:
 
 def _reason(error: OSError | ValidationError) -> str:
     return meaning_of(error) if isinstance(error, OSError) else "is damaged"
+
+
+def _one_line_each(problems: tuple[str, ...]) -> tuple[str, ...]:
+    """Return problems as messages can carry them: they name files, and names of files may be no text."""
+    return tuple(map(as_json_text, problems))

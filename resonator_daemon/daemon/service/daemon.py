@@ -42,15 +42,12 @@ from resonator_daemon.daemon.monitoring.metrics import MetricsServer
 from resonator_daemon.daemon.monitoring.status import BrokerStatus, Status, StatusMonitor
 from resonator_daemon.daemon.monitoring.status_server import SOCKET_NAME, AlreadyRunningError, StatusServer
 from resonator_daemon.daemon.service.arrival_loop import ArrivalLoop
-from resonator_daemon.daemon.service.command_handlers import CommandHandlers, DaemonParts
-from resonator_daemon.daemon.service.config_in_use import ConfigInUse
+from resonator_daemon.daemon.service.command_handlers import CommandHandlers
 from resonator_daemon.daemon.service.config_store import ConfigStore
 from resonator_daemon.daemon.service.plate_publisher import PlatePublisher
-from resonator_daemon.daemon.service.recorded_messages import RecordedMessages
-from resonator_daemon.daemon.service.recording_commands import RecordingCommands, as_json_text, recording_info
+from resonator_daemon.daemon.service.recordings import RecordedMessages, RecordingCommands, as_json_text, recording_info
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.measure.pipeline.control_requests import ControlRequests, SetWindow
-from resonator_daemon.measure.sensors.base import Sensor
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.daemon_state import DaemonSnapshot, DaemonState
 from resonator_daemon.mqtt.payloads import Condition, Health, Message, State
@@ -80,7 +77,6 @@ async def serve(store: ConfigStore) -> None:
     UserError
         No configuration can be used, or the first board on the link can never serve it.
     """
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # before and after it is handled: a reload never ends the process
     service = Service(store)
     sys.setswitchinterval(_SWITCH_S)
     with on_signals(service.on_signal):
@@ -98,9 +94,8 @@ class Service:
 
     def __init__(self, store: ConfigStore) -> None:
         self._monitor = StatusMonitor()
-        self._in_use = ConfigInUse(store)
-        config = self._in_use.config
-        self._config_path = store.path
+        self._store = store
+        config = store.load().config
         self._file_stem = store.path.stem
         self._instance = as_json_text(self._file_stem)
         loop = asyncio.get_running_loop()
@@ -146,7 +141,7 @@ class Service:
         self._started_utc_ns = time.time_ns()
         self._reason: Reason | None = None  # of state/daemon
         socket = runtime_directory(self._file_stem) / SOCKET_NAME
-        self._status_server = StatusServer(socket, self._config_path, self._status)
+        self._status_server = StatusServer(socket, store.path, self._status)
 
     async def run(self) -> None:
         """Run until `stop`; raises UserError."""
@@ -201,7 +196,7 @@ class Service:
 
     @property
     def _config(self) -> Config:
-        return self._in_use.config
+        return self._store.config
 
     @property
     def link_counters(self) -> LinkCounters:
@@ -209,17 +204,6 @@ class Service:
         return self._reader.counters()
 
     def _begin_publishing(self, name: str) -> RecordingCommands:
-        parts = DaemonParts(
-            report_health=self._report_health,
-            last_message=self._plate_publisher.last_message,
-            sensor=self._measuring_sensor,
-            locate=self._reader.blink,
-            streams=tuple(topic.path for topic in self._pipeline.sensor.streams if topic.slow_hz),
-            answers_for=self._daemon.answers_for,
-            stored_events=self._plate_publisher.stored_events,
-            measurement=lambda: self._pipeline.sensor.measurement,
-            apply=self._control_requests.apply,
-        )
         self._name = self._pipeline.headers.name = name
         tag_log(name)
         recordings = RecordingCommands(
@@ -227,9 +211,19 @@ class Service:
             name,
             self._recording,
             daemon_boot_id=self.daemon_boot_id,
-            config_sha256=self._in_use.sha256,
+            config_sha256=self._store.sha256,
         )
-        handlers = CommandHandlers(self._config, self.daemon_boot_id, parts, recordings)
+        handlers = CommandHandlers(
+            self._config,
+            self.daemon_boot_id,
+            recordings,
+            pipeline=self._pipeline,
+            publisher=self._plate_publisher,
+            daemon=self._daemon,
+            reader=self._reader,
+            requests=self._control_requests,
+            report_health=self._report_health,
+        )
         self._plate_publisher.begin(name, handlers.by_verb, self._daemon)
         self._tasks.create_task(self._plate_publisher.run(), name="publishing")
         self._recordings = recordings
@@ -241,11 +235,6 @@ class Service:
         except UserError as error:
             log.error("nothing is recorded: %s", error)
 
-    def _measuring_sensor(self) -> Sensor[Any] | None:
-        """Return the sensor while a board sends frames, None otherwise."""
-        link, sensor = self._pipeline.link, self._pipeline.sensor
-        return sensor if sensor.ready and link is not None and link.state == Condition.ONLINE else None
-
     async def _keep_reloading(self) -> None:
         while True:
             await self._reload_requested.wait()
@@ -254,8 +243,8 @@ class Service:
 
     async def _reload(self) -> None:
         self._manager.reloading()
-        found = await self._in_use.reload()
-        config = self._in_use.config
+        found = await self._store.reload()
+        config = self._store.config
         if found is not None and found.live:
             if any(key.startswith("measurement.") for key in found.live):
                 await self._control_requests.apply(SetWindow(measurement=config.measurement))
@@ -263,7 +252,7 @@ class Service:
             self._plate_publisher.set_allowed(config.commands.allow)
             self._recorded.include_messages = config.recording.include_messages
             if self._recordings is not None:
-                await self._recordings.adopt(config, self._in_use.sha256)
+                await self._recordings.adopt(config, self._store.sha256)
         self._publish_measuring()
         if self._ready:
             self._manager.ready(self._sentence())
@@ -328,7 +317,7 @@ class Service:
     def _make_decoder(self, settings: "SurfaceSettings", client: "SurfaceClient[Any]") -> "DecoderSupervisor[Any]":
         from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor  # here: only a skin needs it
 
-        self._decoder = DecoderSupervisor(settings, client, self._in_use.config.name or self._file_stem)
+        self._decoder = DecoderSupervisor(settings, client, self._store.config.name or self._file_stem)
         return self._decoder
 
     def _publish(self, topic: Topic[Any], message: Message | Encoded) -> None:
@@ -350,7 +339,7 @@ class Service:
             if measuring
             else Reason(ReasonCode.NO_BOARD, "no board sends frames")
         )
-        reason = all_of(filter(None, (self._in_use.remark, now)))
+        reason = all_of(filter(None, (self._store.remark, now)))
         if reason != self._reason:
             self._reason = reason
             self._daemon.become(Condition.ONLINE, reason, self._started_utc_ns)
@@ -406,7 +395,7 @@ class Service:
         if link is not None and link.state == Condition.ONLINE and health is not None:
             lost = sum(health.lost.model_dump(exclude={"skipped_late"}).values())
             state = f"{health.frame_rate_hz:.0f} frames/s, {lost} lost"
-        remark = self._in_use.remark
+        remark = self._store.remark
         return f"{self._name or self._instance}: {state}" + (f"; {remark.text}" if remark is not None else "")
 
     def _status(self) -> Status:
@@ -420,7 +409,7 @@ class Service:
                     "pid": os.getpid(),
                     "version": self._version,
                     "started_t_ns": self._started_utc_ns,
-                    "config": self._in_use.status,
+                    "config": self._store.status,
                     "daemon": last(STATE_DAEMON.path),
                     "link": last(STATE_LINK.path),
                     "sensor": last(STATE_SENSOR.path),

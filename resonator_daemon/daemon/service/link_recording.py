@@ -34,7 +34,7 @@ from resonator_daemon.board.session.frames import (
     SingleToneFrame,
 )
 from resonator_daemon.board.session.link_events import WireEvent
-from resonator_daemon.daemon.service.recording_commands import origin
+from resonator_daemon.daemon.service.recordings import origin
 
 if TYPE_CHECKING:
     from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
@@ -254,7 +254,7 @@ class _LinkRecording:
 
 def _pipeline(config: Config, boot_id: str, recorder: Recorder) -> "BoardPipeline":
     """Return the pipeline whose messages are recorded; its imports take half a second."""
-    from resonator_daemon.daemon.service.recorded_messages import RecordedMessages
+    from resonator_daemon.daemon.service.recordings import RecordedMessages
     from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 
     messages = RecordedMessages(recorder.publish, include_messages=True)

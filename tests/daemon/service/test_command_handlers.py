@@ -11,6 +11,7 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.daemon.service import command_handlers
 from resonator_daemon.daemon.service.command_handlers import CommandHandlers
 from resonator_daemon.mqtt.commands import CommandRefusedError
+from resonator_daemon.mqtt.topics import SIGNALS
 from resonator_daemon.mqtt.verbs import VERBS, Answer
 
 
@@ -64,8 +65,7 @@ async def test_stored_events(bench: Bench) -> None:
 
 
 async def test_a_daemon_that_does_not_follow_contacts_has_no_events(bench: Bench) -> None:
-    bench.daemon.streams = ("signals",)
-    bench.handlers = handlers_on(bench.daemon, configured(bench.directory))
+    bench.daemon.streams = (SIGNALS,)
     assert (await bench.refusal("events")).code == "not_published"
 
 
@@ -75,7 +75,7 @@ async def test_tare(bench: Bench) -> None:
     bench.daemon.touched = "site 7 is touched"
     refused = await bench.refusal("tare")
     assert (refused.code, refused.message) == ("not_untouched", "site 7 is touched")
-    bench.daemon.counts = False
+    bench.daemon.ready = False
     assert (await bench.refusal("tare")).code == "not_ready"
     assert bench.daemon.acts == [("tare",), ("tare",)]
 

@@ -1,4 +1,4 @@
-"""The last good configuration: kept as a whole, used when the file is bad, and in nobody's way."""
+"""The configuration in use: kept as a whole, replaced by its last good copy, and read again."""
 
 import errno
 import logging
@@ -10,6 +10,7 @@ import pytest
 
 from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.base.plate import load_plate
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.values import plate_text
 from resonator_daemon.daemon.service.config_store import ConfigStore
 
@@ -101,10 +102,8 @@ def test_the_newest_good_one_counts(path: Path) -> None:
     keeper = store(path)
     keeper.load()
     path.write_text(GOOD.replace('"left"', '"right"'))
-    assert keeper.reload().config.name == "right"
+    assert keeper.load().config.name == "right"
     path.write_text("bad\n")
-    with pytest.raises(ConfigurationError):
-        keeper.reload()
     assert store(path).load().config.name == "right"
     assert len(copies(path)) == 1
 
@@ -126,7 +125,7 @@ def test_a_damaged_copy_is_said_and_replaced(path: Path, content: bytes) -> None
 def test_a_state_directory_that_takes_nothing_stops_nobody(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (path.parent / "state").write_text("")
     keeper = store(path)
-    assert keeper.load().in_use == keeper.reload().in_use == "file"
+    assert keeper.load().in_use == keeper.load().in_use == "file"
     (record,) = caplog.records
     assert record.levelno == logging.WARNING
     assert "Not a directory" in record.message
@@ -160,3 +159,49 @@ def test_a_plate_that_changes_alone_is_kept_anew(path: Path) -> None:
     assert store(path).load().in_use == "file"
     (path.parent / "own.toml").unlink()
     assert store(path).load().config.plate.force_max_newton == changed.force_max_newton
+
+
+PLAIN = 'name = "left"\nplate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
+
+
+def in_use(path: Path) -> ConfigStore:
+    present = store(path)
+    present.load()
+    return present
+
+
+async def test_what_can_change_live_is_taken_and_the_rest_is_named_until_a_restart(path: Path) -> None:
+    path.write_text(PLAIN)
+    present = in_use(path)
+    assert (present.remark, present.status.in_use, present.status.needs_restart) == (None, "file", ())
+    assert present.status.reason_code is None
+    first = present.sha256
+    path.write_text(PLAIN.replace("5000", "5001") + "[measurement]\nwindow_ms = 20\n")
+    found = await present.reload()
+    assert found is not None
+    assert (found.live, found.restart) == (("measurement.window_ms",), ("link",))
+    assert (present.config.measurement.window_ms, str(present.config.link)) == (20.0, "tcp://127.0.0.1:5000")
+    assert present.remark == Reason(ReasonCode.RESTART_NEEDED, "restart for changed link")
+    assert present.status.reason_code == "restart_needed"
+    assert present.status.needs_restart == ("link",)
+    assert present.sha256 != first
+    path.write_text(PLAIN)  # as it was at the start
+    await present.reload()
+    assert (present.remark, present.config.measurement.window_ms, present.sha256) == (None, 10.0, first)
+
+
+async def test_a_daemon_that_began_on_the_last_good_one_says_so_until_the_file_is_mended(path: Path) -> None:
+    path.write_text(PLAIN)
+    in_use(path)
+    path.write_text(PLAIN + "wrong = 1\n")
+    present = in_use(path)
+    assert present.status.in_use == "last_good"
+    assert present.remark is not None
+    assert present.remark.text.startswith(f"on the last good configuration: {path}:4: wrong: unknown key")
+    path.write_text(PLAIN + "worse = 1\n")
+    await present.reload()
+    assert present.remark is not None
+    assert present.remark.text.startswith(f"on the last good configuration: {path}:4: worse: unknown key")
+    path.write_text(PLAIN + "[measurement]\nstep_ms = 2\n")
+    await present.reload()
+    assert (present.remark, present.status.in_use, present.config.measurement.step_ms) == (None, "file", 2.0)

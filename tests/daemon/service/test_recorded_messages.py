@@ -7,7 +7,7 @@ from command_stand_ins import messages
 from jsonschema import validate
 
 from resonator_daemon.board.recording.writer import Published
-from resonator_daemon.daemon.service.recorded_messages import RecordedMessages
+from resonator_daemon.daemon.service.recordings import RecordedMessages
 from resonator_daemon.mqtt.topics import TOPICS
 
 

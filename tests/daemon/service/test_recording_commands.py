@@ -15,7 +15,7 @@ from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import Origin, open_recording
 from resonator_daemon.board.recording.switch import RecordingSwitch
 from resonator_daemon.board.recording.writer import Published
-from resonator_daemon.daemon.service.recording_commands import RecordingCommands, recording_info
+from resonator_daemon.daemon.service.recordings import RecordingCommands, recording_info
 from resonator_daemon.mqtt.verbs import StartRecording, StopRecording
 
 

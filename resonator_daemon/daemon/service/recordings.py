@@ -1,8 +1,9 @@
-"""Recordings of the link, by command or without end; where they go and what they are called is the daemon's word."""
+"""Recordings of the link, by command or without end, with the published messages beside the link's bytes."""
 
 import asyncio
 import logging
-from typing import Final
+from collections.abc import Callable
+from typing import Any, Final
 
 from resonator_daemon.base.errors import UserError, reason_of
 from resonator_daemon.board.config import Config
@@ -11,8 +12,11 @@ from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.recorder import Recorder
 from resonator_daemon.board.recording.switch import NothingRecordedError, RecordingSwitch
+from resonator_daemon.board.recording.writer import Published
+from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.commands import CommandRefusedError
 from resonator_daemon.mqtt.payloads import RecordingInfo
+from resonator_daemon.mqtt.topics import JSON, Topic
 from resonator_daemon.mqtt.verbs import (
     Mark,
     MarkAnswer,
@@ -137,6 +141,35 @@ class RecordingCommands:
         """Begin a recording; it takes a while, and waits for the disk."""
         about = origin(self._config, self._name, self._daemon_boot_id, self._config_sha256)
         self._switch.start(_series(self._config, self._name, label), about)
+
+
+class RecordedMessages:
+    """Records published messages; never waits.
+
+    States and descriptions, which are retained, are always recorded; what is measured where it is wanted. Arrays are
+    not: they have ten times the size of the bytes that they come from.
+
+    Parameters
+    ----------
+    publish
+        Receives the messages: that of a recorder, or of a switch before one.
+    include_messages
+        Whether to record what is measured.
+    """
+
+    def __init__(self, publish: Callable[[Published], None], *, include_messages: bool) -> None:
+        self._publish = publish
+        self._schemas: dict[str, dict[str, Any]] = {}
+        self.include_messages = include_messages
+
+    def record(self, topic: Topic[Any], message: Any) -> None:
+        """Record a message if its topic is to be recorded."""
+        if not (topic.retained or self.include_messages) or topic.content_type != JSON:
+            return
+        if topic.path not in self._schemas:
+            self._schemas[topic.path] = topic.payload.model_json_schema(mode="serialization")
+        schema = self._schemas[topic.path]
+        self._publish(Published(topic.path, message.t_ns, encode(message), schema, topic.retained))
 
 
 def origin(config: Config, name: str | None, daemon_boot_id: str | None, config_sha256: str | None) -> Origin:
