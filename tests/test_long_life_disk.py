@@ -40,8 +40,7 @@ async def test_a_disk_that_takes_nothing(
         mend: Callable[[], None] = free if how == "full" else lambda: remount(disk, "rw")
         spoil()
         async with observe(mosquitto.url, "resonator/hand/#") as observer, bench.emulated(scenario="touches"):
-            service = Service(ConfigStore(config, disk / "last-good"))
-            async with bench.running(service):
+            async with bench.running(Service(ConfigStore(config, disk / "last-good"))):
                 await observer.until_count("resonator/hand/contacts/event", 2)
                 await observer.until_count("resonator/hand/health", 3)
                 last = observer.payloads("resonator/hand/health")[-1]
@@ -58,4 +57,4 @@ async def test_a_disk_that_takes_nothing(
                 await observer.until(written)
             events = observer.payloads("resonator/hand/contacts/event")
     assert [event["seq"] for event in events] == list(range(len(events)))
-    assert service.message_account.dropped.get("spool_failed", 0) == 0
+    assert observer.payloads("resonator/hand/health")[-1]["messages"]["dropped"].get("spool_failed", 0) == 0
