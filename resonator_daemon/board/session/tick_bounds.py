@@ -107,7 +107,7 @@ def _with_point(hull: list[Point], new: Point) -> list[Point]:
     if kept and kept[-1].nominal_ns == new.nominal_ns:
         new = max(new, kept.pop())
     while len(kept) >= 2:
-        (x0, z0), (x1, z1) = _bent(kept[-2], new), _bent(kept[-1], new)
+        (x0, z0), (x1, z1) = _relative_to(kept[-2], new), _relative_to(kept[-1], new)
         if z1 * x0 < z0 * x1:  # the middle point lies above the chord: both x are negative
             break
         kept.pop()
@@ -119,11 +119,11 @@ def _with_point(hull: list[Point], new: Point) -> list[Point]:
 
 def _height(left: Point, middle: Point, right: Point) -> int:
     """Return how far a vertex lies above the chord of its neighbours."""
-    (x0, z0), (x1, z1) = _bent(left, right), _bent(middle, right)
+    (x0, z0), (x1, z1) = _relative_to(left, right), _relative_to(middle, right)
     return z1 - z0 * x1 // x0
 
 
-def _bent(point: Point, apex: Point) -> tuple[int, int]:
+def _relative_to(point: Point, apex: Point) -> tuple[int, int]:
     """Return a point relative to another, loosened by its age, heights in units of 1 / _RELAX_NS."""
     age = point.nominal_ns - apex.nominal_ns
     return age, (point.excess_ns - apex.excess_ns) * _RELAX_NS - age * age

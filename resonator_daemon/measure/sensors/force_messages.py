@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.session.clock import Instant
-from resonator_daemon.estimate.forces import contacts as measured
+from resonator_daemon.estimate.forces import readings as measured
 from resonator_daemon.estimate.forces.readings import ForceReading
 from resonator_daemon.estimate.forces.site_identification import SiteForce as MeasuredForce
 from resonator_daemon.measure.sensors.calendar import utc_day
@@ -107,7 +107,7 @@ class ForceMessages:
             "force_newton": rounded(force.force_newton, noise_newton),
             "noise_newton": rounded_std(noise_newton),
             "systematic_newton": rounded_std(force.systematic_newton),
-            "status": self._worth(force.status, gate_middle),
+            "status": self._published_status(force.status, gate_middle),
         }
         if force.unobserved_bound_newton:
             fields["unobserved_bound_newton"] = rounded_std(force.unobserved_bound_newton)
@@ -127,7 +127,7 @@ class ForceMessages:
             "force_newton": (math.nan, math.nan, rounded(touch.force_newton, noise_newton)),
             "noise_newton": (math.nan, math.nan, rounded_std(noise_newton)),
             "systematic_newton": rounded_std(touch.systematic_newton),
-            "status": self._worth(touch.status, gate_middle),
+            "status": self._published_status(touch.status, gate_middle),
         }
         if touch.reason is not None:
             fields["reason_code"] = touch.reason.code
@@ -135,8 +135,8 @@ class ForceMessages:
             fields["at_least_newton"] = rounded(touch.at_least_newton, noise_newton)
         return fields
 
-    def _worth(self, status: str, gate_middle: Instant) -> Status:
-        """Return what a force is worth: less once its calibration has expired."""
+    def _published_status(self, status: str, gate_middle: Instant) -> Status:
+        """Return the status of a force as it is published: uncalibrated once the calibration has expired."""
         calibration = self._plate.calibration
         if calibration.expiry is not None and calibration.expired(utc_day(gate_middle.utc_ns)):
             status = "uncalibrated" if status in ("ok", "possibly_more") else status

@@ -10,8 +10,7 @@ from resonator_daemon.board.config.tables import Measurement
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.compatibility import oscillator_hz
 from resonator_daemon.board.session.frames import BoardOnline, Frame
-from resonator_daemon.estimate.forces.contacts import ContactEvent
-from resonator_daemon.estimate.forces.readings import Compensation, ForceReading
+from resonator_daemon.estimate.forces.readings import Compensation, ContactEvent, ForceReading
 from resonator_daemon.measure.sensors.base import Sensor
 from resonator_daemon.measure.sensors.force_messages import ForceMessages
 from resonator_daemon.measure.sensors.output import MessageOutput

@@ -12,10 +12,18 @@ from scipy.spatial.distance import pdist, squareform
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.session.frames import ChannelisedFrame, Frame
-from resonator_daemon.estimate.forces.contacts import ONSET_NEWTON, ContactEvent, ContactTracker, Touch, touch_of
 from resonator_daemon.estimate.forces.force_sites import ForceSites, ForceTones, SiteShifts, cell_std_m
 from resonator_daemon.estimate.forces.plate_drift import OFF_SIGMAS, DriftReading, PlateDrift
-from resonator_daemon.estimate.forces.readings import Compensation, ForceReading, SensorStatus
+from resonator_daemon.estimate.forces.readings import (
+    ONSET_NEWTON,
+    Compensation,
+    ContactEvent,
+    ContactTracker,
+    ForceReading,
+    SensorStatus,
+    Touch,
+    touch_of,
+)
 from resonator_daemon.estimate.forces.site_errors import PressedSites, SiteErrors
 from resonator_daemon.estimate.forces.site_identification import SiteForce, overload_reason
 from resonator_daemon.estimate.forces.spread import TOUCHES_MAX, SpreadFit, Touches

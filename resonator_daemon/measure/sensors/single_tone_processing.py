@@ -11,9 +11,17 @@ import numpy as np
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.session.frames import Frame, SingleToneFrame
 from resonator_daemon.estimate.forces.baseline import CommonMode
-from resonator_daemon.estimate.forces.contacts import ContactEvent, ContactTracker, Touch, touch_of
 from resonator_daemon.estimate.forces.force_sites import ForceSites, cell_std_m, hidden_fraction
-from resonator_daemon.estimate.forces.readings import Compensation, CornerTone, ForceReading, SensorStatus
+from resonator_daemon.estimate.forces.readings import (
+    Compensation,
+    ContactEvent,
+    ContactTracker,
+    CornerTone,
+    ForceReading,
+    SensorStatus,
+    Touch,
+    touch_of,
+)
 from resonator_daemon.estimate.forces.site_errors import SiteErrors
 from resonator_daemon.estimate.forces.site_identification import Match, Matcher, OverloadLatch, SiteForce
 from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from contact_scenes import DEPTH_M, NU, SITES_M, E, disc_model, hertz
+from contact_scenes import DEPTH_M, NU, SITES_M, E, hertz
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.estimate.elastic.half_space import HalfSpace
@@ -18,11 +18,6 @@ def flat_by_points(centre_m: Floats, radius_m: float) -> Floats:
             place = centre_m + radius_m * np.sin(angle) * np.array([np.cos(turn), np.sin(turn)])
             total += weight * np.sin(angle) / 40.0 * hertz(SITES_M, place, 0.0)
     return total
-
-
-@pytest.fixture(scope="module")
-def discs() -> DiscModel:
-    return disc_model()
 
 
 @pytest.mark.parametrize(

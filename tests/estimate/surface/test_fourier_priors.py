@@ -13,7 +13,7 @@ from resonator_daemon.base.arrays import Complexes, Floats
 from resonator_daemon.estimate.elastic.grid import SpectralGrid
 from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.fourier.decoder import FourierDecoder
-from resonator_daemon.estimate.surface.fourier.spectra import prior_root
+from resonator_daemon.estimate.surface.fourier.wiener import prior_root
 from resonator_daemon.estimate.surface.skin import Prior
 
 SKIN = HalfSpace(E, 0.5)

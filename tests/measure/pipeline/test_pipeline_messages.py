@@ -11,8 +11,14 @@ from report_makers import LOST, NAN, Losses, Messages, configured, gate_middle, 
 from firmware_protocol.messages import Configuration, Description, Identity
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.session.frames import BoardOnline, LinkChange
-from resonator_daemon.estimate.forces.contacts import Contact, ContactEvent, Touch
-from resonator_daemon.estimate.forces.readings import Compensation, ForceReading, SensorStatus
+from resonator_daemon.estimate.forces.readings import (
+    Compensation,
+    Contact,
+    ContactEvent,
+    ForceReading,
+    SensorStatus,
+    Touch,
+)
 from resonator_daemon.estimate.forces.site_identification import SiteForce
 from resonator_daemon.mqtt.payloads import Condition, Lost
 

@@ -32,16 +32,18 @@ from resonator_daemon.estimate.surface.decoded import (
     noise_of_signals,
     stated,
 )
-from resonator_daemon.estimate.surface.fourier.spectra import (
+from resonator_daemon.estimate.surface.fourier.wiener import (
+    AveragedWiener,
     ExtendedTransform,
     ExtensionName,
     Spectra,
+    SpectralWiener,
     prior_root,
+    product,
     sliding,
     spectra_of,
     white,
 )
-from resonator_daemon.estimate.surface.fourier.wiener import AveragedWiener, SpectralWiener, product
 from resonator_daemon.estimate.surface.skin import DEFAULT_PRIOR, Prior
 
 _SCALES = np.logspace(

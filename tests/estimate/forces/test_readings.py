@@ -3,7 +3,7 @@ import math
 import numpy as np
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.estimate.forces.contacts import ContactTracker, Touch
+from resonator_daemon.estimate.forces.readings import ContactTracker, Touch
 
 POSITIONS_M = ((0.001, 0.002), (-0.003, 0.004))
 COVARIANCE_M2 = np.diag([1e-6, 4e-6])
