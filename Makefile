@@ -140,7 +140,7 @@ test-schema: .venv/test-stamp  ## types that modelina and json-schema-to-typescr
 	cd ../..
 	.venv/bin/pytest -m generators tests/generators
 
-test-dashboards: .venv/test-stamp  ## the configurations of docs/how-to/dashboards.md: the flow in Node-RED, the paths of Telegraf in gjson
+test-dashboards: .venv/test-stamp  ## the configurations in docs/examples/dashboards: the flow in Node-RED, the paths of Telegraf in gjson
 	$(debian-packages)
 	debian-packages $(DASHBOARDS)
 	mkdir -p build/dashboards

@@ -3,7 +3,8 @@
 `python docs/tables/key_tables.py` writes them.
 
 A list follows a comment that names its models, as `<!-- keys: Header, Measured -->`; inherited keys are left out, and
-so are the `SHARED` ones. An example is the JSON block of the section that is named after its model.
+so are the `SHARED` ones. An example is the JSON block of the section that is named after its model; all but the first
+are without the keys of the header.
 """
 
 import json
@@ -22,6 +23,7 @@ PAGES = [Path(__file__).parents[1] / "reference" / f"{name}.md" for name in ("mq
 WIDTH = 130
 EXAMPLE = re.compile(r"(^## (\w+)\n(?:(?!^## |^```).*\n)*```json\n)(?:.*\n)*?(```)", re.MULTILINE)
 KEYS = re.compile(r"(<!-- (keys|words|errors): ([\w, ]+) -->\n\n)(?:- .*\n)*\n*")
+HEADER = {*payloads.Header.model_fields, "board_ticks", "board_boot_id"}
 SHARED = {"reason_code", "reason", "decoder_id"}  # explained once, below "Header"
 
 
@@ -29,7 +31,12 @@ def with_lists(page: str) -> str:
     """Return the page with each list as the models have it."""
     make = {"keys": list_of_keys, "words": list_of_words, "errors": list_of_errors}
     page = KEYS.sub(lambda found: f"{found[1]}{make[found[2]](found[3].split(', '))}\n", page)
-    return EXAMPLE.sub(lambda found: f"{found[1]}{_wrapped(EXAMPLES[found[2]])}\n{found[3]}", page)
+    return EXAMPLE.sub(lambda found: f"{found[1]}{_wrapped(example(found[2]))}\n{found[3]}", page)
+
+
+def example(name: str) -> dict[str, object]:
+    """Return what the page shows of a message: the first one whole, the others without their header."""
+    return {key: value for key, value in EXAMPLES[name].items() if name == "Forces" or key not in HEADER}
 
 
 def list_of_keys(names: list[str]) -> str:
@@ -50,10 +57,10 @@ def _list(meanings: Iterable[tuple[str, str]]) -> str:
     return "".join(f"- `{word}`: {meaning}\n" for word, meaning in meanings)
 
 
-def _wrapped(example: object) -> str:
+def _wrapped(message: object) -> str:
     """Return an example in lines that end between two values."""
     lines = [""]
-    for part in re.split(r'(?<=, )(?=["{\[\d-])', json.dumps(example, ensure_ascii=False)):
+    for part in re.split(r'(?<=, )(?=["{\[\d-])', json.dumps(message, ensure_ascii=False)):
         if len(lines[-1] + part) > WIDTH:
             lines.append(" ")
         lines[-1] += part

@@ -21,11 +21,6 @@ from resonator_daemon.mqtt.verbs import VERBS, ErrorCode, Refusal
 
 PAGE = "".join(page.read_text() for page in key_tables.PAGES)
 SECTIONS = dict(re.findall(r"^## (.+)\n((?:(?!^## ).*\n?)*)", PAGE, re.MULTILINE))
-EXAMPLES_SHOWN = [
-    (title, example)
-    for title, section in SECTIONS.items()
-    for example in re.findall(r"```json\n(.*?)```", section, re.DOTALL)
-]
 DAEMON, EITHER = "daemon", "daemon or decoder"
 
 
@@ -66,14 +61,14 @@ def test_each_set_of_words_has_a_table() -> None:
     assert sets - {"JsonTopic"} == set(re.findall(r"<!-- words: (\w+) -->", PAGE))
 
 
-@pytest.mark.parametrize(("title", "example"), EXAMPLES_SHOWN, ids=[title for title, _ in EXAMPLES_SHOWN])
-def test_every_example_is_a_message_with_all_its_keys(title: str, example: str) -> None:
-    message = decode(getattr(payloads, title), example.encode())
-    assert json.loads(encode(message)) == json.loads(example) == EXAMPLES[title]
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_every_example_is_a_message_with_all_its_keys(name: str) -> None:
+    message = decode(getattr(payloads, name), json.dumps(EXAMPLES[name]).encode())
+    assert json.loads(encode(message)) == EXAMPLES[name]
 
 
 def test_each_json_payload_has_an_example() -> None:
-    assert len(EXAMPLES_SHOWN) >= 7
+    assert len(re.findall("```json", PAGE)) >= 7
     published = {*topics.TOPICS.values(), topics.DECODER_STATE, topics.DECODER_HEALTH}
     assert EXAMPLES.keys() == {topic.payload.__name__ for topic in published if topic.content_type == topics.JSON}
 
