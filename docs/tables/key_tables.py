@@ -24,7 +24,8 @@ WIDTH = 130
 EXAMPLE = re.compile(r"(^## (\w+)\n(?:(?!^## |^```).*\n)*```json\n)(?:.*\n)*?(```)", re.MULTILINE)
 KEYS = re.compile(r"(<!-- (keys|words|errors): ([\w, ]+) -->\n\n)(?:- .*\n)*\n*")
 HEADER = {*payloads.Header.model_fields, "board_ticks", "board_boot_id"}
-SHARED = {"reason_code", "reason", "decoder_id"}  # explained once, below "Header"
+# Explained once, below "Header".
+SHARED = {"status", "reason_code", "reason", "decoder_id", "noise_newton", "systematic_newton", "at_least_newton"}
 
 
 def with_lists(page: str) -> str:

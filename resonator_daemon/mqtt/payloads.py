@@ -226,9 +226,7 @@ class Decoded(Measured):
     displacement_m: Float32Array | None = Field(
         description="of the surface, same shape; null where the decoder was not asked for it"
     )
-    grid: Grid | None = Field(
-        description="where the values lie; null at scattered points: those of the sites, in the order of `info`"
-    )
+    grid: Grid | None = Field(description="places of the values; null at scattered points, the sites")
     decoder_id: str | None = optional(_DECODER_ID)
 
     @model_validator(mode="after")
@@ -259,9 +257,7 @@ class DecodedSummary(Measured):
         description="what made the map: `open-plane` or `fourier`, with `+contact` where contact physics is on; "
         "`template` where sites are too few for a map"
     )
-    chi2: Float = Field(
-        description="about 1 where the signals scatter as the decoder's model and the declared noise predict"
-    )
+    chi2: Float = Field(description="about 1 if model and declared noise explain the signals")
     border_contact: bool = Field(description="the load reaches the border, where errors are larger")
     status: Status = Field(
         description="of the frame; `constraint_dropped`: the signals contradict contact physics, and `reason` states "
@@ -294,9 +290,7 @@ class State(BoardHeader):
     state: Condition = Field(description="one word")
     reason_code: ReasonCode = Field(ReasonCode.UNSPECIFIED, description="why, for programs")
     reason: str = Field(description="the same as a sentence for people, with details")
-    since_t_ns: Int64 | None = Field(
-        description="UTC, since when the state lasts; null in the last will: nobody is left to date it"
-    )
+    since_t_ns: Int64 | None = Field(description="UTC, start of the state; null in the last will")
     last_outage: OutageInfo | None = optional(
         "of `state/link`: the last time without frames that is over, since the daemon started"
     )
@@ -336,9 +330,7 @@ class CalibrationInfo(Message):
     date: str | None = Field(description="YYYY-MM-DD")
     unit: str | None = Field(description="serial number of the plate that was calibrated")
     expiry: str | None = Field(description="YYYY-MM-DD; later the sensor's state is `uncalibrated`")
-    model_error: float = Field(
-        description="relative, one standard deviation: scatter of K from touch to touch and corner"
-    )
+    model_error: float = Field(description="relative standard deviation of K from touch to touch and corner")
     sensitivity_std: float = Field(description="relative, one standard deviation: what all K share")
     response: ResponseCompensation = Field(description="whether hysteresis and creep are taken out")
 
@@ -390,11 +382,9 @@ class MessageAccount(Message):
     At any instant enqueued = acknowledged + written + sum of dropped + unknown_at_disconnect + waiting.
     """
 
-    enqueued: int = Field(0, description="all of them, those of the next three lines included")
+    enqueued: int = Field(0, description="all, including the next three")
     republished: int = Field(0, description="retained messages sent again after a reconnection")
-    resent: int = Field(
-        0, description="events whose acknowledgement was outstanding when a connection ended, sent again"
-    )
+    resent: int = Field(0, description="events sent again, because a connection ended before their acknowledgement")
     recovered: int = Field(0, description="events that an earlier run of the daemon had left in the spool")
     acknowledged: int = Field(0, description="QoS 1: acknowledged by the broker")
     written: int = Field(0, description="QoS 0: written to the connection in full")
@@ -444,11 +434,11 @@ class DecoderProcessInfo(Message):
 class RecordingInfo(Message):
     """What is being recorded of the link, and what all recordings since the daemon started have come to."""
 
-    file: str | None = Field(description="the present one, on the daemon's machine; null while nothing is recorded")
-    since_t_ns: Int64 | None = Field(description="UTC, when the recording began; null while nothing is recorded")
+    file: str | None = Field(description="the present one, on the daemon's computer, or null")
+    since_t_ns: Int64 | None = Field(description="UTC, start of the recording, or null")
     failure_code: ReasonCode | None = optional("why nothing is written to it, for programs; left out while all is well")
-    failure: str | None = Field(description="the same as a sentence; null while all is well")
-    file_bytes: int = Field(description="what is written of the present file, 0 while nothing is recorded")
+    failure: str | None = Field(description="the same as a sentence, else null")
+    file_bytes: int = Field(description="written bytes of the present file")
     files: int = Field(description="files that were begun since the daemon started")
     files_removed: int = Field(description="old recordings that went because of `max_total_mb`, since then")
     events_missing: int = Field(
@@ -480,7 +470,7 @@ class Health(BoardHeader):
     bytes_in: int = Field(description="bytes from the board")
     bytes_by_outcome: dict[str, int] = Field(description="what became of them; their sum is `bytes_in`")
     connections: int = Field(description="openings of the link")
-    host_overruns: int = Field(description="times that the driver of the host's serial port reported lost bytes")
+    host_overruns: int = Field(description="reports of lost bytes by the host's driver")
     boots: tuple[BootInfo, ...] = Field(description="of the board, the latest eight, the present one last")
     clock_drift_ppm: Float = Field(
         description="rate of the board's clock against this computer's, null until it is known to 10 ppm"
@@ -497,13 +487,11 @@ class Health(BoardHeader):
     threads: int = Field(description="of the daemon")
     file_descriptors: int = Field(description="that the daemon holds open")
     latency: dict[str, LatencyInfo] = Field(description="by topic")
-    decoder: DecoderProcessInfo | None = Field(
-        None, description="the process that decodes a skin; null where the daemon has none"
-    )
+    decoder: DecoderProcessInfo | None = Field(None, description="the process that decodes a skin, or null")
     recording: RecordingInfo = Field(description="what is recorded, and was since the daemon started")
     commands: dict[str, int] = Field(
         default_factory=dict,
-        description="commands since the daemon started, by what became of them: `done`, an error's code, `unanswered`",
+        description="commands by outcome: `done`, an error's code, `unanswered`",
     )
     messages: MessageAccount = Field(description=_MESSAGES)
 
@@ -516,7 +504,7 @@ class DecoderState(Message):
     reason_code: ReasonCode = Field(ReasonCode.UNSPECIFIED, description="why, for programs")
     reason: str = Field(description="the same as a sentence for people, with details")
     t_ns: Int64 = Field(description="UTC, when it was published")
-    since_t_ns: Int64 | None = Field(description="UTC, since when the state lasts; null in the last will")
+    since_t_ns: Int64 | None = Field(description="UTC, start of the state; null in the last will")
     topic_filter: str = Field(description="the signals it takes")
 
 
@@ -525,7 +513,7 @@ class DecoderPlateHealth(Message):
 
     received: int = Field(description="messages of `signals` since the decoder started")
     decoded: int = Field(description="published as `decoded` and `decoded/summary`")
-    skipped: int = Field(description="a newer frame was there first, or the decoder was not ready")
+    skipped: int = Field(description="a newer frame existed, or the decoder was not ready")
     unusable: int = Field(description="not a message, another shape than in `info`, or the noise is not known yet")
     waiting: int = Field(description="being decoded, or next")
     missed: int = Field(description="gaps in `seq`; with a group: frames that others got, too")
