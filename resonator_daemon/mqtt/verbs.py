@@ -62,8 +62,8 @@ ERRORS: Final[dict[ErrorCode, str]] = {
     "unknown_verb": "there is no such command",
     "not_permitted": "it changes something, and the configuration does not allow it",
     "payload": "not a JSON object of this command, an empty payload, or more than 16 KiB",
-    "response_topic": "a topic with wildcards, or a daemon's own outside `rsp/`: answers would pass for its messages",
-    "correlation": "correlation data of more than 1024 bytes, which the answer does not repeat",
+    "response_topic": "a topic with wildcards, or a daemon's own outside `rsp/`",
+    "correlation": "correlation data of more than 1024 bytes",
     "too_many": "more than 20 at once, or 10 a second; most of those get no answer at all",
     "busy": "32 commands wait already",
     "timeout": "not done within 8 s; it may still be done",
@@ -76,7 +76,7 @@ ERRORS: Final[dict[ErrorCode, str]] = {
     "window": "window and step do not fit each other, or the frames",
     "not_published": "the daemon does not publish this stream",
     "unknown_boot": "no run with this `daemon_boot_id` is on record",
-    "storage_failed": "stored events of an earlier run cannot be read: the disk failed, or another process holds it",
+    "storage_failed": "stored events of an earlier run cannot be read",
     "not_located": "the board did not answer, or cannot blink",
 }
 
