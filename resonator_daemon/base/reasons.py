@@ -99,7 +99,7 @@ class ReasonCode(Word):
     FRAME_LENGTH = "frame_length", "frames of another length are refused"
     FRAME_PART = "frame_part", "parts of frames that do not match are refused"
     FRAME_KIND = "frame_kind", "frames of another kind of counter are refused"
-    FRAME_TICKS = "frame_ticks", "frames with ticks far from those of pings are refused"
+    FRAME_TICKS = "frame_ticks", "frames with ticks far from the pings' ticks are refused"
     MESSAGE_FIELDS = "message_fields", "messages with an impossible field are refused"
     WRONG_PROTOCOL = "wrong_protocol", "the board uses another protocol"
     WRONG_PLATE = "wrong_plate", "the board serves a plate of another kind"
