@@ -1,4 +1,4 @@
-"""Recordings of the link, by command or without end, with the published messages beside the link's bytes."""
+"""Recordings of the link, by command or without end, with the published messages next to the link's bytes."""
 
 import asyncio
 import logging
