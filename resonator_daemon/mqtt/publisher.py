@@ -23,7 +23,7 @@ from resonator_daemon.mqtt.outbox import Outbox, Packet
 from resonator_daemon.mqtt.pacing import Decimator
 from resonator_daemon.mqtt.packets import StreamPackets, pack, properties_of
 from resonator_daemon.mqtt.payloads import ContactEvent, Header, Message, MessageAccount
-from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
+from resonator_daemon.mqtt.reconnection import keep_connected
 from resonator_daemon.mqtt.retained_topics import RetainedTopics
 from resonator_daemon.mqtt.topics import JSON, MessageT, Topic
 
@@ -226,8 +226,7 @@ class Publisher:
         self._ended.clear()
         self._outbox.events.start(self._end)
         try:
-            session = connection_session(self._make_connection, self._serve, self._closing)
-            await keep_connected(self._broker, session, self._closing, times=self._times)
+            await keep_connected(self._broker, self._make_connection, self._serve, self._closing, times=self._times)
         finally:
             self._closed = True
             self._retained.close()

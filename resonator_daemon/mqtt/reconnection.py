@@ -3,7 +3,6 @@
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
 from typing import Any
 
 from paho.mqtt.enums import MQTTProtocolVersion
@@ -20,46 +19,31 @@ log = logging.getLogger(__name__)
 Report = Callable[[int, str], None]
 
 
-@dataclass(frozen=True)
-class Attempt:
-    """One attempt to connect.
-
-    Attributes
-    ----------
-    version
-        Of MQTT, which the broker supports.
-    at_once
-        Whether it is the first attempt since the last connection ended.
-    accepted
-        To be called when the broker has accepted the connection.
-    """
-
-    version: MQTTProtocolVersion
-    at_once: bool
-    accepted: Callable[[], None]
-
-
 def _log_line(level: int, text: str) -> None:
     log.log(level, "%s", text)
 
 
 async def keep_connected(
     broker: Mqtt,
-    session: Callable[[Attempt], Awaitable[None]],
+    make_connection: Callable[[MQTTProtocolVersion], BrokerConnection],
+    serve: Callable[[BrokerConnection, bool], Awaitable[None]],
     closing: asyncio.Future[None],
     *,
     report: Report = _log_line,
     on_failure: Callable[[Exception], None] = lambda _: None,
     times: ConnectionTimes | None = None,
 ) -> None:
-    """Run one session after the other until `closing` is done.
+    """Make one connection after the other until `closing` is done; then the last one is closed with DISCONNECT.
 
     Parameters
     ----------
     broker
-    session
-        Connects, calls `Attempt.accepted`, and returns when `closing` is done. Raises BrokerError or OSError if it
-        cannot connect, and when the connection is lost.
+    make_connection
+        Makes the next connection, of a version of MQTT that the broker supports.
+    serve
+        Called with a connection that the broker has accepted, and whether it was the first attempt since the one before
+        ended. It is cancelled when the connection is over, may end before, and may raise BrokerError to give it up:
+        then the broker publishes the will.
     closing
     report
         Called with level and text of a log line when the connection changes, once per change.
@@ -72,7 +56,6 @@ async def keep_connected(
     pauses = Backoff(times.first_pause_s)
     version: MQTTProtocolVersion | None = None
     attempts = 0
-    accepted_s: float | None = None
     reported: str | None = None
 
     def report_change(level: int, text: str) -> None:
@@ -81,20 +64,17 @@ async def keep_connected(
             report(level, f"broker {broker.host}:{broker.port}: {text}")
         reported = text
 
-    def accepted() -> None:
-        nonlocal accepted_s, attempts
-        accepted_s, attempts = loop.time(), 0
-        report_change(logging.INFO, f"connected, MQTT {'5' if version is MQTT_5 else '3.1.1'}")
-
     while not closing.done():
         attempts += 1
         longest_pause_s = times.longest_pause_s
-        accepted_s = None
+        accepted_s: float | None = None
         try:
             version = version or await find_version(broker, closing, times)
-            if version is None:
+            if version is None or not await _connect(connection := make_connection(version), closing):
                 return
-            await session(Attempt(version, attempts == 1, accepted))
+            at_once, attempts, accepted_s = attempts == 1, 0, loop.time()
+            report_change(logging.INFO, f"connected, MQTT {'5' if version is MQTT_5 else '3.1.1'}")
+            await _serve_until_over(serve(connection, at_once), connection, closing)
         except (BrokerError, OSError) as caught:
             error = connecting.of_answer(caught, broker)
             on_failure(error)
@@ -109,32 +89,6 @@ async def keep_connected(
         if accepted_s is not None and loop.time() - accepted_s > times.stable_s:
             pauses.reset()
         await asyncio.wait([closing], timeout=pauses.next_s(longest_pause_s))
-
-
-def connection_session(
-    make_connection: Callable[[MQTTProtocolVersion], BrokerConnection],
-    serve: Callable[[BrokerConnection, bool], Awaitable[None]],
-    closing: asyncio.Future[None],
-) -> Callable[[Attempt], Awaitable[None]]:
-    """Return a session that serves a BrokerConnection.
-
-    `serve(connection, at_once)` is cancelled when the connection is over, and may raise BrokerError to give it up.
-    The connection is closed with DISCONNECT if `closing` is done; else the broker publishes the will.
-    """
-
-    async def session(attempt: Attempt) -> None:
-        connection = make_connection(attempt.version)
-        if not await _connect(connection, closing):
-            return
-        try:
-            attempt.accepted()
-            await _serve_until_over(serve(connection, attempt.at_once), connection, closing)
-            if connection.writable:
-                await connection.disconnect()
-        finally:
-            connection.abort()
-
-    return session
 
 
 async def find_version(
@@ -187,14 +141,21 @@ async def _connect(connection: BrokerConnection, closing: asyncio.Future[None]) 
 
 async def _serve_until_over(work: Awaitable[None], connection: BrokerConnection, closing: asyncio.Future[None]) -> None:
     serving = asyncio.ensure_future(work)
-    ends: list[asyncio.Future[Any]] = [serving, connection.lost, closing]
+    over: list[asyncio.Future[Any]] = [connection.lost, closing]
     try:
-        await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+        try:
+            await asyncio.wait([serving, *over], return_when=asyncio.FIRST_COMPLETED)
+            if serving.done() and serving.exception() is None:
+                await asyncio.wait(over, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            serving.cancel()
+            await asyncio.wait([serving])
+        if not serving.cancelled():
+            serving.result()
+        if not closing.done():
+            connection.lost.result()
+            raise BrokerError("connection lost")
+        if connection.writable:
+            await connection.disconnect()
     finally:
-        serving.cancel()
-        await asyncio.wait([serving])
-    if not serving.cancelled():
-        serving.result()
-    if not closing.done():
-        connection.lost.result()
-        raise BrokerError("connection lost")
+        connection.abort()

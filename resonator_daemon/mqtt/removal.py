@@ -14,7 +14,7 @@ from resonator_daemon.base.reasons import Condition
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import BrokerConnection
 from resonator_daemon.mqtt.codec import Incoming
-from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
+from resonator_daemon.mqtt.reconnection import keep_connected
 from resonator_daemon.mqtt.requests import BrokerUnreachableError, DeniedError, reach
 from resonator_daemon.mqtt.topics import STATE_DAEMON, full_topic
 
@@ -81,13 +81,11 @@ async def remove_plate(broker: Mqtt, name: str, *, force: bool = False) -> tuple
             done.set_exception(error)
         else:
             done.set_result(None)
-        await asyncio.wait([client.lost, closing], return_when=asyncio.FIRST_COMPLETED)
 
     def make_connection(version: MQTTProtocolVersion) -> BrokerConnection:
         return BrokerConnection(broker, version, on_message=removal.receive)
 
-    session = connection_session(make_connection, serve, closing)
-    connection = asyncio.create_task(keep_connected(broker, session, closing, report=report))
+    connection = asyncio.create_task(keep_connected(broker, make_connection, serve, closing, report=report))
     try:
         async with asyncio.timeout(REMOVED_S):
             await done

@@ -16,7 +16,7 @@ from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, BrokerConnection
 from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.payloads import Condition, Info, State
-from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
+from resonator_daemon.mqtt.reconnection import keep_connected
 from resonator_daemon.mqtt.subscriber import subscribe
 from resonator_daemon.mqtt.topics import INFO, STATE_DAEMON, TOPICS, full_topic
 from resonator_daemon.mqtt.verbs import UNKNOWN, VERBS, Answer, Refusal
@@ -140,7 +140,6 @@ async def request(
         client.send(
             command_topic, json.dumps(payload).encode(), qos=1, correlation=number.encode(), response_topic=own_topic
         )
-        await asyncio.wait([client.lost, closing], return_when=asyncio.FIRST_COMPLETED)
 
     def make_connection(version: MQTTProtocolVersion) -> BrokerConnection:
         return BrokerConnection(
@@ -151,8 +150,7 @@ async def request(
             on_denied=lambda topic_filter, _reason: denied(topic_filter),
         )
 
-    session = connection_session(make_connection, serve, closing)
-    connection = asyncio.create_task(keep_connected(broker, session, closing))
+    connection = asyncio.create_task(keep_connected(broker, make_connection, serve, closing))
     try:
         async with asyncio.timeout(answer_s):
             return await answer

@@ -23,7 +23,7 @@ from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import BrokerConnection
 from resonator_daemon.mqtt.codec import Incoming, decode
 from resonator_daemon.mqtt.payloads import Message
-from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
+from resonator_daemon.mqtt.reconnection import keep_connected
 from resonator_daemon.mqtt.topics import TOPICS, Topic, full_topic, split_topic
 
 END_TIMEOUT_S: Final = 2.0  # an attempt to connect cannot be cancelled
@@ -140,12 +140,10 @@ class Receiver:
         async def serve(connection: BrokerConnection, _at_once: bool) -> None:
             await asyncio.wait([connection.subscribe(*each) for each in filters.items()])
             _finish(subscribed)
-            await asyncio.wait([connection.lost])
 
         if before is not None:
             await asyncio.wait([before, closing], return_when=asyncio.FIRST_COMPLETED)
-        session = connection_session(make_connection, serve, closing)
-        await keep_connected(self._broker, session, closing, report=self._report)
+        await keep_connected(self._broker, make_connection, serve, closing, report=self._report)
 
     def _report(self, level: int, text: str) -> None:
         """Log a change of the connections, once where it is the same of all."""

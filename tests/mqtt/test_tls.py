@@ -21,7 +21,7 @@ from resonator_daemon.mqtt.broker_connection import BrokerConnection
 from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.connecting import make_tls
 from resonator_daemon.mqtt.packets import StreamPackets, pack
-from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
+from resonator_daemon.mqtt.reconnection import keep_connected
 from resonator_daemon.mqtt.requests import reach
 
 TO_NOBODY = "anonymous"
@@ -105,8 +105,7 @@ async def keeping_connected(broker: Mqtt, monkeypatch: pytest.MonkeyPatch) -> As
     before = asyncio.all_tasks()
     with monkeypatch.context() as patch:
         patch.setattr(socket, "create_connection", counted)
-        session = connection_session(make_connection, serve, closing)
-        running = asyncio.create_task(keep_connected(broker, session, closing, times=QUICK_TLS))
+        running = asyncio.create_task(keep_connected(broker, make_connection, serve, closing, times=QUICK_TLS))
         try:
             yield attempts
         finally:

@@ -16,7 +16,7 @@ from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt import connecting
 from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes
 from resonator_daemon.mqtt.codec import Incoming
-from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
+from resonator_daemon.mqtt.reconnection import keep_connected
 from resonator_daemon.mqtt.topics import full_topic
 from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, downgraded, not_checked
 from resonator_daemon.tools.doctor.host_checks import BusyCheck, Host
@@ -144,9 +144,15 @@ async def _measure(broker: Mqtt, times: ConnectionTimes | None) -> tuple[_Probe,
     """Return the measurement and the last message on the connection."""
     probe, closing = _Probe(broker, times), asyncio.get_running_loop().create_future()
     last_text = ["no answer"]
-    session = connection_session(lambda version: probe.make_connection(broker, version), probe.serve, closing)
     keeping = asyncio.create_task(
-        keep_connected(broker, session, closing, report=lambda _, text: last_text.append(text), times=times)
+        keep_connected(
+            broker,
+            lambda version: probe.make_connection(broker, version),
+            probe.serve,
+            closing,
+            report=lambda _, text: last_text.append(text),
+            times=times,
+        )
     )
     try:
         async with asyncio.timeout(ACCEPT_S):

@@ -11,7 +11,7 @@ from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import MQTT_3, BrokerConnection
 from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.connecting import UNSUPPORTED_VERSION, RefusalError, code_of
-from resonator_daemon.mqtt.reconnection import connection_session, keep_connected
+from resonator_daemon.mqtt.reconnection import keep_connected
 from resonator_daemon.mqtt.subscriber import EVERY_PLATE, topic_filters
 from resonator_daemon.mqtt.topics import TOPICS, full_topic, split_topic
 from resonator_daemon.tools.live_page.protocol import STREAMS
@@ -57,14 +57,17 @@ class BrokerRelay:
     async def run(self) -> None:
         """Relay until cancelled."""
         closing = asyncio.get_running_loop().create_future()  # never done: there is no will to be taken back
-        states = connection_session(self._make_connection, self._serve_states, closing)
-        streams = connection_session(self._make_streams_connection, self._serve_streams, closing)
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(keep_connected(self._broker, states, closing, on_failure=self._failed))
+            tasks.create_task(
+                keep_connected(
+                    self._broker, self._make_connection, self._serve_states, closing, on_failure=self._failed
+                )
+            )
             tasks.create_task(
                 keep_connected(
                     self._broker,
-                    streams,
+                    self._make_streams_connection,
+                    self._serve_streams,
                     closing,
                     report=lambda _, text: log.debug("streams: %s", text),
                     on_failure=self._streams_failed,
