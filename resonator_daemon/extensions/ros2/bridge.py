@@ -15,13 +15,14 @@ from typing import Any, Final
 
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.extensions.ros2.message_types import DIAGNOSTICS, make_typestore
 from resonator_daemon.extensions.ros2.messages import (
+    DIAGNOSTICS,
     DIAGNOSTICS_TOPIC,
     STALE,
     Diagnostics,
     Translation,
     diagnostics_of,
+    make_typestore,
 )
 from resonator_daemon.extensions.ros2.node import Ros2Node
 from resonator_daemon.extensions.viewer_support import Geometry

@@ -1,29 +1,19 @@
-"""Messages of a plate as messages of ROS 2, for files and for the bridge alike; no ROS is needed."""
+"""Messages of a plate as messages of ROS 2, for files and for the bridge alike; no ROS is needed.
 
+Types are those that come with ROS, and `resonator_msgs` for what ROS has no type for.
+"""
+
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.extensions.ros2.message_types import (
-    CLOUD,
-    CONTACT,
-    CONTACTS,
-    DIAGNOSTICS,
-    EVENT,
-    FORCES,
-    PATCH,
-    SITE_FORCE,
-    SUMMARY,
-    TRANSFORMS,
-    WRENCH,
-    Nodetype,
-    Typestore,
-    make_typestore,
-    ros_name,
-)
+from resonator_daemon.base.errors import MissingLibraryError
+from resonator_daemon.base.host.text import how_to_install
 from resonator_daemon.extensions.viewer_support import (
     OK,
     WARN,
@@ -47,6 +37,24 @@ from resonator_daemon.mqtt.payloads import (
     State,
 )
 from resonator_daemon.mqtt.topics import HEALTH
+
+try:
+    from rosbags.interfaces import Nodetype
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    from rosbags.typesys.store import Typestore
+except ImportError as error:
+    raise MissingLibraryError(f"messages of ROS 2 need rosbags: {how_to_install('rosbags')}") from error
+
+CONTACT, CONTACTS, EVENT, FORCES, SITE_FORCE, SUMMARY, PATCH = (
+    f"resonator_msgs/msg/{name}"
+    for name in ("Contact", "Contacts", "ContactEvent", "Forces", "SiteForce", "DecodedSummary", "Patch")
+)
+WRENCH: Final = "geometry_msgs/msg/WrenchStamped"
+CLOUD: Final = "sensor_msgs/msg/PointCloud2"
+DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
+TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
+
+_DEFINITIONS: Final = Path(__file__).with_name("resonator_msgs") / "msg"  # fields have the names of the payloads' keys
 
 DIAGNOSTICS_TOPIC: Final = "/diagnostics"
 
@@ -326,3 +334,19 @@ def diagnostics_of(store: Typestore, t_ns: int, statuses: list[Any]) -> Any:
     stamp = store.types["builtin_interfaces/msg/Time"](*divmod(t_ns, 10**9))
     header = store.types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
     return store.types[DIAGNOSTICS](header=header, status=statuses)
+
+
+def make_typestore(*, humble: bool = False) -> Typestore:
+    """Return the types of ROS 2 and `resonator_msgs`; with `humble`, ids of nodes have the length of Humble."""
+    store = get_typestore(Stores.ROS2_HUMBLE if humble else Stores.ROS2_JAZZY)
+    types: dict[str, Any] = {}
+    for file in _DEFINITIONS.iterdir():
+        types |= get_types_from_msg(file.read_text(), f"resonator_msgs/msg/{file.stem}")
+    store.register(types)
+    return store
+
+
+def ros_name(text: str) -> str:
+    """Return the text as a name that ROS accepts: letters, digits and underscores, no digit first."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", text)
+    return name if re.match(r"[A-Za-z]", name) else f"plate_{name}"

@@ -22,10 +22,12 @@ try:
     from cyclonedds.pub import DataWriter
     from cyclonedds.qos import Policy, Qos
     from cyclonedds.topic import Topic
+    from rosbags.interfaces import Nodetype
+    from rosbags.typesys.store import Typestore
 except ImportError as error:
-    raise MissingLibraryError(f"the bridge to ROS 2 needs cyclonedds: {how_to_install('cyclonedds')}") from error
+    needed = "cyclonedds rosbags"
+    raise MissingLibraryError(f"the bridge to ROS 2 needs {needed}: {how_to_install(needed)}") from error
 
-from resonator_daemon.extensions.ros2.message_types import Nodetype, Typestore
 
 # As ROS has them in DDS: `byte` and `char` are octets.
 _BASES: Final[dict[str, Any]] = {
