@@ -161,27 +161,20 @@ def test_closing_waits_a_moment_for_a_board_to_take_the_last_bytes(
     assert not queued
 
 
-def test_the_driver_is_asked_for_low_latency_and_for_nothing_else(
-    port: Terminal, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("has_such_a_mode", [True, False])
+def test_the_driver_is_asked_for_low_latency(
+    port: Terminal, monkeypatch: pytest.MonkeyPatch, has_such_a_mode: bool
 ) -> None:
-    real = fcntl.ioctl
-    settings = bytearray(range(72)) + bytes(56)
-    struct.pack_into("@i", settings, 16, 0x10)  # flags
-    given: list[bytes] = []
+    asked = []
 
-    def driver(descriptor: int, asked: int, *rest: Any) -> Any:
-        if asked == termios.TIOCGSERIAL:
-            memoryview(rest[0]).cast("B")[:] = settings
-            return 0
-        if asked == termios.TIOCSSERIAL:
-            given.append(bytes(rest[0]))
-            return 0
-        return real(descriptor, asked, *rest)
+    def low_latency(_port: serial.Serial, mode: bool) -> None:
+        asked.append(mode)
+        if not has_such_a_mode:
+            raise ValueError("Failed to update ASYNC_LOW_LATENCY flag")
 
-    monkeypatch.setattr(fcntl, "ioctl", driver)
+    monkeypatch.setattr(serial.Serial, "set_low_latency_mode", low_latency)
     open_serial(SerialTarget(port.path, BAUD)).close()
-    struct.pack_into("@i", settings, 16, 0x10 | 0x2000)
-    assert given == [bytes(settings)]
+    assert asked == [True]
 
 
 def test_losses_of_the_driver_are_counted_from_the_opening_on(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
