@@ -1,5 +1,6 @@
-"""What a running daemon takes of a changed configuration, and what it says of the rest."""
+"""Values of a configuration: a recording's own copy loads back equal; what a running daemon takes of changed ones."""
 
+from datetime import date
 from pathlib import Path
 
 import pytest
@@ -7,7 +8,66 @@ from config_files import loaded
 from plates import with_counter
 
 from resonator_daemon.base.plate import load_plate
-from resonator_daemon.board.config.values import Changes, applied, changes, plate_text
+from resonator_daemon.base.plate_tables import Coupling
+from resonator_daemon.board.config.mqtt import Mqtt
+from resonator_daemon.board.config.values import (
+    Changes,
+    applied,
+    changes,
+    config_of,
+    load_plate_text,
+    load_settings_text,
+    plate_text,
+    settings_text,
+)
+from resonator_daemon.board.links.carriers.recording import RecordingTarget
+
+ORIGIN = Path("run.mcap/plate.toml")
+LINK = RecordingTarget("run.mcap")
+
+
+def test_a_calibrated_plate_loads_back_equal() -> None:
+    plate = load_plate("quartz16")
+    calibration = plate.calibration.model_copy(
+        update={
+            "id": 'a "quoted" \\ id\n\tß',
+            "date": date(2026, 1, 2),
+            "sites": (1, 2),
+            "residuals": (1e-15, 0.1 + 0.2),
+            "coupling": (Coupling(pressed=1, measured=2, ratio=-1 / 3),),
+        }
+    )
+    plate = plate.model_copy(update={"calibration": calibration})
+    assert load_plate_text(plate_text(plate), ORIGIN) == plate
+
+
+def test_settings_load_back_equal(tmp_path: Path) -> None:
+    base = 'plate = "skin32"\nlink = "tcp://127.0.0.1:1"\n'
+    for table in (
+        "",
+        "[measurement]\nwindow_ms = 7.3\nstep_ms = 0.1\n",
+        '[decoding]\nmethod = "fourier"\ncontact_physics = false\nuncertainty = false\nfriction_coefficient = 0.3\n',
+        '[decoding]\nexternal = true\nplates = ["+"]\ngroup = "g"\ndisplacement = false\n',
+    ):
+        config = loaded(tmp_path, base + table)
+        settings = load_settings_text(settings_text(config), ORIGIN)
+        assert (settings.measurement, settings.decoding) == (config.measurement, config.decoding)
+
+
+def test_a_configuration_of_a_recordings_parts(tmp_path: Path) -> None:
+    """The default step does not suit this plate's frames: what the recording carries holds."""
+    slow = load_plate("quartz16")
+    slow = with_counter(slow, frame_rate_hz=250.0)
+    (tmp_path / "slow.toml").write_text(plate_text(slow))
+    recorded = loaded(
+        tmp_path, 'plate = "slow.toml"\nlink = "tcp://127.0.0.1:1"\n[measurement]\nwindow_ms = 12\nstep_ms = 4\n'
+    )
+    settings = load_settings_text(settings_text(recorded), ORIGIN)
+    config = config_of(slow, settings, LINK, name="left", mqtt=Mqtt(prefix="again"))
+    assert (config.name, config.plate, config.link, config.mqtt.prefix) == ("left", slow, LINK, "again")
+    assert (config.measurement, config.decoding) == (recorded.measurement, recorded.decoding)
+    assert config_of(slow, settings, LINK).mqtt == Mqtt()
+
 
 BASE = 'name = "left"\nplate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
 
