@@ -2,6 +2,7 @@
 
 import os
 import socket
+import threading
 import time
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from wire_host import Host, opened, truths
 from firmware_protocol.host import FramePart
 from firmware_protocol.messages import BoardStatus
 from simulators.emulator import EmulatorOptions
+from simulators.truth import TruthOutput
 
 
 def test_quartz16_sends_its_frames_in_time_and_writes_the_truth_beside_them(tmp_path: Path) -> None:
@@ -107,3 +109,64 @@ def test_the_scenario_fixes_the_seed_unless_another_is_given(
         assert sum(report["dropped_by_cause"].values()) == report["frames_dropped"]
         assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
     assert (lost[0] == lost[1]) == seeds_alike
+
+
+LINE = "x" * 199 + "\n"
+
+
+@pytest.fixture
+def pipe(tmp_path: Path) -> Path:
+    path = tmp_path / "truth"
+    os.mkfifo(path)
+    return path
+
+
+def test_a_pipe_waits_for_no_reader_and_serves_one_that_comes(pipe: Path) -> None:
+    output = TruthOutput(pipe)
+    output.write(LINE)
+    output.write(LINE)
+    assert output.lines_lost == 2
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    output.write("three\n")
+    assert os.read(reader, 100) == b"three\n"
+    os.close(reader)
+    output.write("four\n")
+    output.write("five\n")
+    assert output.lines_lost == 4
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    output.write("six\n")
+    output.close()
+    assert os.read(reader, 100) == b"six\n"
+    assert os.read(reader, 100) == b""
+    os.close(reader)
+    assert output.lines_lost == 4
+
+
+def test_a_reader_that_pauses_gets_all_lines_and_one_that_sleeps_only_whole_ones(pipe: Path) -> None:
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    output = TruthOutput(pipe)
+    for _ in range(2000):  # several times what a pipe takes
+        output.write(LINE)
+    assert output.lines_lost == 0
+    for _ in range(40_000):
+        output.write(LINE)
+    lost = output.lines_lost
+    assert 10_000 < lost < 40_000
+    received: list[bytes] = []
+    os.set_blocking(reader, True)
+
+    def read() -> None:
+        while data := os.read(reader, 65536):
+            received.append(data)
+
+    reading = threading.Thread(target=read)
+    reading.start()
+    output.write("again\n")
+    while len(output._waiting):
+        output._flush()
+    output.close()
+    reading.join()
+    os.close(reader)
+    lines = b"".join(received).decode().splitlines(keepends=True)
+    assert lines[:-1] == [LINE] * (len(lines) - 1)
+    assert len(lines) + output.lines_lost == 42_001

@@ -1,7 +1,8 @@
-"""Forces on the emulated quartz plate, read back from its records by eq. (1)."""
+"""Forces on the emulated quartz plate, from its records by eq. (1), and the noise of its oscillators."""
 
 import tomllib
 
+import allantools
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -9,7 +10,9 @@ from plates import plate_head, site
 from scenarios import steady
 
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag, SingleToneRecord
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate, load_plate
+from simulators.oscillator_noise import OscillatorNoise
 from simulators.physics import Physics
 from simulators.quartz_plate import QuartzPlate
 from simulators.scenario import Scenario
@@ -92,3 +95,34 @@ def test_a_plate_of_few_sites_is_counted_while_all_are_touched(sites: int) -> No
     hz = [frequency_hz(count(plate, 0.2, 20), channel) for channel in range(4)]
     pressed_hz = few.tones.f0_hz[:, 0] / (1.0 + 6e-6)
     assert all(np.abs(pressed_hz - each).min() < 60.0 for each in hz)
+
+
+S = 1.0  # Allan deviation at 1 s of whatever is on; all is linear in it
+
+
+def oscillators(count: int, white_fm: float, flicker_fm: float, random_walk_fm: float, seed: int) -> OscillatorNoise:
+    return OscillatorNoise(count, white_fm, flicker_fm, random_walk_fm, np.random.default_rng(seed))
+
+
+def overlapping_allan_deviation(shift: Floats, dt_s: float, spans: tuple[int, ...]) -> Floats:
+    """Of the mean Allan variance over the oscillators, shift (gates, oscillators)."""
+    taus = np.array(spans) * dt_s
+    deviations = [allantools.oadev(column, 1 / dt_s, data_type="freq", taus=taus)[1] for column in shift.T]
+    return np.sqrt(np.mean(np.square(deviations), axis=0))
+
+
+@pytest.mark.parametrize("dt_s", [1e-3, 5e-3])
+@pytest.mark.parametrize(
+    ("levels", "slope"),
+    [((S, 0.0, 0.0), -0.5), ((0.0, S, 0.0), 0.0), ((0.0, 0.0, S), 0.5)],
+    ids=["white", "flicker", "random walk"],
+)
+def test_allan_deviations_have_their_slope_and_level(
+    levels: tuple[float, float, float], slope: float, dt_s: float
+) -> None:
+    spans = (1, 2, 4, 8, 16, 32, 64, 128, 256)
+    shift = oscillators(48, *levels, seed=1).advance(dt_s, 2**14).relative_shift
+    tau_s = np.array(spans) * dt_s
+    deviation = overlapping_allan_deviation(shift, dt_s, spans)
+    assert deviation == pytest.approx(S * tau_s**slope, rel=0.05)
+    assert np.polyfit(np.log(tau_s), np.log(deviation), 1)[0] == pytest.approx(slope, abs=0.02)

@@ -1,30 +1,43 @@
-"""The emulated plate whose force tones are all heard: forces, noise, phase and warmth, read back from its records."""
+"""The emulated plates whose tones are all read: signal, noise, phase, gain and warmth, from their records."""
+
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scenarios import steady
-from tone_fields import counted_fields
 
+from firmware_protocol.layouts import TONE_FIELDS
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate, load_plate
 from simulators.comb_plate import CombPlate
+from simulators.contact import pressed_signals
 from simulators.physics import Physics
+from simulators.plate import EmulatedPlate, record_type
 from simulators.scenario import Scenario
 from simulators.scenario_file import Touch
+from simulators.skin_plate import SkinPlate
 
-GATE_TICKS = 1_250_000
+RECORD = record_type(TONE_FIELDS)
+
+
+def count(plate: EmulatedPlate, frames: int, at_s: float = 1.0) -> dict[str, Floats]:
+    """Count frames from a time of the scenario; return each field (frames, channels, tones)."""
+    gate_ticks = 1_250_000 if isinstance(plate, CombPlate) else 2_500_000
+    counted = plate.count(0, round(at_s * 250e6), gate_ticks, frames)
+    rows = np.array([[np.frombuffer(channel, RECORD) for channel in frame.channels] for frame in counted])
+    return {name: rows[name].astype(np.float64) for name in RECORD.names or ()}
+
+
 GATE_S = 5e-3
-PLATE, QUARTZ = load_plate("comb16"), load_plate("quartz16")
-INDEX = {int(site): index for index, site in enumerate(PLATE.site_ids)}
+COMB = load_plate("comb16")
+INDEX = {int(site): index for index, site in enumerate(COMB.site_ids)}
 
 
-def emulated(*touches: Touch, plate: Plate = PLATE, seed: int = 4, **physics: float) -> CombPlate:
+def emulated(*touches: Touch, plate: Plate = COMB, seed: int = 4, **physics: float) -> CombPlate:
     chosen = Physics(ideal=True, **{"white_fm": 0.0, "reference_error": 0.0, **physics})
     return CombPlate(plate, Scenario(touches, None, plate, physics=chosen), seed)
-
-
-def count(plate: CombPlate, frames: int, at_s: float = 1.0, gate_ticks: int = GATE_TICKS) -> dict[str, Floats]:
-    return counted_fields(plate, frames, at_s, gate_ticks)
 
 
 def frequency_hz(plate: CombPlate, fields: dict[str, Floats]) -> Floats:
@@ -42,8 +55,8 @@ def test_forces_of_two_touches_come_back_from_every_site_and_corner(reference_er
     )
     fields = count(plate, 40)
     true_hz = frequency_hz(plate, fields).mean(axis=0).T * (1 + reference_error)
-    force = (1 - PLATE.tones.f0_hz / true_hz) / PLATE.tones.sensitivity
-    place = {site.id: np.array(site.position_mm) for site in PLATE.sites}
+    force = (1 - COMB.tones.f0_hz / true_hz) / COMB.tones.sensitivity
+    place = {site.id: np.array(site.position_mm) for site in COMB.sites}
     for site, index in INDEX.items():
         spread = [
             newton / (1 + ((place[site] - place[at]) ** 2).sum() / 6.25) ** 1.5 for newton, at in ((5, 7), (0.4, 16))
@@ -78,7 +91,7 @@ def test_oscillator_noise_is_common_to_the_corners_of_a_site_and_has_the_slope_o
 
 
 def test_a_warm_finger_shifts_its_site_and_a_temperature_tone_tells_how_warm_that_is() -> None:
-    content = PLATE.model_dump(mode="json", exclude_none=True)
+    content = COMB.model_dump(mode="json", exclude_none=True)
     for index, site in enumerate(content["sites"]):
         site["tones"].append({"signal": "temperature", "sensitivity": [9e-6] * 4})
         for number, tone in enumerate(site["tones"]):
@@ -98,3 +111,47 @@ def test_a_warm_finger_shifts_its_site_and_a_temperature_tone_tells_how_warm_tha
     assert force == pytest.approx(np.full(4, expected), abs=2e-3)
     others = [tone for tone in range(1, 32, 2) if tone != 2 * index + 1]
     assert hz[:, others] == pytest.approx(f0_hz[:, others], abs=0.1)
+
+
+SKIN = load_plate("skin32")
+TO_TRIPLE = np.array([3 / (2 * 2e5), 1.0, 1.0])
+
+
+def sigma_hz(fields: dict[str, Floats]) -> Floats:
+    return 2 ** ((fields["sigma_code"][0] - 128) / 8)
+
+
+@pytest.fixture(scope="module")
+def still() -> dict[str, Floats]:
+    return count(SkinPlate(SKIN, Scenario((), None, SKIN), seed=4), 150)
+
+
+def test_signal_to_noise_ratio_is_30_db_in_the_triple_at_1_newton(still: dict[str, Floats]) -> None:
+    offset_hz = still["offset_hz16"] / 2**16
+    weight = sigma_hz(still) ** -2
+    combined_hz = (offset_hz * weight).sum(axis=1) / weight.sum(axis=0)
+    relative = combined_hz / SKIN.tones.f0_hz[:, 0] / SKIN.tones.sensitivity[:, 0]
+    triple_std = relative.std(axis=0, ddof=1) * TO_TRIPLE[SKIN.tones.signal_index]
+    signal = pressed_signals(SKIN.site_positions_m, 1e-3, 2e5, 0.5, (0.0, 0.0), 2.5e-3, 0.5, (0.0, 0.0, 1.0))
+    signal *= TO_TRIPLE[:, np.newaxis]
+    for row in range(3):  # equally noisy rows
+        noise = np.sqrt((triple_std[SKIN.tones.signal_index == row] ** 2).mean())
+        assert 20 * np.log10(np.sqrt((signal**2).mean()) / noise) == pytest.approx(30.0, abs=0.2)
+
+
+def test_noise_of_each_corner_is_what_its_code_says(still: dict[str, Floats]) -> None:
+    stated = sigma_hz(still)
+    found = (still["offset_hz16"] / 2**16).std(axis=0, ddof=1)
+    assert np.sqrt(((found / stated) ** 2).mean()) == pytest.approx(1.0, abs=0.01)
+    # The code's steps of 1/8 octave, and the scatter of a standard deviation that comes from 150 frames.
+    assert (found / stated).std() == pytest.approx(
+        np.hypot((2 ** (1 / 16) - 1) / np.sqrt(3), 1 / np.sqrt(298)), rel=0.1
+    )
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_the_file_is_what_its_script_makes() -> None:
+    run = subprocess.run([sys.executable, ROOT / "docs/plates/fingertip400.py"], capture_output=True, check=True)
+    assert run.stdout == (ROOT / "resonator_daemon/base/plates/fingertip400.toml").read_bytes()
