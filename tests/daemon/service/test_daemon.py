@@ -1,13 +1,17 @@
-"""The whole daemon between an emulated board and a real broker, heard by a plain subscriber."""
+"""The whole daemon between an emulated board and a real broker, observed by a plain subscriber."""
 
 import asyncio
 import logging
+import os
+import signal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from brokers import Amqtt, Mosquitto
-from observer import observe
+from observer import Observer, observe
+from plates import SMALL_SKIN
 from published_schema import ALWAYS, check_all
 from scenarios import IDEAL, touch_text
 from service_bench import Bench, events
@@ -15,6 +19,8 @@ from service_bench import Bench, events
 from firmware_protocol.packets import encode_packet
 from resonator_daemon.base.errors import ConfigurationError, ExitCode, IncompatibleBoardError
 from resonator_daemon.base.plate import load_plate
+from resonator_daemon.board.config.mqtt import Mqtt
+from resonator_daemon.mqtt.requests import request
 from simulators.faults import parse_faults
 
 
@@ -118,3 +124,104 @@ async def test_contacts_end_when_frames_have_stopped_coming(bench: Bench, mosqui
     assert lost["contact"]["id"] == first["contact"]["id"] != again["contact"]["id"]
     assert again["contact"]["site"] == 7
     assert (stopped["reason_code"], stopped["contact"]["id"]) == ("stopped", again["contact"]["id"])
+
+
+SHEAR = "{peak_ratio = 0.95, direction_deg = 30}"
+SHEARED = "period_s = 1.6\n" + touch_text(0.2, 0.8, 1.0, position_mm=[0.6, -0.3], shear=SHEAR)
+
+
+def summaries(observer: Observer) -> list[dict[str, Any]]:
+    return observer.payloads("resonator/hand/decoded/summary")
+
+
+async def test_a_sheared_press_on_a_skin_becomes_a_contact_with_its_events(bench: Bench, mosquitto: Mosquitto) -> None:
+    """By the decoder that nobody asked for by name."""
+    plate = bench.folder / "small.toml"
+    plate.write_text(SMALL_SKIN)
+    async with (
+        bench.emulated(str(plate), scenario=bench.scenario(SHEARED)) as emulator,
+        observe(mosquitto.url) as heard,
+        bench.running(bench.service(str(plate), emulator.link.address, decoding="")) as service,
+    ):
+        # Touches repeat, for as long as it takes: the decoder is set up while the first ones pass.
+        await heard.until(lambda: {"onset", "incipient_slip", "release"} <= {event["event"] for event in events(heard)})
+        await heard.until_last("resonator/hand/state/sensor", state="online", reason="all sites are read")
+        assert service.link_counters.lost.total == 0
+        os.kill(heard.payloads("resonator/hand/health")[-1]["decoder"]["pid"], signal.SIGKILL)
+        await heard.until_last("resonator/hand/state/sensor", state="stalled", reason_code="decoder_crashed")
+    decoded = {"signals", "signals/5hz", "decoded", "decoded/5hz", "decoded/summary", "decoded/summary/20hz"}
+    assert check_all(heard) >= ALWAYS | decoded | {"contacts", "contacts/20hz", "contacts/event"}
+    states = heard.payloads("resonator/hand/state/sensor")
+    assert {state["state"] for state in states if state["reason_code"] == "decoder_starting"} == {"starting"}
+    reasons = [message["reason"] for message in states]
+    assert any("decoder is being set up: contact physics" in reason for reason in reasons)
+    by_contact: dict[int, list[str]] = {}
+    for event in events(heard):
+        by_contact.setdefault(event["contact"]["id"], []).append(event["event"])
+    for words in by_contact.values():
+        assert words[0] == "onset"
+        assert len(set(words)) == len(words)
+        assert "release" not in words[:-1]
+    assert any(words[-1] == "release" for words in by_contact.values())
+
+    truth = {line["board_ticks"]: line["contacts"] for line in bench.truth()}
+    forces = []
+    for message in heard.payloads("resonator/hand/contacts"):
+        contacts = truth.get(int(message["board_ticks"]), [])
+        if message["status"] == "ok" and contacts and contacts[0]["force_newton"][2] > 0.6 and message["contacts"]:
+            (contact,) = message["contacts"]
+            np.testing.assert_allclose(contact["position_m"], [0.6e-3, -0.3e-3], atol=2e-4)
+            forces.append((contact["force_newton"], contacts[0]["force_newton"]))
+    found, true = np.swapaxes(forces, 0, 1)
+    np.testing.assert_allclose(found.mean(axis=0), true.mean(axis=0), atol=0.02)
+    # Every contact has the site that is nearest; the summary has its area.
+    assert {summary["decoder"] for summary in summaries(heard)} == {"open-plane+contact"}
+    pressed = {patch["id"]: patch["area_m2"] for summary in summaries(heard) for patch in summary["patches"]}
+    assert pressed.keys() <= set(by_contact)  # the frames of a short contact may be skipped
+    assert min(pressed.values()) > 1e-7
+    present = [contact for message in heard.payloads("resonator/hand/contacts") for contact in message["contacts"]]
+    assert {contact["id"] for contact in present} == set(by_contact)
+    near = [contact["site"] for contact in present if contact["force_newton"][2] > 0.6]
+    x_mm, y_mm = (np.mean([(site - 1) % 16 for site in near]) - 7.5) * 0.6, (np.mean(near) - 1) // 16 * 0.6 - 4.5
+    assert abs(x_mm - 0.6) <= 0.5
+    assert abs(y_mm + 0.3) <= 0.6
+
+
+TOUCHES = "period_s = 0.5\n" + IDEAL + touch_text(0.1, 1.0, 0.2, site=7)
+
+
+async def missed(bench: Bench, **payload: Any) -> dict[str, Any]:
+    answer = await request(Mqtt(url=bench.broker_url), "hand", "events", payload)
+    assert answer["ok"], answer
+    return answer
+
+
+def as_published(event: dict[str, Any]) -> dict[str, Any]:
+    return event | {"replayed": False}
+
+
+async def test_a_client_closes_its_gap(bench: Bench, mosquitto: Mosquitto) -> None:
+    async with bench.emulated(scenario=bench.scenario(TOUCHES)), observe(mosquitto.url) as other:
+        async with bench.running(bench.service()) as first:
+            async with observe(mosquitto.url) as client:
+                await client.until(lambda: len(events(client)) >= 2)
+                have = events(client)
+            await other.until(lambda: len(events(other)) >= len(have) + 4)
+            answer = await missed(bench, after_seq=have[-1]["seq"])
+            assert (answer["complete"], answer["oldest_seq"]) == (True, 0)
+            seen = [*have, *map(as_published, answer["events"])]
+            await other.until(lambda: len(events(other)) >= len(seen))
+            assert seen == events(other)[: len(seen)]
+            assert [event["seq"] for event in seen] == list(range(answer["newest_seq"] + 1))
+        async with bench.running(bench.service()) as second:
+            await other.until(lambda: events(other)[-1]["daemon_boot_id"] == second.daemon_boot_id)
+            rest = await missed(bench, after_seq=have[-1]["seq"], daemon_boot_id=first.daemon_boot_id)
+            of_first = [event for event in events(other) if event["daemon_boot_id"] == first.daemon_boot_id]
+            assert [*have, *map(as_published, rest["events"])] == of_first
+            assert (rest["complete"], rest["newest_seq"]) == (True, of_first[-1]["seq"])
+            assert rest["next_daemon_boot_id"] == second.daemon_boot_id
+            present = await missed(bench)
+            assert (rest["daemon_boot_id"], present["daemon_boot_id"]) == (first.daemon_boot_id, second.daemon_boot_id)
+            assert {event["daemon_boot_id"] for event in present["events"]} == {second.daemon_boot_id}
+            answer = await request(Mqtt(url=bench.broker_url), "hand", "events", {"daemon_boot_id": "of nobody"})
+            assert answer["error"]["code"] == "unknown_boot"

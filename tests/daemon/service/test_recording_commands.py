@@ -1,4 +1,4 @@
-"""Recordings that the configuration starts: when, where, and with which limits."""
+"""Recordings that the configuration starts: when, where, with which limits; and which messages are in them."""
 
 import json
 import logging
@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_stand_ins import configured
+from command_stand_ins import configured, messages
+from jsonschema import validate
 
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.config.values import load_plate_text, load_settings_text
@@ -15,7 +16,8 @@ from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.reader import Origin, open_recording
 from resonator_daemon.board.recording.switch import RecordingSwitch
 from resonator_daemon.board.recording.writer import Published
-from resonator_daemon.daemon.service.recordings import RecordingCommands, recording_info
+from resonator_daemon.daemon.service.recordings import RecordedMessages, RecordingCommands, recording_info
+from resonator_daemon.mqtt.topics import TOPICS
 from resonator_daemon.mqtt.verbs import StartRecording, StopRecording
 
 
@@ -144,3 +146,18 @@ async def test_counts_go_on_when_a_recording_ends_and_another_begins(tmp_path: P
         await commands.stop(StopRecording())
         told = recording_info(switch)
         assert json.loads(told.model_dump_json()) == {**idle, **none, "files": number, "messages": number}
+
+
+@pytest.mark.parametrize("include_messages", [True, False])
+def test_states_are_recorded_and_what_is_measured_where_it_is_wanted(include_messages: bool) -> None:
+    taken: list[Published] = []
+    recorded = RecordedMessages(taken.append, include_messages=include_messages)
+    published = messages()
+    for path, message in published.items():
+        recorded.record(TOPICS[path], message)
+    measured = {"forces", "contacts", "contacts/event", "tones", "decoded/summary", "health"}
+    assert {one.topic for one in taken if one.retained} == {"state/daemon", "state/link", "state/sensor", "info"}
+    assert {one.topic for one in taken if not one.retained} == (measured if include_messages else set())
+    for one in taken:
+        validate(json.loads(one.payload), one.schema)
+        assert one.utc_ns == published[one.topic].model_dump()["t_ns"]
