@@ -148,13 +148,12 @@ def uncertainty_newton(
 
 
 class GroupSite(NamedTuple):
-    """The site that explains a group of channels; `rival` is the next best, worse by `gap` of the score.
+    """The site that explains a group of channels; the next best is worse by `gap` of the score.
 
     The fitted force is what noise may carry a little beyond the range.
     """
 
     fit: CodeFit
-    rival: int
     gap: float
 
     @property
@@ -163,12 +162,11 @@ class GroupSite(NamedTuple):
 
 
 class Explanation(NamedTuple):
-    """Explanation of a reading: `named` has one entry per site, `candidates` are the ambiguous ones."""
+    """Explanation of a reading: `named` has one entry per site."""
 
     status: Literal["ok", "ambiguous", "rejected"]
     reason: Reason
     named: tuple[GroupSite, ...] = ()
-    candidates: tuple[int, ...] = ()
 
 
 class Groups(NamedTuple):
@@ -198,8 +196,8 @@ def explain_groups(codes: Codes, detected: Mapping[int, Sequence[int]], reading:
         sites = [site for site in detected[group[0]] if all(site in detected[channel] for channel in group)]
         fits = sorted([fit_code(codes, site, of_group) for site in sites], key=lambda fit: fit.score)
         if fits and fits[0].chi2 <= gate[len(group)]:
-            rival, gap = (fits[1].site, fits[1].score - fits[0].score) if len(fits) > 1 else (-1, math.inf)
-            explained[group] = GroupSite(fits[0], rival, gap)
+            gap = fits[1].score - fits[0].score if len(fits) > 1 else math.inf
+            explained[group] = GroupSite(fits[0], gap)
     return Groups(tuple(detected), tuple(channel for channel, found in detected.items() if not found), explained)
 
 
@@ -233,14 +231,10 @@ def join(groups: Groups) -> Explanation:
     explanations.sort(key=lambda explanation: explanation[:2])
     count, score, named = explanations[0]
     alike = [other for number, total, other in explanations if number == count and total - score < RUNNER_UP_GAP]
-    rivals = {group.rival for group in named if group.gap < RUNNER_UP_GAP}
-    if len(alike) > 1 or rivals:
-        candidates = rivals.union(group.site for other in alike for group in other)
+    if len(alike) > 1 or any(group.gap < RUNNER_UP_GAP for group in named):
         return Explanation(
             "ambiguous",
             Reason(ReasonCode.SITES_ALIKE, "channels detect different sites, and other sites explain them as well"),
-            (),
-            tuple(sorted(candidates)),
         )
     return Explanation("ok", _SEVERAL, tuple(named))
 
@@ -256,5 +250,5 @@ def leave_one_out(groups: Groups) -> Explanation:
         if named.gap >= RUNNER_UP_GAP:
             why = Reason(ReasonCode.CHANNEL_LEFT_OUT, f"channel {groups.unexplained[0]} detects another tone")
             return Explanation("ok", why, (named,))
-        return Explanation("ambiguous", SITES_ALIKE, (), tuple(sorted((named.site, named.rival))))
+        return Explanation("ambiguous", SITES_ALIKE)
     return Explanation("rejected", _NO_SITE)

@@ -61,14 +61,13 @@ class SiteForce:
 class Match:
     """Outcome of one reading of the channels: the sites found, or none with the reason.
 
-    `candidates` are the sites between which an ambiguous reading cannot choose. `chi2` is summed over the sites' fits.
+    `chi2` is summed over the sites' fits.
     """
 
     status: Status
     reason: Reason | None
     chi2: float
     forces: tuple[SiteForce, ...] = ()
-    candidates: tuple[int, ...] = ()
 
 
 class Matcher:
@@ -134,8 +133,7 @@ class Matcher:
             return self._apart(reading, fits[0].chi2 if fits else math.nan)
         best, *others = fits
         if others and others[0].score - best.score < RUNNER_UP_GAP:
-            candidates = tuple(sorted((best.site, others[0].site)))
-            return Match("ambiguous", SITES_ALIKE, best.chi2, (), candidates)
+            return Match("ambiguous", SITES_ALIKE, best.chi2)
         force = self._site_force(best, reading)
         if force.status == "overload":
             return Match("overload", self._overload_reason, best.chi2, (force,))
@@ -151,9 +149,7 @@ class Matcher:
         groups = explain_groups(self._codes, detected, reading)
         explanation, over = join(groups), self._overload(reading)
         if over and explanation.status != "rejected":
-            candidates = {site.site for site in explanation.named} | {force.site for force in over.forces}
-            either = tuple(sorted(candidates.union(explanation.candidates)))
-            return Match("ambiguous", _OVERLOAD_OR_SEVERAL, chi2, (), either)
+            return Match("ambiguous", _OVERLOAD_OR_SEVERAL, chi2)
         if over:
             return over
         if explanation.status == "rejected":
@@ -162,7 +158,7 @@ class Matcher:
 
     def _match_of(self, explanation: Explanation, reading: Reading, chi2: float) -> Match:
         if not explanation.named:
-            return Match(explanation.status, explanation.reason, chi2, (), explanation.candidates)
+            return Match(explanation.status, explanation.reason, chi2)
         forces = tuple([self._site_force(group.fit, reading) for group in explanation.named])
         chi2 = sum(group.fit.chi2 for group in explanation.named)
         if any(force.status == "overload" for force in forces):
