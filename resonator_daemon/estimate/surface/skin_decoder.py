@@ -137,7 +137,7 @@ class ParametricEstimator:
         )
 
     def read(self, frame: Floats) -> Decoded:
-        decoded, self._patch = self._decoder.decode_with_patch(frame, displacement=self._displacement)
+        decoded, self._patch = self._decoder.decode(frame, displacement=self._displacement)
         return decoded
 
     def patches(self, _decoded: Decoded) -> list[Patch]:

@@ -118,49 +118,36 @@ class ParametricDecoder:
         self._why = sparse_reason(sites, depth_m) or f"parametric contact fit: {count} sites"
         self._draws = np.random.default_rng(0).standard_normal((_DRAWS // 2, _UNKNOWNS))
 
-    def decode(self, signals: ArrayLike, *, displacement: bool = False) -> Decoded:
-        """Return tractions, and displacements if asked for, of frames of signals [3 p_n / (2 E), eps_xz, eps_yz].
+    def decode(self, signals: ArrayLike, *, displacement: bool = False) -> tuple[Decoded, Patch | None]:
+        """Decode one frame of signals [3 p_n / (2 E), eps_xz, eps_yz]; return its contact, too.
 
         Parameters
         ----------
         signals
-            Shape (..., 3, n); dimensionless. A signal that is NaN, infinite or beyond 10 counts as lost.
+            Shape (3, n); dimensionless. A signal that is NaN, infinite or beyond 10 counts as lost.
         displacement
             Also the surface displacement that the contact causes, alone on the plane.
 
         Returns
         -------
         Decoded
-            Of shape (..., 3, m). `traction_std_pascal` is that of the one contact sought; where none shows, that of a
+            Of shape (3, m). `traction_std_pascal` is that of the one contact sought; where none shows, that of a
             contact which is as small as 0.7 depths and at that very place. `status`: "ok"; "no_signal", less than half
             of the signals known; "rejected", no single contact makes such signals; "ambiguous", two places explain them
             about equally well. `reason` always begins with why there is no map.
+        Patch
+            None where there is no contact or it is not known. Area and radius are those of the disc, not of a blurred
+            map; its border flag is set if the centre lies among the outermost sites or beyond them.
 
         Raises
         ------
         ValueError
             Signals of another shape, or not numbers.
         """
-        frames = np.asarray(signals, np.float64)
-        count = len(self.site_positions_m)
-        if frames.shape[-2:] != (3, count):
-            raise ValueError(f"signals have shape {frames.shape}, must be (..., 3, {count})")
-        leading = frames.shape[:-2]
-        decoded = [self._decode(frame, displacement)[0] for frame in frames.reshape(-1, 3 * count)]
-        return Decoded.stack(decoded, leading, (3, len(self.query_positions_m))) if leading else decoded[0]
-
-    def decode_with_patch(self, signals: ArrayLike, *, displacement: bool = False) -> tuple[Decoded, Patch | None]:
-        """Decode one frame (3, n); return its contact, too, None where there is none or it is not known.
-
-        Area and radius of the patch are those of the disc, not of a blurred map; its border flag is set if the centre
-        lies among the outermost sites or beyond them.
-        """
-        frame = np.asarray(signals, np.float64)
-        if frame.shape != self.noise_std.shape:
-            raise ValueError(f"signals have shape {frame.shape}, must be {self.noise_std.shape}")
-        return self._decode(frame.ravel(), displacement)
-
-    def _decode(self, frame: Floats, displacement: bool) -> tuple[Decoded, Patch | None]:
+        given = np.asarray(signals, np.float64)
+        if given.shape != self.noise_std.shape:
+            raise ValueError(f"signals have shape {given.shape}, must be {self.noise_std.shape}")
+        frame = given.ravel()
         known = np.abs(frame) <= SIGNAL_LIMIT  # False for NaN
         needed = max(KNOWN_LIMIT * known.size, _UNKNOWNS + 1)
         if known.sum() < needed:
