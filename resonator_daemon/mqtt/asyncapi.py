@@ -29,6 +29,7 @@ from resonator_daemon.mqtt.verbs import UNKNOWN, VERBS, Refusal, Verb
 Object = dict[str, Any]
 
 _BINDING: Final[Object] = {"bindingVersion": "0.2.0"}
+_COMMAND: Final[Object] = {"qos": 1, "retain": False}
 _PLATE: Final = "{prefix}/{name}/"
 _DECODER: Final = f"{{prefix}}/{DECODER}/{{id}}/"
 _OF_DECODERS: Final[tuple[Topic[Any], ...]] = (DECODER_STATE, DECODER_HEALTH)
@@ -36,12 +37,9 @@ _PARAMETERS: Final = {
     "prefix": {"description": "`mqtt.prefix` of the configuration; may have several levels", "default": "resonator"},
     "name": {"description": "`name` of the configuration, by default the board's serial number"},
     "id": {"description": "of a decoder process"},
-    "rate_hz": {"description": "messages a second, at most; an integer from 1 to 1000"},
 }
-_NO_BRACES: Final = str.maketrans("", "", "{}")
 _DOCUMENT: Final = "AsyncApiDocument"
 _REPLY: Final = "reply"
-_UNKNOWN: Final = f"rsp_{UNKNOWN}"
 _CORRELATION: Final = "command"
 _VERSION: Final = {"type": "string", "const": SCHEMA_VERSION, "description": "user property of MQTT 5"}
 _PROPERTIES: Final[dict[str, Object]] = {
@@ -85,25 +83,23 @@ def encoded() -> bytes:
 
 def document() -> Object:
     """Return the document, the same for each daemon of this version; AsyncAPI 3.0.0."""
-    topics: dict[str, tuple[Topic[Any], ...]] = {_PLATE: (*TOPICS.values(),), _DECODER: _OF_DECODERS}
-    channels: Object = {}
-    operations: Object = {}
-    for base, those in topics.items():
-        for topic in those:
-            _add_topic(channels, operations, base, topic.path, topic, topic.payload.__doc__)
+    document = _Document()
+    for base, topics in ((_PLATE, TOPICS.values()), (_DECODER, _OF_DECODERS)):
+        for topic in topics:
+            document.add_topic(base, topic.path, topic, topic.payload.__doc__)
             if topic.slow_hz is not None:
                 copied = f"The messages of `{topic.path}`, at most {topic.slow_hz} a second; for display."
-                _add_topic(channels, operations, base, topic.slow_path, topic, copied)
-    _add_document(channels, operations)
-    channels[_REPLY] = _channel(
-        None,
-        "The response topic that a command names.",
-        *(verb.answer.__name__ for verb in VERBS.values()),
-        Refusal.__name__,
-    )
+                document.add_topic(base, topic.slow_path, topic, copied)
+    about = "This document, made from the models of the payloads."
+    delivery = {"qos": 1, "retain": True}
+    document.add("send", f"publish_{SCHEMA_PATH}", SCHEMA_PATH, _PLATE + SCHEMA_PATH, about, delivery, _DOCUMENT)
+    answers = (*(verb.answer.__name__ for verb in VERBS.values()), Refusal.__name__)
+    document.channels[_REPLY] = _channel(None, "The response topic that a command names.", *answers)
     for verb in VERBS.values():
-        _add_verb(channels, operations, verb)
-    _add_unknown(channels, operations)
+        document.add_verb(verb)
+    about = "The refusal of an unknown command, with the `verb` `unknown` and the code `unknown_verb`."
+    summary = "Refuses an unknown command that has no response topic."
+    document.add_answers(UNKNOWN, about, summary, Refusal.__name__)
     return {
         "asyncapi": "3.0.0",
         "info": {
@@ -113,73 +109,71 @@ def document() -> Object:
             "license": {"name": "BSD-3-Clause"},
         },
         "defaultContentType": JSON,
-        "channels": channels,
-        "operations": operations,
+        "channels": document.channels,
+        "operations": document.operations,
         "components": {"messages": _messages(), "schemas": _schemas(), "correlationIds": _correlation_ids()},
     }
 
 
-def _add_topic(
-    channels: Object, operations: Object, base: str, path: str, topic: Topic[Any], about: str | None
-) -> None:
-    key = _key(base, path)
-    channels[key] = _channel(base + path, about, topic.payload.__name__)
-    delivery: Object = _BINDING | {"qos": topic.qos, "retain": topic.retained}
-    if topic.expiry_s is not None:
-        delivery["messageExpiryInterval"] = topic.expiry_s
-    operations[f"publish_{key}"] = _operation("send", key, delivery, topic.payload.__name__)
+class _Document:
+    """Channels and operations, the latter with the messages of the former."""
 
+    def __init__(self) -> None:
+        self.channels: Object = {}
+        self.operations: Object = {}
 
-def _add_document(channels: Object, operations: Object) -> None:
-    about = "This document, made from the models of the payloads."
-    channels[SCHEMA_PATH] = _channel(_PLATE + SCHEMA_PATH, about, _DOCUMENT)
-    delivery = _BINDING | {"qos": 1, "retain": True}
-    operations[f"publish_{SCHEMA_PATH}"] = _operation("send", SCHEMA_PATH, delivery, _DOCUMENT)
+    def add(
+        self, action: str, name: str, key: str, address: str, about: str | None, delivery: Object, *messages: str
+    ) -> Object:
+        """Add a channel and the operation on it; return the latter, to be completed."""
+        self.channels[key] = _channel(address, about, *messages)
+        operation = self.operations[name] = {
+            "action": action,
+            "channel": _channel_ref(key),
+            "messages": [_message_of(key, message) for message in messages],
+            "bindings": {"mqtt": _BINDING | delivery},
+        }
+        return operation
 
+    def add_topic(self, base: str, path: str, topic: Topic[Any], about: str | None) -> None:
+        key = ("" if base == _PLATE else f"{DECODER}_") + path.replace("/", "_")
+        delivery: Object = {"qos": topic.qos, "retain": topic.retained}
+        if topic.expiry_s is not None:
+            delivery["messageExpiryInterval"] = topic.expiry_s
+        self.add("send", f"publish_{key}", key, base + path, about, delivery, topic.payload.__name__)
 
-def _add_verb(channels: Object, operations: Object, verb: Verb) -> None:
-    request, answers = verb.request.__name__, (verb.answer.__name__, Refusal.__name__)
-    command, response = f"cmd_{verb.name}", f"rsp_{verb.name}"
-    delivery = _BINDING | {"qos": 1, "retain": False}
-    channels[command] = _channel(f"{_PLATE}cmd/{verb.name}", f"A command: {verb.summary}.", request)
-    channels[response] = _channel(
-        f"{_PLATE}rsp/{verb.name}", "Its answer, where no response topic was named.", *answers
-    )
-    operations[command] = _operation("receive", command, delivery, request) | {
-        "summary": f"{verb.summary[0].upper()}{verb.summary[1:]}.",
-        "description": f"Answered on the response topic, where the command names one (MQTT 5), else on `{response}`.",
-        "reply": {
-            "address": {
-                "location": "$message.header#/response_topic",
-                "description": "the property Response Topic of MQTT 5",
-            },
-            "channel": _channel_ref(_REPLY),
-            "messages": [_message_of(_REPLY, answer) for answer in answers],
-        },
-        "x-changes": verb.changes,
-        "x-idempotent": verb.idempotent,
-    }
-    operations[response] = _operation("send", response, delivery, *answers) | {
-        "summary": f"Answers `{verb.name}`, where the command names no response topic."
-    }
+    def add_verb(self, verb: Verb) -> None:
+        command, answers = f"cmd_{verb.name}", (verb.answer.__name__, Refusal.__name__)
+        address, about = f"{_PLATE}cmd/{verb.name}", f"A command: {verb.summary}."
+        self.add("receive", command, command, address, about, _COMMAND, verb.request.__name__).update(
+            {
+                "summary": f"{verb.summary[0].upper()}{verb.summary[1:]}.",
+                "description": "Answered on the response topic, where the command names one (MQTT 5), else on "
+                f"`rsp_{verb.name}`.",
+                "reply": {
+                    "address": {
+                        "location": "$message.header#/response_topic",
+                        "description": "the property Response Topic of MQTT 5",
+                    },
+                    "channel": _channel_ref(_REPLY),
+                    "messages": [_message_of(_REPLY, answer) for answer in answers],
+                },
+                "x-changes": verb.changes,
+                "x-idempotent": verb.idempotent,
+            }
+        )
+        about = "Its answer, where no response topic was named."
+        summary = f"Answers `{verb.name}`, where the command names no response topic."
+        self.add_answers(verb.name, about, summary, *answers)
 
-
-def _add_unknown(channels: Object, operations: Object) -> None:
-    about = "The refusal of an unknown command, with the `verb` `unknown` and the code `unknown_verb`."
-    channels[_UNKNOWN] = _channel(f"{_PLATE}rsp/{UNKNOWN}", about, Refusal.__name__)
-    delivery = _BINDING | {"qos": 1, "retain": False}
-    operations[_UNKNOWN] = _operation("send", _UNKNOWN, delivery, Refusal.__name__) | {
-        "summary": "Refuses an unknown command that has no response topic."
-    }
+    def add_answers(self, verb: str, about: str, summary: str, *answers: str) -> None:
+        response = f"rsp_{verb}"
+        self.add("send", response, response, f"{_PLATE}rsp/{verb}", about, _COMMAND, *answers)["summary"] = summary
 
 
 def _correlation_ids() -> Object:
     about = "A text that the answer repeats, over MQTT 3.1.1, too; the correlation data of MQTT 5 are repeated, too."
     return {_CORRELATION: {"description": about, "location": "$message.payload#/id"}}
-
-
-def _key(base: str, path: str) -> str:
-    return ("" if base == _PLATE else f"{DECODER}_") + path.replace("/", "_").translate(_NO_BRACES)
 
 
 def _channel(address: str | None, about: str | None, *messages: str) -> Object:
@@ -191,15 +185,6 @@ def _channel(address: str | None, about: str | None, *messages: str) -> Object:
     if address is not None:
         channel["parameters"] = {name: about for name, about in _PARAMETERS.items() if f"{{{name}}}" in address}
     return channel
-
-
-def _operation(action: str, channel: str, delivery: Object, *messages: str) -> Object:
-    return {
-        "action": action,
-        "channel": _channel_ref(channel),
-        "messages": [_message_of(channel, message) for message in messages],
-        "bindings": {"mqtt": delivery},
-    }
 
 
 def _channel_ref(channel: str) -> Object:
@@ -219,14 +204,16 @@ def _messages() -> Object:
         kind.__name__: _versioned(kind.__name__, CBOR if kind in WITH_ARRAYS else JSON) for kind in _published()
     }
     messages[_DOCUMENT] = _versioned(_DOCUMENT, JSON)
-    for verb in VERBS.values():
-        request = verb.request.__name__
-        messages[request] = _of_command(request, "RequestProperties", REQUEST_EXAMPLES[request])
-        messages[request]["bindings"] = {"mqtt": _BINDING | _request_properties()}
+    requested, answered = (_PROPERTIES[name]["properties"] for name in ("RequestProperties", "AnswerProperties"))
+    of_requests = _BINDING | {
+        "responseTopic": requested["response_topic"],
+        "correlationData": requested["correlation_data"],
+    }
+    of_answers = _format(JSON) | {"correlationData": answered["correlation_data"]}
+    for request, example in REQUEST_EXAMPLES.items():
+        messages[request] = _of_command(request, "RequestProperties", example) | {"bindings": {"mqtt": of_requests}}
     for answer, example in ANSWER_EXAMPLES.items():
-        messages[answer] = _of_command(answer, "AnswerProperties", example)
-        correlation = _PROPERTIES["AnswerProperties"]["properties"]["correlation_data"]
-        messages[answer]["bindings"] = {"mqtt": _format(JSON) | {"correlationData": correlation}}
+        messages[answer] = _of_command(answer, "AnswerProperties", example) | {"bindings": {"mqtt": of_answers}}
     return messages
 
 
@@ -254,11 +241,6 @@ def _of_command(name: str, properties: str, example: Object) -> Object:
 
 def _format(content_type: str) -> Object:
     return _BINDING | {"contentType": content_type, "payloadFormatIndicator": int(content_type == JSON)}
-
-
-def _request_properties() -> Object:
-    properties = _PROPERTIES["RequestProperties"]["properties"]
-    return {"responseTopic": properties["response_topic"], "correlationData": properties["correlation_data"]}
 
 
 def _message(name: str, content_type: str) -> Object:

@@ -47,12 +47,7 @@ _VALUES: Final[dict[str, Any]] = {
             "reason_code": "channels_silent",
         },
     ],
-    "Compensation.baseline": "held",
     "common_mode": [-1.5e-06, -1.5e-06, -1.5e-06, -1.5e-06],
-    "common_mode_std": 2e-07,
-    "plate_kelvin": None,
-    "plate_kelvin_std": None,
-    "Compensation.response": "off",
     "SiteForce.unobserved_bound_newton": 5.9,
     "id": 12,
     "SiteInfo.site": 1,
@@ -112,7 +107,6 @@ _VALUES: Final[dict[str, Any]] = {
     "BootInfo.lost": _NO_FRAMES,
     "BootInfo.lost_in_outages": _NO_FRAMES,
     "clock_drift_ppm": 3.1,
-    "Health.reason_code": None,
     "cpu_percent": 21.0,
     "processor_wait_percent": 38.0,
     "rss_mb": 92.0,
@@ -131,7 +125,6 @@ _VALUES: Final[dict[str, Any]] = {
     "MessageAccount.waiting": 2,
     "DecoderState.state": "online",
     "DecoderState.reason_code": "decoding",
-    "OutageInfo.reason_code": "unplugged",
     "DecoderState.decoder_id": "bench-4711",
     "DecoderHealth.decoder_id": "bench-4711",
     "topic_filter": "$share/touch/resonator/+/signals",
@@ -156,11 +149,9 @@ _COMMAND_VALUES: Final[dict[str, Any]] = {
     "Refusal.id": "1f9c",
     "Snapshot.topics": ("state/link",),
     "Events.after_seq": 1233,
-    "Events.daemon_boot_id": "9f3c52d0",
     "EventsAnswer.complete": True,
     "EventsAnswer.oldest_seq": 0,
     "EventsAnswer.newest_seq": 1234,
-    "EventsAnswer.next_daemon_boot_id": None,
     "StartRecording.label": "drop",
     "Mark.text": "new fingertip",
     "SetWindow.window_ms": 20.0,
@@ -216,10 +207,9 @@ def _value(kind: type[BaseModel], key: str) -> Any:
     return _example(empty) if issubclass(empty, BaseModel) else empty()
 
 
-_KINDS: Final = [topic.payload for topic in TOPICS.values()] + [DECODER_STATE.payload, DECODER_HEALTH.payload]
-EXAMPLES: Final[dict[str, dict[str, Any]]] = {
-    kind.__name__: json.loads(_example(kind).model_dump_json()) for kind in _KINDS if kind not in WITH_ARRAYS
-}
+def _json(message: BaseModel, *, exclude_none: bool = False, **change: Any) -> dict[str, Any]:
+    fields: dict[str, Any] = json.loads(message.model_copy(update=change).model_dump_json(exclude_none=exclude_none))
+    return fields
 
 
 def _with_rows(kind: type[Message]) -> dict[str, Any]:
@@ -228,17 +218,13 @@ def _with_rows(kind: type[Message]) -> dict[str, Any]:
     return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in fields.items()}
 
 
-ARRAY_EXAMPLES: Final[dict[str, dict[str, Any]]] = {kind.__name__: _with_rows(kind) for kind in WITH_ARRAYS}
-
-
 def _unknown_force() -> dict[str, Any]:
     """Return a message of `forces` with a force that is not known."""
     forces = _example(Forces)
     (site,) = forces.sites
     unknown = {"force_newton": None, "noise_newton": None, "systematic_newton": None}
     beyond = type(site).model_validate({**vars(site), **unknown, "status": "overload", "at_least_newton": 10.0})
-    message: dict[str, Any] = json.loads(forces.model_copy(update={"sites": (beyond,)}).model_dump_json())
-    return message
+    return _json(forces, sites=(beyond,))
 
 
 def _on_skin() -> dict[str, Any]:
@@ -246,23 +232,23 @@ def _on_skin() -> dict[str, Any]:
     contacts = _example(Contacts)
     (contact,) = contacts.contacts
     forces = {"force_newton": (0.21, -0.06, 1.234), "noise_newton": (0.01, 0.01, 0.02), "systematic_newton": None}
-    sheared = contact.model_copy(update={**forces, **_SLIP})
-    message: dict[str, Any] = json.loads(contacts.model_copy(update={"contacts": (sheared,)}).model_dump_json())
-    return message
+    return _json(contacts, contacts=(contact.model_copy(update={**forces, **_SLIP}),))
 
-
-FURTHER_EXAMPLES: Final[dict[str, dict[str, Any]]] = {
-    "Forces": {"overload": _unknown_force()},
-    "Contacts": {"skin": _on_skin()},
-}
 
 _COMMAND_VALUES["SnapshotAnswer.messages"] = {"state/link": _example(State)}
 _COMMAND_VALUES["EventsAnswer.events"] = (_example(ContactEvent).model_copy(update={"replayed": True}),)
-REQUEST_EXAMPLES: Final[dict[str, dict[str, Any]]] = {
-    verb.request.__name__: json.loads(_example(verb.request).model_dump_json(exclude_none=True))
-    for verb in VERBS.values()
+
+_KINDS: Final = [*(topic.payload for topic in TOPICS.values()), DECODER_STATE.payload, DECODER_HEALTH.payload]
+_ANSWERS: Final[list[type[BaseModel]]] = [*(verb.answer for verb in VERBS.values()), Refusal]
+
+Examples = dict[str, dict[str, Any]]
+EXAMPLES: Final[Examples] = {kind.__name__: _json(_example(kind)) for kind in _KINDS if kind not in WITH_ARRAYS}
+ARRAY_EXAMPLES: Final[Examples] = {kind.__name__: _with_rows(kind) for kind in WITH_ARRAYS}
+FURTHER_EXAMPLES: Final[dict[str, Examples]] = {
+    "Forces": {"overload": _unknown_force()},
+    "Contacts": {"skin": _on_skin()},
 }
-_ANSWERS: Final[tuple[type[BaseModel], ...]] = (*(verb.answer for verb in VERBS.values()), Refusal)
-ANSWER_EXAMPLES: Final[dict[str, dict[str, Any]]] = {
-    kind.__name__: json.loads(_example(kind).model_dump_json()) for kind in _ANSWERS
+REQUEST_EXAMPLES: Final[Examples] = {
+    verb.request.__name__: _json(_example(verb.request), exclude_none=True) for verb in VERBS.values()
 }
+ANSWER_EXAMPLES: Final[Examples] = {kind.__name__: _json(_example(kind)) for kind in _ANSWERS}
