@@ -20,10 +20,9 @@ from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.compatibility import gate_ticks
 from resonator_daemon.board.session.connection import Connection
-from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.board.session.frame_numbers import FrameNumbering
 from resonator_daemon.board.session.frame_queue import FrameQueue
-from resonator_daemon.board.session.frames import Arrival, Gap, SingleToneFrame
+from resonator_daemon.board.session.frames import Arrival, Gap, LinkCounters, SingleToneFrame
 from resonator_daemon.board.session.link_state import LinkState
 from simulators.faults import FaultPlan
 from simulators.faults.byte_faults import ByteFaults

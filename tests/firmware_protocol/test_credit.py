@@ -7,10 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from protocol_sessions import BOOT, GATE, IDENTITY, exchange, new_device, packets_in, running
 
-from firmware_protocol.host import HostSession, Pong
+from firmware_protocol.host import HostSession, Pong, Requests
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.packets import encode_packet
-from firmware_protocol.requests import Requests
 from firmware_protocol.states import HostState
 
 PING = bytes(8)

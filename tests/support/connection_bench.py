@@ -15,10 +15,9 @@ from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.compatibility import gate_ticks
 from resonator_daemon.board.session.connection import Connection
-from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.board.session.frame_numbers import FrameNumbering
 from resonator_daemon.board.session.frame_queue import FrameQueue
-from resonator_daemon.board.session.frames import Arrival, Gap, LinkChange, SingleToneFrame
+from resonator_daemon.board.session.frames import Arrival, Gap, LinkChange, LinkCounters, SingleToneFrame
 from resonator_daemon.board.session.link_state import LinkState
 
 PLATE = load_plate("quartz16")

@@ -7,8 +7,15 @@ from collections.abc import Callable
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.board.session.board_reader import BoardReader
-from resonator_daemon.board.session.counters import LinkCounters
-from resonator_daemon.board.session.frames import Arrival, ChannelisedFrame, Gap, LinkChange, Outage, SingleToneFrame
+from resonator_daemon.board.session.frames import (
+    Arrival,
+    ChannelisedFrame,
+    Gap,
+    LinkChange,
+    LinkCounters,
+    Outage,
+    SingleToneFrame,
+)
 
 QUARTZ = load_plate("quartz16")
 DEADLINE_S = 60.0  # far beyond what any of this takes: it ends a test that hangs

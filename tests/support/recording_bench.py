@@ -17,9 +17,8 @@ from resonator_daemon.board.recording.reader import Origin, open_recording
 from resonator_daemon.board.recording.recorder import Recorder, RecorderTimes
 from resonator_daemon.board.session.board_reader import FRAME_QUEUE_BYTES
 from resonator_daemon.board.session.clock import HostTime
-from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.board.session.frame_queue import FrameQueue
-from resonator_daemon.board.session.frames import Arrival
+from resonator_daemon.board.session.frames import Arrival, LinkCounters
 from resonator_daemon.board.session.link_events import Received, SnapshotTaken, StateAnnounced, WireEvent
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
 

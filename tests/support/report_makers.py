@@ -12,8 +12,7 @@ from resonator_daemon.estimate.forces.readings import ForceReading
 from resonator_daemon.measure.pipeline.state_messages import StateMessages
 from resonator_daemon.measure.sensors.base import sensor_of
 from resonator_daemon.measure.sensors.force_messages import ForceMessages
-from resonator_daemon.measure.sensors.output import MessageOutput
-from resonator_daemon.measure.sensors.sensor_state import SensorState
+from resonator_daemon.measure.sensors.output import MessageOutput, SensorState
 from resonator_daemon.mqtt.codec import Encoded, decoded, encode
 from resonator_daemon.mqtt.payloads import Contacts, Forces, Lost, Message
 from resonator_daemon.mqtt.topics import Headers

@@ -6,7 +6,7 @@ import numpy as np
 from brute_force_board import Ladder
 
 from resonator_daemon.estimate.forces.force_sites import ForceSites, ForceTones, Warmth
-from resonator_daemon.measure.sensors.multitone_processing import MultitoneProcessing
+from resonator_daemon.measure.sensors.multitone import MultitoneProcessing
 
 REFERENCE_HZ = 250e6
 GATE_TICKS = 1_250_000

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from resonator_daemon.measure.sensors.skin_signals import ToneArray
+from resonator_daemon.measure.sensors.skin_processing import ToneArray
 
 YOUNGS_MODULUS_PASCAL = 2e5
 NY, NX = 8, 8

@@ -14,7 +14,7 @@ from resonator_daemon.board.session import board_reader
 from resonator_daemon.board.session import link_events as wire
 from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.compatibility import BoardRefusedError
-from resonator_daemon.board.session.link_reasons import all_of
+from resonator_daemon.board.session.link_state import all_of
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
 
 log = logging.getLogger(__name__)

@@ -16,14 +16,15 @@ from resonator_daemon.board.links.link import Link, LinkLostError, LinkUnavailab
 from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.board.session.clock import HostTime, read_host_time
 from resonator_daemon.board.session.compatibility import BoardRefusedError
-from resonator_daemon.board.session.counters import FrameLoss, LinkCounters
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.frames import (
     Arrival,
     BlinkAnswered,
     ChannelisedFrame,
     ControlRequest,
+    FrameLoss,
     LinkChange,
+    LinkCounters,
     Outage,
     ReaderFailed,
     SingleToneFrame,
@@ -43,8 +44,7 @@ from resonator_daemon.board.session.link_events import (
     TimersRun,
     WireEvent,
 )
-from resonator_daemon.board.session.link_reasons import OPENING
-from resonator_daemon.board.session.link_state import LinkLog
+from resonator_daemon.board.session.link_state import OPENING, LinkLog
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
 
 _EARLY_NS: Final = 15_000  # by which the lag grows after a read that came too early

@@ -23,8 +23,8 @@ from resonator_daemon.base.host.load import NO_LOAD, HostLoad, LoadSample
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
 from resonator_daemon.board.links.link import LinkLostError
-from resonator_daemon.board.session import link_reasons
-from resonator_daemon.board.session.board_reports import RESET_CAUSES, BlinkRequests, BoardLogFilter, RefusalWatch
+from resonator_daemon.board.session import link_state
+from resonator_daemon.board.session.board_reports import RESET_CAUSES, BlinkRequests, BoardLogFilter
 from resonator_daemon.board.session.clock import BoardClock, Exchange, HostTime
 from resonator_daemon.board.session.compatibility import (
     BoardRefusedError,
@@ -35,14 +35,12 @@ from resonator_daemon.board.session.compatibility import (
     tick_rate_problem,
     wrong_unit,
 )
-from resonator_daemon.board.session.counters import FrameLoss, LinkCounters
 from resonator_daemon.board.session.frame_numbers import Accepted, FrameNumbering
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.frame_receiver import AssembledFrame, FrameReceiver
-from resonator_daemon.board.session.frames import BoardOnline
+from resonator_daemon.board.session.frames import BoardOnline, FrameLoss, LinkCounters
 from resonator_daemon.board.session.link_events import ConnectionSnapshot
-from resonator_daemon.board.session.link_reasons import UNANSWERED_S
-from resonator_daemon.board.session.link_state import LinkState
+from resonator_daemon.board.session.link_state import UNANSWERED_S, LinkState, RefusalWatch
 from resonator_daemon.board.session.pings import Pings
 
 _MS = 1_000_000
@@ -276,7 +274,7 @@ class Connection:
     def _silence(self) -> Reason:
         """Return why the handshake came to no end."""
         lacks_pong = self.described is not None and self.session.state is HostState.DESCRIBED
-        return link_reasons.silence(
+        return link_state.silence(
             self.session.bytes.received,
             self.session.most_refused,
             self.described.identity.serial_number if self.described is not None and lacks_pong else None,
@@ -329,7 +327,7 @@ class Connection:
 
     def _rebooted(self) -> None:
         self._flush_receiver()  # what it holds belongs to the boot, and the clock, before
-        self._announce(Condition.LOST, link_reasons.restarted())
+        self._announce(Condition.LOST, link_state.restarted())
         if self.clock is not None:
             outliers, restarts = self._clock_counts
             self._clock_counts = (outliers + self.clock.outliers, restarts + self.clock.restarts)
@@ -368,8 +366,8 @@ class Connection:
         identity = event.identity
         before = self.described or self._known
         if before is not None and before.boot_id != event.boot_id:
-            self._announce(Condition.LOST, link_reasons.restarted(RESET_CAUSES.get(identity.reset_cause, "")))
-        self._announce(Condition.STARTING, link_reasons.configuring(identity.serial_number, identity.firmware))
+            self._announce(Condition.LOST, link_state.restarted(RESET_CAUSES.get(identity.reset_cause, "")))
+        self._announce(Condition.STARTING, link_state.configuring(identity.serial_number, identity.firmware))
         self.described = event
         self.pings.restart()
         self._receiver.newest_ticks = 0
@@ -392,7 +390,7 @@ class Connection:
 
     def _announce_online(self) -> None:
         if self.described is not None:
-            reason = link_reasons.counting(
+            reason = link_state.counting(
                 self.described.identity.serial_number,
                 self._plate.counter.frame_rate_hz,
                 rate_doubt=self._rate_doubt,
@@ -458,7 +456,7 @@ class Connection:
         return before.busy != self.load.busy
 
     def _no_frame(self) -> Reason:
-        return link_reasons.no_frame(self._refusals.most_frequent, self.load.busy)
+        return link_state.no_frame(self._refusals.most_frequent, self.load.busy)
 
     def _watch_silence(self, now_ns: int) -> None:
         silent_ns = now_ns - self._receiver.last_frame_ns

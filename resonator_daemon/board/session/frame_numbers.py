@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from resonator_daemon.board.session.clock import Instant
-from resonator_daemon.board.session.counters import FrameLoss
-from resonator_daemon.board.session.frames import Gap
+from resonator_daemon.board.session.frames import FrameLoss, Gap
 
 _HALF_RANGE, _RANGE = 1 << 31, 1 << 32
 _QUEUED_NS = 30_000_000_000  # far beyond what any queue on the way can hold

@@ -5,8 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from threading import Lock
 
 from resonator_daemon.board.session.clock import Instant
-from resonator_daemon.board.session.counters import FrameLoss
-from resonator_daemon.board.session.frames import Arrival, ChannelisedFrame, Frame, Gap, SingleToneFrame
+from resonator_daemon.board.session.frames import Arrival, ChannelisedFrame, Frame, FrameLoss, Gap, SingleToneFrame
 
 
 class FrameQueue:

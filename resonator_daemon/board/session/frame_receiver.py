@@ -13,10 +13,9 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.links.link import LinkLostError
 from resonator_daemon.board.session.clock import HostTime, Instant, TickScale
 from resonator_daemon.board.session.compatibility import BoardRefusedError, gate_ticks
-from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.board.session.frame_numbers import Accepted, BrokenSpacingError, FrameNumbering
 from resonator_daemon.board.session.frame_queue import FrameQueue
-from resonator_daemon.board.session.frames import TONE, ChannelisedFrame, SingleToneFrame, Tones
+from resonator_daemon.board.session.frames import TONE, ChannelisedFrame, LinkCounters, SingleToneFrame, Tones
 
 _NOT_IN_PARTS: Final = PacketRefusal("frame_kind", "FRAME came, and the plate needs FRAME_PART")
 _IN_PARTS: Final = PacketRefusal("frame_kind", "FRAME_PART came, and the plate needs FRAME")

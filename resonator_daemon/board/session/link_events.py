@@ -13,8 +13,7 @@ from resonator_daemon.base.host.load import NO_LOAD, HostLoad, LoadSample
 from resonator_daemon.base.reasons import Condition, Reason
 from resonator_daemon.board.session.clock import ClockSnapshot, HostTime
 from resonator_daemon.board.session.frame_numbers import NumberingSnapshot
-from resonator_daemon.board.session.link_reasons import StoredReason
-from resonator_daemon.board.session.link_state import LinkStateSnapshot
+from resonator_daemon.board.session.link_state import LinkStateSnapshot, StoredReason
 from resonator_daemon.board.session.pings import Ping
 
 _HEAD = struct.Struct("<Bq")  # kind, boottime_less_monotonic_ns

@@ -10,13 +10,11 @@ from resonator_daemon.board.session import link_events as wire
 from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.compatibility import gate_ticks
 from resonator_daemon.board.session.connection import Connection
-from resonator_daemon.board.session.counters import FrameLoss, LinkCounters
 from resonator_daemon.board.session.frame_numbers import FrameNumbering
 from resonator_daemon.board.session.frame_queue import FrameQueue
-from resonator_daemon.board.session.frames import BoardRefused, ControlRequest
+from resonator_daemon.board.session.frames import BoardRefused, ControlRequest, FrameLoss, LinkCounters
 from resonator_daemon.board.session.link_events import LinkSnapshot
-from resonator_daemon.board.session.link_reasons import all_of
-from resonator_daemon.board.session.link_state import LinkState
+from resonator_daemon.board.session.link_state import LinkState, all_of
 
 SNAPSHOT_EVERY_NS = 100_000_000
 

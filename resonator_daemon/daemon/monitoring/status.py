@@ -10,7 +10,7 @@ from pydantic import Field
 
 from resonator_daemon.base.host.load import HostLoad, ProcessUsage
 from resonator_daemon.base.reasons import ReasonCode
-from resonator_daemon.board.session.counters import LinkCounters
+from resonator_daemon.board.session.frames import LinkCounters
 from resonator_daemon.mqtt.payloads import BootInfo, DecoderProcessInfo, Health, Int64, Message, RecordingInfo, State
 
 _DELAY_MAX_S: Final = 10.0  # from a moment until it is seen, if the wall clock was not set meanwhile

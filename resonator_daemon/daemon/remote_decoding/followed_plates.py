@@ -17,7 +17,7 @@ from resonator_daemon.daemon.remote_decoding.plate import RemotePlate, SkinPlate
 from resonator_daemon.daemon.remote_decoding.plates import Publish, RemotePlates
 from resonator_daemon.estimate.surface.decoder_setup import EqualSkins
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
-from resonator_daemon.measure.pipeline.frame_timeout import CONTACTS_END_S
+from resonator_daemon.measure.pipeline.board_pipeline import CONTACTS_END_S
 from resonator_daemon.measure.sensors.surface_decoding import Origin, Skipped, SurfaceClient, SurfaceDecoding
 from resonator_daemon.measure.sensors.surface_worker import Reply, SurfaceSettings, SurfaceWorker
 from resonator_daemon.mqtt.codec import Encoded, Incoming

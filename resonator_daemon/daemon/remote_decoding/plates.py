@@ -8,7 +8,7 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.clients import DecoderConfig
 from resonator_daemon.daemon.remote_decoding.plate import NO_SIGNALS, RemotePlate, SkinPlate
 from resonator_daemon.estimate.surface.skin import DecodingOptions
-from resonator_daemon.measure.latency import LatencyHistogram
+from resonator_daemon.measure.sensors.output import LatencyHistogram
 from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings
 from resonator_daemon.mqtt.codec import Encoded, Incoming
 from resonator_daemon.mqtt.payloads import Condition, DecoderPlateHealth, DecoderProcessInfo, Message, Signals

@@ -26,7 +26,6 @@ from resonator_daemon.board.recording.event_replay import replay_of
 from resonator_daemon.board.recording.switch import RecordingSwitch
 from resonator_daemon.board.session.board_reader import BoardReader
 from resonator_daemon.board.session.clock import Instant
-from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.board.session.frames import (
     Arrival,
     BoardOnline,
@@ -34,9 +33,10 @@ from resonator_daemon.board.session.frames import (
     ControlRequest,
     Frame,
     LinkChange,
+    LinkCounters,
     ReaderFailed,
 )
-from resonator_daemon.board.session.link_reasons import all_of
+from resonator_daemon.board.session.link_state import all_of
 from resonator_daemon.daemon.monitoring.liveness import DECLARED_WAITING, LivenessMonitor
 from resonator_daemon.daemon.monitoring.metrics import MetricsServer
 from resonator_daemon.daemon.monitoring.status import BrokerStatus, Status, StatusMonitor

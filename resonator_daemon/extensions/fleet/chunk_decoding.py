@@ -24,7 +24,7 @@ from resonator_daemon.board.config import Config
 from resonator_daemon.board.recording.reader import STILL_WRITTEN, Recording, open_recording
 from resonator_daemon.extensions.fleet.changes import STORED_TOPICS, Changes
 from resonator_daemon.extensions.fleet.chunks import Chunk, Job, Span, span_of
-from resonator_daemon.measure.sensors.calendar import utc_day
+from resonator_daemon.measure.sensors.output import utc_day
 from resonator_daemon.measure.sensors.surface_decoding import SequentialDecoding, SurfaceClient, SurfaceDecoding
 from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings
 from resonator_daemon.mqtt.codec import decoded

@@ -25,7 +25,7 @@ from resonator_daemon.extensions.planning.plate_file import (
     plate_layout,
 )
 from resonator_daemon.extensions.planning.request import JITTER_S, Request, make_request
-from resonator_daemon.measure.sensors import code_check
+from resonator_daemon.measure.sensors import plate_sites
 from resonator_daemon.measure.sensors.plate_sites import force_sites
 
 COMMON_STD: Final = 2e-7  # of what is left of the common mode, estimated from a pilot
@@ -82,7 +82,7 @@ def plan_codes(options: argparse.Namespace) -> tuple[CodePlan, str]:
         step=ladder.step,
         guard=guard,
         too_near=ladder.too_near,
-        overlaps=code_check.overlaps(plate),
+        overlaps=plate_sites.overlaps(plate),
         refused=ladder.refused + _too_slow(plate, options.baud),
         trapped_band=1e-6 * options.band_ppm,
         baud=options.baud,
@@ -107,7 +107,7 @@ def _new(request: Request, guard: GuardBand, options: argparse.Namespace, random
     refused: tuple[str, ...] = ()
     if not options.accept_overlap:
         remedy = "raise --step-ppm" if options.step_ppm else "widen --band-ppm, take fewer sites"
-        refused = _narrow(plate, codes, step, guard, remedy) if narrow else code_check.findings(plate)
+        refused = _narrow(plate, codes, step, guard, remedy) if narrow else plate_sites.findings(plate)
     return _Ladder(codes, step, too_near, plate, text, refused)
 
 
@@ -148,7 +148,7 @@ def _kept(plate: Plate, options: argparse.Namespace) -> _Ladder:
     step = float(np.diff(np.sort(tones, axis=0), axis=0).min()) if len(tones) > 1 else math.nan
     steps = code_placement.needed_steps(code_placement.distances_m(plate.site_positions_m))
     too_near = _by_id(code_placement.missing(codes, steps), plate_layout(plate))
-    refused = () if options.accept_overlap else code_check.findings(plate)
+    refused = () if options.accept_overlap else plate_sites.findings(plate)
     return _Ladder(codes, step, too_near, plate, "", refused)
 
 

@@ -12,9 +12,8 @@ from resonator_daemon.board.session.compatibility import oscillator_hz
 from resonator_daemon.board.session.frames import BoardOnline, Frame
 from resonator_daemon.estimate.forces.readings import Compensation, ContactEvent, ForceReading
 from resonator_daemon.measure.sensors.base import Sensor
-from resonator_daemon.measure.sensors.force_messages import ForceMessages
+from resonator_daemon.measure.sensors.force_messages import ForceMessages, tones_message
 from resonator_daemon.measure.sensors.output import MessageOutput
-from resonator_daemon.measure.sensors.tone_messages import tones_message
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, FORCES, TONES, Topic
 
 if TYPE_CHECKING:

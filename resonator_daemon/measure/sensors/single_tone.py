@@ -5,12 +5,11 @@ from typing import Any, Final
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.estimate.tones.tone_detector import CapturedToneDetector, ToneDetector, capture_band_hz
-from resonator_daemon.measure.sensors.code_check import findings
 from resonator_daemon.measure.sensors.expected_tones import ExpectedTones, captured_tones
+from resonator_daemon.measure.sensors.force_messages import site_codes
 from resonator_daemon.measure.sensors.force_sensor import ForceSensor
-from resonator_daemon.measure.sensors.plate_sites import force_sites
+from resonator_daemon.measure.sensors.plate_sites import findings, force_sites
 from resonator_daemon.measure.sensors.single_tone_processing import SingleToneProcessing
-from resonator_daemon.measure.sensors.tone_messages import site_codes
 from resonator_daemon.mqtt.payloads import SiteCode
 from resonator_daemon.mqtt.topics import TONES, Topic
 

@@ -30,7 +30,7 @@ from resonator_daemon.estimate.tones.tone_count import NO_TONE, ToneCount, count
 from resonator_daemon.estimate.tones.tone_detector import PILOT_TOLERANCE, capture_band_hz
 from resonator_daemon.estimate.tones.tone_windows import GateBlock, ToneWindows, Window
 from resonator_daemon.measure.sensors.corner_tones import CornerTones
-from resonator_daemon.measure.sensors.usual_reasons import BOARD_RESTARTED, COMMON_MODE_PENDING
+from resonator_daemon.measure.sensors.output import BOARD_RESTARTED, COMMON_MODE_PENDING
 
 _SITE: Final = attrgetter("site")
 BASELINE_READINGS: Final = 20  # untouched readings before the common mode counts as known

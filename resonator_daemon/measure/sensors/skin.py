@@ -14,11 +14,10 @@ from resonator_daemon.estimate.surface.skin import DecodingOptions, Prior, Skin,
 from resonator_daemon.estimate.tones.tone_detector import MultitoneDetector, ToneDetector
 from resonator_daemon.measure.sensors.base import Sensor
 from resonator_daemon.measure.sensors.expected_tones import ExpectedTones, all_tones
-from resonator_daemon.measure.sensors.output import MessageOutput
+from resonator_daemon.measure.sensors.output import BOARD_RESTARTED, MessageOutput
 from resonator_daemon.measure.sensors.skin_processing import SkinProcessing
 from resonator_daemon.measure.sensors.surface_decoding import MakeSurfaceDecoding, SequentialDecoding, SurfaceDecoding
 from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame, SurfaceSettings
-from resonator_daemon.measure.sensors.usual_reasons import BOARD_RESTARTED
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.payloads import Condition, ContactEvent, Lost, Message, Signals, Status
 from resonator_daemon.mqtt.topics import (

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import ReasonCode
-from resonator_daemon.measure.sensors.usual_reasons import reason_fields
+from resonator_daemon.measure.sensors.output import reason_fields
 from resonator_daemon.mqtt.payload_types import rounded, rounded_std
 from resonator_daemon.mqtt.payloads import (
     Contact,

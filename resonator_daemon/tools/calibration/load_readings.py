@@ -25,7 +25,7 @@ from resonator_daemon.board.session.frames import (
     LinkChange,
     SingleToneFrame,
 )
-from resonator_daemon.board.session.link_reasons import OPENING
+from resonator_daemon.board.session.link_state import OPENING
 from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
 from resonator_daemon.estimate.tones.tone_detector import PILOT_TOLERANCE, READING_S, ToneReading
 from resonator_daemon.measure.pipeline.tone_capture import ToneCapture

@@ -17,8 +17,13 @@ from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason
 from resonator_daemon.board.links.target import LinkTarget
-from resonator_daemon.board.session.counters import LinkCounters
-from resonator_daemon.board.session.frames import BoardRefused, ChannelisedFrame, LinkChange, SingleToneFrame
+from resonator_daemon.board.session.frames import (
+    BoardRefused,
+    ChannelisedFrame,
+    LinkChange,
+    LinkCounters,
+    SingleToneFrame,
+)
 from resonator_daemon.board.session.link_events import Received, WireEvent
 from resonator_daemon.estimate.tones.tone_detector import ToneReading
 from resonator_daemon.measure.pipeline.tone_capture import ToneCapture

@@ -11,7 +11,7 @@ from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.session.clock import TOLERANCE_PPM
 from resonator_daemon.board.session.compatibility import first_of, incompatibilities
-from resonator_daemon.board.session.link_reasons import all_of
+from resonator_daemon.board.session.link_state import all_of
 from resonator_daemon.board.session.probe import ProbeResult, TickRate, round_trip_s
 from resonator_daemon.tools.doctor.capture import OPEN_S, Capture
 from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, Outcome, downgraded, not_checked

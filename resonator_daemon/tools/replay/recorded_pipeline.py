@@ -25,9 +25,8 @@ from resonator_daemon.board.recording.reader import (
     open_recording,
 )
 from resonator_daemon.board.session.clock import HostTime
-from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.board.session.frame_queue import FrameQueue, group_adjacent
-from resonator_daemon.board.session.frames import Arrival, BoardRefused, Frame
+from resonator_daemon.board.session.frames import Arrival, BoardRefused, Frame, LinkCounters
 from resonator_daemon.board.session.link_events import WireEvent
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline

@@ -3,9 +3,8 @@
 import pytest
 
 from resonator_daemon.board.session.clock import Instant
-from resonator_daemon.board.session.counters import FrameLoss
 from resonator_daemon.board.session.frame_numbers import Accepted, BrokenSpacingError, FrameNumbering, NumberingSnapshot
-from resonator_daemon.board.session.frames import Gap
+from resonator_daemon.board.session.frames import FrameLoss, Gap
 
 GATE_TICKS = 1000
 GATE_NS = 1_000_000

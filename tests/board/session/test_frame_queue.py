@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from resonator_daemon.board.session.clock import Instant, Line, TickScale
-from resonator_daemon.board.session.counters import FrameLoss
 from resonator_daemon.board.session.frame_queue import FrameQueue
-from resonator_daemon.board.session.frames import TONE, BoardLogLine, ChannelisedFrame, Gap, SingleToneFrame
+from resonator_daemon.board.session.frames import TONE, BoardLogLine, ChannelisedFrame, FrameLoss, Gap, SingleToneFrame
 
 SCALE = TickScale(10**12, 0, Line(0, 0, 0.0, 0.0, 0.0), 0, 0)
 NOW = Instant(0, 0)

@@ -13,9 +13,9 @@ from resonator_daemon.board.links.carriers import parse_link
 from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.switch import RecordingSwitch
 from resonator_daemon.board.session.connection import Connection
-from resonator_daemon.board.session.counters import LinkCounters
 from resonator_daemon.board.session.frame_numbers import FrameNumbering
 from resonator_daemon.board.session.frame_queue import FrameQueue
+from resonator_daemon.board.session.frames import LinkCounters
 from resonator_daemon.board.session.link_events import Received, SnapshotTaken, WireEvent
 from resonator_daemon.board.session.link_state import LinkState
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine

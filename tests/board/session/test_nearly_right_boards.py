@@ -10,7 +10,7 @@ from firmware_protocol.host import PacketRefusal
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
 from resonator_daemon.board.links.link import LinkLostError
-from resonator_daemon.board.session.board_reports import RefusalWatch
+from resonator_daemon.board.session.link_state import RefusalWatch
 from resonator_daemon.board.session.probe import NoBoardError, probe
 
 Change = Callable[[Packet], Packet | None]

@@ -11,7 +11,7 @@ from example_messages import header
 
 from resonator_daemon.base.host.load import HostLoad
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.board.session.counters import LinkCounters
+from resonator_daemon.board.session.frames import LinkCounters
 from resonator_daemon.daemon.monitoring import status
 from resonator_daemon.daemon.monitoring.status import Status, StatusMonitor
 from resonator_daemon.mqtt.payloads import Condition, Health, Lost

@@ -11,7 +11,7 @@ from plates import plate_head, site
 
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.commands import main
-from resonator_daemon.measure.sensors import code_check
+from resonator_daemon.measure.sensors import plate_sites
 
 GRID = ("--grid", "4x4", "--pitch-mm", "5")
 FEW = ("--touches", "500")
@@ -68,7 +68,7 @@ def test_the_numbers_of_quartz16_give_a_ladder_without_collisions(
     code, found, complaints = plan(capsys, "--plate", "quartz16", "--output", str(path), *extra)
     assert (code, complaints) == (0, [])
     plate, shipped = load_plate(str(path)), load_plate("quartz16")
-    assert code_check.overlaps(plate) == ()
+    assert plate_sites.overlaps(plate) == ()
     np.testing.assert_array_equal(plate.site_positions_m, shipped.site_positions_m)
     np.testing.assert_array_equal(plate.tones.sensitivity, shipped.tones.sensitivity)
     assert plate.load_sharing_exponent == shipped.load_sharing_exponent
@@ -139,8 +139,8 @@ def test_a_step_below_the_guard_band_is_refused_with_the_pair_and_written_when_i
     assert (code, complaints) == (0, [])
     plate = load_plate(str(path))
     assert plate.counter.codes_may_overlap
-    assert code_check.overlaps(plate)
-    assert code_check.findings(plate) == ()
+    assert plate_sites.overlaps(plate)
+    assert plate_sites.findings(plate) == ()
     assert found["trials"]["plates_overlapping"] == found["trials"]["plates"]
     assert found["trials"]["one_touch"]["undecided"] > 10
 

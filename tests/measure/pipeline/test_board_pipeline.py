@@ -10,8 +10,7 @@ from test_pipeline_messages import FORCE_PLATE as PLATE
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.tables import Measurement
 from resonator_daemon.board.session.clock import Instant
-from resonator_daemon.board.session.counters import FrameLoss
-from resonator_daemon.board.session.frames import Arrival, Gap, LinkChange, Outage
+from resonator_daemon.board.session.frames import Arrival, FrameLoss, Gap, LinkChange, Outage
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.measure.pipeline.control_requests import SetWindow, Tare
 from resonator_daemon.mqtt.topics import Topic

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.measure.pipeline.frame_timeout import CONTACTS_END_S, FrameTimeout
+from resonator_daemon.measure.pipeline.board_pipeline import CONTACTS_END_S, FrameTimeout
 
 NO_FRAMES = Reason(ReasonCode.NO_FRAMES, "no frames for 0.5 s")
 

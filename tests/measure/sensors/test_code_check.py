@@ -9,7 +9,7 @@ import pytest
 from plates import plate_head, site
 
 from resonator_daemon.base.plate import Plate, load_plate, shipped_plates
-from resonator_daemon.measure.sensors import code_check
+from resonator_daemon.measure.sensors import plate_sites
 
 QUARTZ = load_plate("quartz16")
 
@@ -35,7 +35,7 @@ def check(folder: Path, plate: str, *arguments: str, verb: str = "check") -> sub
 
 def test_no_shipped_plate_has_codes_that_overlap() -> None:
     for name in shipped_plates():
-        assert code_check.findings(load_plate(name)) == ()
+        assert plate_sites.findings(load_plate(name)) == ()
 
 
 @pytest.mark.parametrize("verb", ["check", "run"])
@@ -59,16 +59,18 @@ def three(ppm_apart: float, tmp_path: Path, **parts: Any) -> Plate:
 
 
 def test_the_step_that_is_needed_would_do(tmp_path: Path) -> None:
-    (found,) = code_check.overlaps(three(50.0, tmp_path))
+    (found,) = plate_sites.overlaps(three(50.0, tmp_path))
     assert 60.0 < found.needed_ppm < 100.0  # 10 N, then ageing, temperature and noise
     assert found.spacing_ppm == pytest.approx(50.0, rel=1e-3)
-    assert code_check.overlaps(three(found.needed_ppm + 0.5, tmp_path)) == ()
-    assert code_check.overlaps(three(found.needed_ppm - 0.5, tmp_path)) != ()
+    assert plate_sites.overlaps(three(found.needed_ppm + 0.5, tmp_path)) == ()
+    assert plate_sites.overlaps(three(found.needed_ppm - 0.5, tmp_path)) != ()
 
 
 def test_a_wider_span_of_temperatures_needs_more(tmp_path: Path) -> None:
     needed = [
-        code_check.overlaps(three(50.0, tmp_path, thermal=f"[thermal]\nrange_kelvin = [{low}, {high}]\n"))[0].needed_ppm
+        plate_sites.overlaps(three(50.0, tmp_path, thermal=f"[thermal]\nrange_kelvin = [{low}, {high}]\n"))[
+            0
+        ].needed_ppm
         for low, high in ((298.0, 298.3), (278.15, 318.15), (298.15, 318.15))
     ]
     # Sites that differ by six standard deviations of 5e-8 per kelvin, 20 K away from 298.15 K at the most.
@@ -80,4 +82,4 @@ def test_a_channelised_counter_tells_tones_apart_by_their_number() -> None:
     content = load_plate("comb16").model_dump(mode="json", exclude_none=True)
     for listed in content["sites"]:
         listed["tones"][0]["f0_hz"] = [1e7] * 4
-    assert code_check.overlaps(Plate.model_validate(content)) == ()
+    assert plate_sites.overlaps(Plate.model_validate(content)) == ()

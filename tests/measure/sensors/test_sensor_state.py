@@ -8,7 +8,7 @@ import pytest
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.estimate.forces.readings import Compensation, SensorStatus
-from resonator_daemon.measure.sensors.sensor_state import SensorState
+from resonator_daemon.measure.sensors.output import SensorState
 from resonator_daemon.mqtt.payloads import Condition
 
 T0_NS = 1_789_000_000_000_000_123

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import pytest
 
 from resonator_daemon.board.session.clock import Instant
-from resonator_daemon.measure import latency
-from resonator_daemon.measure.latency import Latencies, LatencyHistogram
+from resonator_daemon.measure.sensors import output as latency
+from resonator_daemon.measure.sensors.output import Latencies, LatencyHistogram
 from resonator_daemon.mqtt.topics import DECODED, FORCES
 
 
