@@ -88,13 +88,10 @@ async def test_an_offline_daemon_is_not_asked(mosquitto: Mosquitto, tare: Ask) -
     async with daemon(mosquitto.url, tared):
         pass
     for name in ('name = "left"', ""):
-        code, printed, reported = await tare(mosquitto.url, name=name)
-        assert (code, printed) == (1, "")
-        assert reported == "resonatord: daemon left is offline (stopped); start it: resonatord run\n"
-    code, printed, reported = await tare(mosquitto.url, "--json")
-    assert code == 1
-    error = {"code": "no_daemon", "message": "daemon left is offline (stopped); start it: resonatord run", "hint": ""}
-    assert json.loads(printed) == {"verb": "tare", "ok": False, "error": error}
+        code, printed, reported = await tare(mosquitto.url, "--json", name=name)
+        error = {"code": "no_daemon", "message": reported.removeprefix("resonatord: ").rstrip(), "hint": ""}
+        assert (code, json.loads(printed)) == (1, {"verb": "tare", "ok": False, "error": error})
+        assert "daemon left is offline (stopped)" in reported
     async with daemon(mosquitto.url, tared):  # and again as soon as it is back
         assert (await tare(mosquitto.url))[0] == 0
 

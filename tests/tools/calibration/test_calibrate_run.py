@@ -109,6 +109,12 @@ def desk(tmp_path: Path) -> Desk:
     return Desk(tmp_path)
 
 
+def refusal(desk: Desk, capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
+    """Return exit code and code of the error."""
+    code, printed, _ = desk.say(capsys, *arguments)
+    return code, printed[-1]["error"]["code"]
+
+
 def sensitivity_error(desk: Desk) -> float:
     found = load_plate(str(desk.plate)).tones.sensitivity[6]
     return float(np.abs(found / TRUE.tones.sensitivity[6] - 1).max())
@@ -144,31 +150,24 @@ def test_a_staged_calibration_waits_and_is_accepted_or_aborted(desk: Desk, capsy
     before = desk.tree()
     desk.loads()
     with desk.board():
-        code, printed, reported = desk.say(capsys, *LOADS, "--output", str(desk.folder / "new.toml"))
+        code, printed, _ = desk.say(capsys, *LOADS, "--output", str(desk.folder / "new.toml"))
     assert (code, printed[-1]["result"]) == (0, "staged")
-    assert "finish with --accept-staged or --abort" in reported
     assert desk.tree() == before
-    code, _, reported = desk.say(capsys, *LOADS)
-    assert code == 2
+    assert refusal(desk, capsys, *LOADS) == (2, "usage")
     printed = printed[-1:]
-    assert "a calibration is staged already" in reported
     staged = {path.name: path.read_bytes() for path in desk.state.rglob("*.jsonl")}
 
     code, aborted, _ = desk.say(capsys, "--abort")
     assert (code, aborted) == (0, [printed[0] | {"result": "aborted", "staged": True}])
     assert desk.tree() == before
     assert desk.sessions() == []
-    code, _, reported = desk.say(capsys, "--accept-staged")
-    assert code == 1
-    assert "no calibration of this configuration is staged" in reported
+    assert refusal(desk, capsys, "--accept-staged") == (1, "not_calibrated")
 
     for name, content in staged.items():
         (desk.state / "resonatord" / "calibrations" / name).write_bytes(content)
     original = desk.plate.read_text()
     desk.plate.write_text(original + "# a line more\n")
-    code, _, reported = desk.say(capsys, "--accept-staged")
-    assert code == 1
-    assert "has changed since it was calibrated" in reported
+    assert refusal(desk, capsys, "--accept-staged") == (1, "not_calibrated")
     assert desk.plate.read_text() == original + "# a line more\n"
     desk.plate.write_text(original)
     config = desk.config.read_text()
@@ -219,6 +218,5 @@ def test_a_bad_load_is_asked_for_once_more_and_a_person_is_asked_to_accept(desk:
     assert code == 0, reported
     assert reported.count("accept? [y/N]") == 2
     assert printed[-1]["result"] == "accepted"
-    assert "step 3 (300 g on site 7) does not fit the others" in reported
     assert [line["step"] for line in printed if line.get("event") == "captured"] == [1, 2, 3, 4, 5, 3]
     assert sensitivity_error(desk) < 3e-3

@@ -42,10 +42,8 @@ def test_no_numbers_follow_from_it(tmp_path: Path, capsys: pytest.CaptureFixture
     for verb in (("replay", path, "--to"), ("export", path, "--output")):
         output = tmp_path / "out.csv"
         assert exit_code(*verb, output, "--json") == 78
-        said = capsys.readouterr()
-        line = f"{path}: its attachment {name} is damaged; give plate and settings with --config FILE"
-        assert said.err == f"resonatord: {line}\n"
-        assert json.loads(said.out)["error"]["message"] == line
+        error = json.loads(capsys.readouterr().out)["error"]
+        assert (error["code"], f"attachment {name} " in error["message"]) == ("config", True)
         assert not output.exists()
 
 
