@@ -71,6 +71,8 @@ class UserError(Exception):
         A line each.
     partial_result
         Partial result of the command: keys of the JSON object next to the error.
+    code, exit_code
+        Instead of those of the class.
 
     Attributes
     ----------
@@ -82,9 +84,17 @@ class UserError(Exception):
     code: str = "config"
     hint: ClassVar[str] = ""
 
-    def __init__(self, *messages: str, partial_result: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        *messages: str,
+        partial_result: Mapping[str, Any] | None = None,
+        code: str | None = None,
+        exit_code: ExitCode | None = None,
+    ) -> None:
         super().__init__("\n".join(messages))
         self.messages = messages
+        self.code = code or self.code
+        self.exit_code = exit_code or self.exit_code
         self.partial_result: Mapping[str, Any] = partial_result or {}
 
 

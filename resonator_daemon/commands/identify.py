@@ -18,19 +18,6 @@ if TYPE_CHECKING:
     from resonator_daemon.board.session.probe import ProbeResult
 
 
-class NoAnswerError(UserError):
-    """No board answers on the link."""
-
-    exit_code = ExitCode.UNAVAILABLE
-    code = "no_board"
-
-
-class BoardInUseError(NoAnswerError):
-    """Another program holds the port, or is served by the board."""
-
-    code = "port_in_use"
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "link",
@@ -83,5 +70,6 @@ def _probe(target: "LinkTarget", *, blink: bool) -> "ProbeResult":
         raise _no_answer(error.lost, f"no board answers on {target}: {error}") from error
 
 
-def _no_answer(code: "ReasonCode | None", message: str) -> NoAnswerError:
-    return BoardInUseError(message) if code == "port_in_use" else NoAnswerError(message)
+def _no_answer(code: "ReasonCode | None", message: str) -> UserError:
+    known = "port_in_use" if code == "port_in_use" else "no_board"
+    return UserError(message, code=known, exit_code=ExitCode.UNAVAILABLE)

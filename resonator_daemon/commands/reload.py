@@ -23,22 +23,6 @@ _LOOK_AGAIN_S: Final = 0.2  # an answer is at most 0.1 s old
 _LIMIT_S: Final = 10.0
 
 
-class NotReloadedError(UserError):
-    """No daemon of this name runs, or it may not be asked, or does not answer."""
-
-    exit_code = ExitCode.FAILED
-
-    def __init__(self, message: str, code: str) -> None:
-        super().__init__(message)
-        self.code = code
-
-
-class NotAppliedError(ConfigurationError):
-    """The file cannot be used; the daemon keeps what it has."""
-
-    exit_code = ExitCode.FAILED
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "name",
@@ -49,14 +33,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    """Print each key that changed; NotAppliedError where the file cannot be used."""
+    """Print each key that changed; ConfigurationError where the file cannot be used: the daemon keeps what it has."""
     import asyncio
 
     config = asyncio.run(_reload(arguments.name))
     problems, changes = config.get("problems", ()), config.get("changes", ())
     shown = {key: config[key] for key in ("file", "problems", "changes")}
     if problems:
-        raise NotAppliedError(*problems, partial_result=shown)
+        raise ConfigurationError(*problems, partial_result=shown, exit_code=ExitCode.FAILED)
     if not arguments.json:
         lines = [
             f"{change['key']}: {change['old']} -> {change['new']} "
@@ -77,11 +61,9 @@ async def _reload(name: str) -> dict[str, Any]:
         os.kill(pid, signal.SIGHUP)
     except PermissionError:
         who = f"process {pid} belongs to another user"
-        raise NotReloadedError(
-            f"{who}; with systemd: sudo systemctl reload resonatord@{before['instance']}", "denied"
-        ) from None
+        raise _failed(f"{who}; with systemd: sudo systemctl reload resonatord@{before['instance']}", "denied") from None
     except ProcessLookupError:
-        raise NotReloadedError(f"process {pid} has ended", "no_daemon") from None
+        raise _failed(f"process {pid} has ended", "no_daemon") from None
     try:
         async with asyncio.timeout(_LIMIT_S):
             while True:
@@ -91,7 +73,7 @@ async def _reload(name: str) -> dict[str, Any]:
                     return dict(after)
     except TimeoutError:
         words = f"process {pid} does not report that it read the file within {_LIMIT_S:g} s"
-        raise NotReloadedError(words, "no_answer") from None
+        raise _failed(words, "no_answer") from None
 
 
 async def _ask(name: str) -> dict[str, Any]:
@@ -100,8 +82,12 @@ async def _ask(name: str) -> dict[str, Any]:
     answers: list[Answer] = await ask_all(name)
     if len(answers) != 1:
         what = "no daemon" if not answers else f"{len(answers)} daemons"
-        raise NotReloadedError(f"{what} called {printable(name)}; see: resonatord status", "no_daemon")
+        raise _failed(f"{what} called {printable(name)}; see: resonatord status", "no_daemon")
     (answer,) = answers
     if answer.status is None or not isinstance(answer.status.get("config"), dict):
-        raise NotReloadedError(f"{printable(name)}: {answer.problem or 'its answer is no status'}", "no_answer")
+        raise _failed(f"{printable(name)}: {answer.problem or 'its answer is no status'}", "no_answer")
     return answer.status
+
+
+def _failed(message: str, code: str) -> UserError:
+    return UserError(message, code=code, exit_code=ExitCode.FAILED)

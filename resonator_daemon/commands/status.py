@@ -19,20 +19,6 @@ if TYPE_CHECKING:
 _PERIOD_S: Final = 1.0
 
 
-class NoDaemonError(UserError):
-    """No daemon of this name runs on this computer."""
-
-    exit_code = ExitCode.FAILED
-    code = "no_daemon"
-
-
-class NoStatusError(UserError):
-    """A daemon runs and does not answer, or answers otherwise."""
-
-    exit_code = ExitCode.FAILED
-    code = "no_answer"
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "name",
@@ -45,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    """Print the status; NoDaemonError where no daemon runs, NoStatusError where one does not answer."""
+    """Print the status; UserError where no daemon runs, or one does not answer."""
     import asyncio
 
     if arguments.watch:
@@ -118,15 +104,16 @@ def _checked(answers: "list[Answer]", name: str | None) -> dict[str, object]:
     }
     if problems or not answers:
         lines = [f"{answer.socket}: {answer.problem}" for answer in problems]
-        failed = NoStatusError(*lines) if problems else _nobody(name)
+        failed = UserError(*lines, code="no_answer", exit_code=ExitCode.FAILED) if problems else _nobody(name)
         failed.partial_result = result
         raise failed
     return result
 
 
-def _nobody(name: str | None) -> NoDaemonError:
+def _nobody(name: str | None) -> UserError:
     from resonator_daemon.base.host.files import runtime_directories
 
     places = ", ".join(str(place) for place in runtime_directories())
     who = "no daemon" if name is None else f"no daemon called {printable(name)}"
-    return NoDaemonError(f"{who} runs on this computer, by what is in {places}; start one: resonatord run")
+    text = f"{who} runs on this computer, by what is in {places}; start one: resonatord run"
+    return UserError(text, code="no_daemon", exit_code=ExitCode.FAILED)

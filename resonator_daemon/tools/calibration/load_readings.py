@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.base.errors import ConfigurationError, IncompatibleBoardError
+from resonator_daemon.base.errors import ConfigurationError, ExitCode, IncompatibleBoardError, UserError
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
 from resonator_daemon.base.reasons import Condition
@@ -29,7 +29,7 @@ from resonator_daemon.board.session.link_state import OPENING
 from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
 from resonator_daemon.estimate.tones.tone_detector import PILOT_TOLERANCE, READING_S, ToneReading
 from resonator_daemon.measure.pipeline.tone_capture import ToneCapture
-from resonator_daemon.tools.calibration.steps import CalibrationRefusedError, LinkBusyError
+from resonator_daemon.tools.calibration.steps import CalibrationRefusedError
 
 
 class SiteCodes(NamedTuple):
@@ -273,9 +273,8 @@ def _readings(capture: ToneCapture, timeout_s: float) -> Iterator[BoardOnline | 
                 state = arrival
                 if arrival.state is Condition.WAITING and not online:
                     remedy = "a calibration needs the link for itself: stop the daemon that runs on it"
-                    raise LinkBusyError(
-                        f"link: {arrival.reason.text}; {remedy}", in_use=arrival.reason.code == "port_in_use"
-                    )
+                    code = "port_in_use" if arrival.reason.code == "port_in_use" else "no_board"
+                    raise UserError(f"link: {arrival.reason.text}; {remedy}", code=code, exit_code=ExitCode.UNAVAILABLE)
             case None if time.monotonic() - last_s > (timeout_s if online else OPEN_S):
                 raise CalibrationRefusedError(
                     f"link {state.state}: {state.reason.text}; no frame came; the plate file is as before"

@@ -21,16 +21,6 @@ class CalibrationRefusedError(UserError):
     code = "not_calibrated"
 
 
-class LinkBusyError(UserError):
-    """The port cannot be opened now, as while the daemon runs on it."""
-
-    exit_code = ExitCode.UNAVAILABLE
-
-    def __init__(self, message: str, *, in_use: bool) -> None:
-        super().__init__(message)
-        self.code = "port_in_use" if in_use else "no_board"
-
-
 @dataclass(frozen=True)
 class LoadRequest:
     """Requested loads; an empty `sites` means all of them, in the order of the plate file."""

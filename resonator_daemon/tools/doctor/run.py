@@ -54,13 +54,6 @@ class UnusableConfigError(ConfigurationError):
     hint = "resonatord check"
 
 
-class FaultError(UserError):
-    """Something is at fault; the report names who must act."""
-
-    exit_code = ExitCode.FAILED
-    code = "fault"
-
-
 @dataclass(frozen=True)
 class DoctorOptions:
     """Options of a diagnosis: a configuration's board, or one on a link."""
@@ -78,7 +71,7 @@ def doctor(options: DoctorOptions) -> ExitCode:
 
     Raises
     ------
-    FaultError
+    UserError
         Something is at fault, and the report is to be a JSON object.
     UnusableConfigError
         The configuration cannot be used: there is nothing to hold the board against.
@@ -104,7 +97,7 @@ def doctor(options: DoctorOptions) -> ExitCode:
         report.write(sys.stdout)
         return report.exit_code
     if report.cause is not None:
-        raise FaultError(report.verdict_text, partial_result=report.as_json())
+        raise UserError(report.verdict_text, partial_result=report.as_json(), code="fault", exit_code=ExitCode.FAILED)
     sys.stdout.write(json.dumps(report.as_json()) + "\n")
     return ExitCode.DONE
 

@@ -27,13 +27,6 @@ from resonator_daemon.mqtt.topics import STATE_DAEMON, TOPICS, Headers, full_top
 from resonator_daemon.tools.replay.recorded_pipeline import Published
 
 
-class OutputFailedError(UserError):
-    """The file of the messages cannot be extended."""
-
-    exit_code = ExitCode.FAILED
-    code = "output"
-
-
 class FileOutput:
     """One line of JSON for each message, in a new file, on stdout, or to a character device or a pipe.
 
@@ -43,7 +36,7 @@ class FileOutput:
     ------
     NoNewFileError
         The file is there already, or cannot be made.
-    OutputFailedError
+    UserError
         It cannot be extended.
     """
 
@@ -83,8 +76,9 @@ class FileOutput:
                 raise  # the reader has closed the pipe, as `head`
             raise self._failed(error) from error
 
-    def _failed(self, error: OSError) -> OutputFailedError:
-        return OutputFailedError(f"{self._path}: {meaning_of(error)}; what was written stays")
+    def _failed(self, error: OSError) -> UserError:
+        text = f"{self._path}: {meaning_of(error)}; what was written stays"
+        return UserError(text, code="output", exit_code=ExitCode.FAILED)
 
 
 def payload_json(message: Message | Encoded) -> str:
@@ -112,13 +106,6 @@ WAITING_MAX: Final = 500  # messages; far below what would be dropped
 _TURN_S: Final = 1e-3
 
 
-class NameTakenError(UserError):
-    """A daemon publishes under that name."""
-
-    exit_code = ExitCode.UNAVAILABLE
-    code = "name_taken"
-
-
 class BrokerOutput:
     """Publishes under a name, as fast as the broker accepts it: nothing is dropped during a connection.
 
@@ -140,7 +127,7 @@ class BrokerOutput:
     ------
     BrokerUnreachableError
         The broker does not accept a connection.
-    NameTakenError
+    UserError
         A daemon publishes under that name, or its retained state is not `offline`.
     """
 
@@ -217,9 +204,10 @@ class BrokerOutput:
                 async for name, _, message in messages:
                     if name == self._name and isinstance(message, State) and message.state is not Condition.OFFLINE:
                         reason = printable(message.reason)
-                        raise NameTakenError(
+                        taken = (
                             f"a daemon publishes as {self._base} ({message.state}: {reason}); stop it, or give --name"
                         )
+                        raise UserError(taken, code="name_taken", exit_code=ExitCode.UNAVAILABLE)
         except TimeoutError:
             pass  # no message of this name came
 

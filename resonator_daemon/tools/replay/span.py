@@ -16,18 +16,6 @@ from resonator_daemon.board.recording.reader import Mark, open_recording
 from resonator_daemon.board.session.clock import HostTime
 
 
-class NoSuchMarkError(UsageError):
-    """The recording has no mark of this text."""
-
-    code = "no_mark"
-
-
-class BackwardSpanError(UsageError):
-    """The end of a part is not after its beginning."""
-
-    code = "no_span"
-
-
 @dataclass(frozen=True)
 class Span:
     """A part of a recording, in its monotonic time; None: from its beginning, to its end.
@@ -62,10 +50,8 @@ def find_span(path: Path, start: str | None, end: str | None) -> Span:
 
     Raises
     ------
-    NoSuchMarkError
-        There is no such mark up to the end, or to the first damage.
-    BackwardSpanError
-        The end is not after the beginning.
+    UsageError
+        There is no such mark up to the end, or to the first damage; or the end is not after the beginning.
     LinkUnavailableError
         The file cannot be opened as a recording.
     """
@@ -82,7 +68,8 @@ def find_span(path: Path, start: str | None, end: str | None) -> Span:
                 break
     for text in sorted(wanted - marks.keys()):
         there = ", ".join(repr(printable(mark)) for mark in marks) or "none"
-        raise NoSuchMarkError(f"{path} has no mark {printable(text)!r}; its marks: {there}. A number means seconds")
+        known = f"its marks: {there}. A number means seconds"
+        raise UsageError(f"{path} has no mark {printable(text)!r}; {known}", code="no_mark")
 
     def place_ns(text: str | None) -> int | None:
         if text is None:
@@ -93,10 +80,8 @@ def find_span(path: Path, start: str | None, end: str | None) -> Span:
     from_ns, until_ns = place_ns(start), place_ns(end)
     if from_ns is not None and until_ns is not None and from_ns >= until_ns:
         from_s, until_s = ((at_ns - begun.monotonic_ns) * 1e-9 for at_ns in (from_ns, until_ns))
-        raise BackwardSpanError(
-            f"--from is at {from_s:.10g} s, --until at {until_s:.10g} s of {path}: nothing lies between them; give a "
-            "later --until, or an earlier --from"
-        )
+        nothing = f"--from is at {from_s:.10g} s, --until at {until_s:.10g} s of {path}: nothing lies between them"
+        raise UsageError(f"{nothing}; give a later --until, or an earlier --from", code="no_span")
     return Span(begun, from_ns, until_ns)
 
 

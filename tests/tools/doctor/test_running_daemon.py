@@ -11,6 +11,7 @@ from made_up_host import MadeUpHost
 from observer import Observer, observe
 from service_bench import Bench
 
+from resonator_daemon.base.errors import UserError
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.links.carriers.serial import SerialTarget
 from resonator_daemon.board.links.carriers.tcp import TcpTarget
@@ -193,7 +194,7 @@ def looked(computer: MadeUpHost, capsys: pytest.CaptureFixture[str]) -> dict[str
     try:
         doctor(DoctorOptions(None, UsbTarget(0x1A86, 0x7523, "0042"), 1.0, json=True, host=computer.host()))
         findings = json.loads(capsys.readouterr().out)["findings"]
-    except run.FaultError as fault:
+    except UserError as fault:
         findings = fault.partial_result["findings"]
     return {finding["id"]: finding for finding in findings}
 
