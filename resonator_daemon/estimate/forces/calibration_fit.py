@@ -72,7 +72,7 @@ def fit_calibration(
         is taken to feel what presses.
     """
     problem = LoadingProblem(mass_newton, mass_std, steps, readings)
-    doubtful, fit = _without_doubtful(problem, mass_newton, mass_std, steps, readings, with_response)
+    doubtful, fit = _without_doubtful(problem, with_response)
     means = problem.means
     residual_newton = np.full(len(steps.site), math.nan)
     residual_newton[means.step] = problem.residual_newton(fit)
@@ -104,14 +104,7 @@ def fit_calibration(
     )
 
 
-def _without_doubtful(
-    problem: LoadingProblem,
-    mass_newton: Floats,
-    mass_std: Floats,
-    steps: Steps,
-    readings: Readings,
-    with_response: bool,
-) -> tuple[Indices, LoadingFit]:
+def _without_doubtful(problem: LoadingProblem, with_response: bool) -> tuple[Indices, LoadingFit]:
     """Fit without the step that all others contradict; if it is ambiguous, without all steps of its site.
 
     A step is judged by the scatter of the others: one bad loading widens the scatter of all enough to hide in it.
@@ -123,12 +116,8 @@ def _without_doubtful(
     if fit.degrees_of_freedom <= channels:
         return none, fit
 
-    def fit_without(doubtful: Indices) -> LoadingFit:
-        others = readings.of_steps(~np.isin(np.arange(len(steps.site)), doubtful))
-        return LoadingProblem(mass_newton, mass_std, steps, others).fit(with_response=with_response)
-
     suspect = int(np.argmax(problem.deleted_chi2(fit)))
-    fit_of_others = fit_without(means.step[[suspect]])
+    fit_of_others = problem.without(means.step[[suspect]]).fit(with_response=with_response)
     chi2 = problem.deleted_chi2(fit_of_others)
     gate = fdtri(channels, fit_of_others.degrees_of_freedom, 1.0 - CHANCE / len(means.step))
     if chi2[suspect] <= channels * gate:
@@ -138,7 +127,7 @@ def _without_doubtful(
         return doubtful, fit_of_others
     if len(doubtful) == len(means.step):
         return doubtful, fit
-    return doubtful, fit_without(doubtful)
+    return doubtful, problem.without(doubtful).fit(with_response=with_response)
 
 
 def _site_response(fit: LoadingFit) -> SiteResponse | None:

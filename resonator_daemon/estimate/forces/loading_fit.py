@@ -57,9 +57,15 @@ class LoadingProblem:
 
     def __init__(self, mass_newton: Floats, mass_std: Floats, steps: Steps, readings: Readings) -> None:
         """Initialise with at least one reading, of pressed sites alone, and positive masses."""
+        self._masses = mass_newton, mass_std
         self._force = steps.pressing @ mass_newton
         self._steps, self._readings = steps, readings
         self.means = StepMeans(mass_newton, mass_std, steps, readings)
+
+    def without(self, steps: Indices) -> "LoadingProblem":
+        """Return the problem without the readings of some steps."""
+        others = self._readings.of_steps(~np.isin(np.arange(len(self._steps.site)), steps))
+        return LoadingProblem(*self._masses, self._steps, others)
 
     def fit(self, *, with_response: bool) -> LoadingFit:
         """Fit with the scatter that makes chi2 what it should be, and with hysteresis and creep if asked to."""

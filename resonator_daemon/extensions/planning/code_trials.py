@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.estimate.forces.codes import code_overlaps
 from resonator_daemon.estimate.forces.site_identification import Match, Matcher
+from resonator_daemon.extensions.planning.code_ladder import Limits
 
 LEAST_NEWTON: Final = 0.02  # of a touch: where a contact begins
 
 
 @dataclass(frozen=True)
-class Scatter:
+class Scatter(Limits):
     """What is drawn. Of a plate: f0 within `tolerance` and, by corner, `pulling`; K within `sensitivity_spread`.
 
     Of a touch: a force up to `force_max_newton`; a temperature within the span, of which each site takes the share of a
@@ -26,18 +27,12 @@ class Scatter:
     `common_shift`, even within that. All but newton, kelvin and 1/K relative.
     """
 
-    force_max_newton: float
     sensitivity_spread: float
-    tolerance: float
-    pulling: float
     tempco_std: float
-    temperature_span_kelvin: float
-    ageing: float
     model_error: float
     counter_std: float
     oscillator_std: float
     common_std: float
-    common_shift: float
 
     @property
     def common_mode_std(self) -> float:
@@ -80,9 +75,9 @@ def draw_plate(codes: Codes, scatter: Scatter, random: np.random.Generator) -> C
     return Codes(codes.f0_hz * (1.0 + place + pull), codes.sensitivity * (1.0 + spread))
 
 
-def overlaps(codes: Codes, scatter: Scatter, tempco_difference_per_kelvin: float) -> bool:
+def overlaps(codes: Codes, scatter: Scatter) -> bool:
     """Return whether two sites of a plate can be mistaken for each other within the tolerances."""
-    thermal = tempco_difference_per_kelvin * scatter.temperature_span_kelvin / 2.0
+    thermal = scatter.tempco_difference_per_kelvin * scatter.temperature_span_kelvin / 2.0
     largest_shift = float(np.abs(codes.sensitivity).max()) * scatter.force_max_newton
     found = code_overlaps(
         *codes,

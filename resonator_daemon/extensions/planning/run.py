@@ -89,9 +89,7 @@ def plan_codes(options: argparse.Namespace) -> tuple[CodePlan, str]:
         window_s=1e-3 * options.window_ms,
         has_pilot=not options.no_pilot,
         noise=noise,
-        trials=_trials(
-            plate, scatter, request.limits.tempco_difference_per_kelvin, plates, int(options.touches), random
-        ),
+        trials=_trials(plate, scatter, plates, int(options.touches), random),
     )
     return plan, ladder.text
 
@@ -114,18 +112,13 @@ def _new(request: Request, guard: GuardBand, options: argparse.Namespace, random
 def _scatter(request: Request, plate: Plate, window_s: float, stamps_per_s: float) -> Scatter:
     limits = request.limits
     return Scatter(
-        force_max_newton=limits.force_max_newton,
+        **vars(limits),
         sensitivity_spread=request.spread,
-        tolerance=limits.tolerance,
-        pulling=limits.pulling,
         tempco_std=request.tempco_std,
-        temperature_span_kelvin=limits.temperature_span_kelvin,
-        ageing=limits.ageing,
         model_error=force_sites(plate).model_error,
         counter_std=stamp_noise(1.0 / plate.counter.reference_hz, JITTER_S, stamps_per_s, window_s),
         oscillator_std=oscillator_std(window_s),
         common_std=COMMON_STD if limits.common_shift == 0 else 0.0,
-        common_shift=limits.common_shift,
     )
 
 
@@ -213,14 +206,7 @@ def _narrow(plate: Plate, codes: NDArray[np.int64], step: float, guard: GuardBan
     )
 
 
-def _trials(
-    plate: Plate,
-    scatter: Scatter,
-    tempco_difference_per_kelvin: float,
-    plates: int,
-    touches: int,
-    random: np.random.Generator,
-) -> Trials:
+def _trials(plate: Plate, scatter: Scatter, plates: int, touches: int, random: np.random.Generator) -> Trials:
     aimed = Codes(plate.tones.f0_hz, plate.tones.sensitivity)
     one, two, overlapping = Outcomes(), Outcomes(), 0
     nearest = dict.fromkeys(COMMON_SHIFTS, 0)
@@ -228,7 +214,7 @@ def _trials(
     for number in range(plates):
         _progress(number, plates)
         drawn = code_trials.draw_plate(aimed, scatter, random)
-        overlapping += code_trials.overlaps(drawn, scatter, tempco_difference_per_kelvin)
+        overlapping += code_trials.overlaps(drawn, scatter)
         one = one.plus(code_trials.one_touch(drawn, scatter, each, random))
         if len(aimed.f0_hz) > 1:
             two = two.plus(code_trials.two_touches(drawn, scatter, math.ceil(each / TWO_TOUCH_SHARE), random))

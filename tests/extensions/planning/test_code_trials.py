@@ -15,7 +15,7 @@ from resonator_daemon.extensions.planning.code_trials import (
 SCATTER = Scatter(
     force_max_newton=10.0, sensitivity_spread=0.0, tolerance=0.0, pulling=0.0, tempco_std=5e-8,
     temperature_span_kelvin=20.0, ageing=2e-6, model_error=0.015, counter_std=4.6e-10, oscillator_std=3.3e-9,
-    common_std=2e-7, common_shift=0.0
+    common_std=2e-7, common_shift=0.0, tempco_difference_per_kelvin=0.0, noise_std=0.0
 )  # fmt: skip
 
 
@@ -35,7 +35,7 @@ def test_sites_of_one_code_cannot_be_distinguished() -> None:
     codes = ladder(0.0, np.full(4, -6e-6))
     found = one_touch(codes, SCATTER, 2000, np.random.default_rng(2))
     assert found.right + found.wrong < 10
-    assert overlaps(codes, SCATTER, 0.0)
+    assert overlaps(codes, SCATTER)
 
 
 def test_a_ladder_overlaps_where_its_bands_do() -> None:
@@ -44,7 +44,7 @@ def test_a_ladder_overlaps_where_its_bands_do() -> None:
     for away_ppm, overlapping in ((-0.1, True), (0.1, False)):
         f0_hz = 10e6 * np.exp(-1e-6 * (needed_ppm + away_ppm) * np.arange(4))
         codes = Codes(np.repeat(f0_hz[:, None], 4, axis=1), np.full((4, 4), -6e-6))
-        assert overlaps(codes, SCATTER, 1e-7) is overlapping
+        assert overlaps(codes, replace(SCATTER, tempco_difference_per_kelvin=1e-7)) is overlapping
 
 
 def test_a_common_shift_that_matters_is_passed_to_the_matcher() -> None:
