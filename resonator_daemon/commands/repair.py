@@ -36,8 +36,9 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
 
 def _summary(path: Path, copy: Path, done: "RepairResult") -> str:
+    before = f"; it reports {done.events_missing_before} events missing itself" if done.events_missing_before else ""
     if done.was_whole:
-        return f"{path} is complete: nothing to repair"
+        return f"{path} is complete: nothing to repair{before}"
     wrong = []
     if not done.ended:
         cut = f", and its last {done.cut_bytes} bytes are left out" if done.cut_bytes else ""
@@ -56,4 +57,4 @@ def _summary(path: Path, copy: Path, done: "RepairResult") -> str:
         end += f" up to {moment}.{done.last_event_utc_ns % 10**9 // 10**6:03d}Z"
     if not done.carries_config:
         end += "; it does not carry its plate file and settings: replay it with --config FILE"
-    return f"{path}: {'; '.join(wrong)}; {copy} has {end}"
+    return f"{path}: {'; '.join(wrong)}; {copy} has {end}{before}"

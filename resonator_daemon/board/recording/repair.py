@@ -46,11 +46,12 @@ from resonator_daemon.board.recording.reader import (
 )
 from resonator_daemon.board.recording.writer import SEQUENCE_MODULUS, McapFile
 from resonator_daemon.board.session.clock import HostTime
-from resonator_daemon.board.session.link_events import Skipped, encode
+from resonator_daemon.board.session.link_events import Skipped, decode, encode
 
 _FOOTER: Final = struct.Struct("<BQQQI8s")  # opcode, length, where summary and its offsets begin, crc, magic
 _CRC_AND_MAGIC_BYTES: Final = 12  # that the summary's checksum does not cover
 _DATA_END_BYTES: Final = 13
+_SKIPPED: Final = encode(Skipped(HostTime(0, 0, 0), 0, 0))[:1]
 _BEGINNING_BYTES: Final = 4096  # with header, metadata and attachments, each of which contains the profile
 
 
@@ -105,6 +106,7 @@ class RepairResult:
     `damaged_attachments`, given by name. `index_damaged`: other programs cannot rely on the file's index.
     `carries_config`: the copy has plate file and settings. `recovered` and `missing` are numbers of messages by topic;
     those of the link are `events` and `events_missing`. Messages after a missing end are unknown, and not counted.
+    `events_missing_before`: those that the file itself reports, as of a slow disk or an earlier repair.
     """
 
     ended: bool = False
@@ -115,6 +117,7 @@ class RepairResult:
     damaged_attachments: list[str] = field(default_factory=list)
     events: int = 0
     events_missing: int = 0
+    events_missing_before: int = 0
     recovered: dict[str, int] = field(default_factory=dict)
     missing: dict[str, int] = field(default_factory=dict)
     last_event_utc_ns: int | None = None
@@ -318,6 +321,10 @@ class _Copier:
                 self._add_skipped(now, lost)
             self._skipped_bytes = 0
             self._last_event = now
+            if message.data[:1] == _SKIPPED:
+                with suppress(*READ_ERRORS):
+                    event = decode(message.data, message.publish_time, message.log_time)
+                    self.done.events_missing_before += event.events if isinstance(event, Skipped) else 0
             self.done.last_event_utc_ns = message.log_time
         copied = self._writer.declare_channel(
             channel.topic, channel.message_encoding, self._schemas.get(channel.schema_id)

@@ -131,7 +131,10 @@ class StatusServer:
                 "at most; give the configuration file a shorter name, or set XDG_RUNTIME_DIR to a shorter path"
             )
         make_private(self._path.parent)
-        with _alone(self._path, self._config) as lock, socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listening:
+        with (
+            _exclusive_lock(self._path, self._config) as lock,
+            socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listening,
+        ):
             _remove_socket(self._path)  # left by a daemon that was killed: ours is the lock
             listening.setblocking(False)
             listening.bind(os.fspath(self._path))
@@ -188,7 +191,7 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 
 @contextlib.contextmanager
-def _alone(path: Path, config: bytes) -> Iterator[Path]:
+def _exclusive_lock(path: Path, config: bytes) -> Iterator[Path]:
     """Hold the lock next to the socket and yield its path; raises if another process holds it."""
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
     lock = os.open(path.with_suffix(".lock"), flags, 0o600)
