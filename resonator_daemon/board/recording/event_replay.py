@@ -168,7 +168,8 @@ class Replay:
                 as_recorded = False
         if not as_recorded:
             now = raised or "nothing is wrong"
-            self._differ(event, f"the link was closed, {all_of(_reasons(event)).text}; now: {now}")
+            reasons = (event.reason,) if isinstance(event, wire.Lost) else event.problems
+            self._differ(event, f"the link was closed, {all_of(reasons).text}; now: {now}")
 
     def _differ(self, event: wire.WireEvent, what: str) -> None:
         self.differences += 1
@@ -176,10 +177,6 @@ class Replay:
             at_s = (event.now.monotonic_ns - self._begun.monotonic_ns) * 1e-9
             self._first = f"{at_s:.3f} s after its beginning: {what}"
             log.warning("replay differs from the recording %s, %s", self._recording.path, self._first)
-
-
-def _reasons(event: wire.Lost | wire.Refused) -> tuple[Reason, ...]:
-    return (event.reason,) if isinstance(event, wire.Lost) else event.problems
 
 
 def _same_codes(recorded: tuple[Reason, ...], present: tuple[Reason, ...]) -> bool:

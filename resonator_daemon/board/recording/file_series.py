@@ -50,9 +50,9 @@ class Series:
         Ends each file's name.
     file_max_bytes, file_max_ns
         Size and time after which the next file begins.
-    budget_bytes
+    max_total_bytes
         Of all recordings of this name in the directory; the oldest are removed.
-    keep_free_bytes
+    min_free_bytes
         With less room on the disk nothing is recorded.
     resumes
         A recording that the disk has ended goes on in a new file, as soon as it can.
@@ -63,8 +63,8 @@ class Series:
     label: str | None = None
     file_max_bytes: int | None = None
     file_max_ns: int | None = None
-    budget_bytes: int | None = None
-    keep_free_bytes: int = 0
+    max_total_bytes: int | None = None
+    min_free_bytes: int = 0
     resumes: bool = False
 
     def is_over(self, file: RecordingWriter, now_ns: int) -> bool:
@@ -134,15 +134,15 @@ class DiskSpace:
         UserError
             The directory cannot be made.
         """
-        directory, keep_bytes = self._series.directory, self._series.keep_free_bytes
+        directory, min_free_bytes = self._series.directory, self._series.min_free_bytes
         try:
             make_directory(directory)
             free_bytes = shutil.disk_usage(directory).free
         except OSError as error:
             raise UserError(f"{directory} cannot be used: {meaning_of(error)}") from error
-        if free_bytes < keep_bytes * (_AGAIN if again else 1.0):
+        if free_bytes < min_free_bytes * (_AGAIN if again else 1.0):
             raise NoRoomError(
-                f"{directory} has {free_bytes / 1e6:.0f} MB left, and {keep_bytes / 1e6:.0f} MB are kept free "
+                f"{directory} has {free_bytes / 1e6:.0f} MB left, and {min_free_bytes / 1e6:.0f} MB are kept free "
                 "(min_free_mb in [recording]); free space on that disk"
             )
 
@@ -150,21 +150,21 @@ class DiskSpace:
         """Count again what is there; a new file has begun."""
         self._others_bytes = None
 
-    def keep_budget(self, own: RecordingWriter) -> None:
+    def remove_oldest(self, own: RecordingWriter) -> None:
         """Remove the oldest files until all of them, with the one that is being written, fit the budget."""
-        budget_bytes = self._series.budget_bytes
-        if budget_bytes is None:
+        max_total_bytes = self._series.max_total_bytes
+        if max_total_bytes is None:
             return
-        if self._others_bytes is not None and self._others_bytes + own.size_bytes <= budget_bytes:
+        if self._others_bytes is not None and self._others_bytes + own.size_bytes <= max_total_bytes:
             return
         others = dict(self._sizes(own.path))
         total_bytes = sum(others.values()) + own.size_bytes
         for path, size_bytes in others.items():
-            if total_bytes <= budget_bytes:
+            if total_bytes <= max_total_bytes:
                 break
             if self._remove(path):
                 self.files_removed += 1
-                self._log_line(logging.INFO, f"{path} was removed: recordings exceeded {budget_bytes / 1e6:g} MB")
+                self._log_line(logging.INFO, f"{path} was removed: recordings exceeded {max_total_bytes / 1e6:g} MB")
                 total_bytes -= size_bytes
         self._others_bytes = total_bytes - own.size_bytes
 

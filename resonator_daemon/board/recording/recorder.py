@@ -345,7 +345,7 @@ class Recorder:
                 self._leave()
                 return
             if self._disk_space is not None:
-                self._disk_space.keep_budget(self._file)
+                self._disk_space.remove_oldest(self._file)
                 self._disk_space.check(again=False)
         except UserError as error:
             self._end_file()

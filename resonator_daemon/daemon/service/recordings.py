@@ -193,8 +193,8 @@ def _series(config: Config, name: str, label: str | None) -> Series:
         label=label,
         file_max_bytes=round(settings.file_max_mb * 1e6),
         file_max_ns=round(settings.file_max_minutes * _MINUTE_NS),
-        budget_bytes=round(settings.max_total_mb * 1e6),
-        keep_free_bytes=round(settings.min_free_mb * 1e6),
+        max_total_bytes=round(settings.max_total_mb * 1e6),
+        min_free_bytes=round(settings.min_free_mb * 1e6),
         resumes=settings.autostart,
     )
 

@@ -20,7 +20,7 @@ def test_recordings_that_somebody_else_removes_meanwhile_are_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     old = [made(tmp_path, minute) for minute in range(2)]
-    room = DiskSpace(Series(tmp_path, "left", budget_bytes=75_000), lambda *_: None)
+    room = DiskSpace(Series(tmp_path, "left", max_total_bytes=75_000), lambda *_: None)
     own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
     listed = Series.files
 
@@ -30,7 +30,7 @@ def test_recordings_that_somebody_else_removes_meanwhile_are_left_out(
         return paths
 
     monkeypatch.setattr(Series, "files", files)
-    room.keep_budget(own)
+    room.remove_oldest(own)
     assert old[1].exists()
     assert room.files_removed == 0
     own.abandon()
@@ -45,9 +45,9 @@ def test_the_oldest_recordings_of_this_name_make_room(tmp_path: Path) -> None:
     notes = tmp_path / "left-notes.mcap"
     notes.write_bytes(bytes(20_000))
     (tmp_path / "left-20200101T000000.000Z.mcap").symlink_to(other)
-    room = DiskSpace(Series(tmp_path, "left", budget_bytes=55_000), lambda *line: said.append(line))
+    room = DiskSpace(Series(tmp_path, "left", max_total_bytes=55_000), lambda *line: said.append(line))
     own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
-    room.keep_budget(own)
+    room.remove_oldest(own)
     assert [path.exists() for path in old] == [False, False, True, True]  # what is foreign does not count
     assert all(path.exists() for path in (other, foreign, notes, own.path))
     assert room.files_removed == 2
@@ -57,11 +57,11 @@ def test_the_oldest_recordings_of_this_name_make_room(tmp_path: Path) -> None:
 
 def test_a_recording_that_another_program_writes_is_not_removed(tmp_path: Path) -> None:
     old = [made(tmp_path, minute) for minute in range(2)]
-    room = DiskSpace(Series(tmp_path, "left", budget_bytes=25_000), lambda *_: None)
+    room = DiskSpace(Series(tmp_path, "left", max_total_bytes=25_000), lambda *_: None)
     own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
     with old[0].open("rb") as written:
         fcntl.flock(written, fcntl.LOCK_EX)
-        room.keep_budget(own)
+        room.remove_oldest(own)
     assert [path.exists() for path in old] == [True, False]
     own.abandon()
 
@@ -74,11 +74,11 @@ def test_what_cannot_be_removed_is_said_once(tmp_path: Path, monkeypatch: pytest
         raise PermissionError(1, "Operation not permitted", str(path))
 
     monkeypatch.setattr(os, "unlink", refuse)
-    room = DiskSpace(Series(tmp_path, "left", budget_bytes=1), lambda *line: said.append(line))
+    room = DiskSpace(Series(tmp_path, "left", max_total_bytes=1), lambda *line: said.append(line))
     own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
     for _ in range(3):
         room.begin()
-        room.keep_budget(own)
+        room.remove_oldest(own)
     assert said == [(logging.WARNING, f"{old} cannot be removed: Operation not permitted")]
     assert room.files_removed == 0
     own.abandon()
@@ -86,7 +86,7 @@ def test_what_cannot_be_removed_is_said_once(tmp_path: Path, monkeypatch: pytest
 
 def test_room_must_be_left_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording_budget.shutil, "disk_usage", lambda _: SimpleNamespace(free=480_000_000))
-    room = DiskSpace(Series(tmp_path / "deep" / "er", "left", keep_free_bytes=450_000_000), lambda *_: None)
+    room = DiskSpace(Series(tmp_path / "deep" / "er", "left", min_free_bytes=450_000_000), lambda *_: None)
     room.check(again=False)
     with pytest.raises(NoRoomError, match=r"has 480 MB left, and 450 MB are kept free \(min_free_mb in \[recording\]"):
         room.check(again=True)

@@ -89,7 +89,7 @@ def test_messages_give_way_to_the_link(tmp_path: Path) -> None:
 
 def test_a_recorder_keeps_the_budget_while_it_writes(tmp_path: Path) -> None:
     old = made(tmp_path, 0, size_bytes=50_000)
-    with Recorder(Series(tmp_path, "left", budget_bytes=60_000), LEFT, times=FLUSHING) as recorder:
+    with Recorder(Series(tmp_path, "left", max_total_bytes=60_000), LEFT, times=FLUSHING) as recorder:
         recorder.put(Received(at(0), b"x"))
         wait_until(lambda: recorder.written.events == 1)
         assert old.exists()
@@ -105,7 +105,7 @@ def test_a_recording_ends_before_the_disk_is_full_and_resumes_where_it_may(
     free_bytes = [200]
     monkeypatch.setattr(recording_budget.shutil, "disk_usage", lambda _: SimpleNamespace(free=free_bytes[-1]))
     said: list[tuple[int, str]] = []
-    series = Series(tmp_path, "left", keep_free_bytes=100, resumes=resumes)
+    series = Series(tmp_path, "left", min_free_bytes=100, resumes=resumes)
     with Recorder(series, LEFT, log_line=lambda *line: said.append(line), times=FLUSHING) as recorder:
         recorder.put(Opened(at(0)))
         wait_until(lambda: recorder.written.events == 1)

@@ -125,8 +125,8 @@ async def test_limits_are_those_of_the_configuration(tmp_path: Path) -> None:
             "left",
             file_max_bytes=2_500_000,
             file_max_ns=30 * 10**9,
-            budget_bytes=7_000_000,
-            keep_free_bytes=3_000_000,
+            max_total_bytes=7_000_000,
+            min_free_bytes=3_000_000,
             resumes=True,
         )
     ]
