@@ -1,7 +1,8 @@
 """What the viewers of several extensions show: shape of a plate, clouds of points, states as text; and MCAP files."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Final, Self
 
 import numpy as np
@@ -18,9 +19,16 @@ Places = NDArray[np.float64]
 """(n, 2): x and y in metres in the frame of the plate, whose z points into it."""
 
 
+Points = NDArray[np.void]
+"""Structured, (n,): x, y and z in metres as float32, and values named with their units; z points into the plate."""
+
+_OF_FORCES: Final = ("force_newton", "noise_newton", "systematic_newton", "unobserved_bound_newton")
+_OF_SIGNALS: Final = ("p_n", "eps_xz", "eps_yz")  # the rows of `signals`
+
+
 @dataclass(frozen=True)
 class Geometry:
-    """Outline, transducers and sites of one plate.
+    """Outline, transducers and sites of one plate; its messages as clouds of points.
 
     Parameters
     ----------
@@ -52,38 +60,15 @@ class Geometry:
         outline_m, transducers_m = (np.array(each).reshape(-1, 2) for each in (info.outline_m, info.transducers_m))
         return cls(outline_m, transducers_m, ids, sites_m, info.force_max_newton)
 
-
-Points = NDArray[np.void]
-"""Structured, (n,): x, y and z in metres as float32, and values named with their units; z points into the plate."""
-
-_OF_FORCES: Final = ("force_newton", "noise_newton", "systematic_newton", "unobserved_bound_newton")
-_OF_SIGNALS: Final = ("p_n", "eps_xz", "eps_yz")  # the rows of `signals`
-
-
-class Clouds:
-    """Translation of one plate's messages to point clouds.
-
-    Parameters
-    ----------
-    site_ids
-        Numbers of the sites, (n,).
-    site_positions_m
-        x and y of each in metres, (n, 2).
-    """
-
-    def __init__(self, site_ids: Iterable[int], site_positions_m: NDArray[np.float64]) -> None:
-        self._positions_m = site_positions_m
-        self._row_of_site = {int(site): row for row, site in enumerate(site_ids)}
-
     def fits(self, message: Message) -> bool:
         """Return whether a message is of these sites, and not of a plate that had the name before or has it now."""
         match message:
             case Forces():
                 return all(force.site in self._row_of_site for force in message.sites)
             case Signals():
-                return len(message.signals[0]) == len(self._positions_m)
+                return len(message.signals[0]) == len(self.sites_m)
             case Decoded():
-                return on_grid(message) or len(message.traction_pascal[0]) == len(self._positions_m)
+                return on_grid(message) or len(message.traction_pascal[0]) == len(self.sites_m)
         return True
 
     def points(self, message: Message) -> Points | None:
@@ -97,26 +82,30 @@ class Clouds:
                     for prefix, suffix, array in (("", "", message.signals), ("", "_std", message.noise_std))
                     for name, values in zip(_OF_SIGNALS, array, strict=True)
                 }
-                return _cloud(self._positions_m, rows)
+                return _cloud(self.sites_m, rows)
             case Decoded():
                 return self._decoded(message)
         return None
 
-    def sites(self) -> Points:
+    def site_points(self) -> Points:
         """Return the cloud of all sites, each with its number."""
-        return _cloud(self._positions_m, {"site": np.array([*self._row_of_site], "<u2")})
+        return _cloud(self.sites_m, {"site": np.array(self.site_ids, "<u2")})
+
+    @cached_property
+    def _row_of_site(self) -> dict[int, int]:
+        return {site: row for row, site in enumerate(self.site_ids)}
 
     def _forces(self, message: Forces) -> Points:
         rows = [self._row_of_site[force.site] for force in message.sites]
         values: dict[str, Any] = {"site": np.array([force.site for force in message.sites], "<u2")}
         for key in _OF_FORCES:
             values[key] = np.array([getattr(force, key) for force in message.sites], "<f8")
-        return _cloud(self._positions_m[rows], values)
+        return _cloud(self.sites_m[rows], values)
 
     def _decoded(self, message: Decoded) -> Points:
         values = map_values(message)
         if message.grid is None or not on_grid(message):  # a map of few sites has its values there
-            return _cloud(self._positions_m, values)
+            return _cloud(self.sites_m, values)
         ny, nx = message.traction_pascal.shape[1:]
         (x, y), pitch = message.grid.origin_m, message.grid.pitch_m
         places = np.meshgrid(x + pitch * np.arange(nx), y + pitch * np.arange(ny))

@@ -27,7 +27,6 @@ from resonator_daemon.extensions.foxglove.schemas import (
     Schema,
 )
 from resonator_daemon.extensions.viewer_support import (
-    Clouds,
     Geometry,
     Points,
     about_origin,
@@ -180,16 +179,15 @@ class FoxgloveMessages:
     def __init__(self, name: str, geometry: Geometry | None) -> None:
         self._name = name
         self._geometry = geometry
-        self._clouds = None if geometry is None else Clouds(geometry.site_ids, geometry.sites_m)
         self._logged: dict[str, str] = {}  # by path
 
     def of_plate(self, t_ns: int) -> Iterator[ChannelMessage]:
         """Yield what stays the same while the plate does: its frame, outline and sites."""
         yield ChannelMessage("transforms", FRAME_TRANSFORMS, t_ns, partial(self._transforms, t_ns), True)
-        if self._geometry is not None and self._clouds is not None:
+        if self._geometry is not None:
             drawn = plate_entity(self._geometry, self._name, t_ns)
             yield ChannelMessage("plate/scene", SCENE_UPDATE, t_ns, partial(_scene, drawn), True)
-            sites = self._clouds.sites()
+            sites = self._geometry.site_points()
             yield ChannelMessage("sites/cloud", POINT_CLOUD, t_ns, partial(self._cloud, sites, t_ns), True)
 
     def of_message(self, path: str, message: Message, now_ns: int) -> Iterator[ChannelMessage]:
@@ -210,8 +208,8 @@ class FoxgloveMessages:
                     yield ChannelMessage(f"{path}/scene", SCENE_UPDATE, t_ns, partial(self._contacts, message))
             case Decoded() if on_grid(message):
                 yield ChannelMessage(f"{path}/grid", GRID, t_ns, partial(self._grid, message))
-        clouds = self._clouds
-        if clouds is not None and clouds.fits(message) and (points := clouds.points(message)) is not None:
+        plate = self._geometry
+        if plate is not None and plate.fits(message) and (points := plate.points(message)) is not None:
             yield ChannelMessage(f"{path}/cloud", POINT_CLOUD, t_ns, partial(self._cloud, points, t_ns))
 
     def emptied(self, path: str, message: Message, now_ns: int) -> Iterator[ChannelMessage]:

@@ -139,8 +139,7 @@ class Ros2Bridge:
         self._node.close()
 
     def _add_plate(self, plate: str, info: Info) -> None:
-        geometry = Geometry.of_info(info)
-        translation = Translation(plate, geometry.site_ids, geometry.sites_m, self._namespace, self._store)
+        translation = Translation(plate, Geometry.of_info(info), self._namespace, self._store)
         topics = translation.topics({*_ALWAYS, *info.rates_hz})
         others = set().union(*(known for name, known in self._topics.items() if name != plate))
         gone = self._topics.get(plate, set()) - topics.keys() - others

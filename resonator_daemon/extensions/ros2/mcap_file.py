@@ -3,7 +3,7 @@
 from types import MappingProxyType
 from typing import Any
 
-from resonator_daemon.extensions.viewer_support import McapOutput
+from resonator_daemon.extensions.viewer_support import Geometry, McapOutput
 from resonator_daemon.mqtt.topics import Topic
 
 
@@ -19,8 +19,7 @@ class Format(McapOutput):
         from resonator_daemon.extensions.ros2.messages import Translation  # needs a library that may be missing
 
         super().begin()
-        plate = self._recorded.plate
-        self._translation = Translation(self._recorded.name, plate.site_ids, plate.site_positions_m)
+        self._translation = Translation(self._recorded.name, Geometry.of_plate(self._recorded.plate))
         self.prefix = f"/{self._translation.frame_id}/"
 
     def put(self, topic: Topic[Any], message: Any, now_ns: int) -> None:

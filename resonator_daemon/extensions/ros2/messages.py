@@ -17,7 +17,7 @@ from resonator_daemon.base.host.text import how_to_install
 from resonator_daemon.extensions.viewer_support import (
     OK,
     WARN,
-    Clouds,
+    Geometry,
     Points,
     about_origin,
     cloud_fields,
@@ -93,8 +93,8 @@ class Translation:
     ----------
     name
         Name that the plate is published under.
-    site_ids, site_positions_m
-        (n,), and x, y of each (n, 2) in metres.
+    geometry
+        Of the plate.
     namespace
         Before the names of topics: empty, or as `/hand`.
     store
@@ -104,14 +104,13 @@ class Translation:
     def __init__(
         self,
         name: str,
-        site_ids: Iterable[int],
-        site_positions_m: NDArray[np.float64],
+        geometry: Geometry,
         namespace: str = "",
         store: Typestore | None = None,
     ) -> None:
         self.frame_id = ros_name(name)
         self._base = f"{namespace}/{self.frame_id}"
-        self._clouds = Clouds(site_ids, site_positions_m)
+        self._geometry = geometry
         self._numbers: dict[int | None, int] = {}  # of the frames, by id of the contact
         self.store = store or make_typestore()
         self._types = self.store.types
@@ -153,7 +152,7 @@ class Translation:
         return bytes(self.store.serialize_cdr(translated.make(), translated.kind))
 
     def _clouded(self, path: str, message: Message) -> Iterator[Translated]:
-        if self._clouds.fits(message):  # else it is of another plate, of which no info has come
+        if self._geometry.fits(message):  # else it is of another plate, of which no info has come
             yield self._translated(f"{path}/cloud", CLOUD, partial(self._cloud, message))
 
     def _translated(self, name: str, kind: str, make: Callable[[], Any]) -> Translated:
@@ -256,7 +255,7 @@ class Translation:
         )
 
     def _cloud(self, message: Any) -> Any:
-        points = cast(Points, self._clouds.points(message))  # kinds of the table have one
+        points = cast(Points, self._geometry.points(message))  # kinds of the table have one
         make = self._types["sensor_msgs/msg/PointField"]
         return self._types[CLOUD](
             header=self._header(message.t_ns),
