@@ -56,6 +56,23 @@ def test_every_page_is_in_the_index() -> None:
     assert {str(page.relative_to(ROOT)) for page in pages - linked} == set()
 
 
+def test_the_way_of_a_frame_names_classes_and_functions_that_there_are() -> None:
+    page = (ROOT / "docs" / "explanation" / "architecture.md").read_text()
+    (section,) = re.findall(r"^## A frame's way through the code\n(.*?)^## ", page, re.MULTILINE | re.DOTALL)
+    there: set[str] = set()
+    for name in FILES:
+        if re.match(r"(resonator_daemon|firmware_protocol)/.*\.py$", name) and (ROOT / name).exists():
+            for node in ast.parse((ROOT / name).read_text()).body:
+                if isinstance(node, ast.ClassDef | ast.FunctionDef):
+                    there.add(node.name)
+                if isinstance(node, ast.ClassDef):
+                    there |= {f"{node.name}.{part.name}" for part in node.body if isinstance(part, ast.FunctionDef)}
+    named = set(re.findall(r"`([^`]+)`", section))
+    assert named - there == set()
+    assert len(named) > 30
+    assert len(section.split()) <= 350
+
+
 def test_the_page_of_the_command_line_is_that_of_the_parser() -> None:
     page = runpy.run_path(str(ROOT / "docs" / "site" / "command_line.py"))
     assert page["PAGE"].read_text() == page["text"](), "python docs/site/command_line.py writes it"
