@@ -136,27 +136,23 @@ class NpzFormat(TableOutput):
 
 
 class _ArchivedTable:
-    """The columns of one topic, each a file of bytes."""
+    """The columns of one topic, each a file of bytes, and next to it, where values may be missing, which are known."""
 
     def __init__(self, topic: str, columns: Sequence[Column], folder: Path) -> None:
-        self._columns = [
-            _ColumnFile(f"{topic}/{column.name}", column, folder / str(number)) for number, column in enumerate(columns)
-        ]
-        self._known = [
-            _ColumnFile(f"{file.name}_known", Column("", "bool"), file.place.with_suffix(".known"))
-            if column.nullable and column.counts
-            else None
-            for file, column in zip(self._columns, columns, strict=True)
-        ]
+        self._files: list[tuple[int, bool, _ColumnFile]] = []  # number of the column, and whether it has what is known
+        for number, column in enumerate(columns):
+            name = f"{topic}/{column.name}"
+            self._files.append((number, False, _ColumnFile(name, column, folder / str(number))))
+            if column.nullable and column.counts:
+                known = _ColumnFile(f"{name}_known", Column("", "bool"), folder / f"{number}.known")
+                self._files.append((number, True, known))
 
     def write(self, batch: Batch) -> None:
-        for file, known, values in zip(self._columns, self._known, batch, strict=True):
-            file.append(values)
-            if known is not None:
-                known.append([value is not None for value in values])
+        for number, is_known, file in self._files:
+            file.append([value is not None for value in batch[number]] if is_known else batch[number])
 
     def write_into(self, archive: zipfile.ZipFile) -> None:
-        for file in (*self._columns, *filter(None, self._known)):
+        for _, _, file in self._files:
             file.write_into(archive)
 
 
@@ -164,15 +160,15 @@ class _ColumnFile:
     """The bytes of one column; of text, which needs a width, the number of each text."""
 
     def __init__(self, name: str, column: Column, place: Path) -> None:
-        self.name = name
-        self.place = place
+        self._name = name
+        self._place = place
         self._encoder = ColumnEncoder(column)
         self._shape = column.shape
         self._rows = 0
 
     def append(self, values: Sequence[Value]) -> None:
         self._rows += len(values)
-        with self.place.open("ab") as file:
+        with self._place.open("ab") as file:
             file.write(self._encoder.encode(values).tobytes())
 
     def write_into(self, archive: zipfile.ZipFile) -> None:
@@ -181,11 +177,11 @@ class _ColumnFile:
         shape = (self._rows, *self._shape)
         header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
         piece_bytes = _PIECE_ROWS * self._encoder.dtype.itemsize
-        with archive.open(f"{self.name}.npy", "w", force_zip64=True) as member, self.place.open("rb") as file:
+        with archive.open(f"{self._name}.npy", "w", force_zip64=True) as member, self._place.open("rb") as file:
             np.lib.format.write_array_header_2_0(member, header)
             while data := file.read(piece_bytes):
                 member.write(data if texts is None else texts[np.frombuffer(data, self._encoder.dtype)].tobytes())
-        self.place.unlink()
+        self._place.unlink()
 
 
 class MemoryOutput(TableOutput):
