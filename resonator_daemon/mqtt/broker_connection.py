@@ -10,15 +10,16 @@ from typing import Any, Final, NamedTuple
 
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
-from paho.mqtt.properties import Properties
+from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt import connecting
 from resonator_daemon.mqtt.broker_limits import BrokerLimits, limits_of
-from resonator_daemon.mqtt.codec import Incoming
+from resonator_daemon.mqtt.codec import Incoming, Outgoing
 from resonator_daemon.mqtt.connecting import BrokerError, make_tls
 from resonator_daemon.mqtt.packets import PackedProperties, pack
+from resonator_daemon.mqtt.topics import JSON
 
 MQTT_5: Final = MQTTProtocolVersion.MQTTv5
 NO_SUBSCRIBERS: Final = 0x10  # reason codes of MQTT 5
@@ -61,16 +62,6 @@ class InFlight(NamedTuple):
     messages: int = 1
 
 
-class Will(NamedTuple):
-    """Message that the broker publishes if the connection ends without a DISCONNECT packet."""
-
-    topic: str
-    payload: bytes
-    qos: int = 1
-    retain: bool = False
-    properties: Properties | None = None
-
-
 class BrokerConnection:
     """One connection, from `connect` to `disconnect` or `abort`; to be used from the event loop's thread only.
 
@@ -85,6 +76,9 @@ class BrokerConnection:
     identifier
         Of the client; None: the broker or the library chooses one.
     will
+        Message that the broker publishes if the connection ends without a DISCONNECT packet.
+    will_limits
+        Those that earlier attempts have shown.
     on_completed
         Called with (messages, reason code) when QoS 0 messages are written in full, and when a QoS 1 message is
         acknowledged.
@@ -113,7 +107,8 @@ class BrokerConnection:
         version: MQTTProtocolVersion,
         *,
         identifier: str | None = None,
-        will: Will | None = None,
+        will: Outgoing | None = None,
+        will_limits: BrokerLimits | None = None,
         on_completed: OnCompleted | None = None,
         on_writable: Callable[[], None] | None = None,
         on_message: OnMessage | None = None,
@@ -148,7 +143,12 @@ class BrokerConnection:
         )
         client.connect_timeout = self._times.connect_s
         if will is not None:
-            client.will_set(will.topic, will.payload, will.qos, will.retain, will.properties)
+            properties = None
+            if version is MQTT_5:
+                properties = pack(content_type=JSON, expiry_s=will.expiry_s, packet_type=PacketTypes.WILLMESSAGE)
+            limits = will_limits or self.limits
+            retained = will.retained and limits.retains
+            client.will_set(will.topic, will.payload, min(1, limits.qos_max), retained, properties)
         client.on_connect = self._connack_received
         client.on_disconnect = self._disconnected
         client.on_publish = self._completed

@@ -6,6 +6,8 @@ from collections import Counter
 from enum import StrEnum
 from typing import Final
 
+from resonator_daemon.mqtt.payloads import MessageAccount
+
 FIRST_LINE_S: Final = 1.0  # after the first drop: what is dropped at once is one line
 NEXT_LINE_S: Final = 60.0
 
@@ -38,7 +40,16 @@ _LOGGED: Final = (Cause.QUEUE_FULL, Cause.LATE, Cause.REFUSED, Cause.SPOOL_FULL)
 
 
 class Account:
-    """Counts of messages by what became of them; those that wait are counted where they wait."""
+    """Counts of messages by what became of them; those that wait are counted where they wait.
+
+    Attributes
+    ----------
+    missed
+        Of those that were dropped, what subscribers miss: `lost.publish_dropped` of the messages to come. Streams
+        before the first connection, states that a newer one replaced, and late messages do not count.
+    late
+        Those that waited too long for the socket; part of `lost.skipped_late` of the messages to come.
+    """
 
     def __init__(self) -> None:
         self.enqueued = 0
@@ -49,7 +60,7 @@ class Account:
         self.written = 0
         self.unknown_at_disconnect = 0
         self.dropped: Counter[str] = Counter()
-        self.missed = 0  # of those that were dropped, what subscribers miss
+        self.missed = 0
         self.late = 0
         self._unlogged: Counter[tuple[str, Cause]] = Counter()
         self._timer: asyncio.TimerHandle | None = None
@@ -67,6 +78,11 @@ class Account:
             self._unlogged[topic, cause] += count
             if self._timer is None:
                 self._timer = asyncio.get_running_loop().call_later(self._pause_s, self._log_drops)
+
+    def message(self, *, waiting: int, spooled: int) -> MessageAccount:
+        """Return all counts, with those that wait, and those of them that are on disk."""
+        counts = {key: value for key, value in vars(self).items() if key in MessageAccount.model_fields}
+        return MessageAccount(**counts | {"dropped": dict(self.dropped), "waiting": waiting, "spooled": spooled})
 
     def close(self) -> None:
         """Log the drops that are not logged yet."""

@@ -11,10 +11,9 @@ from typing import Any, Final, Literal, NamedTuple
 
 from paho.mqtt.client import topic_matches_sub
 from paho.mqtt.enums import MQTTProtocolVersion
-from paho.mqtt.packettypes import PacketTypes
 
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes, Will
+from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes
 from resonator_daemon.mqtt.broker_limits import BrokerLimits
 from resonator_daemon.mqtt.codec import Encoded, Incoming, Outgoing, encode
 from resonator_daemon.mqtt.event_log import EventPage
@@ -150,34 +149,8 @@ class Publisher:
         return "5" if self._client.version is MQTT_5 else "3.1.1"
 
     @property
-    def dropped(self) -> int:
-        """Number of messages that subscribers miss; `lost.publish_dropped` of the messages to come.
-
-        Streams before the first connection, states that a newer one replaced before they were sent, and late messages
-        count in `account.dropped` only.
-        """
-        return self.counts.missed
-
-    @property
-    def skipped_late(self) -> int:
-        """Number of messages that waited too long for the socket; part of `lost.skipped_late` of those to come."""
-        return self.counts.late
-
-    @property
     def account(self) -> MessageAccount:
-        account = self.counts
-        return MessageAccount(
-            enqueued=account.enqueued,
-            republished=account.republished,
-            resent=account.resent,
-            recovered=account.recovered,
-            acknowledged=account.acknowledged,
-            written=account.written,
-            dropped=dict(account.dropped),
-            unknown_at_disconnect=account.unknown_at_disconnect,
-            waiting=self._outbox.waiting,
-            spooled=self._outbox.events.spooled,
-        )
+        return self.counts.message(waiting=self._outbox.waiting, spooled=self._outbox.events.spooled)
 
     def publish(self, base: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
         """Send a message below `base` as soon as may be, or drop it by the rules of its topic; returns at once.
@@ -317,20 +290,12 @@ class Publisher:
         self._will_topic = will.topic
         if self._attempt is not None:
             self._limits = self._limits.within(self._attempt.limits)
-        properties = None
-        if version is MQTT_5:
-            properties = pack(content_type=JSON, expiry_s=will.expiry_s, packet_type=PacketTypes.WILLMESSAGE)
         self._attempt = BrokerConnection(
             self._broker,
             version,
             identifier=self._identifier,
-            will=Will(
-                will.topic,
-                will.payload,
-                qos=min(1, self._limits.qos_max),
-                retain=will.retained and self._limits.retains,
-                properties=properties,
-            ),
+            will=will,
+            will_limits=self._limits,
             on_completed=self._outbox.published,
             on_writable=self._outbox.pump_soon,
             on_message=self._received,

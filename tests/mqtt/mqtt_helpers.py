@@ -165,9 +165,9 @@ def assert_exact(publisher: Publisher) -> None:
         + account.waiting
     )
     assert 0 <= account.spooled <= account.waiting
-    assert publisher.skipped_late == account.dropped.get("late", 0)
+    assert publisher.counts.late == account.dropped.get("late", 0)
     not_missed = sum(account.dropped.get(cause, 0) for cause in ("superseded", "late", "not_connected_yet"))
-    assert publisher.dropped == sum(account.dropped.values()) - not_missed
+    assert publisher.counts.missed == sum(account.dropped.values()) - not_missed
 
 
 async def happen(left: Publisher, numbers: range) -> None:

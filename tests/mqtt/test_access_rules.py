@@ -16,8 +16,8 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
 
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, BrokerConnection, Will
-from resonator_daemon.mqtt.codec import Incoming
+from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, BrokerConnection
+from resonator_daemon.mqtt.codec import Incoming, Outgoing
 from resonator_daemon.mqtt.connecting import BrokerError
 from resonator_daemon.mqtt.topics import TOPICS
 
@@ -103,7 +103,7 @@ class Client(BrokerConnection):
             broker,
             MQTT_5,
             identifier=identifier,
-            will=Will(will, b"will") if will else None,
+            will=Outgoing(will, b"will") if will else None,
             on_message=self.got.append,
             on_completed=lambda sent, code: self.refused.update({str(sent.token): code >= FAILURE}),
         )

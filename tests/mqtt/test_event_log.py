@@ -147,7 +147,7 @@ async def test_a_damaged_file_is_set_aside(tmp_path: Path, caplog: pytest.LogCap
         await happen(left, range(3))
     assert "set aside as events.damaged" in caplog.text
     assert (tmp_path / "events.damaged").exists()
-    assert (left.account.recovered, left.account.spooled, left.dropped) == (0, 3, 1)  # the farewell
+    assert (left.account.recovered, left.account.spooled, left.counts.missed) == (0, 3, 1)  # the farewell
 
 
 async def test_a_file_that_is_damaged_while_in_use_costs_what_was_on_disk_alone(

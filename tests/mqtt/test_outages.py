@@ -40,7 +40,7 @@ async def test_a_broker_that_is_killed_and_comes_back_empty(broker) -> None:
         assert_exact(left)
         assert left.account.waiting == 2
         assert left.account.dropped == {"superseded": 1, "no_connection": 1}
-        assert left.dropped == 1  # nobody misses the state that a newer one replaced
+        assert left.counts.missed == 1  # nobody misses the state that a newer one replaced
         await broker.start()
         async with observe(broker.url) as observer:
             await observer.until_last("resonator/left/state/daemon", state="online")
@@ -171,7 +171,7 @@ async def test_streams_that_waited_too_long_are_dropped_and_counted_as_late(mosq
             left.publish(LEFT, topics.SIGNALS, Messages.signals(number))
             await asyncio.sleep(0.001)
         assert left.account.dropped.keys() == {"late"}
-        assert left.dropped == 0  # no loss
+        assert left.counts.missed == 0  # no loss
         mosquitto.thaw()
         await observer.until_last(f"{LEFT}/health", seq=1)
 
