@@ -4,12 +4,11 @@ Example: resonatord calibrate left-index.toml --masses-grams 50,200,500 --output
 """
 
 import argparse
-import math
 from pathlib import Path
 from typing import Final
 
 from resonator_daemon.base.errors import ExitCode, UsageError
-from resonator_daemon.tools.command_line import options_of, positive, whole_number
+from resonator_daemon.tools.command_line import number, options_of, positive, whole_number
 
 _OF_BOTH: Final = {"words", "config", "json", "command", "run"}
 _OF_SKIN: Final = {"seconds"}
@@ -124,19 +123,8 @@ def _quantity_or_config(text: str) -> str | Path:
 
 
 def _numbers(text: str) -> tuple[float, ...]:
-    try:
-        values = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        values = (math.nan,)
-    if not all(math.isfinite(value) for value in values):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number, or several with commas between them")
-    return values
+    return tuple(map(number(-1e9, 1e9), text.split(",")))
 
 
 def _sites(text: str) -> tuple[int, ...]:
-    if text == "all":
-        return ()
-    parts = text.split(",")
-    if not all(part.strip().isascii() and part.strip().isdecimal() and len(part) < 10 for part in parts):
-        raise argparse.ArgumentTypeError(f"{text!r} is neither ids of sites with commas between them, as 1,7, nor all")
-    return tuple(int(part) for part in parts)
+    return () if text == "all" else tuple(map(whole_number(0, 10**9), text.replace(" ", "").split(",")))

@@ -5,25 +5,16 @@ Example: resonatord doctor left-index.toml
 
 import argparse
 import logging
-from pathlib import Path
 from typing import Final
 
 from resonator_daemon.base.errors import ExitCode, UsageError, UserError
-from resonator_daemon.tools.command_line import link_or_config, positive, separate_config
+from resonator_daemon.tools.command_line import add_link, positive, separate_config
 
 _SECONDS: Final = 10.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "link",
-        nargs="?",
-        type=link_or_config,
-        metavar="LINK|FILE",
-        help="serial:PATH?baud=N, tcp://HOST:PORT or usb:VID:PID?serial=S, or a configuration, as "
-        "left-index.toml (default: the configuration's)",
-    )
-    parser.add_argument("--config", type=Path, metavar="FILE", help="names plate, link, broker and directories")
+    add_link(parser, "names plate, link, broker and directories")
     parser.add_argument(
         "--seconds",
         type=positive,

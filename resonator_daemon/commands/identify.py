@@ -6,11 +6,10 @@ Example: resonatord identify serial:/dev/ttyACM0?baud=4000000
 import argparse
 import sys
 from contextlib import closing
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from resonator_daemon.base.errors import ExitCode, IncompatibleBoardError, UsageError, UserError
-from resonator_daemon.tools.command_line import finish, link_or_config, separate_config
+from resonator_daemon.tools.command_line import add_link, finish, separate_config
 
 if TYPE_CHECKING:
     from resonator_daemon.base.reasons import ReasonCode
@@ -19,15 +18,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "link",
-        nargs="?",
-        type=link_or_config,
-        metavar="LINK|FILE",
-        help="serial:PATH?baud=N, tcp://HOST:PORT or usb:VID:PID?serial=S; see: resonatord ports; or a "
-        "configuration, as left-index.toml (default: the configuration's)",
-    )
-    parser.add_argument("--config", type=Path, metavar="FILE", help="also check whether the board can serve it")
+    add_link(parser, "also check whether the board can serve it")
     parser.add_argument("--blink", action="store_true", help="let the board make itself seen, where it can")
     parser.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
 

@@ -13,7 +13,7 @@ from typing import Final
 
 from resonator_daemon.base.errors import ExitCode, NoRecordingError, UsageError
 from resonator_daemon.base.host.text import print_note
-from resonator_daemon.tools.command_line import finish, options_of
+from resonator_daemon.tools.command_line import finish, number, options_of
 
 _DEFAULT_URL: Final = "mqtt://127.0.0.1:1883"
 
@@ -73,12 +73,4 @@ def _check(arguments: argparse.Namespace) -> None:
 
 def _speed(text: str) -> float:
     """Parse to a factor; infinity: as fast as it goes."""
-    if text == "max":
-        return math.inf
-    try:
-        speed = float(text)
-    except ValueError:
-        speed = math.nan
-    if not 1e-3 <= speed <= 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r} is neither max nor a number from 0.001 to 1e6")
-    return speed
+    return math.inf if text == "max" else number(1e-3, 1e6)(text)

@@ -86,13 +86,25 @@ def add_config_argument(group: Any, meaning: str) -> None:
     group.add_argument("config", type=path, nargs="?", default=argparse.SUPPRESS, metavar="FILE", help=meaning)
 
 
-def link_or_config(text: str) -> object:
-    """Parse the address of a link, or the name of a configuration file, which ends in .toml."""
-    return Path(text) if text.endswith(".toml") else link_target(text)
+def add_link(parser: argparse.ArgumentParser, config_help: str) -> None:
+    """Add the address of a link, or a configuration file, as an argument, and `--config`."""
+
+    def link_or_config(text: str) -> object:
+        return Path(text) if text.endswith(".toml") else link_target(text)
+
+    parser.add_argument(
+        "link",
+        nargs="?",
+        type=link_or_config,
+        metavar="LINK|FILE",
+        help="serial:PATH?baud=N, tcp://HOST:PORT or usb:VID:PID?serial=S; see: resonatord ports; or a "
+        "configuration, as left-index.toml (default: the configuration's)",
+    )
+    parser.add_argument("--config", type=Path, metavar="FILE", help=config_help)
 
 
 def separate_config(arguments: argparse.Namespace) -> None:
-    """Move the configuration file of `link_or_config` from `link` to `config`; UsageError where both are given."""
+    """Move the configuration file of `add_link` from `link` to `config`; UsageError where both are given."""
     if isinstance(arguments.link, Path):
         if arguments.config is not None:
             raise UsageError(f"{arguments.link} and --config {arguments.config}: give one configuration")
