@@ -10,8 +10,8 @@ import argparse
 import logging
 from pathlib import Path
 
-from resonator_daemon.base.errors import ExitCode, NoRecordingError
-from resonator_daemon.tools.command_line import finish, picture, print_page
+from resonator_daemon.base.errors import ExitCode
+from resonator_daemon.tools.command_line import finish, named_recordings, picture, print_page
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,15 +24,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> ExitCode:
     """Print the comparison; DifferenceError where a recording is damaged or replays otherwise than recorded."""
     from resonator_daemon.base.host.signals import interruptible
-    from resonator_daemon.board.links.link import LinkUnavailableError
     from resonator_daemon.tools.replay.comparison import Comparison, play
 
     logging.getLogger().setLevel(logging.WARNING)  # connections, and fonts of matplotlib, are not logged here
-    try:
-        with interruptible("nothing was compared"):
-            compared = Comparison(play(arguments.a), play(arguments.b))
-    except LinkUnavailableError as error:
-        raise NoRecordingError(str(error)) from error
+    with named_recordings(), interruptible("nothing was compared"):
+        compared = Comparison(play(arguments.a), play(arguments.b))
     if arguments.picture is not None:
         compared.write_picture(arguments.picture)
     if not arguments.json:

@@ -6,9 +6,9 @@ Example: resonatord export run.mcap --output run.parquet
 import argparse
 from pathlib import Path
 
-from resonator_daemon.base.errors import ExitCode, NoRecordingError
+from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.base.host.text import print_note
-from resonator_daemon.tools.command_line import finish
+from resonator_daemon.tools.command_line import finish, named_recordings
 from resonator_daemon.tools.export import formats
 
 
@@ -48,18 +48,14 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.base.host.files import takes_a_stream
     from resonator_daemon.base.host.signals import interruptible
     from resonator_daemon.board.config import load_config
-    from resonator_daemon.board.links.link import LinkUnavailableError
     from resonator_daemon.tools.export.run import export, make_target, recordings_in
 
     target = make_target(arguments.output, arguments.format, arguments.topics)
-    with interruptible("a part of it was written" if takes_a_stream(target.output) else "what was written is removed"):
+    left = "a part of it was written" if takes_a_stream(target.output) else "what was written is removed"
+    with interruptible(left), named_recordings():
         config = load_config(arguments.config) if arguments.config is not None else None
-        try:
-            paths = recordings_in(arguments.files)
-            progress = not arguments.json
-            result, wrong = export(paths, target, config, arguments.start, arguments.end, show_progress=progress)
-        except LinkUnavailableError as error:
-            raise NoRecordingError(str(error)) from error
+        paths, progress = recordings_in(arguments.files), not arguments.json
+        result, wrong = export(paths, target, config, arguments.start, arguments.end, show_progress=progress)
     if not arguments.json:
         for file, size_bytes in result["files"].items():
             print_note(f"{file}: {size_bytes / 1e3:.0f} kB")

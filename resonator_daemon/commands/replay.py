@@ -11,9 +11,9 @@ import time
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.base.errors import ExitCode, NoRecordingError, UsageError
+from resonator_daemon.base.errors import ExitCode, UsageError
 from resonator_daemon.base.host.text import print_note
-from resonator_daemon.tools.command_line import finish, number, options_of
+from resonator_daemon.tools.command_line import finish, named_recordings, number, options_of
 
 _DEFAULT_URL: Final = "mqtt://127.0.0.1:1883"
 
@@ -38,7 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> ExitCode:
     _check(arguments)
     from resonator_daemon.board.config import load_config
-    from resonator_daemon.board.links.link import LinkUnavailableError
     from resonator_daemon.tools.replay.run import ReplayOptions, replay
 
     logging.getLogger().setLevel(logging.WARNING)  # connections are not logged here
@@ -47,10 +46,8 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     url = arguments.url or (_DEFAULT_URL if config is None else None)
     own = {"config": config, "output": arguments.to, "url": url, "show_progress": not arguments.json}
     begun_s = time.monotonic()
-    try:
+    with named_recordings():
         result, wrong = replay(path, options_of(ReplayOptions, arguments, **own))
-    except LinkUnavailableError as error:
-        raise NoRecordingError(str(error)) from error
     took_s = time.monotonic() - begun_s
     speed = round(result["seconds"] / took_s, 2)
     result = {"file": str(path), **result, "took_seconds": round(took_s, 3), "speed": speed}

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from resonator_daemon.base.errors import ExitCode, MissingLibraryError, NoRecordingError, UsageError
 from resonator_daemon.base.host.text import how_to_install
-from resonator_daemon.tools.command_line import add_broker, broker_of, host_and_port, print_json
+from resonator_daemon.tools.command_line import add_broker, broker_of, host_and_port, named_recordings, print_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -107,7 +107,6 @@ def _check(arguments: argparse.Namespace) -> None:
         if getattr(arguments, option) and not (arguments.url or arguments.config):
             raise UsageError(f"--{option.replace('_', '-')} is for plates of a broker; add --url or --config")
     from resonator_daemon.base.errors import meaning_of
-    from resonator_daemon.board.links.link import LinkUnavailableError
     from resonator_daemon.tools.replay.recorded_pipeline import open_replay
 
     for path in paths:
@@ -115,9 +114,7 @@ def _check(arguments: argparse.Namespace) -> None:
             if path.is_dir():
                 os.listdir(path)
                 continue
-            with open_replay(path):
+            with named_recordings(), open_replay(path):
                 pass
-        except LinkUnavailableError as error:
-            raise NoRecordingError(str(error)) from error
         except OSError as error:
             raise NoRecordingError(f"directory {path}: {meaning_of(error)}") from error

@@ -7,11 +7,19 @@ import json
 import math
 import os.path
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from resonator_daemon.base.errors import ConfigurationError, DifferenceError, ExitCode, UsageError, UserError
+from resonator_daemon.base.errors import (
+    ConfigurationError,
+    DifferenceError,
+    ExitCode,
+    NoRecordingError,
+    UsageError,
+    UserError,
+)
 from resonator_daemon.base.host.systemd import error_prefix
 from resonator_daemon.base.host.text import coloured, printable
 
@@ -109,6 +117,17 @@ def separate_config(arguments: argparse.Namespace) -> None:
         if arguments.config is not None:
             raise UsageError(f"{arguments.link} and --config {arguments.config}: give one configuration")
         arguments.config, arguments.link = arguments.link, None
+
+
+@contextmanager
+def named_recordings() -> Iterator[None]:
+    """Raise NoRecordingError where a file that the arguments name is no recording."""
+    from resonator_daemon.board.links.link import LinkUnavailableError
+
+    try:
+        yield
+    except LinkUnavailableError as error:
+        raise NoRecordingError(str(error)) from error
 
 
 def check_plate_name(name: str) -> None:
