@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from typing import Any, Final, TypeVar
 
@@ -13,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.clients import DecoderConfig
-from resonator_daemon.daemon.remote_decoding.plate import RemotePlate, SkinPlate, frame_of, header_of
+from resonator_daemon.daemon.remote_decoding.plate import RemotePlate, frame_of, header_of
 from resonator_daemon.daemon.remote_decoding.plates import Publish, RemotePlates
 from resonator_daemon.estimate.surface.decoder_setup import EqualSkins
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
@@ -88,7 +89,7 @@ class FollowedPlate(RemotePlate):
     """Plate whose frames one decoder receives in order; it skips those that it has no time for."""
 
     def __init__(self, name: str, plates: "FollowedPlates") -> None:
-        super().__init__(name)
+        super().__init__(name, plates.make_settings)
         self._plates = plates
         self._changed = asyncio.Event()
         self._events = 0
@@ -131,14 +132,14 @@ class FollowedPlate(RemotePlate):
         last_contact_id = 0
         while True:
             self._changed.clear()
-            if self.skin is None:
+            if self.settings is None:
                 await self._changed.wait()
             else:
-                last_contact_id = await self._decode(self.skin, last_contact_id)
+                last_contact_id = await self._decode(replace(self.settings, last_contact_id=last_contact_id))
 
-    async def _decode(self, skin: SkinPlate, last_contact_id: int) -> int:
+    async def _decode(self, settings: SurfaceSettings) -> int:
         """Decode until the plate has changed; return the number of the last contact."""
-        decoding = self.decoding = self._plates.decoding_of(self, self._plates.settings(skin, last_contact_id))
+        decoding = self.decoding = self._plates.decoding_of(self, settings)
         decoding.skipped = self._skips
         self.note, self.is_refused = None, False
         running = asyncio.create_task(decoding.run(), name="decoding")

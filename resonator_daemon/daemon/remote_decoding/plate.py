@@ -3,17 +3,15 @@
 import json
 import math
 import time
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.skin import Prior, Skin
-from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame
+from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame, SurfaceSettings
 from resonator_daemon.mqtt.codec import decode
 from resonator_daemon.mqtt.payloads import Condition, DecoderPlateHealth, Info, Measured, Signals, Status
 from resonator_daemon.mqtt.topics import DECODED, SCHEMA_VERSION, HeaderFields
@@ -34,36 +32,23 @@ _INT64 = range(2**63)  # what subscribers hold numbers in
 _NS = 1_000_000_000
 
 
-@dataclass(frozen=True)
-class SkinPlate:
-    """The skin of a plate and the names of its sites."""
-
-    skin: Skin
-    site_ids: NDArray[np.intp]  # (n,)
-    pitch_m: float | None  # of the grid that the sites form
-
-    @cached_property
-    def geometry(self) -> tuple[object, ...]:
-        """What two skins have in common that one decoder serves."""
-        return self.skin.geometry()
-
-    def is_same(self, other: "SkinPlate | None") -> bool:
-        """Whether nothing that matters to decoding has changed."""
-        return other is not None and (
-            self.geometry == other.geometry
-            and self.pitch_m == other.pitch_m
-            and np.array_equal(self.site_ids, other.site_ids)
-        )
+MakeSettings = Callable[..., SurfaceSettings]
 
 
 class RemotePlate:
     """Reads what a plate publishes; what cannot be read is counted, nothing raises.
 
+    Parameters
+    ----------
+    name
+    make_settings
+        Called with skin, site_ids and pitch_m.
+
     Attributes
     ----------
     name
-    skin
-        As the last `info` has it; None where that is missing, unreadable, or of a plate that cannot be decoded.
+    settings
+        Of a decoder, by the last `info`; None where that is missing, unreadable, or of a plate that cannot be decoded.
     problem
         Why there is none; None where there is one.
     received
@@ -84,9 +69,10 @@ class RemotePlate:
         What is being set up, or with `is_refused` why the skin cannot be decoded.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, make_settings: MakeSettings) -> None:
         self.name = name
-        self.skin: SkinPlate | None = None
+        self._make_settings = make_settings
+        self.settings: SurfaceSettings | None = None
         self.problem: Reason | None = NO_INFO
         self.received = self.unusable = self.missed = self.decoded = self.skipped = 0
         self.last_s = -math.inf
@@ -97,21 +83,21 @@ class RemotePlate:
 
     def read_info(self, payload: bytes) -> bool:
         """Read an `info`, or b"" where it was taken back; returns whether the skin is another one now."""
-        before = self.skin
+        before = self.settings
         try:
-            self.skin, self.gate_s = _read_info(payload)
+            self.settings, self.gate_s = _read_info(payload, self._make_settings)
         except _UnusableInfoError as error:
-            self.skin, self.problem = None, error.reason
+            self.settings, self.problem = None, error.reason
             return before is not None
         self.problem = None
-        if self.skin.is_same(before):
-            self.skin = before
-            return False
-        return True
+        if before is None or not _is_same(self.settings, before):
+            return True
+        self.settings = before
+        return False
 
     def refuse(self, problem: Reason) -> None:
         """Decode nothing until the next `info`."""
-        self.skin, self.problem = None, Reason(problem.code, problem.text[:_REASON_MAX])
+        self.settings, self.problem = None, Reason(problem.code, problem.text[:_REASON_MAX])
 
     def read_signals(self, payload: bytes) -> Signals | None:
         """Read a `signals`; None where it cannot be decoded, which is counted."""
@@ -127,9 +113,9 @@ class RemotePlate:
             self.unusable += 1
             return None
         self._follow(message)
-        sites = len(self.skin.site_ids) if self.skin else 0
+        sites = len(self.settings.site_ids) if self.settings else 0
         usable = message.status is Status.OK and message.signals.shape == message.noise_std.shape == (3, sites)
-        if not usable or not self.skin:
+        if not usable or not self.settings:
             self.unusable += 1
             return None
         self.last_s = time.monotonic()
@@ -191,8 +177,8 @@ class _UnusableInfoError(ValueError):
         self.reason = Reason(code, text)
 
 
-def _read_info(payload: bytes) -> tuple[SkinPlate, float]:
-    """Read skin and length of a gate from an `info`."""
+def _read_info(payload: bytes, make_settings: MakeSettings) -> tuple[SurfaceSettings, float]:
+    """Read the settings of a decoder and the length of a gate from an `info`."""
     if not payload:
         raise _UnusableInfoError(NO_INFO.text, NO_INFO.code)
     try:
@@ -220,7 +206,16 @@ def _read_info(payload: bytes) -> tuple[SkinPlate, float]:
     if problem := _problem(info, skin):
         raise _UnusableInfoError(f"info: {problem}")
     site_ids = np.array([site.site for site in info.sites], np.intp)
-    return SkinPlate(skin, site_ids, info.grid.pitch_m if info.grid else None), 1 / info.frame_rate_hz
+    settings = make_settings(skin=skin, site_ids=site_ids, pitch_m=info.grid.pitch_m if info.grid else None)
+    return settings, 1 / info.frame_rate_hz
+
+
+def _is_same(one: SurfaceSettings, other: SurfaceSettings) -> bool:
+    return (
+        one.skin.geometry() == other.skin.geometry()
+        and one.pitch_m == other.pitch_m
+        and np.array_equal(one.site_ids, other.site_ids)
+    )
 
 
 def _check_size(payload: bytes) -> None:

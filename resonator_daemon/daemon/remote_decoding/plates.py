@@ -2,11 +2,12 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, Final, Generic, Protocol, TypeVar
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.clients import DecoderConfig
-from resonator_daemon.daemon.remote_decoding.plate import NO_SIGNALS, RemotePlate, SkinPlate
+from resonator_daemon.daemon.remote_decoding.plate import NO_SIGNALS, RemotePlate
 from resonator_daemon.estimate.surface.skin import DecodingOptions
 from resonator_daemon.measure.sensors.output import LatencyHistogram
 from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings
@@ -63,9 +64,10 @@ class RemotePlates(ABC, Generic[PlateT]):
             decoding.displacement,
             background=not decoding.plates,
         )
-        self._uncertainty = decoding.uncertainty
+        self.make_settings = partial(
+            SurfaceSettings, options=self._options, decoder_id=decoder_id, uncertainty=decoding.uncertainty
+        )
         self._prefix = config.mqtt.prefix
-        self._decoder_id = decoder_id
         self._publish = publish
         share = f"$share/{decoding.group}/" if decoding.group else ""
         signals = [share + full_topic(self._prefix, name, SIGNALS.path) for name in self.names]
@@ -117,18 +119,6 @@ class RemotePlates(ABC, Generic[PlateT]):
 
     def _conditions(self) -> dict[str, tuple[Condition, Reason]]:
         return {name: plate.condition() for name, plate in self.plates.items()}
-
-    def settings(self, skin: SkinPlate, last_contact_id: int = 0) -> SurfaceSettings:
-        """Return the settings of a decoder of this skin."""
-        return SurfaceSettings(
-            skin.skin,
-            self._options,
-            skin.site_ids,
-            skin.pitch_m,
-            self._decoder_id,
-            self._uncertainty,
-            last_contact_id,
-        )
 
     def deliver(self, plate: PlateT, signals: Signals, topic: Topic[Any], message: Message | Encoded) -> None:
         """Publish a message about decoded signals."""

@@ -182,7 +182,9 @@ class DecoderProcess:
                 helper.cancel()
             await asyncio.wait(helpers, timeout=_LAST_FRAME_S)
             self._publish_health()  # the last counters
-            offline = self._make_state(Condition.OFFLINE, self._farewell(), self._since_utc_ns)
+            stopped = Reason(ReasonCode.STOPPED, "stopped")
+            reason = Reason(ReasonCode.CANNOT_SHARE, str(self._fatal)) if self._fatal is not None else stopped
+            offline = self._make_state(Condition.OFFLINE, reason, self._since_utc_ns)
             await self._publisher.close((self._base, DECODER_STATE, offline))  # after the releases of contacts
         if self._fatal is not None:
             raise self._fatal
@@ -269,11 +271,6 @@ class DecoderProcess:
         """Return the status line."""
         condition, reason = self._state
         return f"{condition}: {reason.text}" + ("" if self._publisher.connected else "; no broker")
-
-    def _farewell(self) -> Reason:
-        if self._fatal is not None:
-            return Reason(ReasonCode.CANNOT_SHARE, str(self._fatal))
-        return Reason(ReasonCode.STOPPED, "stopped")
 
     def _publish_state(self, condition: Condition, reason: Reason) -> None:
         self._published_s = time.monotonic()

@@ -12,12 +12,12 @@ from threadpoolctl import threadpool_limits
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.clients import DecoderConfig
 from resonator_daemon.board.config.tables import plate_name
-from resonator_daemon.daemon.remote_decoding.plate import NO_INFO, RemotePlate, SkinPlate, error_text, frame_of
+from resonator_daemon.daemon.remote_decoding.plate import NO_INFO, MakeSettings, RemotePlate, error_text, frame_of
 from resonator_daemon.daemon.remote_decoding.plates import Publish, RemotePlates
 from resonator_daemon.estimate.surface.decoder_setup import CANNOT_DECODE, set_up
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 from resonator_daemon.estimate.surface.streaming import failed
-from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame
+from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame, SurfaceSettings
 from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.payloads import Condition, Signals
 from resonator_daemon.mqtt.topics import CONTACTS, DECODED, DECODED_SUMMARY
@@ -35,7 +35,7 @@ log = logging.getLogger(__name__)
 class _Frame:
     message: Signals
     frame: SurfaceFrame
-    skin: SkinPlate
+    settings: SurfaceSettings
 
 
 class SharedPlate(RemotePlate):
@@ -51,8 +51,8 @@ class SharedPlate(RemotePlate):
         Whether a frame of it is being decoded.
     """
 
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
+    def __init__(self, name: str, make_settings: MakeSettings) -> None:
+        super().__init__(name, make_settings)
         self.added_s = time.monotonic()
         self.newest: _Frame | None = None
         self.is_busy = False
@@ -108,9 +108,9 @@ class SharedPlates(RemotePlates[SharedPlate]):
                 await asyncio.to_thread(pool.shutdown)
 
     def _offer(self, plate: SharedPlate, signals: Signals) -> None:
-        if plate.skin is not None:
+        if plate.settings is not None:
             plate.skipped += plate.newest is not None
-            plate.newest = _Frame(signals, frame_of(signals), plate.skin)
+            plate.newest = _Frame(signals, frame_of(signals), plate.settings)
             self._queue[plate] = None
             self._offered.set()
 
@@ -127,19 +127,20 @@ class SharedPlates(RemotePlates[SharedPlate]):
             plate.unusable += 1
             plate.is_busy = False
             return
-        plate.is_decoded = frame.skin is plate.skin
+        plate.is_decoded = frame.settings is plate.settings
         reading = await asyncio.get_running_loop().run_in_executor(pool, _decode, decoder, frame.frame)
         if plate.is_busy:
             plate.is_busy = False
             self._publish_reading(plate, frame, reading)
 
     async def _decoder_for(self, plate: SharedPlate, frame: _Frame, pool: ThreadPoolExecutor) -> SkinDecoder | None:
-        geometry, noise_std = frame.skin.geometry, frame.frame.noise_std
+        skin, noise_std = frame.settings.skin, frame.frame.noise_std
+        geometry = skin.geometry()
         for index, (known, decoder) in enumerate(self._decoders):
             if known == geometry and decoder.fits(noise_std):
                 self._decoders.append(self._decoders.pop(index))
                 return decoder
-        built_for = rounded_noise(frame.skin.skin, noise_std)
+        built_for = rounded_noise(skin, noise_std)
         if built_for is None:
             return None
         loop, started_s = asyncio.get_running_loop(), time.monotonic()
@@ -150,7 +151,7 @@ class SharedPlates(RemotePlates[SharedPlate]):
             loop.call_soon_threadsafe(setattr, self, "_step", starting)
 
         try:
-            decoder = await loop.run_in_executor(pool, set_up, frame.skin.skin, self._options, built_for, progress)
+            decoder = await loop.run_in_executor(pool, set_up, skin, self._options, built_for, progress)
         except CANNOT_DECODE as error:
             log.error("%s: nothing is decoded: %s", plate.name, error_text(error))
             plate.refuse(Reason(ReasonCode.UNDECODABLE, f"nothing is decoded: {error_text(error)}"))
@@ -167,7 +168,7 @@ class SharedPlates(RemotePlates[SharedPlate]):
         return decoder
 
     def _publish_reading(self, plate: SharedPlate, frame: _Frame, surface: SurfaceReading) -> None:
-        message, header, messages = frame.message, frame.frame.header, self.settings(frame.skin).messages()
+        message, header, messages = frame.message, frame.frame.header, frame.settings.messages()
         self.deliver(plate, message, DECODED, messages.decoded(header, surface.decoded))
         self.deliver(plate, message, DECODED_SUMMARY, messages.summary(header, surface, numbered=False))
         self.deliver(plate, message, CONTACTS, messages.contacts(header, surface, numbered=False))
@@ -183,9 +184,9 @@ class SharedPlates(RemotePlates[SharedPlate]):
             if self.plates[name].read_info(message.payload):
                 self.plates[name].is_decoded = False
         else:
-            plate = SharedPlate(name)
+            plate = SharedPlate(name, self.make_settings)
             plate.read_info(message.payload)
-            if plate.skin is None:
+            if plate.settings is None:
                 self._add_problem(name, plate.problem or NO_INFO)
             elif self._has_room(name):
                 self.plates[name] = plate

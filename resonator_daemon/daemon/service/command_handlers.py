@@ -13,6 +13,7 @@ from resonator_daemon.measure.pipeline import control_requests
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.measure.pipeline.control_requests import ControlRequests
 from resonator_daemon.measure.sensors.base import Sensor
+from resonator_daemon.mqtt import verbs
 from resonator_daemon.mqtt.codec import decode
 from resonator_daemon.mqtt.commands import CommandRefusedError, Handler, NotAddressedError
 from resonator_daemon.mqtt.daemon_state import DaemonState
@@ -20,23 +21,6 @@ from resonator_daemon.mqtt.event_file import EventFileError
 from resonator_daemon.mqtt.event_log import EventPage, UnknownRunError
 from resonator_daemon.mqtt.payloads import Condition, ContactEvent, Health, Message
 from resonator_daemon.mqtt.topics import CONTACTS
-from resonator_daemon.mqtt.verbs import (
-    Events,
-    EventsAnswer,
-    HealthAnswer,
-    HealthRequest,
-    Identify,
-    IdentifyAnswer,
-    JsonTopic,
-    Ping,
-    Pong,
-    SetWindow,
-    SetWindowAnswer,
-    Snapshot,
-    SnapshotAnswer,
-    Tare,
-    TareAnswer,
-)
 
 SNAPSHOT_BYTES_MAX: Final = 128 * 1024
 EVENTS_BYTES_MAX: Final = 128 * 1024
@@ -93,15 +77,15 @@ class CommandHandlers:
             "identify": self._identify,
         }
 
-    def _ping(self, _request: Ping) -> Pong:
+    def _ping(self, _request: verbs.Ping) -> verbs.Pong:
         uptime_s = time.monotonic() - self._started_s
-        return Pong(t_ns=time.time_ns(), daemon_boot_id=self._daemon_boot_id, uptime_s=uptime_s)
+        return verbs.Pong(t_ns=time.time_ns(), daemon_boot_id=self._daemon_boot_id, uptime_s=uptime_s)
 
-    def _health(self, _request: HealthRequest) -> HealthAnswer:
-        return HealthAnswer(health=self._report_health())
+    def _health(self, _request: verbs.HealthRequest) -> verbs.HealthAnswer:
+        return verbs.HealthAnswer(health=self._report_health())
 
-    def _snapshot(self, request: Snapshot) -> SnapshotAnswer:
-        wanted = get_args(JsonTopic) if request.topics is None else dict.fromkeys(request.topics)
+    def _snapshot(self, request: verbs.Snapshot) -> verbs.SnapshotAnswer:
+        wanted = get_args(verbs.JsonTopic) if request.topics is None else dict.fromkeys(request.topics)
         messages: dict[str, Message] = {}
         omitted = []
         room_bytes = SNAPSHOT_BYTES_MAX
@@ -115,9 +99,9 @@ class CommandHandlers:
                 room_bytes -= size_bytes
             else:
                 omitted.append(path)
-        return SnapshotAnswer(messages=messages, omitted=tuple(omitted))
+        return verbs.SnapshotAnswer(messages=messages, omitted=tuple(omitted))
 
-    async def _events(self, request: Events) -> EventsAnswer:
+    async def _events(self, request: verbs.Events) -> verbs.EventsAnswer:
         if not self._daemon.answers_for(request.daemon_boot_id):
             raise NotAddressedError
         if CONTACTS not in self._pipeline.sensor.streams:
@@ -135,13 +119,13 @@ class CommandHandlers:
         boot_id = request.daemon_boot_id or self._daemon_boot_id
         return await asyncio.to_thread(_events_answer, boot_id, page)  # takes milliseconds
 
-    async def _tare(self, _request: Tare) -> TareAnswer:
+    async def _tare(self, _request: verbs.Tare) -> verbs.TareAnswer:
         sensor = self._adjustable_sensor()
         if reason := await self._requests.apply(control_requests.Tare()):
             raise CommandRefusedError("not_untouched", reason, "take everything off the plate and retry")
-        return TareAnswer(message="the present readings are the new zero", common_mode=sensor.common_mode)
+        return verbs.TareAnswer(message="the present readings are the new zero", common_mode=sensor.common_mode)
 
-    async def _set_window(self, request: SetWindow) -> SetWindowAnswer:
+    async def _set_window(self, request: verbs.SetWindow) -> verbs.SetWindowAnswer:
         sensor = self._adjustable_sensor()
         measurement = sensor.measurement.model_copy(update=request.model_dump(exclude_none=True))
         spans_ms = {"window_ms": measurement.window_ms, "step_ms": measurement.step_ms}
@@ -150,9 +134,9 @@ class CommandHandlers:
             raise CommandRefusedError("window", faults, "send window_ms and step_ms that fit each other and the frames")
         if reason := await self._requests.apply(control_requests.SetWindow(measurement=measurement)):
             raise CommandRefusedError("window", reason, "see state/sensor")
-        return SetWindowAnswer(window_s=measurement.window_s, step_s=measurement.step_s)
+        return verbs.SetWindowAnswer(window_s=measurement.window_s, step_s=measurement.step_s)
 
-    async def _identify(self, _request: Identify) -> IdentifyAnswer:
+    async def _identify(self, _request: verbs.Identify) -> verbs.IdentifyAnswer:
         answered: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
 
         def done(refused: str | None) -> None:
@@ -162,7 +146,7 @@ class CommandHandlers:
         self._reader.blink(done)
         if (refused := await answered) is not None:
             raise CommandRefusedError("not_located", refused, "see state/link")
-        return IdentifyAnswer()
+        return verbs.IdentifyAnswer()
 
     def _adjustable_sensor(self) -> Sensor[Any]:
         if not self._plate.windowed:
@@ -177,8 +161,8 @@ class CommandHandlers:
         return sensor
 
 
-def _events_answer(boot_id: str, page: EventPage) -> EventsAnswer:
-    return EventsAnswer(
+def _events_answer(boot_id: str, page: EventPage) -> verbs.EventsAnswer:
+    return verbs.EventsAnswer(
         daemon_boot_id=boot_id,
         events=tuple(decode(ContactEvent, payload) for payload in page.payloads),
         complete=page.complete,

@@ -13,19 +13,11 @@ from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.recorder import Recorder
 from resonator_daemon.board.recording.switch import NothingRecordedError, RecordingSwitch
 from resonator_daemon.board.recording.writer import Published
+from resonator_daemon.mqtt import verbs
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.commands import CommandRefusedError
 from resonator_daemon.mqtt.payloads import RecordingInfo
 from resonator_daemon.mqtt.topics import JSON, Topic
-from resonator_daemon.mqtt.verbs import (
-    Mark,
-    MarkAnswer,
-    RecordingSummaryInfo,
-    StartRecording,
-    StartRecordingAnswer,
-    StopRecording,
-    StopRecordingAnswer,
-)
 
 log = logging.getLogger(__name__)
 
@@ -65,9 +57,9 @@ class RecordingCommands:
         self._one_at_a_time = asyncio.Lock()
         self._label: str | None = None  # of the recording that runs
         self._by_config = False  # whether the configuration began it
-        self._last: RecordingSummaryInfo | None = None
+        self._last: verbs.RecordingSummaryInfo | None = None
 
-    async def start(self, request: StartRecording) -> StartRecordingAnswer:
+    async def start(self, request: verbs.StartRecording) -> verbs.StartRecordingAnswer:
         if self._config.link.recording_path is not None:
             raise CommandRefusedError("not_ready", f"{self._config.link} is a recording already", "copy the file")
         async with self._one_at_a_time:
@@ -81,7 +73,9 @@ class RecordingCommands:
             self._label, self._by_config = request.label, False
             if (now := self._switch.current) is None:
                 raise CommandRefusedError("recording_failed", "the daemon is stopping", "send it again when it is back")
-            return StartRecordingAnswer(file=as_json_text(now.path), since_t_ns=now.since.utc_ns, was_active=False)
+            return verbs.StartRecordingAnswer(
+                file=as_json_text(now.path), since_t_ns=now.since.utc_ns, was_active=False
+            )
 
     async def keep_recording(self) -> None:
         """Record from now on, if `continuous` is configured and nothing is recorded."""
@@ -105,10 +99,10 @@ class RecordingCommands:
                     log.info("recording ended with %s: [recording] was changed", ended.path)
             await self.keep_recording()
 
-    async def stop(self, _request: StopRecording) -> StopRecordingAnswer:
+    async def stop(self, _request: verbs.StopRecording) -> verbs.StopRecordingAnswer:
         async with self._one_at_a_time:
             ended = await self._end()
-            return StopRecordingAnswer(recording=self._last, was_active=ended is not None)
+            return verbs.StopRecordingAnswer(recording=self._last, was_active=ended is not None)
 
     async def _end(self) -> Recorder | None:
         ended = await asyncio.to_thread(self._switch.stop)
@@ -116,9 +110,9 @@ class RecordingCommands:
             self._last = _summary_info(ended)
         return ended
 
-    def mark(self, request: Mark) -> MarkAnswer:
+    def mark(self, request: verbs.Mark) -> verbs.MarkAnswer:
         try:
-            return MarkAnswer(t_ns=self._switch.mark(request.text))
+            return verbs.MarkAnswer(t_ns=self._switch.mark(request.text))
         except NothingRecordedError as error:
             if (now := self._switch.current) is None:
                 raise CommandRefusedError(
@@ -128,14 +122,14 @@ class RecordingCommands:
                 raise _ended(now) from None
             raise CommandRefusedError("recording_failed", str(error), "send it again later") from None
 
-    def _already(self, now: Recorder, label: str | None) -> StartRecordingAnswer:
+    def _already(self, now: Recorder, label: str | None) -> verbs.StartRecordingAnswer:
         if now.failure is not None:
             raise _ended(now)
         if label is not None and label != self._label:
             raise CommandRefusedError(
                 "recording", f"{as_json_text(now.path)} is being recorded", "send stop_recording first"
             )
-        return StartRecordingAnswer(file=as_json_text(now.path), since_t_ns=now.since.utc_ns, was_active=True)
+        return verbs.StartRecordingAnswer(file=as_json_text(now.path), since_t_ns=now.since.utc_ns, was_active=True)
 
     def _begin(self, label: str | None) -> None:
         """Begin a recording; it takes a while, and waits for the disk."""
@@ -207,8 +201,8 @@ def _ended(now: Recorder) -> CommandRefusedError:
     )
 
 
-def _summary_info(ended: Recorder) -> RecordingSummaryInfo:
-    return RecordingSummaryInfo(
+def _summary_info(ended: Recorder) -> verbs.RecordingSummaryInfo:
+    return verbs.RecordingSummaryInfo(
         file=as_json_text(ended.path),
         files=ended.counts.files,
         all_bytes=ended.all_bytes,

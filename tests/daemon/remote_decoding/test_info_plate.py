@@ -3,6 +3,7 @@
 import json
 import random
 from collections.abc import Iterator
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,6 +14,8 @@ from decoder_bench import info, signals
 
 from resonator_daemon.daemon.remote_decoding import plate as plate_module
 from resonator_daemon.daemon.remote_decoding.plate import RemotePlate
+from resonator_daemon.estimate.surface.skin import DecodingOptions
+from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import SiteInfo
 
@@ -22,7 +25,7 @@ assert SKIN is not None
 
 @pytest.fixture
 def plate() -> RemotePlate:
-    known = RemotePlate("hand")
+    known = RemotePlate("hand", partial(SurfaceSettings, options=DecodingOptions()))
     assert known.read_info(encode(info()))
     return known
 
@@ -65,7 +68,7 @@ def test_another_skin_is_noticed_and_the_same_one_is_not(plate: RemotePlate, cha
 )
 def test_an_info_that_is_no_use_says_why(plate: RemotePlate, payload: bytes, problem: str) -> None:
     assert plate.read_info(payload)
-    assert plate.skin is None
+    assert plate.settings is None
     assert plate.problem is not None
     assert problem in plate.problem.text
     assert not take(plate, encode(signals(0)))
@@ -90,7 +93,7 @@ def test_an_info_that_is_too_long_is_refused_before_it_is_checked_entry_by_entry
     assert plate.read_info(payload)
     assert plate.problem is not None
     assert problem in plate.problem.text
-    assert plate.skin is None
+    assert plate.settings is None
 
 
 def test_an_info_of_10_000_sites_and_one_of_2_mb_are_read(plate: RemotePlate) -> None:
@@ -119,7 +122,7 @@ def test_no_absurdity_anywhere_in_info_raises(plate: RemotePlate) -> None:
         kept, container[key] = container[key], "absurd"
         for text in ABSURD_JSON:
             plate.read_info(json.dumps(whole).replace('"absurd"', text).encode())
-            assert (plate.skin is None) == (plate.problem is not None)
+            assert (plate.settings is None) == (plate.problem is not None)
             tried += 1
         container[key] = kept
     assert tried > 600
