@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from link_bench import AMPLE_S, Bench, Host, LocalHost, bench
+from link_bench import WAIT_S, Bench, Host, LocalHost, bench
 
 from firmware_protocol.host import Described, Frame, HostSession, Pong
 from firmware_protocol.messages import Configuration, Description
@@ -100,14 +100,14 @@ def gate_ticks(description: Description) -> int:
 def read_exactly(link: Link, count: int) -> bytes:
     data = b""
     while len(data) < count:
-        piece = link.read(AMPLE_S)
+        piece = link.read(WAIT_S)
         assert piece, f"{len(data)} of {count} bytes came"
         data += piece
     return data
 
 
 def open_when_it_is_back(host: Host) -> Link:
-    deadline = time.monotonic() + AMPLE_S
+    deadline = time.monotonic() + WAIT_S
     while True:
         try:
             return host.open()
@@ -120,7 +120,7 @@ def lose(link: Link) -> None:
     """Read until the loss is told; what was on its way before may come first."""
     with pytest.raises(LinkLostError):  # noqa: PT012 - how many pieces come is not known
         while True:
-            link.read(AMPLE_S)
+            link.read(WAIT_S)
 
 
 @every_link
@@ -159,7 +159,7 @@ def test_a_megabyte_comes_whole_while_requests_go_out(emulated: Bench) -> None:
     received = b""
     while len(received) < len(data):
         link.write(b"request")
-        piece = link.read(AMPLE_S)
+        piece = link.read(WAIT_S)
         assert piece
         received += piece
     written = emulated.board.received
@@ -189,7 +189,7 @@ def test_unplugged_is_told_every_time_and_the_port_comes_back(emulated: Bench) -
         emulated.board.unplug()
         lose(link)
         with pytest.raises(LinkLostError):
-            link.read(AMPLE_S)
+            link.read(WAIT_S)
         with pytest.raises(LinkLostError):  # noqa: PT012 - a network may take some before it tells
             while True:
                 link.write(bytes(1000))

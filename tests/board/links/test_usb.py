@@ -4,8 +4,7 @@ import os
 from collections.abc import Iterator
 
 import pytest
-from link_bench import BoardEnd, usb_board
-from usb_bench import LINK, HostError, UsbHost, usb_host
+from link_bench import LINK, BoardEnd, HostError, UsbHost, usb_board, usb_host
 
 from resonator_daemon.board.links import usb_link
 from resonator_daemon.board.links.carriers.usb import UsbTarget
