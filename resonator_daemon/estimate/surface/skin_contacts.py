@@ -17,6 +17,7 @@ from resonator_daemon.estimate.surface.fitting.slip_fitter import SlipWatch
 from resonator_daemon.estimate.surface.patches import Patch
 from resonator_daemon.estimate.surface.skin import Skin
 
+_PATIENCE = 2  # frames for which a patch may be missing and still keep its id
 _LEAST_REACH_M = 1e-3  # that a patch may move between frames; else its radius
 
 _ONSET_FRAMES = 2  # in a row: a patch of one frame may be noise
@@ -36,22 +37,15 @@ class _PatchTrack:
 class PatchTracker:
     """Tracker of patches, whose ids they keep while they move by less than their radius, or 1 mm, a frame.
 
-    Parameters
-    ----------
-    patience
-        Frames for which a patch may be missing and still keep its id, at least 0.
+    A patch that is missing for two frames keeps its id.
 
     Attributes
     ----------
-    patience
     last_id
         The largest that was given so far; the next one follows it.
     """
 
-    def __init__(self, patience: int = 2) -> None:
-        if patience < 0:
-            raise ValueError(f"patience is {patience}, must be at least 0")
-        self.patience = patience
+    def __init__(self) -> None:
         self._tracks: dict[int, _PatchTrack] = {}
         self.last_id = 0
 
@@ -79,7 +73,7 @@ class PatchTracker:
             track.missed += 1
         for column, i in id_of.items():
             self._tracks[i] = _PatchTrack(centroids_m[column], max(patches[column].radius_m, _LEAST_REACH_M))
-        self._tracks = {i: track for i, track in self._tracks.items() if track.missed <= self.patience}
+        self._tracks = {i: track for i, track in self._tracks.items() if track.missed <= _PATIENCE}
         return {i: patches[column] for column, i in id_of.items()}
 
 
@@ -229,7 +223,7 @@ class SkinContacts:
         for i in [i for i in self._tracks if i not in self.tracker.ids]:
             track = self._tracks.pop(i)
             if track.announced:
-                text = f"not found in {self.tracker.patience + 1} frames in a row"
+                text = f"not found in {_PATIENCE + 1} frames in a row"
                 events.append(SkinEvent("release", track.last, Reason(ReasonCode.NOT_FOUND_ON_MAP, text)))
         return events
 

@@ -35,11 +35,6 @@ class MergedTones(NamedTuple):
     resync: NDArray[np.bool_]
 
 
-class _Phases(NamedTuple):
-    turns: Floats  # (k, ...) since the first known gate
-    broken: NDArray[np.bool_]
-
-
 def merge_tones(
     phase_turn32: NDArray[np.integer],
     offset_hz16: NDArray[np.integer],
@@ -70,17 +65,17 @@ def merge_tones(
         raise ValueError(f"gate_s {gate_s} must be above 0")
     offset_hz = offset_hz16 / HERTZ16
     weight = np.where(known, 1.0 / sigma_hz**2, 0.0)
-    phases = _unwrap(phase_turn32, offset_hz16, sigma_hz, known, gate_s)
+    turns, broken = _unwrap(phase_turn32, offset_hz16, sigma_hz, known, gate_s)
     gates = np.arange(len(known), dtype=np.float64).reshape(-1, *[1] * (known.ndim - 1))
     with np.errstate(invalid="ignore"):  # 0 / 0 where no gate is known
         total = weight.sum(axis=0)
         mean_hz = (weight * offset_hz).sum(axis=0) / total
         lever = weight * (gates - (weight * gates).sum(axis=0) / total)
         spread = (lever * gates).sum(axis=0)
-        merged_hz = (total * mean_hz + 12.0 * (lever * phases.turns).sum(axis=0) / gate_s) / (total + 12.0 * spread)
-        information = np.where(phases.broken, total, total + 12.0 * spread)
+        merged_hz = (total * mean_hz + 12.0 * (lever * turns).sum(axis=0) / gate_s) / (total + 12.0 * spread)
+        information = np.where(broken, total, total + 12.0 * spread)
         information = np.where(information > 0.0, information, np.nan)
-    return MergedTones(np.where(phases.broken, mean_hz, merged_hz), 1.0 / np.sqrt(information), phases.broken)
+    return MergedTones(np.where(broken, mean_hz, merged_hz), 1.0 / np.sqrt(information), broken)
 
 
 def _unwrap(
@@ -89,8 +84,11 @@ def _unwrap(
     sigma_hz: Floats,
     known: NDArray[np.bool_],
     gate_s: float,
-) -> _Phases:
-    """Count turns between known gates by the mean of their offsets, in integers modulo 2^32."""
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the turns since the first known gate (k, ...), and where the phases did not run on.
+
+    Turns between known gates are counted by the mean of their offsets, in integers modulo 2^32.
+    """
     low, high = (np.where(known, offset_hz16, edge) for edge in (np.iinfo(np.int64).max, np.iinfo(np.int64).min))
     chirp_hz = CHIRP_SHARE / HERTZ16 * np.where(known.any(axis=0), high.max(axis=0) - low.min(axis=0), 0)
     turns32 = np.zeros(known.shape, np.int64)
@@ -110,4 +108,4 @@ def _unwrap(
         )
         last_variance = np.where(here, variance, last_variance)
         seen = seen | here
-    return _Phases(turns32 / TURN32, broken)
+    return turns32 / TURN32, broken
