@@ -141,24 +141,18 @@ def test_a_frame_that_no_load_explains_is_rejected(centred: Scene):
 # --- shapes
 
 
-def test_a_stack_decodes_as_its_frames_do(centred: Scene):
+def test_a_stack_has_the_axes_of_its_frames(centred: Scene):
     decode = fourier_decoder(centred, 30).decode
-    frames = np.stack([centred.noisy(30, seed) for seed in range(40)]).reshape(4, 10, 3, 32, 32)
+    frames = np.stack([centred.noisy(30, seed) for seed in range(4)]).reshape(2, 2, 3, 32, 32)
     frames[1, 0] = np.nan
     frames[0, 1, 2, 5, 5] = np.nan
-    frames[2, 3] = np.random.default_rng(0).permutation(frames[2, 3].ravel()).reshape(3, 32, 32)
+    frames[1, 1] = np.random.default_rng(0).permutation(frames[1, 1].ravel()).reshape(3, 32, 32)
     stack = decode(frames, displacement=True)
-    assert stack.traction_pascal.shape == stack.traction_std_pascal.shape == (4, 10, 3, 32, 32)
+    assert stack.traction_pascal.shape == stack.traction_std_pascal.shape == (2, 2, 3, 32, 32)
     assert stack.displacement_m is not None
-    for row, column in np.ndindex(4, 10):
-        single = decode(frames[row, column], displacement=True)
+    for place in np.ndindex(2, 2):
+        single = decode(frames[place], displacement=True)
         for name in ("traction_pascal", "traction_std_pascal", "displacement_m", "log_evidence", "chi2"):
-            expected, found = getattr(single, name), getattr(stack, name)[row, column]
-            scale = np.nan_to_num(np.abs(expected)).max()
-            np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13 * scale, err_msg=name)
-        for name in ("status", "reason", "border_contact"):
-            assert getattr(stack, name)[row, column] == getattr(single, name)
-    expected_status = np.full((4, 10), "ok", "<U9")
-    expected_status[1, 0], expected_status[2, 3] = "no_signal", "rejected"
-    np.testing.assert_array_equal(stack.status, expected_status)
-    assert stack.reason[0, 1] == "1 of 3072 signals lost and filled in"
+            np.testing.assert_array_equal(getattr(stack, name)[place], getattr(single, name))
+    assert stack.status.tolist() == [["ok", "ok"], ["no_signal", "rejected"]]
+    assert stack.reason_code.tolist() == [["", "signals_lost"], ["signals_missing", "signals_unexplained"]]

@@ -51,7 +51,6 @@ _SCALES = np.logspace(
 )  # standard deviation of the prior over the traction that makes a signal of the noise
 _PRIOR_LIMIT_PASCAL = 1e30  # keeps squares of it well within double precision
 _SECTORS = 36  # of directions in which a contact may slide
-_STACK = 16  # frames decoded at once: many more would not stay in the processor's cache
 _BORDER_SHARE = 0.04  # of the energy of f_z on the outermost sites ...
 _BORDER_SIGMAS = 1.5  # ... and their rms over the standard deviation
 
@@ -220,9 +219,9 @@ class FourierDecoder:
         Parameters
         ----------
         signals
-            Shape (..., 3, ny, nx), dimensionless. The frames next to it change a frame's result by rounding only. A
-            signal that is NaN, infinite or beyond 10 counts as lost: the model's prediction from the others takes its
-            place and the error bar around it widens; that takes up to twenty times as long.
+            Shape (..., 3, ny, nx), dimensionless. A signal that is NaN, infinite or beyond 10 counts as lost: the
+            model's prediction from the others takes its place and the error bar around it widens; that takes up to
+            twenty times as long.
         displacement
             Also the surface displacement that the decoded traction causes, alone on the plane; for a Poisson's ratio
             below 1/2 without the part that is linear in x and y. With a periodic extension that of the periodic
@@ -248,78 +247,50 @@ class FourierDecoder:
         wanted = (3, *self._shape)
         if given.shape[-3:] != wanted:
             raise ValueError(f"signals have shape {given.shape}, must be (..., {', '.join(map(str, wanted))})")
-        leading, frames = given.shape[:-3], given.reshape(-1, *wanted)
-        known = np.abs(frames) <= SIGNAL_LIMIT  # False for NaN
-        complete = known.all(axis=(1, 2, 3))
-        whole = np.flatnonzero(complete)
-        found: dict[int, Decoded] = {}
-        for start in range(0, whole.size, _STACK):
-            rows = whole[start : start + _STACK]
-            stack = self._decode_stack(frames[rows], 1.0, np.ones((1, 1)), displacement)
-            found.update(zip(rows.tolist(), stack, strict=True))
-        for row in np.flatnonzero(~complete).tolist():
-            found[row] = self._decode_incomplete(frames[row], known[row], displacement)
-        decoded = [found[row] for row in range(len(frames))]
+        decoded = [self._decode(frame, displacement) for frame in given.reshape(-1, *wanted)]
+        leading = given.shape[:-3]
         return Decoded.stack(decoded, leading, wanted) if leading else decoded[0]
 
-    def _decode_incomplete(self, frame: Floats, known: Bools, displacement: bool) -> Decoded:
+    def _decode(self, frame: Floats, displacement: bool) -> Decoded:
+        known = np.abs(frame) <= SIGNAL_LIMIT  # False for NaN
+        if known.all():
+            return self._decode_whole(frame, 1.0, np.ones((1, 1)), displacement, None)
         worst = float(known.mean(axis=(1, 2)).min())
         if worst < KNOWN_LIMIT:
             text = f"{worst:.0%} of a channel known (finite, within {SIGNAL_LIMIT}), needs {KNOWN_LIMIT:.0%}"
             missing = Reason(ReasonCode.SIGNALS_MISSING, text)
-            return Decoded.unknown((3, *self._shape), displacement, np.nan, np.nan, "no_signal", missing)
+            return Decoded.unknown(frame.shape, displacement, np.nan, np.nan, "no_signal", missing)
         filled, settled = self._imputation.fill(frame, known)
         reason = f"{known.size - known.sum()} of {known.size} signals lost and filled in"
         reason += "" if settled else "; too many side by side for that to settle"
         density = self._imputation.density(known)
         lost = Reason(ReasonCode.SIGNALS_LOST, reason)
-        return self._decode_stack(filled[None], float(known.mean()), density, displacement, lost)[0]
+        return self._decode_whole(filled, float(known.mean()), density, displacement, lost)
 
-    def _decode_stack(
-        self, frames: Floats, known_share: float, density: Floats, displacement: bool, reason: Reason | None = None
-    ) -> list[Decoded]:
-        """Decode frames (n, 3, ny, nx) without gaps; `density` (1, 1) or (ny, nx) as the inverse takes it."""
-        estimate = self._inverse.estimate(self._transform.to_spectrum(frames), known_share, density)
-        corrected = estimate.log_evidence + known_share * self._evidence_offset
+    def _decode_whole(
+        self, frame: Floats, known_share: float, density: Floats, displacement: bool, reason: Reason | None
+    ) -> Decoded:
+        """Decode a frame without gaps; `density` (1, 1) or (ny, nx) as the inverse takes it."""
+        estimate = self._inverse.estimate(self._transform.to_spectrum(frame[None]), known_share, density)
+        chi2, corrected = float(estimate.chi2[0]), float(estimate.log_evidence[0]) + known_share * self._evidence_offset
         log_evidence = self._transform.samples_share * corrected
+        left = chi2 * self._noise_variance / max(float(np.mean(frame**2)), np.finfo(np.float64).tiny)
+        if chi2 > CHI2_LIMIT and left > UNEXPLAINED_LIMIT:
+            text = f"chi2 {chi2:.3g} exceeds {CHI2_LIMIT:.0f} and {left:.0%} of the energy remain unexplained"
+            why = Reason(ReasonCode.SIGNALS_UNEXPLAINED, text)
+            return Decoded.unknown(frame.shape, displacement, log_evidence, chi2, "rejected", why)
 
-        energy = np.maximum(np.mean(frames**2, axis=(1, 2, 3)), np.finfo(np.float64).tiny)
-        left = estimate.chi2 * self._noise_variance / energy
-        rejected = (estimate.chi2 > CHI2_LIMIT) & (left > UNEXPLAINED_LIMIT)
-
-        traction = self._transform.to_space(estimate.tractions)
-        std = np.sqrt(estimate.variance)
+        traction = np.ascontiguousarray(self._transform.to_space(estimate.tractions)[0])
+        std = np.sqrt(estimate.variance[0])
         moved = None
         if displacement:
-            moved = self._transform.to_space(product(self._compliance, estimate.tractions))
-        normal = traction[:, 2] ** 2
-        border_energy = normal[:, self._border].sum(axis=1)
-        significant = self._border.sum() * (_BORDER_SIGMAS * std[:, 2].mean(axis=(1, 2))) ** 2
-        at_border = border_energy > np.maximum(_BORDER_SHARE * normal.sum(axis=(1, 2)), significant)
-
-        sentence, code = stated(reason)
-        decoded = []
-        for n, chi2 in enumerate(estimate.chi2.tolist()):
-            evidence = float(log_evidence[n])
-            if rejected[n]:
-                text = f"chi2 {chi2:.3g} exceeds {CHI2_LIMIT:.0f} and {left[n]:.0%} of the energy remain unexplained"
-                why = Reason(ReasonCode.SIGNALS_UNEXPLAINED, text)
-                decoded.append(Decoded.unknown((3, *self._shape), displacement, evidence, chi2, "rejected", why))
-                continue
-            decoded.append(
-                Decoded(
-                    traction_pascal=np.ascontiguousarray(traction[n]),
-                    traction_std_pascal=np.broadcast_to(std[n], traction[n].shape).copy(),
-                    displacement_m=None if moved is None else np.ascontiguousarray(moved[n]),
-                    border_contact=bool(at_border[n]),
-                    log_evidence=evidence,
-                    chi2=chi2,
-                    status="ok",
-                    reason=sentence,
-                    reason_code=code,
-                )
-            )
-        return decoded
+            spectrum = product(self._compliance, estimate.tractions)
+            moved = np.ascontiguousarray(self._transform.to_space(spectrum)[0])
+        normal = traction[2] ** 2
+        significant = self._border.sum() * (_BORDER_SIGMAS * std[2].mean()) ** 2
+        at_border = normal[self._border].sum() > max(_BORDER_SHARE * normal.sum(), significant)
+        std = np.broadcast_to(std, traction.shape).copy()
+        return Decoded(traction, std, moved, bool(at_border), log_evidence, chi2, "ok", *stated(reason))
 
 
 def _spectra(spectra: Literal["prior", "white"] | Spectra, prior: Prior) -> Spectra:
