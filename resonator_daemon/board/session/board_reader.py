@@ -22,7 +22,6 @@ from resonator_daemon.board.session.frames import (
     BlinkAnswered,
     ChannelisedFrame,
     ControlRequest,
-    FrameLoss,
     LinkChange,
     LinkCounters,
     Outage,
@@ -165,6 +164,10 @@ class BoardReader:
     ----------
     turns
         Number of turns of the reader's loop, which shows that it is alive.
+    queue
+        What has arrived; `step_frames` may be replaced.
+    machine
+        State of the link, and its counters.
     """
 
     def __init__(
@@ -187,8 +190,8 @@ class BoardReader:
         self._plate = plate
         self._wake = wake
         self._wake_due = False
-        self._queue = FrameQueue(frame_queue_bytes, self._wake_soon, step_frames)
-        self._machine = LinkStateMachine(plate, self._queue, on_event)
+        self.queue = FrameQueue(frame_queue_bytes, self._wake_soon, step_frames)
+        self.machine = LinkStateMachine(plate, self.queue, on_event)
         self._pacing = StepPacing(plate.frame_bytes, round(1e9 / plate.counter.frame_rate_hz))
         self._log = LinkLog()
         self._stopping = False
@@ -202,7 +205,7 @@ class BoardReader:
 
     def start(self) -> None:
         if not self.replays:  # a recording has its own first state
-            self._machine.apply(StateAnnounced(read_host_time(), Condition.STARTING, OPENING))
+            self.machine.apply(StateAnnounced(read_host_time(), Condition.STARTING, OPENING))
         self._thread.start()
 
     def stop(self) -> None:
@@ -214,7 +217,7 @@ class BoardReader:
 
     def pop_arrivals(self) -> list[Arrival]:
         """Return what has arrived since the last call, in order."""
-        arrivals = self._queue.pop_all()
+        arrivals = self.queue.pop_all()
         if not arrivals:
             self._log.flush()
         for arrival in arrivals:
@@ -244,23 +247,19 @@ class BoardReader:
             self._blink_due = self._link_open
             if self._link_open:
                 return
-        self._queue.put(BlinkAnswered("a recording has no board" if self.replays else "no board is connected"))
+        self.queue.put(BlinkAnswered("a recording has no board" if self.replays else "no board is connected"))
 
     def request_control(self, key: str, request: str) -> None:
         """Pass a request on after all frames that have arrived; a recording holds it in the same place."""
         if self.replays:  # what is recorded there was recorded before
-            self._queue.put(ControlRequest(key, request))
+            self.queue.put(ControlRequest(key, request))
         else:
             self._requests.append((key, request))
             self._watch.wake()
 
     def counters(self) -> LinkCounters:
         """Return where every byte and frame went, as of now."""
-        return self._machine.counters()
-
-    def set_step_frames(self, step_frames: Sequence[int]) -> None:
-        """Set the steps at whose ends `wake` is called."""
-        self._queue.step_frames = step_frames
+        return self.machine.counters()
 
     @property
     def replays(self) -> bool:
@@ -268,30 +267,15 @@ class BoardReader:
         return self._replay is not None
 
     @property
-    def newest_monotonic_ns(self) -> int:
-        """Middle of the newest gate whose frame has arrived; 0 before the first."""
-        return self._queue.newest_middle_ns
-
-    @property
-    def frames(self) -> int:
-        """Frames accepted since the start."""
-        return self._machine.frames
-
-    @property
-    def lost(self) -> FrameLoss:
-        """Frames lost since the start, by cause."""
-        return self._machine.lost
-
-    @property
     def load(self) -> HostLoad:
         """Load of the computer while a link is open."""
-        connection = self._machine.connection  # the reader's thread may close it meanwhile
+        connection = self.machine.connection  # the reader's thread may close it meanwhile
         return connection.load if connection else HostLoad()
 
     @property
     def clock_rate_ppm(self) -> float:
         """How much slower than nominal the board's ticks run; NaN while no board is there."""
-        connection = self._machine.connection
+        connection = self.machine.connection
         clock = connection.clock if connection else None  # the reader's thread may close it meanwhile
         return clock.rate_ppm if clock else float("nan")
 
@@ -313,7 +297,7 @@ class BoardReader:
             else:
                 self._run_replay(self._replay)
         except Exception as error:  # noqa: BLE001 - it is passed on as ReaderFailed, else frames would be awaited for ever
-            self._queue.put(ReaderFailed(error))
+            self.queue.put(ReaderFailed(error))
 
     def _keep_reading(self) -> None:
         backoff_s = first_s = min(_BACKOFF_FIRST_S, self._backoff_max_s)
@@ -325,7 +309,7 @@ class BoardReader:
             try:
                 link = self._open()
             except LinkUnavailableError as error:
-                self._machine.apply(StateAnnounced(read_host_time(), Condition.WAITING, error.reason))
+                self.machine.apply(StateAnnounced(read_host_time(), Condition.WAITING, error.reason))
             else:
                 try:
                     counted = self._serve(link)
@@ -346,7 +330,7 @@ class BoardReader:
 
     def _serve(self, link: Link) -> bool:
         """Serve the link until it is lost; return whether the board ever counted."""
-        machine = self._machine
+        machine = self.machine
         now = read_host_time()
         machine.apply(Opened(now))
         connection, meter = machine.opened, LoadMeter()
@@ -376,7 +360,7 @@ class BoardReader:
                 for piece in pieces:
                     machine.apply(piece)
                 if self._pacing.awaited_index is not None:
-                    self._pacing.has_read(self._queue.newest_index)
+                    self._pacing.has_read(self.queue.newest_index)
                 if pieces:
                     now = pieces[-1].now
                 if not pieces or now.monotonic_ns >= due_ns:
@@ -401,18 +385,18 @@ class BoardReader:
                 unasked, self._blink_due = self._blink_due, False
             machine.apply(Closed(read_host_time()))
             if unasked:
-                self._queue.put(BlinkAnswered("the link was closed before the board was asked"))
+                self.queue.put(BlinkAnswered("the link was closed before the board was asked"))
         return was_online
 
     def _apply_requests(self, now: HostTime) -> None:
         while self._requests:
-            self._machine.apply(ControlRequested(now, *self._requests.popleft()))
+            self.machine.apply(ControlRequested(now, *self._requests.popleft()))
 
     def _read(self, link: Link, due_ns: int, *, gather: bool) -> list[Received]:
         """Read until a timer is due; `gather`: all that is there, each piece with its time."""
         now_ns = time.monotonic_ns()
         due_ns = min(due_ns, now_ns + _POLL_NS)
-        queue, pacing = self._queue, self._pacing
+        queue, pacing = self.queue, self._pacing
         sleep_ns = 0
         if pacing.small_frames and not gather and queue.newest_index >= 0:
             sleep_ns = pacing.sleep_ns(now_ns, queue.newest_index, queue.newest_middle_ns, queue.step_frames, due_ns)
@@ -434,20 +418,20 @@ class BoardReader:
 
     def _request_stop(self, link: Link) -> None:
         now = read_host_time()
-        self._machine.apply(StopRequested(now))
+        self.machine.apply(StopRequested(now))
         self._send(link, now)
 
     def _send(self, link: Link, now: HostTime) -> None:
-        if data := self._machine.opened.session.data_to_send():
-            self._machine.apply(Sent(now, data))
+        if data := self.machine.opened.session.data_to_send():
+            self.machine.apply(Sent(now, data))
             link.write(data)
 
     def _run_replay(self, replay: Replay) -> None:
         try:
-            replay(self._machine, self._watch.wait, lambda: self._stopping)
+            replay(self.machine, self._watch.wait, lambda: self._stopping)
         except LinkUnavailableError as error:
             # Another file does not come by waiting.
-            self._machine.apply(Refused(read_host_time(), (error.reason,), other_protocol=False))
+            self.machine.apply(Refused(read_host_time(), (error.reason,), other_protocol=False))
 
 
 class BlockingReader:

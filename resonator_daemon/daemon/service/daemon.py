@@ -267,7 +267,7 @@ class Service:
         age_ns = time.monotonic_ns() - gate_middle.monotonic_ns
         if age_ns <= _LATE_NS or self._reader.replays:
             return False
-        newer_ns = self._reader.newest_monotonic_ns - gate_middle.monotonic_ns
+        newer_ns = self._reader.queue.newest_middle_ns - gate_middle.monotonic_ns
         return newer_ns >= self._step_ns or age_ns > _TOO_LATE_NS
 
     def _pop_arrivals(self) -> list[Arrival]:
@@ -285,7 +285,7 @@ class Service:
                 self._refuse(arrival)
             case ControlRequest():
                 self._control_requests.applied(arrival.key, self._pipeline.apply(arrival.request))
-                self._reader.set_step_frames(self._pipeline.sensor.wake_frames)
+                self._reader.queue.step_frames = self._pipeline.sensor.wake_frames
                 self._step_ns = round(1e9 * self._pipeline.sensor.step_s)
                 return
             case ReaderFailed():

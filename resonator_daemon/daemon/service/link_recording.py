@@ -210,7 +210,7 @@ class _LinkRecording:
 
     def _put(self, event: WireEvent) -> None:
         """Record an event, and count the frames of those before it."""
-        frames = self._loop.reader.frames
+        frames = self._loop.reader.machine.frames
         self._recorder.put(event, frames - self._frames_counted)
         self._frames_counted = frames
 
@@ -244,7 +244,7 @@ class _LinkRecording:
                 self._pipeline.handle(arrival)
 
     def _print_progress(self, end: str = "") -> None:
-        line = _progress(self._loop.reader.lost.total, self._recorder)
+        line = _progress(self._loop.reader.machine.lost.total, self._recorder)
         if sys.stderr.isatty():
             sys.stderr.write(f"\r{line}\x1b[K{end}")
         elif end:

@@ -69,8 +69,6 @@ class MultitoneProcessing:
         spread_width_m: float | None = None,
     ) -> None:
         """Initialise with a plate's sites and tones; without a width of the spread, each site is touched by itself."""
-        if step_frames < 1 or window_frames < 1:
-            raise ValueError(f"step of {step_frames} and window of {window_frames} frames, each at least 1")
         self._sites = sites
         self._tones = tones
         self._reference_hz = reference_hz
@@ -179,9 +177,6 @@ class MultitoneProcessing:
 
         `sequence` and `board_ticks` are unwrapped; frames that are missing between two calls restart the window.
         """
-        shapes = (phase_turn32.shape, offset_hz16.shape, sigma_code.shape, known.shape)
-        if set(shapes) != {self._tones.shape}:
-            raise ValueError(f"shapes {shapes} must be {self._tones.shape}")
         if self._last is not None and sequence != self._last[0] + 1:
             self._frames.clear()
         self._last = sequence, board_ticks

@@ -63,8 +63,6 @@ class SingleToneProcessing:
 
         Readings have the tones of the corners once in `tones_period_frames`; None: never.
         """
-        if step_frames < 1:
-            raise ValueError(f"step of {step_frames} frames, at least 1")
         channels = sites.f0_hz.shape[1]
         hidden = None
         if load_sharing_exponent is not None:
