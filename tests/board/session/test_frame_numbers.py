@@ -2,6 +2,7 @@
 
 import pytest
 
+from firmware_protocol.host import Frame
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.frame_numbers import Accepted, BrokenSpacingError, FrameNumbering, NumberingSnapshot
 from resonator_daemon.board.session.frames import FrameLoss, Gap
@@ -101,6 +102,18 @@ def test_the_number_wraps_and_the_index_does_not() -> None:
     it.restore(NumberingSnapshot(2**32 - 1, 2**32 - 1, 0, (1, (2**32 - 2) * GATE_TICKS, at(2**32 - 2))))
     assert accept(it, 2**32 - 1) == (2**32 - 1, None)
     assert accept(it, 2, gate=2**32 + 2) == (2**32 + 2, Gap(2**32, FrameLoss(link_gap=2)))
+
+
+def test_frames_follow_until_one_is_missing_and_not_while_a_loss_is_to_be_counted() -> None:
+    it = begun()
+    frames = [Frame(number, number * GATE_TICKS, FRAME_BYTES, b"") for number in (1, 2, 4)]
+    assert [it.count_following(frames, start) for start in range(3)] == [2, 0, 0]
+    it.discarded(10)
+    assert it.count_following(frames, 0) == 0
+    accept(it, 1)
+    assert it.count_following(frames, 1) == 1
+    it.accept_following(1, 2 * GATE_TICKS, at(2))
+    assert accept(it, 4) == (4, Gap(3, FrameLoss(link_gap=1)))
 
 
 def test_a_frame_that_was_there_already_is_ignored() -> None:
