@@ -61,8 +61,6 @@ def findings(raw: dict[str, Any]) -> Iterator[InitErrorDetails]:
         yield finding(("sites",), None, "a plate has either [[sites]] or a [grid], not both or neither")
     sites = dict(_sound_sites(raw.get("sites")))
     yield from _site_findings(sites, outline)
-    if force_max_newton := _sound(_Positive, raw.get("force_max_newton")):
-        yield from _shift_findings(sites, force_max_newton)
     if grid := _sound(Grid, raw.get("grid")):
         yield from _grid_findings(grid, outline)
     signals = {tone.signal for site in sites.values() for tone in site.tones} | set(SKIN_SIGNALS if grid else ())
@@ -76,8 +74,7 @@ def findings(raw: dict[str, Any]) -> Iterator[InitErrorDetails]:
     if kind == "single-tone" and signals - {FORCE_SIGNAL}:
         sentence = "one captured tone per corner carries forces alone; use 'channelised'"
         yield finding(("counter", "kind"), kind, sentence)
-    if kind == "channelised":
-        yield from _sign_findings(sites)
+    yield from _tone_findings(sites, _sound(_Positive, raw.get("force_max_newton")) or 0.0, kind)
     if "spread_width_mm" in raw and len(sites) < _SPREAD_SITES:
         sentence = (
             f"needs at least {_SPREAD_SITES} sites, there are {len(sites)}: fewer cannot determine a place and a force"
@@ -158,25 +155,20 @@ def _counter_findings(counter: Counter | None, sites: dict[int, Site]) -> Iterat
         yield finding(("counter", "pilot_hz"), counter.pilot_hz, sentence)
 
 
-def _shift_findings(sites: dict[int, Site], force_max_newton: float) -> Iterator[InitErrorDetails]:
-    for index, site in sites.items():
-        for number, tone in enumerate(site.tones):
-            largest = max(tone.sensitivity, key=abs)
-            if tone.signal == FORCE_SIGNAL and abs(largest) * force_max_newton > _MAX_SHIFT:
-                at_most = _MAX_SHIFT / force_max_newton
-                sentence = f"must be within +-{at_most:g}, a shift of 10 % at force_max_newton; K is in 1/N, as -6.3e-6"
-                yield finding(("sites", index, "tones", number, "sensitivity"), largest, sentence)
-
-
-def _sign_findings(sites: dict[int, Site]) -> Iterator[InitErrorDetails]:
-    for index, site in sites.items():
-        for number, tone in enumerate(site.tones):
-            if tone.signal in FORCE_SIGNALS and min(tone.sensitivity) < 0 < max(tone.sensitivity):
-                sentence = (
-                    "must have one sign: a channelised counter combines the corners of a tone, and opposite shifts "
-                    "cancel; correct the sign of a corner, or use counter.kind = 'single-tone'"
-                )
-                yield finding(("sites", index, "tones", number, "sensitivity"), tone.sensitivity, sentence)
+def _tone_findings(sites: dict[int, Site], force_max_newton: float, kind: object) -> Iterator[InitErrorDetails]:
+    for index, number, tone in ((i, n, tone) for i, site in sites.items() for n, tone in enumerate(site.tones)):
+        place = ("sites", index, "tones", number, "sensitivity")
+        largest = max(tone.sensitivity, key=abs)
+        if tone.signal == FORCE_SIGNAL and abs(largest) * force_max_newton > _MAX_SHIFT:
+            at_most = _MAX_SHIFT / force_max_newton
+            sentence = f"must be within +-{at_most:g}, a shift of 10 % at force_max_newton; K is in 1/N, as -6.3e-6"
+            yield finding(place, largest, sentence)
+        if kind == "channelised" and tone.signal in FORCE_SIGNALS and min(tone.sensitivity) < 0 < max(tone.sensitivity):
+            sentence = (
+                "must have one sign: a channelised counter combines the corners of a tone, and opposite shifts "
+                "cancel; correct the sign of a corner, or use counter.kind = 'single-tone'"
+            )
+            yield finding(place, tone.sensitivity, sentence)
 
 
 def _area(outline: tuple[Point, ...]) -> float:
@@ -297,11 +289,6 @@ class Plate(Table):
         tones = len(self.tones.f0_hz)
         parts = math.ceil(tones / ((MAX_PAYLOAD_BYTES - BLOCK_STRUCT.size) // TONE_STRUCT.size))
         return CHANNEL_COUNT * (parts * (PACKET_OVERHEAD_BYTES + BLOCK_STRUCT.size) + tones * TONE_STRUCT.size)
-
-    @property
-    def windowed(self) -> bool:
-        """Whether readings are of windows of several frames."""
-        return self.skin is None
 
     @property
     def required_skin(self) -> Skin:

@@ -188,7 +188,7 @@ def timing_problems(spans_ms: Mapping[str, float], plate: Plate | None) -> list[
     if len(spans_ms) == 2 and spans_ms["step_ms"] > spans_ms["window_ms"]:
         sentence = f"must be at most window_ms = {spans_ms['window_ms']:g}, or counts would be lost between windows"
         problems.append(("step_ms", spans_ms["step_ms"], sentence))
-    if plate and plate.windowed:
+    if plate and not plate.decodable:  # a skin has readings of single frames
         period_ms = 1e3 / plate.counter.frame_rate_hz
         for key, value in spans_ms.items():
             frames = value / period_ms

@@ -149,7 +149,7 @@ class CommandHandlers:
         return verbs.IdentifyAnswer()
 
     def _adjustable_sensor(self) -> Sensor[Any]:
-        if not self._plate.windowed:
+        if self._plate.decodable:
             raise CommandRefusedError(
                 "not_ready", "the plate has a skin, and no force sites", "its zero is followed by itself"
             )
