@@ -109,11 +109,11 @@ async def test_a_sheared_press_off_the_centre_keeps_every_sign(tmp_path: Path, m
     plate = tmp_path / "oblong.toml"
     plate.write_text(SKIN)
 
-    def all_decoded(heard: Observer) -> bool:
+    def all_decoded(observer: Observer) -> bool:
         """Whether the contacts of all presses have been seen, each in many frames."""
         seen = Counter(
             tuple(np.sign(contact["position_m"]))
-            for message in heard.payloads("resonator/hand/contacts")
+            for message in observer.payloads("resonator/hand/contacts")
             for contact in message["contacts"]
             if "reason_code" not in message
             and contact["force_newton"][2] > 0.9 * PRESSED_NEWTON
@@ -122,12 +122,12 @@ async def test_a_sheared_press_off_the_centre_keeps_every_sign(tmp_path: Path, m
         return sum(count > 5 for count in seen.values()) == len(PRESSES)
 
     async with (
-        observe(mosquitto.url) as heard,
+        observe(mosquitto.url) as observer,
         bench.emulated(str(plate), scenario=bench.scenario(sheared_presses())) as emulator,
         bench.running(bench.service(str(plate), emulator.link.address, decoding="")),
     ):
-        await heard.until(lambda: all_decoded(heard))
+        await observer.until(lambda: all_decoded(observer))
 
-    assert_net_loads_follow(sheared(heard.payloads("resonator/hand/contacts"), bench))
-    assert_maps_follow(sheared(map(cbor2.loads, heard.raw("resonator/hand/decoded")), bench))
-    assert_signals_follow(sheared(map(cbor2.loads, heard.raw("resonator/hand/signals")), bench))
+    assert_net_loads_follow(sheared(observer.payloads("resonator/hand/contacts"), bench))
+    assert_maps_follow(sheared(map(cbor2.loads, observer.raw("resonator/hand/decoded")), bench))
+    assert_signals_follow(sheared(map(cbor2.loads, observer.raw("resonator/hand/signals")), bench))

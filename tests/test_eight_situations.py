@@ -32,9 +32,9 @@ def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
     return Bench(tmp_path, mosquitto.url)
 
 
-async def well(heard: Observer) -> None:
+async def well(observer: Observer) -> None:
     for word in ("daemon", "link", "sensor"):
-        await heard.until_last(f"{BASE}/{word}", state="online")
+        await observer.until_last(f"{BASE}/{word}", state="online")
 
 
 async def seen_late(broker: Mosquitto) -> dict[str, Any]:
@@ -42,7 +42,7 @@ async def seen_late(broker: Mosquitto) -> dict[str, Any]:
     async with observe(broker.url) as late:
         await late.client.publish("mark/end", b"{}", qos=1)
         await late.until_count("mark/end", 1)
-        said = [message for message in late.heard if message.retain and message.topic.matches(f"{BASE}/+")]
+        said = [message for message in late.messages if message.retain and message.topic.matches(f"{BASE}/+")]
     return {message.topic.value.rpartition("/")[2]: json.loads(message.payload) for message in said}
 
 
@@ -57,9 +57,9 @@ async def test_never_started(mosquitto: Mosquitto) -> None:
 
 
 async def test_clean_stop(bench: Bench, mosquitto: Mosquitto) -> None:
-    async with bench.emulated(scenario=bench.scenario(IDEAL)), observe(mosquitto.url) as heard:
+    async with bench.emulated(scenario=bench.scenario(IDEAL)), observe(mosquitto.url) as observer:
         async with bench.running(bench.service()):
-            await well(heard)
+            await well(observer)
             assert situation(await seen_late(mosquitto)) == "well"
             stopped_s = time.time()
         states = await seen_late(mosquitto)
@@ -71,12 +71,12 @@ async def test_clean_stop(bench: Bench, mosquitto: Mosquitto) -> None:
 async def test_crash(bench: Bench, mosquitto: Mosquitto) -> None:
     bench.service()  # which writes the configuration
     command = (sys.executable, "-m", "resonator_daemon.commands", "run", "--config", str(bench.folder / "board.toml"))
-    async with bench.emulated(scenario=bench.scenario(IDEAL)), observe(mosquitto.url) as heard:
+    async with bench.emulated(scenario=bench.scenario(IDEAL)), observe(mosquitto.url) as observer:
         daemon = await asyncio.create_subprocess_exec(*command, stderr=asyncio.subprocess.DEVNULL)
-        await well(heard)
+        await well(observer)
         os.kill(daemon.pid, signal.SIGKILL)
         await daemon.wait()
-        await heard.until_last(f"{BASE}/daemon", state="offline")
+        await observer.until_last(f"{BASE}/daemon", state="offline")
         states = await seen_late(mosquitto)
     assert situation(states) == "crash"
     assert states["daemon"]["since_t_ns"] is None
@@ -84,16 +84,16 @@ async def test_crash(bench: Bench, mosquitto: Mosquitto) -> None:
 
 async def test_broker_restarted_empty(bench: Bench, mosquitto: Mosquitto) -> None:
     async with bench.emulated(scenario=bench.scenario(IDEAL)), bench.running(bench.service()):
-        async with observe(mosquitto.url) as heard:
-            await well(heard)
-            first = heard.payloads(f"{BASE}/daemon")[-1]
+        async with observe(mosquitto.url) as observer:
+            await well(observer)
+            first = observer.payloads(f"{BASE}/daemon")[-1]
         await mosquitto.kill()
         back_s = time.time()
         await mosquitto.start()
-        async with observe(mosquitto.url) as heard:
-            await well(heard)
-            await heard.until_count("resonator/hand/schema", 1)
-            await heard.until_count("resonator/hand/info", 1)
+        async with observe(mosquitto.url) as observer:
+            await well(observer)
+            await observer.until_count("resonator/hand/schema", 1)
+            await observer.until_count("resonator/hand/info", 1)
         states = await seen_late(mosquitto)
     assert situation(states) == "broker restarted"
     assert (first["connections"], states["daemon"]["connections"]) == (1, 2)
@@ -102,11 +102,11 @@ async def test_broker_restarted_empty(bench: Bench, mosquitto: Mosquitto) -> Non
 
 
 async def test_cable_out(bench: Bench, mosquitto: Mosquitto) -> None:
-    async with observe(mosquitto.url) as heard, bench.running(bench.service()):
+    async with observe(mosquitto.url) as observer, bench.running(bench.service()):
         async with bench.emulated(scenario=bench.scenario(IDEAL)):
-            await well(heard)
+            await well(observer)
             pulled_s = time.time()
-        await heard.until_last(f"{BASE}/sensor", state="waiting")
+        await observer.until_last(f"{BASE}/sensor", state="waiting")
         states = await seen_late(mosquitto)
     assert situation(states) == "cable out"
     assert pulled_s <= since_s(states["link"]) <= time.time()
@@ -125,10 +125,10 @@ async def test_what_happens_to_the_board(
 ) -> None:
     async with (
         bench.emulated(scenario=bench.scenario(scenario), faults=parse_faults(faults)),
-        observe(mosquitto.url) as heard,
+        observe(mosquitto.url) as observer,
         bench.running(bench.service()),
     ):
-        await heard.until_last(f"{BASE}/{word}", **state)
+        await observer.until_last(f"{BASE}/{word}", **state)
         async with asyncio.timeout(30):  # after a reboot the sensor's state is still that of the boot before
             while situation(await seen_late(mosquitto)) != expected:
                 pass
@@ -137,17 +137,17 @@ async def test_what_happens_to_the_board(
 async def test_states_of_an_earlier_run_do_not_stay(bench: Bench, mosquitto: Mosquitto) -> None:
     async with (
         bench.emulated(scenario=bench.scenario(IDEAL)),
-        observe(mosquitto.url) as heard,
+        observe(mosquitto.url) as observer,
         bench.running(bench.service()),
     ):
-        await well(heard)
-    async with observe(mosquitto.url) as heard, bench.running(bench.service()) as service:
-        await heard.until(
+        await well(observer)
+    async with observe(mosquitto.url) as observer, bench.running(bench.service()) as service:
+        await observer.until(
             lambda: (
                 {
                     payload["daemon_boot_id"]
                     for word in ("daemon", "link", "sensor")
-                    for payload in heard.payloads(f"{BASE}/{word}")[-1:]
+                    for payload in observer.payloads(f"{BASE}/{word}")[-1:]
                 }
                 == {service.daemon_boot_id}
             )

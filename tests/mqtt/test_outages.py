@@ -148,7 +148,7 @@ async def test_two_seconds_of_a_stalled_broker_cost_no_stream(mosquitto) -> None
             await asyncio.sleep(0)
         assert left.account.waiting > 100
         mosquitto.thaw()
-        await observer.until(lambda: len(observer.heard) == 1200 + 2)
+        await observer.until(lambda: len(observer.messages) == 1200 + 2)
         assert left.account.dropped == {}
 
 

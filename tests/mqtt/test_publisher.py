@@ -22,7 +22,7 @@ async def test_an_encoded_message_is_published_as_it_is_with_its_decimated_copie
         for message in (first, second, third):  # 25 Hz
             left.publish(LEFT, topics.CONTACTS, message)
         await until(lambda: left.account.waiting == 0)
-        await observer.until(lambda: len(observer.heard) >= 5)
+        await observer.until(lambda: len(observer.messages) >= 5)
         with pytest.raises(ValueError, match="contacts/event carries ContactEvent"):
             left.publish(LEFT, topics.CONTACT_EVENT, first)
     assert observer.raw("resonator/left/contacts") == [b"{0}", b"{1}", b"{2}"]

@@ -46,7 +46,7 @@ async def retained(url: str) -> set[str]:
     async with observe(url) as heard:
         await heard.client.publish("end/of/retained", b"1", qos=1)
         await heard.until(lambda: marked(heard))
-        return {message.topic.value for message in heard.heard if message.retain}
+        return {message.topic.value for message in heard.messages if message.retain}
 
 
 async def test_a_plate_that_stopped_is_removed_with_everything_that_is_retained(broker: Mosquitto | Amqtt) -> None:

@@ -51,7 +51,7 @@ class Observer:
 
     def __init__(self, client: aiomqtt.Client) -> None:
         self.client = client
-        self.heard: list[aiomqtt.Message] = []
+        self.messages: list[aiomqtt.Message] = []
         self._raw: dict[str, list[bytes]] = {}
         self._parsed: dict[str, list[Any]] = {}
         self._news = asyncio.Condition()
@@ -59,7 +59,7 @@ class Observer:
     async def listen(self, client: aiomqtt.Client) -> None:
         async for message in client.messages:
             async with self._news:
-                self.heard.append(message)
+                self.messages.append(message)
                 self._raw.setdefault(message.topic.value, []).append(bytes(message.payload))
                 self._news.notify_all()
 

@@ -11,9 +11,9 @@ HAND = "resonator/hand"
 ALWAYS = {"state/daemon", "state/link", "state/sensor", "info", "schema", "health"}
 
 
-def check_all(heard: Observer) -> set[str]:
-    """Check each message by the document that the daemon has published; return the paths heard."""
-    document = json.loads(heard.raw(f"{HAND}/schema")[0])
+def check_all(observer: Observer) -> set[str]:
+    """Check each message by the document that the daemon has published; return the paths observer."""
+    document = json.loads(observer.raw(f"{HAND}/schema")[0])
     components = document["components"]
 
     def validator_of(references: list[dict[str, str]]) -> tuple[Draft7Validator, str]:
@@ -32,7 +32,7 @@ def check_all(heard: Observer) -> set[str]:
             answers = validator_of(operation["reply"]["messages"])
             validators[name.replace("cmd_", "rsp/") + "/[^/]+"] = answers
     paths = set()
-    for message in heard.heard:
+    for message in observer.messages:
         path = message.topic.value.removeprefix(f"{HAND}/")
         validator, content_type = next(found for pattern, found in validators.items() if re.fullmatch(pattern, path))
         payload = bytes(message.payload)

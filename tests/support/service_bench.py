@@ -81,10 +81,10 @@ class Bench:
             await task
 
     @asynccontextmanager
-    async def measured(self, heard: Observer, service: Service, **board: Any) -> AsyncIterator[Service]:
+    async def measured(self, observer: Observer, service: Service, **board: Any) -> AsyncIterator[Service]:
         """Switch the board on when the service waits for it: a busy computer then misses nothing of what it plays."""
         async with self.running(service):
-            await heard.until_last("resonator/hand/state/link", state="waiting")
+            await observer.until_last("resonator/hand/state/link", state="waiting")
             async with self.emulated(**board):
                 yield service
 

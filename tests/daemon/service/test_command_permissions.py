@@ -49,11 +49,11 @@ async def test_each_command_does_what_it_states(bench: Bench) -> None:
 
     async with (
         bench.emulated(scenario="still"),
-        observe(bench.broker_url) as heard,
+        observe(bench.broker_url) as observer,
         bench.running(bench.service(allow=tuple(ALL))) as service,
     ):
-        await heard.until_last("resonator/hand/state/sensor", state="online")
-        info = await heard.until_last(INFO, window_s=0.01)
+        await observer.until_last("resonator/hand/state/sensor", state="online")
+        info = await observer.until_last(INFO, window_s=0.01)
         assert set(info["commands"]) == set(VERBS)
         pong = await ask("ping")
         assert pong["daemon_boot_id"] == info["daemon_boot_id"]
@@ -64,8 +64,8 @@ async def test_each_command_does_what_it_states(bench: Bench) -> None:
 
         started = await ask("start_recording", label="still")
         running = {"file": started["file"], "since_t_ns": started["since_t_ns"], "failure": None}
-        health = functools.partial(heard.payloads, "resonator/hand/health")
-        await heard.until(lambda: running.items() <= (health() or [{"recording": {}}])[-1]["recording"].items())
+        health = functools.partial(observer.payloads, "resonator/hand/health")
+        await observer.until(lambda: running.items() <= (health() or [{"recording": {}}])[-1]["recording"].items())
         marked = await ask("mark", text="nothing touches it")
         assert int(marked["t_ns"]) > int(started["since_t_ns"])
         recording = (await ask("stop_recording"))["recording"]
@@ -74,40 +74,40 @@ async def test_each_command_does_what_it_states(bench: Bench) -> None:
         assert (path.stat().st_size, recording["events_missing"]) == (recording["all_bytes"], 0)
         assert marks(path) == [(int(marked["t_ns"]), "nothing touches it")]
 
-        (step_ticks,) = ticks_per_message(heard.payloads(FORCES))
+        (step_ticks,) = ticks_per_message(observer.payloads(FORCES))
         assert await ask("set_window", window_ms=20, step_ms=10) == {
             "verb": "set_window", "ok": True, "id": "set_window", "window_s": 0.02, "step_s": 0.01
         }  # fmt: skip
-        await heard.until_last(INFO, window_s=0.02, step_s=0.01)
-        await heard.until_last(FORCES, window_s=0.02)
-        count = len(heard.payloads(FORCES))
-        await heard.until_count(FORCES, count + 5)
-        assert ticks_per_message(heard.payloads(FORCES)[count:]) == {2 * step_ticks}
+        await observer.until_last(INFO, window_s=0.02, step_s=0.01)
+        await observer.until_last(FORCES, window_s=0.02)
+        count = len(observer.payloads(FORCES))
+        await observer.until_count(FORCES, count + 5)
+        assert ticks_per_message(observer.payloads(FORCES)[count:]) == {2 * step_ticks}
 
         snapshot = await ask("snapshot", topics=["info", "state/sensor", "forces"])
-        assert snapshot["messages"]["info"] == heard.payloads(INFO)[-1]
+        assert snapshot["messages"]["info"] == observer.payloads(INFO)[-1]
         assert snapshot["messages"]["state/sensor"]["state"] == "online"
         assert snapshot["omitted"] == []
         assert (await ask("events", after_seq=0))["events"] == []
         assert service.link_counters.lost.total == 0
-        await heard.client.publish("resonator/hand/cmd/ping", "{}", qos=1)  # without a response topic
-        await heard.until_count("resonator/hand/rsp/ping", 1)
+        await observer.client.publish("resonator/hand/cmd/ping", "{}", qos=1)  # without a response topic
+        await observer.until_count("resonator/hand/rsp/ping", 1)
     measured = {"forces", "forces/20hz", "contacts", "contacts/20hz", "tones"}
     commands = {f"cmd/{verb}" for verb in VERBS} | {f"rsp/{verb}/+" for verb in VERBS} | {"rsp/ping"}
-    assert check_all(heard) == ALWAYS | measured | commands
+    assert check_all(observer) == ALWAYS | measured | commands
 
 
 async def test_without_permission_nothing_is_changed(bench: Bench) -> None:
-    async with bench.emulated(scenario="still"), observe(bench.broker_url) as heard, bench.running(bench.service()):
-        await heard.until_last("resonator/hand/state/sensor", state="online")
-        info = await heard.until_last(INFO, window_s=0.01)
+    async with bench.emulated(scenario="still"), observe(bench.broker_url) as observer, bench.running(bench.service()):
+        await observer.until_last("resonator/hand/state/sensor", state="online")
+        info = await observer.until_last(INFO, window_s=0.01)
         assert info["commands"] == ["ping", "health", "snapshot", "events"]
         for verb in ALL:
             answer = await request(Mqtt(url=bench.broker_url), "hand", verb, {})
             assert answer["error"]["code"] == "not_permitted"
-        before = len(heard.payloads("resonator/hand/health"))
-        await heard.until(lambda: len(heard.payloads("resonator/hand/health")) > before + 1)
-        assert heard.payloads("resonator/hand/health")[-1]["recording"]["files"] == 0
-        assert heard.payloads("resonator/hand/health")[-1]["commands"] == {"not_permitted": len(ALL)}
-        assert len(heard.payloads(INFO)) == 1
+        before = len(observer.payloads("resonator/hand/health"))
+        await observer.until(lambda: len(observer.payloads("resonator/hand/health")) > before + 1)
+        assert observer.payloads("resonator/hand/health")[-1]["recording"]["files"] == 0
+        assert observer.payloads("resonator/hand/health")[-1]["commands"] == {"not_permitted": len(ALL)}
+        assert len(observer.payloads(INFO)) == 1
         assert not recordings().exists()

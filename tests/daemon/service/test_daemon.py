@@ -31,9 +31,9 @@ def touched(hold_s: float, start_s: float = 0.4, **keys: float) -> str:
 async def test_a_touch_becomes_messages_on_either_broker(tmp_path: Path, broker: Mosquitto | Amqtt) -> None:
     bench = Bench(tmp_path, broker.url)
     scenario = bench.scenario(IDEAL + touched(0.3))
-    async with observe(broker.url) as heard, bench.measured(heard, bench.service(), scenario=scenario) as service:
-        await heard.until(lambda: len(events(heard)) == 2)
-        onset, release = events(heard)
+    async with observe(broker.url) as observer, bench.measured(observer, bench.service(), scenario=scenario) as service:
+        await observer.until(lambda: len(events(observer)) == 2)
+        onset, release = events(observer)
         assert service.link_counters.lost.total == 0
     assert (onset["event"], release["event"]) == ("onset", "release")
     assert onset["contact"]["site"] == release["contact"]["site"] == 7
@@ -44,7 +44,7 @@ async def test_a_touch_becomes_messages_on_either_broker(tmp_path: Path, broker:
 
     # Compared with the truth averaged over the same window, reading by reading.
     errors = []
-    for message, window in bench.windows(heard.payloads("resonator/hand/forces")):
+    for message, window in bench.windows(observer.payloads("resonator/hand/forces")):
         true = sum(contact["force_newton"][2] for line in window for contact in line["contacts"]) / len(window)
         middle_ns = (int(window[0]["t_ns"]) - 1_000_000 + int(window[-1]["t_ns"])) / 2
         assert abs(int(message["t_ns"]) - middle_ns) <= message["t_uncertainty_ns"] + 100_000
@@ -54,14 +54,14 @@ async def test_a_touch_becomes_messages_on_either_broker(tmp_path: Path, broker:
 
     # The tone of each corner is f0 / (1 - K F) of the pressed site.
     (tone,) = load_plate("quartz16").sites[6].tones
-    for message, window in bench.windows(heard.payloads("resonator/hand/tones")):
+    for message, window in bench.windows(observer.payloads("resonator/hand/tones")):
         true = sum(contact["force_newton"][2] for line in window for contact in line["contacts"]) / len(window)
         if true > 1.0:
             assert [corner["site"] for corner in message["corners"]] == [7] * 4
             expected_hz = np.divide(tone.f0_hz, 1 - np.multiply(tone.sensitivity, true))
             np.testing.assert_allclose([c["frequency_hz"] for c in message["corners"]], expected_hz, rtol=2e-7)
-    assert check_all(heard) >= ALWAYS - {"health"} | {"contacts/event", "forces", "contacts", "tones"}
-    info = heard.payloads("resonator/hand/info")[-1]
+    assert check_all(observer) >= ALWAYS - {"health"} | {"contacts/event", "forces", "contacts", "tones"}
+    info = observer.payloads("resonator/hand/info")[-1]
     assert (info["plate"], info["serial_number"], len(info["sites"])) == ("quartz16", "EMU-0001", 16)
 
 
@@ -69,9 +69,9 @@ async def test_the_log_has_the_states_with_their_codes(
     bench: Bench, mosquitto: Mosquitto, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
-    async with bench.emulated(scenario="still"), observe(mosquitto.url) as heard, bench.running(bench.service()):
+    async with bench.emulated(scenario="still"), observe(mosquitto.url) as observer, bench.running(bench.service()):
         for part in ("daemon", "link", "sensor"):
-            await heard.until_last(f"resonator/hand/state/{part}", state="online")
+            await observer.until_last(f"resonator/hand/state/{part}", state="online")
     for subject, code in (("daemon", "measuring"), ("link", "board_counts"), ("sensor", "measuring")):
         lines = [vars(record) for record in caplog.records if hasattr(record, f"resonatord_{subject}_state")]
         assert (lines[-1][f"resonatord_{subject}_state"], lines[-1]["resonatord_reason_code"]) == ("online", code)
@@ -86,12 +86,12 @@ async def test_a_serial_number_that_is_no_topic_needs_a_name(bench: Bench, monke
 
 
 async def test_a_board_for_another_plate_ends_the_daemon(bench: Bench, mosquitto: Mosquitto) -> None:
-    async with bench.emulated(scenario="still", tcp=("127.0.0.1", 0)) as emulator, observe(mosquitto.url) as heard:
+    async with bench.emulated(scenario="still", tcp=("127.0.0.1", 0)) as emulator, observe(mosquitto.url) as observer:
         with pytest.raises(
             ConfigurationError, match="the board describes quartz16, the plate file has skin32"
         ) as refused:
             await bench.service("skin32", emulator.link.address).run()
-        await heard.until_last("resonator/hand/state/link", state="refused")
+        await observer.until_last("resonator/hand/state/link", state="refused")
     assert refused.value.exit_code == ExitCode.CONFIG
 
 
@@ -111,14 +111,14 @@ async def test_another_protocol_ends_the_daemon_with_both_versions_named(bench: 
 async def test_contacts_end_when_frames_have_stopped_coming(bench: Bench, mosquitto: Mosquitto) -> None:
     faults = parse_faults("unplug_at_s=1,unplug_for_s=2")
     board = {"scenario": bench.scenario(IDEAL + touched(10)), "faults": faults}
-    async with observe(mosquitto.url) as heard:
-        async with bench.measured(heard, bench.service(), **board):
-            await heard.until(lambda: len(events(heard)) >= 2)
-            await heard.until(lambda: heard.payloads("resonator/hand/state/link")[-1]["state"] != "online")
-            await heard.until(lambda: len(events(heard)) >= 3)
-        await heard.until_last("resonator/hand/state/daemon", state="offline")
-        assert len(events(heard)) == 4  # the open contact is released first
-    first, lost, again, stopped = events(heard)
+    async with observe(mosquitto.url) as observer:
+        async with bench.measured(observer, bench.service(), **board):
+            await observer.until(lambda: len(events(observer)) >= 2)
+            await observer.until(lambda: observer.payloads("resonator/hand/state/link")[-1]["state"] != "online")
+            await observer.until(lambda: len(events(observer)) >= 3)
+        await observer.until_last("resonator/hand/state/daemon", state="offline")
+        assert len(events(observer)) == 4  # the open contact is released first
+    first, lost, again, stopped = events(observer)
     assert [event["event"] for event in (first, lost, again, stopped)] == ["onset", "release", "onset", "release"]
     assert lost["reason_code"] == "no_frames"
     assert lost["contact"]["id"] == first["contact"]["id"] != again["contact"]["id"]
@@ -140,23 +140,25 @@ async def test_a_sheared_press_on_a_skin_becomes_a_contact_with_its_events(bench
     plate.write_text(SMALL_SKIN)
     async with (
         bench.emulated(str(plate), scenario=bench.scenario(SHEARED)) as emulator,
-        observe(mosquitto.url) as heard,
+        observe(mosquitto.url) as observer,
         bench.running(bench.service(str(plate), emulator.link.address, decoding="")) as service,
     ):
         # Touches repeat, for as long as it takes: the decoder is set up while the first ones pass.
-        await heard.until(lambda: {"onset", "incipient_slip", "release"} <= {event["event"] for event in events(heard)})
-        await heard.until_last("resonator/hand/state/sensor", state="online", reason="all sites are read")
+        await observer.until(
+            lambda: {"onset", "incipient_slip", "release"} <= {event["event"] for event in events(observer)}
+        )
+        await observer.until_last("resonator/hand/state/sensor", state="online", reason="all sites are read")
         assert service.link_counters.lost.total == 0
-        os.kill(heard.payloads("resonator/hand/health")[-1]["decoder"]["pid"], signal.SIGKILL)
-        await heard.until_last("resonator/hand/state/sensor", state="stalled", reason_code="decoder_crashed")
+        os.kill(observer.payloads("resonator/hand/health")[-1]["decoder"]["pid"], signal.SIGKILL)
+        await observer.until_last("resonator/hand/state/sensor", state="stalled", reason_code="decoder_crashed")
     decoded = {"signals", "signals/5hz", "decoded", "decoded/5hz", "decoded/summary", "decoded/summary/20hz"}
-    assert check_all(heard) >= ALWAYS | decoded | {"contacts", "contacts/20hz", "contacts/event"}
-    states = heard.payloads("resonator/hand/state/sensor")
+    assert check_all(observer) >= ALWAYS | decoded | {"contacts", "contacts/20hz", "contacts/event"}
+    states = observer.payloads("resonator/hand/state/sensor")
     assert {state["state"] for state in states if state["reason_code"] == "decoder_starting"} == {"starting"}
     reasons = [message["reason"] for message in states]
     assert any("decoder is being set up: contact physics" in reason for reason in reasons)
     by_contact: dict[int, list[str]] = {}
-    for event in events(heard):
+    for event in events(observer):
         by_contact.setdefault(event["contact"]["id"], []).append(event["event"])
     for words in by_contact.values():
         assert words[0] == "onset"
@@ -166,7 +168,7 @@ async def test_a_sheared_press_on_a_skin_becomes_a_contact_with_its_events(bench
 
     truth = {line["board_ticks"]: line["contacts"] for line in bench.truth()}
     forces = []
-    for message in heard.payloads("resonator/hand/contacts"):
+    for message in observer.payloads("resonator/hand/contacts"):
         contacts = truth.get(int(message["board_ticks"]), [])
         if message["status"] == "ok" and contacts and contacts[0]["force_newton"][2] > 0.6 and message["contacts"]:
             (contact,) = message["contacts"]
@@ -175,11 +177,11 @@ async def test_a_sheared_press_on_a_skin_becomes_a_contact_with_its_events(bench
     found, true = np.swapaxes(forces, 0, 1)
     np.testing.assert_allclose(found.mean(axis=0), true.mean(axis=0), atol=0.02)
     # Every contact has the site that is nearest; the summary has its area.
-    assert {summary["decoder"] for summary in summaries(heard)} == {"open-plane+contact"}
-    pressed = {patch["id"]: patch["area_m2"] for summary in summaries(heard) for patch in summary["patches"]}
+    assert {summary["decoder"] for summary in summaries(observer)} == {"open-plane+contact"}
+    pressed = {patch["id"]: patch["area_m2"] for summary in summaries(observer) for patch in summary["patches"]}
     assert pressed.keys() <= set(by_contact)  # the frames of a short contact may be skipped
     assert min(pressed.values()) > 1e-7
-    present = [contact for message in heard.payloads("resonator/hand/contacts") for contact in message["contacts"]]
+    present = [contact for message in observer.payloads("resonator/hand/contacts") for contact in message["contacts"]]
     assert {contact["id"] for contact in present} == set(by_contact)
     near = [contact["site"] for contact in present if contact["force_newton"][2] > 0.6]
     x_mm, y_mm = (np.mean([(site - 1) % 16 for site in near]) - 7.5) * 0.6, (np.mean(near) - 1) // 16 * 0.6 - 4.5

@@ -24,42 +24,42 @@ RESONATORD = Path(sys.executable).with_name("resonatord")
 async def test_windows_and_commands_are_taken_live_and_a_bad_file_is_reported(
     bench: Bench, mosquitto: Mosquitto
 ) -> None:
-    async with observe(mosquitto.url) as heard, bench.emulated():
+    async with observe(mosquitto.url) as observer, bench.emulated():
         service = bench.service()
         async with bench.running(service):
-            await heard.until_last("resonator/hand/info", step_s=0.005)
+            await observer.until_last("resonator/hand/info", step_s=0.005)
             path = bench.folder / "board.toml"
             good = path.read_text().replace("allow = []", 'allow = ["tare"]')
             path.write_text(good + "[measurement]\nwindow_ms = 20\nstep_ms = 10\n")
             service.reload()
-            await heard.until_last("resonator/hand/info", step_s=0.01)
-            await heard.until_last("resonator/hand/forces", window_s=0.02)
-            await heard.until(lambda: "tare" in heard.payloads("resonator/hand/info")[-1]["commands"])
+            await observer.until_last("resonator/hand/info", step_s=0.01)
+            await observer.until_last("resonator/hand/forces", window_s=0.02)
+            await observer.until(lambda: "tare" in observer.payloads("resonator/hand/info")[-1]["commands"])
             path.write_text("name = \n")
             service.reload()
-            await heard.until_last("resonator/hand/state/daemon", state="online", reason_code="bad_configuration")
+            await observer.until_last("resonator/hand/state/daemon", state="online", reason_code="bad_configuration")
             path.write_text(good)
             service.reload()
-            await heard.until_last("resonator/hand/state/daemon", reason_code="measuring")
-            await heard.until_last("resonator/hand/info", step_s=0.005)
+            await observer.until_last("resonator/hand/state/daemon", reason_code="measuring")
+            await observer.until_last("resonator/hand/info", step_s=0.005)
 
 
 async def test_continuous_recording_begins_with_the_first_byte_and_is_switched_by_a_reload(
     bench: Bench, tmp_path: Path, mosquitto: Mosquitto
 ) -> None:
-    async with observe(mosquitto.url) as heard, bench.emulated():
+    async with observe(mosquitto.url) as observer, bench.emulated():
         bench.service()
         path = bench.folder / "board.toml"
         bare = path.read_text()
         path.write_text(f'{bare}[recording]\ndirectory = "{tmp_path}/runs"\nautostart = true\n')
         service = Service(ConfigStore(path, bench.folder / "last-good"))
         async with bench.running(service):
-            await heard.until_count("resonator/hand/forces", 20)
+            await observer.until_count("resonator/hand/forces", 20)
             path.write_text(bare)
             service.reload()
-            await heard.until(
+            await observer.until(
                 lambda: (
-                    bool(told := heard.payloads("resonator/hand/health"))
+                    bool(told := observer.payloads("resonator/hand/health"))
                     and (told[-1]["recording"]["file"], told[-1]["recording"]["files"]) == (None, 1)
                 )
             )
@@ -74,7 +74,7 @@ async def test_what_is_reloaded_before_a_board_has_given_its_name_holds_when_it_
     bench: Bench, tmp_path: Path, mosquitto: Mosquitto, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
-    async with observe(mosquitto.url) as heard:
+    async with observe(mosquitto.url) as observer:
         service = bench.service(name=None)
         path = bench.folder / "board.toml"
         async with bench.running(service):
@@ -84,10 +84,10 @@ async def test_what_is_reloaded_before_a_board_has_given_its_name_holds_when_it_
                 while "configuration read again" not in caplog.text:  # noqa: ASYNC110 - nothing is published yet
                     await asyncio.sleep(0.005)
             async with bench.emulated():
-                await heard.until_last("resonator/EMU-0001/state/link", state="online")
-                await heard.until(
+                await observer.until_last("resonator/EMU-0001/state/link", state="online")
+                await observer.until(
                     lambda: (
-                        bool(states := heard.payloads("resonator/EMU-0001/health"))
+                        bool(states := observer.payloads("resonator/EMU-0001/health"))
                         and bool(states[-1]["recording"]["file"])
                     )
                 )
@@ -95,10 +95,10 @@ async def test_what_is_reloaded_before_a_board_has_given_its_name_holds_when_it_
 
 async def test_a_reload_at_the_end_is_ignored(bench: Bench, mosquitto: Mosquitto) -> None:
     bench.service(link="tcp://127.0.0.1:9")
-    async with observe(mosquitto.url) as heard:
+    async with observe(mosquitto.url) as observer:
         command = (RESONATORD, "run", "--config", bench.folder / "board.toml")
         process = await asyncio.create_subprocess_exec(*command, env=os.environ, stderr=asyncio.subprocess.PIPE)
-        await heard.until_last("resonator/hand/state/daemon", state="online", reason_code="no_board")
+        await observer.until_last("resonator/hand/state/daemon", state="online", reason_code="no_board")
         process.send_signal(signal.SIGTERM)
         ended = asyncio.create_task(process.communicate())
         while not ended.done():
@@ -112,10 +112,10 @@ async def test_a_reload_at_the_end_is_ignored(bench: Bench, mosquitto: Mosquitto
 async def test_sighup_reads_the_file_again_and_sigterm_ends(bench: Bench, mosquitto: Mosquitto) -> None:
     bench.service(link="tcp://127.0.0.1:9")
     path = bench.folder / "board.toml"
-    async with observe(mosquitto.url) as heard:
+    async with observe(mosquitto.url) as observer:
         command = (RESONATORD, "run", "--config", path)
         process = await asyncio.create_subprocess_exec(*command, env=os.environ, stderr=asyncio.subprocess.PIPE)
-        await heard.until_last("resonator/hand/state/daemon", state="online", reason_code="no_board")
+        await observer.until_last("resonator/hand/state/daemon", state="online", reason_code="no_board")
         path.write_text(path.read_text().replace("tcp://127.0.0.1:9", "tcp://127.0.0.1:10"))
         reload = (RESONATORD, "reload", "hand", "--json")
         pipe = asyncio.subprocess.PIPE
@@ -125,7 +125,7 @@ async def test_sighup_reads_the_file_again_and_sigterm_ends(bench: Bench, mosqui
         assert (asked.returncode, report["ok"], report["problems"]) == (0, True, [])
         change = {"key": "link", "old": "'tcp://127.0.0.1:9'", "new": "'tcp://127.0.0.1:10'", "applied": False}
         assert report["changes"] == [change]
-        await heard.until_last("resonator/hand/state/daemon", state="online", reason_code="restart_needed")
+        await observer.until_last("resonator/hand/state/daemon", state="online", reason_code="restart_needed")
         good = path.read_text()
         path.write_text("name = \n")
         asked = await asyncio.create_subprocess_exec(*reload, env=os.environ, stdout=pipe, stderr=pipe)
