@@ -4,11 +4,11 @@ import asyncio
 import json
 import os
 import signal
+import subprocess
 import sys
 import tempfile
-from asyncio.subprocess import DEVNULL, PIPE, Process
 from bisect import bisect_right
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -116,27 +116,29 @@ class Recorded:
         self._on_change()
 
     async def _decode(self, number: int) -> None:
-        starting = asyncio.ensure_future(
-            asyncio.create_subprocess_exec(
-                *(sys.executable, "-P", "-m", _WORKER, str(self._path), str(number)),
-                stdin=DEVNULL,
-                stdout=PIPE,
-                limit=_LINE_BYTES_MAX,
-                pass_fds=(number,),
-                start_new_session=True,  # Ctrl-C is for the server
-                preexec_fn=ended_with_parent(signal.SIGKILL),
-            )
-        )
-        try:
-            process = await asyncio.shield(starting)  # asyncio loses a process if its start or its end is cancelled
-            if process.stdout is not None:
-                await self._receive(process.stdout)
-        finally:
-            ending = asyncio.ensure_future(_end(starting))
+        entries = asyncio.StreamReader(_LINE_BYTES_MAX)
+        with self._start(number) as process:
             try:
-                await asyncio.shield(ending)
+                transport, _ = await asyncio.get_running_loop().connect_read_pipe(
+                    lambda: asyncio.StreamReaderProtocol(entries), process.stdout
+                )
+                try:
+                    await self._receive(entries)
+                finally:
+                    transport.close()
             finally:
-                await ending
+                process.kill()
+
+    def _start(self, number: int) -> subprocess.Popen[bytes]:
+        """Start the process; as asyncio does it, but that its end can be waited for when this task is cancelled."""
+        return subprocess.Popen(
+            (sys.executable, "-P", "-m", _WORKER, str(self._path), str(number)),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            pass_fds=(number,),
+            start_new_session=True,  # Ctrl-C is for the server
+            preexec_fn=ended_with_parent(signal.SIGKILL),
+        )
 
     async def _receive(self, stream: asyncio.StreamReader) -> None:
         """Read what `recording_worker` writes; a line that is cut off ends it."""
@@ -159,13 +161,6 @@ class Recorded:
                         self.truncated = cut or self.truncated
                         return
         self.truncated = self.truncated or _ENDED
-
-
-async def _end(starting: Awaitable[Process]) -> None:
-    process = await starting
-    if process.returncode is None:
-        process.kill()
-    await process.wait()
 
 
 @dataclass

@@ -86,11 +86,16 @@ async def test_recordings_of_a_directory_are_opened_compared_and_closed(tmp_path
         assert await other.refusal({"play": {"source": "a", "playing": True}}) == "unknown_source"
 
 
-async def test_the_process_that_decodes_a_closed_recording_ends_with_the_page() -> None:
+async def test_a_process_that_decodes_may_be_killed_and_ends_with_the_page() -> None:
     library = Library(None, lambda: None)
-    library.exchange([], [WHOLE])
+    (killed,) = library.exchange([], [WHOLE])
     await until(lambda: bool(psutil.Process().children()))
-    library.exchange([WHOLE], [])
+    psutil.Process().children()[0].kill()
+    await until(lambda: killed.complete)
+    assert killed.failure or killed.truncated
+    library.exchange([], [CUT_OFF])
+    await until(lambda: bool(psutil.Process().children()))
+    library.exchange([WHOLE, CUT_OFF], [])
     await library.close()
     assert not psutil.Process().children()
 
