@@ -316,7 +316,7 @@ class Connection:
             return
         boot_id, scale = self.described.boot_id, self.clock.scale
         while frames and self._state.state is not Condition.ONLINE:  # which is announced after the first frame
-            self._note_frames(self._receiver.receive(frames[:1], scale, boot_id, self._now, together=False))
+            self._note_frames(self._receiver.receive(frames[:1], scale, boot_id, self._now, singly=True))
             frames = frames[1:]
         if frames and (begun := self._receiver.receive(frames, scale, boot_id, self._now)):
             self._note_frames(begun)

@@ -140,14 +140,14 @@ class FrameReceiver:
         boot_id: int,
         now: HostTime,
         *,
-        together: bool = True,
+        singly: bool = False,
     ) -> list[Accepted]:
         """Receive frames that were read together: count them, and put them into the queue with number and time.
 
         Returns
         -------
         list of Accepted
-            The frames that do not merely follow the one before them; all of them without `together`.
+            The frames that do not merely follow the one before them; all of them if `singly`.
 
         Raises
         ------
@@ -162,7 +162,7 @@ class FrameReceiver:
         begun = []
         start, half_gate_ticks = 0, self._gate_ticks // 2
         while start < len(frames):
-            count = self._numbering.count_following(frames, start) if together else 0
+            count = 0 if singly else self._numbering.count_following(frames, start)
             if count:
                 ticks = frames[start + count - 1].board_ticks
                 middle = scale.at(ticks - half_gate_ticks)

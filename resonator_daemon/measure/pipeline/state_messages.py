@@ -141,7 +141,7 @@ class StateMessages:
                 for site, position in zip(plate.site_ids, _pairs(plate.site_positions_m), strict=True)
             ),
             grid=self._grid(),
-            skin=self._skin(),
+            skin=plate.skin and SkinInfo.model_validate(plate.skin, from_attributes=True),
             calibration=self._calibration(),
             codes=self._sensor.site_codes,
             pilot_hz=self._sensor.pilot_hz,
@@ -162,19 +162,6 @@ class StateMessages:
             return None
         origin_m, *_ = _pairs(self._plate.site_positions_m)
         return GridInfo(origin_m=origin_m, pitch_m=grid.pitch_m, shape=grid.shape)
-
-    def _skin(self) -> SkinInfo | None:
-        skin = self._plate.skin
-        if not skin:
-            return None
-        return SkinInfo(
-            youngs_modulus_pascal=skin.youngs_modulus_pascal,
-            poisson_ratio=skin.poisson_ratio,
-            depth_m=skin.depth_m,
-            gain_std=skin.gain_std,
-            correlation_length_m=skin.correlation_length_m,
-            tangential_ratio=skin.tangential_ratio,
-        )
 
     def _calibration(self) -> CalibrationInfo:
         calibration = self._plate.calibration
