@@ -22,8 +22,8 @@ from resonator_daemon.mqtt.broker_connection import MQTT_5, InFlight
 from resonator_daemon.mqtt.broker_limits import BrokerLimits
 from resonator_daemon.mqtt.codec import decode, decoded, encode
 from resonator_daemon.mqtt.message_account import Account
-from resonator_daemon.mqtt.outbox import Outbox, Packet
-from resonator_daemon.mqtt.packets import properties_of
+from resonator_daemon.mqtt.outbox import Outbox
+from resonator_daemon.mqtt.packets import Packet, properties_of
 from resonator_daemon.mqtt.payloads import ContactEvent, Message
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, STATE_LINK, STATE_SENSOR, Topic
 from simulators.emulator import emulated_board
@@ -277,7 +277,7 @@ class SimulatedDaemon:
 
     def connect(self) -> None:
         self.outbox.connected(RecordingBroker(self.outbox, self._seen), at_once=True)  # type: ignore[arg-type]
-        self.outbox.republish(self.outbox.retained_topics)
+        self.outbox.retained.republish(self.outbox.retained.topics)
 
     def clock_set(self, step_ns: int) -> None:
         """Allow each topic one step back."""
@@ -310,7 +310,7 @@ class SimulatedDaemon:
         if isinstance(message, Message):
             self._account.enqueued += 1
             if topic.retained:
-                self.outbox.put_state(Packet(f"resonator/{topic.path}", encode(message), properties_of(topic)))
+                self.outbox.retained.put(Packet(f"resonator/{topic.path}", encode(message), properties_of(topic)))
             elif topic is CONTACT_EVENT:
                 self.outbox.put_event(f"resonator/{topic.path}", message)
                 self._seen.events_published += 1
@@ -334,7 +334,7 @@ class SimulatedDaemon:
     async def end(self) -> None:
         """Stop the daemon; check that each account balances."""
         self.outbox.disconnected()
-        self.outbox.close()
+        self.outbox.retained.close()
         await asyncio.wait_for(self.outbox.events.close(), _CLOSE_S)
         truth, counters = self._board.truth, self.link.machine.counters()
         # Frames of the run before a reopening are stale; those between a suspend and the next ping have no time.

@@ -142,7 +142,7 @@ class EventLog:
     @property
     def spooled(self) -> int:
         """Number of events that wait or are on their way, and are on disk."""
-        return self._on_disk + sum(event.stored for event in self._undelivered())
+        return self._on_disk + sum(event.stored for event in self._undelivered()) if self._file is not None else 0
 
     def put(self, topic: str, message: ContactEvent) -> None:
         """Append an event; where memory is full, the oldest in it goes: to the disk that has it already, or lost."""

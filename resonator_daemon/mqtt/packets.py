@@ -4,7 +4,7 @@ Packets are those of MQTT 5, section 3.3.
 """
 
 from functools import cache
-from typing import Final
+from typing import Final, NamedTuple
 
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
@@ -56,6 +56,18 @@ def pack(
 @cache
 def properties_of(topic: Topic[Message]) -> PackedProperties:
     return pack(content_type=topic.content_type, expiry_s=topic.expiry_s)
+
+
+class Packet(NamedTuple):
+    """A message as it goes to the broker."""
+
+    topic: str
+    payload: bytes
+    properties: PackedProperties
+
+    @property
+    def size_bytes(self) -> int:
+        return len(self.payload)
 
 
 class StreamPackets:

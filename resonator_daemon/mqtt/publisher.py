@@ -18,12 +18,11 @@ from resonator_daemon.mqtt.broker_limits import BrokerLimits
 from resonator_daemon.mqtt.codec import Encoded, Incoming, Outgoing, encode
 from resonator_daemon.mqtt.event_log import EventPage
 from resonator_daemon.mqtt.message_account import Account, Cause
-from resonator_daemon.mqtt.outbox import Outbox, Packet
+from resonator_daemon.mqtt.outbox import Outbox
 from resonator_daemon.mqtt.pacing import Decimator
-from resonator_daemon.mqtt.packets import StreamPackets, pack, properties_of
+from resonator_daemon.mqtt.packets import Packet, StreamPackets, pack, properties_of
 from resonator_daemon.mqtt.payloads import ContactEvent, Header, Message, MessageAccount
 from resonator_daemon.mqtt.reconnection import keep_connected
-from resonator_daemon.mqtt.retained_topics import RetainedTopics
 from resonator_daemon.mqtt.topics import JSON, MessageT, Topic
 
 FRESH_S: Final = 0.25  # streams of a live sensor that have waited longer are dropped
@@ -126,9 +125,9 @@ class Publisher:
         self._limits = BrokerLimits()  # that attempts have shown since the last connection, for the next last will
         self._connections = 0
         self.counts = Account()
-        self._outbox = Outbox(self.counts, spool_directory, stream_wait_max_s, boot_id=boot_id)
+        self._outbox = Outbox(self.counts, spool_directory, stream_wait_max_s, boot_id=boot_id, restore=self._restore)
+        self._retained = self._outbox.retained
         self._announce = announce
-        self._retained = RetainedTopics(self._restore)
         self._streams: dict[tuple[str, str], _Stream] = {}  # by base and path
         self._denied: set[str] = set()  # filters whose refusal was logged
         self._defects: set[tuple[str, type[Exception]]] = set()  # filters, and kinds of errors that were logged
@@ -182,7 +181,7 @@ class Publisher:
         """Restore at once the retained topics that another publisher overwrote last."""
         self._retained.restore_now()
         if self.protocol == "3.1.1":  # what others send is not received there
-            self._outbox.republish(self._outbox.retained_topics)
+            self._retained.republish(self._retained.topics)
 
     def answer(self, outgoing: Outgoing) -> None:
         """Send an answer to a command, after all events: a flood of commands costs nobody an event."""
@@ -203,7 +202,6 @@ class Publisher:
         finally:
             self._closed = True
             self._retained.close()
-            self._outbox.close()
             try:
                 await self._outbox.events.close()
             finally:
@@ -251,10 +249,9 @@ class Publisher:
         return refused is None
 
     def _put_retained(self, packet: Packet) -> None:
-        if packet.topic not in self._outbox.retained_topics and self._client is not None:
+        if packet.topic not in self._retained.topics and self._client is not None:
             self._watch_retained(self._client, packet.topic)
-        self._retained.published(packet.topic, packet.payload)
-        self._outbox.put_state(packet)
+        self._retained.put(packet)
 
     def _watch_retained(self, client: BrokerConnection, topic: str) -> None:
         """Subscribe to what others send to a retained topic; before MQTT 5 every own message would come back, too."""
@@ -265,7 +262,7 @@ class Publisher:
         if topic == self._will_topic and self._announce is not None:
             self._announce()
         else:
-            self._outbox.republish((topic,))
+            self._retained.republish((topic,))
 
     def _publish_stream(self, base: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
         """Queue the message, and the same bytes on the decimated topic if its rate lets it pass."""
@@ -314,10 +311,10 @@ class Publisher:
                 subscription.topic_filter, subscription.qos, retain_as_published=subscription.retain_as_published
             )
         subscribed = {subscription.topic_filter for subscription in self._subscriptions}
-        for topic in self._outbox.retained_topics - subscribed:
+        for topic in self._retained.topics - subscribed:
             self._watch_retained(client, topic)
         self._on_connected(self._connections)
-        self._outbox.republish(self._outbox.retained_topics)
+        self._retained.republish(self._retained.topics)
         try:
             await asyncio.wait([client.lost])
         finally:

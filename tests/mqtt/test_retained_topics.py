@@ -8,8 +8,10 @@ from observer import observe, skipping
 
 from resonator_daemon.mqtt import topics
 from resonator_daemon.mqtt.codec import Incoming
+from resonator_daemon.mqtt.message_account import Account
+from resonator_daemon.mqtt.outbox import QUIET_S, RetainedTopics
+from resonator_daemon.mqtt.packets import Packet, pack
 from resonator_daemon.mqtt.publisher import Subscription
-from resonator_daemon.mqtt.retained_topics import QUIET_S, RetainedTopics
 
 LINK, SENSOR = f"{LEFT}/state/link", f"{LEFT}/state/sensor"
 
@@ -20,9 +22,10 @@ def foreign(topic: str, payload: bytes = b"junk") -> Incoming:
 
 async def test_many_foreign_messages_cause_few_restorations(monkeypatch: pytest.MonkeyPatch) -> None:
     restored: list[str] = []
-    retained, skip = RetainedTopics(restored.append), skipping(monkeypatch)
+    retained = RetainedTopics(Account(), lambda: None, restored.append)
+    skip = skipping(monkeypatch)
     for topic in (LINK, SENSOR):
-        retained.published(topic, b"{}")
+        retained.put(Packet(topic, b"{}", pack()))
     for number in range(400):  # in 8 s
         retained.receive(foreign(LINK, b"junk %d" % number))
         await skip(0.02)
@@ -39,7 +42,7 @@ async def test_many_foreign_messages_cause_few_restorations(monkeypatch: pytest.
         await skip(seconds)
     assert restored == [LINK] * 9
     retained.receive(foreign(LINK))
-    retained.published(LINK, b"{}")  # is newer
+    retained.put(Packet(LINK, b"{}", pack()))  # is newer
     await skip(60.0)
     for topic in (LINK, SENSOR):
         retained.receive(foreign(topic))
