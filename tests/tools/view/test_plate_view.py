@@ -15,6 +15,11 @@ def view() -> PlateView:
     return PlateView("left")
 
 
+def link_state(view: PlateView) -> str | None:
+    message = view.last(STATE_LINK)
+    return None if message is None else message.state
+
+
 def test_rate_is_messages_that_arrived_within_the_last_second(view: PlateView) -> None:
     for number in range(250):  # 200/s for 0.5 s, then 100/s for 1.5 s
         at_ns = NOW_NS + (number * S // 200 if number < 100 else S // 2 + (number - 100) * S // 100)
@@ -68,9 +73,7 @@ def test_retained_messages_of_an_earlier_run_do_not_hide_the_present_one(view: P
     view.add("info", info({7: (0.0, 0.0)}), NOW_NS)
     view.add("state/link", state("waiting", **now), NOW_NS)
     assert view.last(INFO) is None
-    at_link = view.last(STATE_LINK)
-    assert at_link is not None
-    assert at_link.state == "waiting"
+    assert link_state(view) == "waiting"
     assert view.last(STATE_DAEMON) is not None
 
 
@@ -78,10 +81,6 @@ def test_retained_messages_of_a_run_whose_clock_is_behind_are_found_once_it_meas
     behind = {"daemon_boot_id": "new", "t_ns": NOW_NS - 3600 * S}
     view.add("state/link", state("lost"), NOW_NS)
     view.add("state/link", state("online", **behind), NOW_NS)
-    at_link = view.last(STATE_LINK)
-    assert at_link is not None
-    assert at_link.state == "lost"
+    assert link_state(view) == "lost"
     view.add("forces", forces(**behind), NOW_NS)
-    at_link = view.last(STATE_LINK)
-    assert at_link is not None
-    assert at_link.state == "online"
+    assert link_state(view) == "online"
