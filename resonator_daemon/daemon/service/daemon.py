@@ -18,7 +18,6 @@ from resonator_daemon.base.host.files import runtime_directory
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.state_log import StateLog
 from resonator_daemon.base.host.systemd import ServiceManager, tag_log
-from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.config.tables import plate_name
@@ -83,12 +82,6 @@ async def serve(store: ConfigStore) -> None:
         await service.run()
 
 
-def frames_waiting_bytes(plate: Plate) -> int:
-    """Return the memory that the frames take that may wait to be measured."""
-    frames = math.ceil(_FRAMES_WAITING_S * plate.counter.frame_rate_hz)
-    return frames * (plate.frame_bytes + _FRAME_OVERHEAD_BYTES)
-
-
 class Service:
     """One board from its bytes to its messages."""
 
@@ -114,12 +107,13 @@ class Service:
             is_late=self._is_late,
         )
         self._arrivals = ArrivalLoop(self._pop_arrivals, self._handle, self._plate_publisher.batch, self._over)
+        frames_waiting = math.ceil(_FRAMES_WAITING_S * config.plate.counter.frame_rate_hz)
         self._reader = BoardReader(
             config.link,
             config.plate,
             self._arrivals.wake,
             step_frames=self._pipeline.sensor.wake_frames,
-            frame_queue_bytes=frames_waiting_bytes(config.plate),
+            frame_queue_bytes=frames_waiting * (config.plate.frame_bytes + _FRAME_OVERHEAD_BYTES),
             on_event=self._recording.put,
             replay=replay_of(config.link, config.plate),
         )
@@ -145,7 +139,7 @@ class Service:
 
     async def run(self) -> None:
         """Run until `stop`; raises UserError."""
-        for note in self._config.notes:
+        for note in self._store.config.notes:
             log.warning("%s", note)
         gc.freeze()  # what was imported stays: a look through all of it would cost tens of milliseconds
         try:
@@ -153,8 +147,8 @@ class Service:
                 helpers = {name: self._tasks.create_task(work, name=name) for name, work in self._helpers().items()}
                 if await self._may_begin():
                     self._publish_measuring()
-                    if self._config.name is not None:
-                        await self._keep_recording(self._begin_publishing(self._config.name))  # from the first byte on
+                    if (name := self._store.config.name) is not None:
+                        await self._keep_recording(self._begin_publishing(name))  # from the first byte on
                     self._reader.start()
                 await self._over
                 self._manager.stopping()
@@ -186,17 +180,14 @@ class Service:
             log.info("%s", why)
         self._end()
 
-    def _end(self) -> None:
+    def _end(self, fatal: UserError | None = None) -> None:
+        self._fatal = fatal or self._fatal
         if not self._over.done():
             self._over.set_result(None)
 
     def reload(self) -> None:
         """Read the configuration again, and take what can change while all goes on; from the event loop."""
         self._reload_requested.set()
-
-    @property
-    def _config(self) -> Config:
-        return self._store.config
 
     @property
     def link_counters(self) -> LinkCounters:
@@ -207,14 +198,14 @@ class Service:
         self._name = self._pipeline.headers.name = name
         tag_log(name)
         recordings = RecordingCommands(
-            self._config,
+            self._store.config,
             name,
             self._recording,
             daemon_boot_id=self.daemon_boot_id,
             config_sha256=self._store.sha256,
         )
         handlers = CommandHandlers(
-            self._config,
+            self._store.config,
             self.daemon_boot_id,
             recordings,
             pipeline=self._pipeline,
@@ -239,23 +230,23 @@ class Service:
         while True:
             await self._reload_requested.wait()
             self._reload_requested.clear()  # the file may change again while it is read
-            await self._reload()
+            self._manager.reloading()
+            found = await self._store.reload()
+            if found is not None and found.live:
+                await self._adopt(self._store.config, found.live)
+            self._publish_measuring()
+            if self._ready:
+                self._manager.ready(self._sentence())
 
-    async def _reload(self) -> None:
-        self._manager.reloading()
-        found = await self._store.reload()
-        config = self._store.config
-        if found is not None and found.live:
-            if any(key.startswith("measurement.") for key in found.live):
-                await self._control_requests.apply(SetWindow(measurement=config.measurement))
-            self._pipeline.allow(config.commands.allow)
-            self._plate_publisher.set_allowed(config.commands.allow)
-            self._recorded.include_messages = config.recording.include_messages
-            if self._recordings is not None:
-                await self._recordings.adopt(config, self._store.sha256)
-        self._publish_measuring()
-        if self._ready:
-            self._manager.ready(self._sentence())
+    async def _adopt(self, config: Config, changed: tuple[str, ...]) -> None:
+        """Use the values of keys that were changed."""
+        if any(key.startswith("measurement.") for key in changed):
+            await self._control_requests.apply(SetWindow(measurement=config.measurement))
+        self._pipeline.allow(config.commands.allow)
+        self._plate_publisher.set_allowed(config.commands.allow)
+        self._recorded.include_messages = config.recording.include_messages
+        if self._recordings is not None:
+            await self._recordings.adopt(config, self._store.sha256)
 
     def _make_offline(self, reason: Reason) -> State:
         now_ns = time.time_ns()
@@ -300,8 +291,8 @@ class Service:
         try:
             recordings = self._begin_publishing(plate_name(serial_number))
         except ValueError as error:
-            self._fatal = ConfigurationError(f"serial number {serial_number!r} {error}; set name in the configuration")
-            self._end()
+            why = f"serial number {serial_number!r} {error}; set name in the configuration"
+            self._end(ConfigurationError(why))
             return False
         self._tasks.create_task(self._keep_recording(recordings), name="recording")
         return True
@@ -310,8 +301,7 @@ class Service:
         if self._pipeline.board is not None:
             return  # the right board was here before and may come back
         error = IncompatibleBoardError if refused.other_protocol else ConfigurationError
-        self._fatal = error(*(problem.text for problem in refused.problems))
-        self._end()
+        self._end(error(*(problem.text for problem in refused.problems)))
         self._daemon.become(Condition.REFUSED, all_of(refused.problems), time.time_ns())
 
     def _make_decoder(self, settings: "SurfaceSettings", client: "SurfaceClient[Any]") -> "DecoderSupervisor[Any]":
@@ -334,11 +324,8 @@ class Service:
         """Publish the state of the daemon where its reason is another one than before."""
         link = self._pipeline.link
         measuring = link is not None and link.state == Condition.ONLINE
-        now = (
-            Reason(ReasonCode.MEASURING, "measuring")
-            if measuring
-            else Reason(ReasonCode.NO_BOARD, "no board sends frames")
-        )
+        no_board = Reason(ReasonCode.NO_BOARD, "no board sends frames")
+        now = Reason(ReasonCode.MEASURING, "measuring") if measuring else no_board
         reason = all_of(filter(None, (self._store.remark, now)))
         if reason != self._reason:
             self._reason = reason
@@ -353,7 +340,7 @@ class Service:
             "reloading": self._keep_reloading(),
             "status": self._answer_status(self._status_server),
         }
-        if (listen := self._config.metrics.listen) is not None:
+        if (listen := self._store.config.metrics.listen) is not None:
             helpers["metrics"] = MetricsServer(listen, self._status).run()
         return helpers
 
@@ -369,8 +356,7 @@ class Service:
         try:
             await server.run()
         except AlreadyRunningError as error:
-            self._fatal = error
-            self._end()
+            self._end(error)
 
     async def _keep_watch(self) -> None:
         """Report readiness and liveness to the service manager."""
@@ -415,7 +401,7 @@ class Service:
                     "sensor": last(STATE_SENSOR.path),
                     "health": self._health,
                     "broker": BrokerStatus(
-                        url=self._config.mqtt.anonymous().url, connected=self._plate_publisher.connected
+                        url=self._store.config.mqtt.anonymous().url, connected=self._plate_publisher.connected
                     ),
                     "recording": recording_info(self._recording),
                 }

@@ -73,9 +73,7 @@ class RecordingCommands:
             self._label, self._by_config = request.label, False
             if (now := self._switch.current) is None:
                 raise CommandRefusedError("recording_failed", "the daemon is stopping", "send it again when it is back")
-            return verbs.StartRecordingAnswer(
-                file=as_json_text(now.path), since_t_ns=now.since.utc_ns, was_active=False
-            )
+            return self._answer(now, was_active=False)
 
     async def keep_recording(self) -> None:
         """Record from now on, if `continuous` is configured and nothing is recorded."""
@@ -129,7 +127,11 @@ class RecordingCommands:
             raise CommandRefusedError(
                 "recording", f"{as_json_text(now.path)} is being recorded", "send stop_recording first"
             )
-        return verbs.StartRecordingAnswer(file=as_json_text(now.path), since_t_ns=now.since.utc_ns, was_active=True)
+        return self._answer(now, was_active=True)
+
+    def _answer(self, now: Recorder, *, was_active: bool) -> verbs.StartRecordingAnswer:
+        file, since_t_ns = as_json_text(now.path), now.since.utc_ns
+        return verbs.StartRecordingAnswer(file=file, since_t_ns=since_t_ns, was_active=was_active)
 
     def _begin(self, label: str | None) -> None:
         """Begin a recording; it takes a while, and waits for the disk."""
