@@ -47,6 +47,7 @@ def outcome_of(
 
 def test_three_loads_of_one_site_that_do_not_fit_are_found() -> None:
     outcome, (outlier,) = outcome_of(ONE, laid_kg=BAD)
+    assert len(outcome.fit.residual_newton) == 2 * 3  # a row for each load that comes, and for each that goes
     assert outcome.doubtful == ()  # two of them always fit
     assert [step.number for step in outlier.steps] == [1, 2, 3]
     # Five times a scatter of 1.5 % in each of four channels, and masses good to 0.1 %. Two of three go into the line.

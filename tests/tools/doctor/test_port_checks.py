@@ -77,16 +77,19 @@ def test_modem_manager_is_a_warning_until_a_rule_keeps_it_away(computer: MadeUpH
 
 
 @pytest.mark.parametrize(
-    ("rule", "outcome"),
+    ("rule", "ids", "outcome"),
     [
-        ('ENV{PRODUCT}=="1a86/7523/*", GOTO="brltty"', Outcome.WARNING),
-        ('# ENV{PRODUCT}=="1a86/7523/*"', Outcome.OK),
-        ('ENV{PRODUCT}=="403/6001/*"', Outcome.OK),
+        ('ENV{PRODUCT}=="1a86/7523/*", GOTO="brltty"', "1a86 7523", Outcome.WARNING),
+        ('# ENV{PRODUCT}=="1a86/7523/*"', "1a86 7523", Outcome.OK),
+        ('ENV{PRODUCT}=="403/6001/*"', "1a86 7523", Outcome.OK),
+        ('ENV{PRODUCT}=="403/6001/*"', "0403 6001", Outcome.WARNING),
     ],
 )
 def test_brltty_is_a_warning_where_its_rules_name_the_adapter(
-    computer: MadeUpHost, rule: str, outcome: Outcome
+    computer: MadeUpHost, rule: str, ids: str, outcome: Outcome
 ) -> None:
+    for name, text in zip(("idVendor", "idProduct"), ids.split(), strict=True):
+        computer.write(f"{USB}/{name}", text)
     computer.write("usr/lib/udev/rules.d/85-brltty.rules", rule)
     assert found(computer.host())["port.brltty"].outcome is outcome
 
