@@ -56,6 +56,8 @@ async def daemon(
         running.publisher.publish(running.base, STATE_DAEMON, state("online", "measuring"))
         info = Info.model_validate({**EXAMPLES["Info"], "link": LINK, "serial_number": name})
         running.publisher.publish(running.base, INFO, info)
+        while running.publisher.account.waiting:  # noqa: ASYNC110 - the publisher offers no event for it
+            await asyncio.sleep(0.001)
         yield
 
 
