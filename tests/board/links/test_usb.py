@@ -87,8 +87,8 @@ def sha256(host: UsbHost, data: bytes) -> object:
 def test_a_stall_is_cleared(board: BoardEnd[UsbLink], host: UsbHost) -> None:
     host.run(f"open_link({LINK!r})")
     host.run("""
-calls, clear = [], link._backend.clear_halt
-link._backend.clear_halt = lambda handle, endpoint: (calls.append(endpoint), clear(handle, endpoint))
+calls, clear = [], usb_link.usb_backend().clear_halt
+usb_link.usb_backend().clear_halt = lambda handle, endpoint: (calls.append(endpoint), clear(handle, endpoint))
 """)
     for times in (1, 2, 3, 4, 5):  # more than may follow each other
         board.link.stall()
@@ -205,10 +205,10 @@ def test_a_board_among_several_must_be_named(monkeypatch: pytest.MonkeyPatch) ->
 def test_what_a_system_does_not_support_ends_a_link(
     board: BoardEnd[UsbLink], host: UsbHost, call: str, source: str, reason: str
 ) -> None:
-    host.run(f"open_link('{LINK}&reset=yes'); link._backend.{call} = unsupported")
+    host.run(f"open_link('{LINK}&reset=yes'); usb_link.usb_backend().{call} = unsupported")
     board.link.stall()
     assert loss(host, source) == reason
-    host.run("link._backend.release_interface = unsupported; link.close()")
+    host.run("usb_link.usb_backend().release_interface = unsupported; link.close()")
 
 
 def test_a_device_that_shows_no_descriptors_hides_no_board(monkeypatch: pytest.MonkeyPatch) -> None:

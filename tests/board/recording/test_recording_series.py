@@ -142,8 +142,8 @@ def test_after_an_error_a_recording_goes_on_in_a_new_file(tmp_path: Path) -> Non
     with Recorder(Series(tmp_path, "left", resumes=True), LEFT, times=NO_PAUSE) as recorder:
         recorder.put(Opened(at(0)))
         wait_until(lambda: recorder.written.events == 1)
-        assert recorder._file is not None
-        os.close(recorder._file._file.fileno())  # as a disk that was pulled out
+        opened = {os.path.realpath(file): int(file.name) for file in Path("/proc/self/fd").iterdir()}
+        os.close(opened[str(recorder.path)])  # as a disk that was pulled out
         shutil.rmtree(tmp_path)
         recorder.put(Received(at(1), Random(1).randbytes(600_000)))
         wait_until(lambda: recorder.failure is not None)
