@@ -80,7 +80,7 @@ class Followed:
         await asyncio.sleep(0.01)
 
     async def prepare(self, message: Info) -> None:
-        """Send an info, and untouched frames until its decoder is set up; their results are discarded."""
+        """Send an info, and untouched frames until its decoder is set up; all but events is discarded."""
         await self.send_info(message)
         published, decoded = len(self.published), self.account.decoded
         sites = len(message.sites)
@@ -89,7 +89,7 @@ class Followed:
             self.send(signals(0, np.zeros((3, sites)), noise_std=noise_std))
             await asyncio.sleep(0.01)
         await until(lambda: self.account.waiting == 0 and self.published[-1][1] == "contacts")
-        del self.published[published:]
+        self.published[published:] = [each for each in self.published[published:] if each[1] == "contacts/event"]
 
     def send(self, message: Signals) -> None:
         self._signals.handle(incoming(self._signals.topic_filter, encode(message)))
