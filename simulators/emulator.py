@@ -33,7 +33,6 @@ from simulators.presses import Presses
 from simulators.quartz_plate import QuartzPlate
 from simulators.scenario import Scenario, load_scenario
 from simulators.scenario_file import default_scenario
-from simulators.skin_plate import SkinPlate
 from simulators.truth import TruthOutput, truth_line
 
 SERIAL_NUMBER = "EMU-0001"
@@ -383,6 +382,8 @@ def emulated_board(
     elif FORCE_SIGNAL in plate.signals:
         emulated = CombPlate(plate, scenario, seed)
     else:
+        from simulators.skin_plate import SkinPlate  # here: its splines are slow to import, and few plates have a skin
+
         emulated = SkinPlate(plate, scenario, seed, reference_error=scenario.physics.reference_error)
     gate_ticks = None
     if one_gate:
