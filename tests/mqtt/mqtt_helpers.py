@@ -1,7 +1,9 @@
 """What the tests of publishing share: a scripted broker, and a publisher that must account for everything."""
 
 import asyncio
+import hashlib
 import math
+from base64 import b64encode
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
@@ -187,3 +189,10 @@ async def received_events(observer: Observer, last: int) -> list[dict[str, Any]]
         assert event["replayed"] or event["seq"] not in seen
         seen.setdefault(event["seq"], event)
     return list(seen.values())
+
+
+def password_line(name: str, password: str) -> str:
+    """As mosquitto_passwd writes it: PBKDF2 with SHA-512."""
+    salt = b"twelve bytes"
+    digest = hashlib.pbkdf2_hmac("sha512", password.encode(), salt, 101)
+    return f"{name}:$7$101${b64encode(salt).decode()}${b64encode(digest).decode()}\n"

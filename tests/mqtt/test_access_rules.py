@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 import trustme
 from brokers import Mosquitto, free_port
-from mosquitto_passwords import password_line
-from mqtt_helpers import until
+from mqtt_helpers import password_line, until
 from paho.mqtt.client import topic_matches_sub
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode

@@ -9,8 +9,7 @@ from urllib.parse import urlsplit
 import aiomqtt
 import pytest
 from brokers import Amqtt, Mosquitto
-from mosquitto_passwords import password_line
-from mqtt_helpers import LEFT, Messages, publishing, until
+from mqtt_helpers import LEFT, Messages, password_line, publishing, until
 from observer import Observer, observe
 
 from resonator_daemon.board.config.mqtt import Mqtt

@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 import trustme
 from brokers import Mosquitto
-from mosquitto_passwords import password_line
-from mqtt_helpers import QUICK, said, until
+from mqtt_helpers import QUICK, password_line, said, until
 from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.board.config.mqtt import Mqtt
