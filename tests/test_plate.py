@@ -268,4 +268,4 @@ def test_a_sensor_that_no_package_has_is_refused_with_those_that_are_there(tmp_p
     with pytest.raises(ConfigurationError, match="multitone, single-tone, skin"):
         load_plate(tmp_path / "two.toml")
     (tmp_path / "two.toml").write_text(FORCE_PLATE.replace(PILOT, PILOT + 'sensor = "single-tone"\n'))
-    assert load_plate(tmp_path / "two.toml").sensor_kind == "single-tone"
+    assert load_plate(tmp_path / "two.toml").default_sensor == "single-tone"

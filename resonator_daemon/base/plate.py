@@ -263,10 +263,8 @@ class Plate(Table):
         return tuple(signal for signal in FORCE_SIGNALS if signal in present)
 
     @property
-    def sensor_kind(self) -> str:
+    def default_sensor(self) -> str:
         """Kind of sensor that the plate with its counter amounts to, an entry of `resonatord.sensors`."""
-        if self.counter.sensor is not None:
-            return self.counter.sensor
         if self.skin is not None:
             return "skin"
         return "single-tone" if self.counter.kind == "single-tone" else "multitone"

@@ -41,6 +41,8 @@ class Sensor(ABC, Generic[Reading]):
 
     Attributes
     ----------
+    replaces
+        The kind of sensor of resonatord whose plates this kind measures; of those kinds, their own name.
     result
         Topic of the results whose latency counts.
     adjustable
@@ -49,6 +51,7 @@ class Sensor(ABC, Generic[Reading]):
         Whether readings at rest do not depend on what was before; drift of force sites is followed for hours.
     """
 
+    replaces: ClassVar[str]
     result: ClassVar[Topic[Any]]
     adjustable: ClassVar[bool]
     independent_at_rest: ClassVar[bool] = False
@@ -177,13 +180,18 @@ def sensor_of(plate: Plate, measurement: Measurement | None = None, decoding: De
     Raises
     ------
     ConfigurationError
-        No installed package has this kind of sensor.
+        No installed package has this kind of sensor, or it measures other plates.
     """
-    kind = load_entry("sensors", plate.sensor_kind, _is_sensor)
+    name = plate.counter.sensor or plate.default_sensor
+    kind: type[Sensor[Any]] | None = load_entry("sensors", name, _is_sensor)
     if kind is None:
-        raise ConfigurationError(f"plate {plate.name!r}: no package has a usable sensor {plate.sensor_kind!r}")
-    sensor: Sensor[Any] = kind(plate, measurement or Measurement(), decoding or Decoding())
-    return sensor
+        raise ConfigurationError(f"plate {plate.name!r}: counter.sensor: no package has a usable sensor {name!r}")
+    if kind.replaces != plate.default_sensor:
+        raise ConfigurationError(
+            f"plate {plate.name!r}: counter.sensor: {name!r} measures plates of the kind {kind.replaces!r}, "
+            f"but this is one of the kind {plate.default_sensor!r}; take a plate of that kind, or another sensor"
+        )
+    return kind(plate, measurement or Measurement(), decoding or Decoding())
 
 
 def _is_sensor(kind: Any) -> bool:

@@ -389,6 +389,8 @@ def _pitch_m(positions_m: Floats) -> float:
 class MultitoneSensor(ForceSensor):
     """Force sites, each with a tone that is always counted."""
 
+    replaces = "multitone"
+
     @property
     def expected_tones(self) -> ExpectedTones:
         return force_tones(self.plate)

@@ -19,6 +19,7 @@ _ONSET_S: Final = 0.005  # an onset waits no longer for the frames after it
 class SingleToneSensor(ForceSensor):
     """Force sites, of which the touched one takes the place of the pilot on each corner."""
 
+    replaces = "single-tone"
     _processing: SingleToneProcessing | None = None
 
     @property

@@ -44,6 +44,7 @@ Origin = tuple[SkinReading, Instant]
 class SkinSensor(Sensor[SkinReading]):
     """Sites under a skin, each with three signals."""
 
+    replaces = "skin"
     result: ClassVar[Topic[Any]] = DECODED
     adjustable: ClassVar[bool] = False
     independent_at_rest: ClassVar[bool] = True

@@ -3,15 +3,19 @@
 import math
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from resonator_daemon.base import plate as plate_module
+from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.board.config.tables import Measurement
 from resonator_daemon.measure.sensors.base import sensor_of
 from resonator_daemon.measure.sensors.plate_sites import force_sites
 
+PLATES = Path(plate_module.__file__).parent / "plates"
 QUARTZ, COMB = load_plate("quartz16"), load_plate("comb16")
 
 
@@ -97,3 +101,15 @@ def test_a_site_with_a_thermometer_needs_no_guess_of_what_touches_it() -> None:
     assert np.flatnonzero(sites.warmth.contact_std_kelvin == 0.0).tolist() == list(warm)
     assert np.all(sites.f0_hz[:, 0] == 9.9e6 + 8000.0 * np.arange(16))
     assert np.all(sites.sensitivity < 0)
+
+
+@pytest.mark.parametrize("plate", ["quartz16", "comb16", "skin32"])
+@pytest.mark.parametrize("kind", ["single-tone", "multitone", "skin", "nosuch"])
+def test_a_kind_of_sensor_for_other_plates_is_refused(plate: str, kind: str, tmp_path: Path) -> None:
+    text = (PLATES / f"{plate}.toml").read_text()
+    (tmp_path / "p.toml").write_text(text.replace("[counter]\n", f'[counter]\nsensor = "{kind}"\n'))
+    if kind == load_plate(plate).default_sensor:
+        assert sensor_of(load_plate(tmp_path / "p.toml")).replaces == kind
+    else:
+        with pytest.raises(ConfigurationError, match=r"counter\.sensor"):
+            sensor_of(load_plate(tmp_path / "p.toml"))
