@@ -69,7 +69,7 @@ class Requests:
         return bool(self._unanswered or self._waiting)
 
     def send(self, request_type: MessageType, payload: bytes = b"") -> Request:
-        """Send a request as soon as there is room. One of the same type that still waits gives way to it."""
+        """Send a request as soon as there is room. It replaces one of the same type that still waits."""
         if self._waiting:
             self._waiting = deque(waiting for waiting in self._waiting if waiting.type is not request_type)
         self.number = (self.number + 1) & 0xFFFFFFFF
@@ -326,7 +326,7 @@ class HostSession:
         self._move(Cue.RESUME)
 
     def stop(self) -> None:
-        """Ask the board to stop counting; nobody waits for the answer, frames are stale from here."""
+        """Request that the board stops counting. The answer is not awaited; later frames are stale."""
         self._move(Cue.STOP)
 
     def locate(self) -> None:

@@ -1,6 +1,6 @@
 """The wire's numbers: message types, record layouts and field tables, as data.
 
-`struct` (here) and numpy (in the rooms that may use it) read the same tables, so that no format is written twice.
+`struct` (here) and numpy (in the packages that may use it) read the same tables, so that no format is written twice.
 """
 
 import struct

@@ -104,7 +104,7 @@ class BoardStatus:
 
 @dataclass(frozen=True, slots=True)
 class BoardLog:
-    """A line that the board wants a person to read."""
+    """A line of text from the board, for a person."""
 
     level: int
     text: str

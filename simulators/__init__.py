@@ -1,1 +1,1 @@
-"""Emulated plate and board: what the daemon sees when no hardware is at hand."""
+"""Emulated plate and board, which replace the hardware for users and tests."""

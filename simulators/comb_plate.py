@@ -79,7 +79,7 @@ class CombPlate:
         turns = np.concatenate([self._turns[np.newaxis], offset_hz * gate_s]).cumsum(axis=0)
         self._turns = turns[-1] % 1.0
         middle_turns = turns[:-1] + offset_hz * (gate_s / 2.0)
-        # White frequency noise within a gate, as a regression over it sees it.
+        # White frequency noise within a gate, as it affects a regression over that gate.
         force, site = self._force_tones, self._tones.site_index[self._force_tones]
         excess, strayed_s = gates.sites.regression_excess[:, site], gates.sites.phase_mean_s[:, site]
         offset_hz[..., force] += excess[:, np.newaxis] * frequency_hz[..., force]

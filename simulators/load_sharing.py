@@ -55,7 +55,7 @@ def site_loads(pressing: Pressing, plate: Plate) -> SiteLoads:
 
 
 def _shares(positions_m: Floats, plate: Plate) -> Floats:
-    """Share (..., sites) that each site bears of a touch at each place (..., 2).
+    """Share (..., sites) that each site carries of a touch at each place (..., 2).
 
     Under a cover of width w that is (1 + r^2/w^2)^(-3/2); else r^-exponent relative to all sites, so that a touch
     exactly on a site loads that one alone.

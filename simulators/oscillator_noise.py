@@ -33,8 +33,8 @@ class OscillatorNoise:
     down to 1e-5 Hz, each of variance h-1 d(ln f), stationary from the start; level to 2.5 % from a gate to 3000 s.
     Random-walk FM with h-2 = 3 s^2 / (2 pi^2) walks by sqrt(2 pi^2 h-2 dt) a gate, from 0 (IEEE 1139; NIST SP 1065).
 
-    White FM is the one that moves within a gate as well: `phase_mean_s` and `regression_excess` are what a counter that
-    looks at more than the gate's two ends sees of it.
+    White FM is the one that moves within a gate as well: `phase_mean_s` and `regression_excess` are its effects on a
+    counter that measures more than the gate's two ends.
 
     Parameters
     ----------

@@ -92,7 +92,7 @@ class UsbLink:
             raise OSError("the USB side of the emulated board has ended")
         if message[:1] == _BEGIN:
             self._on_begin()
-            self._board.setblocking(True)  # the device throws away what is before it, so it finds room
+            self._board.setblocking(True)  # the device discards what came earlier, so there is room
             self._board.send(_BEGUN)
             self._board.setblocking(False)
         elif message[:1] == _RESET:

@@ -1,1 +1,1 @@
-"""What all other layers use: errors, reasons, conditions, the computer, TOML files, the plate."""
+"""What all other layers use: errors, reasons, states, the computer, TOML files, the plate."""

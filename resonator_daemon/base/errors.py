@@ -106,7 +106,7 @@ class InterruptedCommandError(UserError):
 
 
 class SystemFailureError(UserError):
-    """Error of the operating system, as of a standard output on a full disk."""
+    """Error of the operating system, such as a standard output on a full disk."""
 
     exit_code = ExitCode.FAILED
     code = "system"

@@ -41,7 +41,7 @@ def run_command(words: Sequence[str]) -> int:
         _report(arguments.command, error, as_json=getattr(arguments, "json", False))
         print_error(*error.messages)
         return error.exit_code
-    except BrokenPipeError:  # the reader of the output has what it wants, as `head`
+    except BrokenPipeError:  # the reader of the output has closed it, as `head` does
         _discard_output()
         return ExitCode.DONE
 

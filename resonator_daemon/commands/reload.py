@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    """Print each key that changed; ConfigurationError where the file cannot be used: the daemon keeps what it has."""
+    """Print each key that changed; raise ConfigurationError, and change nothing, if the file cannot be used."""
     import asyncio
 
     config = asyncio.run(_reload(arguments.name))

@@ -279,7 +279,7 @@ class BrokerConnection:
         while left >= len(packets[complete]):
             left -= len(packets[complete])
             complete += 1
-        # TLS wants to see the same bytes again, whichever it has begun to encrypt.
+        # TLS requires the same bytes again, because it may have begun to encrypt any of them.
         begun = len(packets) if isinstance(self._socket, ssl.SSLSocket) else complete + 1
         self._rest = data[sent : sent - left + sum(map(len, packets[complete:begun]))]
         self._begin(_REST, InFlight(0, self._loop.time(), None, begun - complete))

@@ -1,4 +1,4 @@
-"""Commands to the daemon on `cmd/<verb>`, and the answer to each; whatever comes in, the worst it gets is a refusal.
+"""Commands to the daemon on `cmd/<verb>`, and the answer to each; a command that cannot be executed is refused.
 
 JSON of unknown senders is read strictly: what parsers may read in more than one way is refused.
 """

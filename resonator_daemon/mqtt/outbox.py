@@ -1,4 +1,4 @@
-"""What waits for the broker, in the order of its worth: states, events, answers, streams."""
+"""What waits for the broker, in the order of its priority: states, events, answers, streams."""
 
 import asyncio
 import logging
@@ -121,7 +121,7 @@ class RetainedTopics:
                 self._restore_topic(name)
 
     def close(self) -> None:
-        """Cancel all restorations, and drop what nobody was there to take."""
+        """Cancel all restorations, and drop the messages that still wait."""
         for topic in self._topics.values():
             if topic.due is not None:
                 topic.due.cancel()

@@ -184,7 +184,7 @@ class Publisher:
             self._retained.republish(self._retained.topics)
 
     def answer(self, outgoing: Outgoing) -> None:
-        """Send an answer to a command, after all events: a flood of commands costs nobody an event."""
+        """Send an answer to a command, after all events: a flood of commands causes no loss of events."""
         if self._make(outgoing.topic, Cause.WITHDRAWN if self._closed or not self.connected else None):
             properties = pack(content_type=JSON, expiry_s=outgoing.expiry_s, correlation=outgoing.correlation)
             self._outbox.put_answer(Packet(outgoing.topic, outgoing.payload, properties))

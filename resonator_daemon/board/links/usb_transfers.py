@@ -20,7 +20,7 @@ _ERROR_INTERRUPTED = -10
 
 
 class Failure(IntEnum):
-    """Why transfers ended that nobody cancelled; numbers of `libusb_transfer_status`."""
+    """Causes of the end of transfers that were not cancelled; numbers of `libusb_transfer_status`."""
 
     ERROR = 1
     TIMED_OUT = 2

@@ -170,13 +170,13 @@ class DiskSpace:
 
     def _sizes(self, own: Path) -> Iterator[tuple[Path, int]]:
         for path in self._series.files():
-            with suppress(OSError):  # gone meanwhile, or nobody's business
+            with suppress(OSError):  # removed meanwhile, or not readable
                 info = path.lstat()
                 if path != own and stat.S_ISREG(info.st_mode) and self._is_ours(path):
                     yield path, info.st_size
 
     def _remove(self, path: Path) -> bool:
-        """Remove a recording that nobody writes; return whether it is gone."""
+        """Remove a recording that no process writes; return whether it is gone."""
         try:
             with path.open("rb") as file:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)

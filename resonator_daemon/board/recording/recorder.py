@@ -336,7 +336,7 @@ class Recorder:
             self.counts = self.counts._replace(files=self.counts.files + 1, file_bytes=file.size_bytes)
 
     def _flush(self) -> None:
-        """Hand what was written to the kernel, and look after the room on the disk."""
+        """Flush what was written to the kernel, and check the free space of the disk."""
         if self._file is None:
             return
         try:
@@ -355,7 +355,7 @@ class Recorder:
         self._update_counts()
 
     def _leave(self) -> None:
-        """End a file that nobody will find; where the series resumes, the next begins as soon as it can."""
+        """End a file that is no longer under its name; where the series resumes, the next begins as soon as it can."""
         self._end_file()
         then = "a new file is begun as soon as that can be" if self._resumes else "nothing more is recorded"
         self._report_failure(ReasonCode.FILE_GONE, f"{self.path} was removed, moved or replaced: {then}")

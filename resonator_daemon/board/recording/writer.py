@@ -156,7 +156,7 @@ class RecordingWriter:
 
     @property
     def is_gone(self) -> bool:
-        """Whether nobody finds it under its name any more: it, or its directory, was removed, moved or replaced."""
+        """Whether it is no longer under its name: it, or its directory, was removed, moved or replaced."""
         mine = os.fstat(self._file.fileno())
         try:
             there = os.stat(self.path)

@@ -242,7 +242,7 @@ class Connection:
         return due_ns
 
     def request_stop(self) -> None:
-        """Stop the board, so that it does not fill a buffer that nobody empties."""
+        """Stop the board, so that it does not fill a buffer that is no longer read."""
         self.session.stop()
 
     def close(self) -> None:

@@ -94,7 +94,7 @@ class LinkCounters:
 Tones = NDArray[np.void]
 TONE = np.dtype([(field.name, "<" + field.code) for field in TONE_FIELDS])
 _UNUSABLE = ToneFlag.NO_SIGNAL | ToneFlag.SATURATED | ToneFlag.OUT_OF_BAND
-_SINGLE_TONE_BYTES = 560  # a frame with its integers, payload and time scale, as tracemalloc sees it
+_SINGLE_TONE_BYTES = 560  # a frame with its integers, payload and time scale, as measured by tracemalloc
 _CHANNELISED_BYTES = 1400  # besides its records
 
 

@@ -95,7 +95,7 @@ class StopRequested(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """The open link went away, or the board on it is to be asked again."""
+    """The open link went away, or the board on it has to be identified again."""
 
     now: HostTime
     reason: Reason

@@ -50,7 +50,7 @@ class Pings:
             self._made += 1
 
     def answered(self, opaque: bytes) -> Ping | None:
-        """Return the ping that is answered; None where nobody waits for that."""
+        """Return the ping that is answered; None if it is not on its way."""
         ping = self.on_the_way.pop(int.from_bytes(opaque, "little"), None)
         if ping is not None:
             for before in [other for other in self.on_the_way.values() if other.sent_ns < ping.sent_ns]:

@@ -118,7 +118,7 @@ class _Probe:
             if self._described is None and now - begun > ANSWER_S:
                 raise self._no_board()
             if self._described is not None and now - begun > 2 * ANSWER_S:
-                break  # who it is is known; the rest was not answered in time
+                break  # the board is identified; the rest was not answered in time
             if self._described is not None and now >= next_ping and self._pings < _PINGS:
                 self._ping()
                 next_ping = now + PING_S

@@ -82,7 +82,7 @@ class Status(Message):
 
 
 class StatusMonitor:
-    """Makes `health` and the ages in a status of this process; to be asked by tasks of the event loop, once a second.
+    """Makes `health` and the ages in a status of this process; called by tasks of the event loop, once a second.
 
     Rates are over the time since the last `health`. Ages count by the monotonic clock since the monitor first saw the
     moment. The wall clock, which may be set, is used only for the time before that, and only if it is short.

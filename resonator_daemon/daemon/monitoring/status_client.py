@@ -1,4 +1,4 @@
-"""Asks the daemons of this computer how they are, by their sockets."""
+"""Client of the status sockets of the daemons on this computer."""
 
 import asyncio
 import grp
@@ -45,7 +45,7 @@ async def ask_all(wanted: str | None) -> list[Answer]:
 
 
 async def _ask(path: Path) -> Answer | None:
-    """Return None where nobody listens: a daemon that was killed leaves its socket."""
+    """Return None if no process listens: a daemon that was killed leaves its socket."""
     try:
         async with asyncio.timeout(ANSWER_S):
             reader, writer = await asyncio.open_unix_connection(sock=await _connect(path))

@@ -95,7 +95,7 @@ class StatusServer:
                 await asyncio.sleep(self._times.retry_s)
 
     async def _serve(self, listening: "_Listening") -> None:
-        """Answer until nobody finds the socket any more, or another daemon could take its place."""
+        """Answer until the socket is no longer under its path, or another daemon could replace it."""
         # Not asyncio's server: without free descriptors it logs a hundred errors a second.
         loop = asyncio.get_running_loop()
         answered = 0

@@ -158,7 +158,7 @@ def header_of(message: Signals) -> HeaderFields:
 
 
 def frame_of(message: Signals) -> SurfaceFrame:
-    """Return what is to be decoded of these signals."""
+    """Return the frame for the decoder, from a message of signals."""
     header = header_of(message)
     signals, noise_std = message.signals.astype(np.float64), message.noise_std.astype(np.float64)
     return SurfaceFrame(header, header["seq"], signals, noise_std)

@@ -61,7 +61,7 @@ def relief(shape: tuple[int, int], elevation_m: ArrayLike) -> Floats:
 
 
 def _distance_m(shape: tuple[int, int], pitch_m: float, radius_m: float, centre_m: Point) -> Floats:
-    """Distance of each pixel's centre from `centre_m`, after a look at all arguments."""
+    """Distance of each pixel's centre from `centre_m`, after a check of all arguments."""
     SpectralGrid(shape, pitch_m)
     if not 0.0 < radius_m < np.inf:
         raise ValueError(f"radius_m is {radius_m}, must be finite and above 0")

@@ -13,14 +13,14 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 
 # What the sites' temperature coefficients differ from the pilot's, unknown, over the plate's temperature range.
 COMMON_MODE_STD: Final = 2e-7
-# A room takes a plate through 2 K in ten minutes, 0.1 K in a second's random walk; a cut near its turnover answers with
-# 1e-7 per kelvin, and an ordinary reference clock next to it with less.
+# In a room, the temperature of a plate changes by 2 K in ten minutes: a random walk of 0.1 K in a second. A cut near
+# its turnover shifts by 1e-7 per kelvin, and an ordinary reference clock next to it by less.
 COMMON_MODE_WALK: Final = 1e-8  # relative frequency after one second
 KNOWN_CHANNELS: Final = 2  # the least that determine a site and a force
 
 SPAN_S: Final = 10.0
 WALKS: Final = 5.0  # standard deviations of the random walk over the span: never in months of a quiet room
-_LEAST_S = 5.0  # below that, what is seen is the noise of the readings
+_LEAST_S = 5.0  # over shorter spans, the noise of the readings dominates
 _EVERY_S = 0.5
 _SHIFT_PER_KELVIN = 1e-7  # of a cut near its turnover: the baseline's walk is made of as much
 _OVER = 0.5  # of the limit, below which it counts as at rest again

@@ -1,4 +1,4 @@
-"""Readings of force sites, and contacts over time: identity, onset and release with hysteresis, duration, peak."""
+"""Readings of force sites and skins, and contacts on sites over time: identity, onset, release, duration, peak."""
 
 import math
 from collections.abc import Sequence
@@ -269,7 +269,7 @@ class SkinReading:
     """Signals of one frame, the dimensionless triple [3 p_n / (2 E), eps_xz, eps_yz] and its noise, both (3, sites).
 
     `board_ticks` is the end of the gate. NaN where not known, with the cause in `status` and `reason`. `at_rest`: the
-    skin has been untouched for so long that readings to come are those of any beginning before.
+    skin has been untouched for so long that later readings do not depend on when the measurement began.
     """
 
     sequence: int

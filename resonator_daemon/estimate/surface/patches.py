@@ -143,7 +143,7 @@ class PatchFinder:
         ]
 
     def patch(self, region: Indices, load: NetLoad) -> Patch:
-        """Patch of a region that bears a load."""
+        """Patch of a region that carries a load."""
         return Patch(
             area_m2=float(self._area_m2.take(region).sum()),
             at_border=bool(self._border.take(region).any()),

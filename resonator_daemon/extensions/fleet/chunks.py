@@ -113,7 +113,7 @@ class Chunk:
         return [self.starts[self.number].begin_bytes, *ends]
 
     def is_described_by(self, report: dict[str, Any]) -> bool:
-        """Return whether a report is of the same bytes of the recording, or of more, as of a longer copy."""
+        """Return whether a report is of the same bytes of the recording, or of more, such as a longer copy."""
         reported: list[int] = report["boundaries_bytes"]
         return reported >= self.boundaries_bytes(len(self.starts) - 1)[: len(reported)]
 

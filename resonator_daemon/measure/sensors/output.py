@@ -1,4 +1,4 @@
-"""Way out of a sensor: headers, lateness and latency of its messages, its state, and the reasons that sensors share."""
+"""Output of a sensor: headers, lateness and latency of its messages, its state, and the reasons that sensors share."""
 
 import math
 from bisect import bisect_left

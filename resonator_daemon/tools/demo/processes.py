@@ -152,7 +152,7 @@ async def start_daemon(plate: str, link: str, broker_url: str, folder: Path) -> 
 
 @asynccontextmanager
 async def stopped_on_error(child: Child) -> AsyncIterator[None]:
-    """Stop the child where the context ends with an exception, as of a cancelled task."""
+    """Stop the child where the context ends with an exception, such as that of a cancelled task."""
     try:
         yield
     except BaseException:

@@ -165,7 +165,7 @@ def _repeated(
     lattice: PixelLattice,
     shape: tuple[int, int],
 ) -> Singles:
-    """Return what `site_kernel` does, for sites that lie to each other as the pixels do."""
+    """Return what `site_kernel` does, for sites that are spaced as the pixels are."""
     table = _OffsetTable(half_space, depth_m, lattice, first).at_steps()
     table /= noise_std.astype(np.float32)[:, None, None, None]
     channel, component, down, right = table.strides
