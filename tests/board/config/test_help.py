@@ -1,9 +1,11 @@
-"""The schema and the explanations say of each key what the models check."""
+"""The schema, the explanations and the page of the configuration say of each key what the models check."""
 
 import json
+import re
 import tomllib
 from typing import Any
 
+import configuration_tables
 import jsonschema
 import pytest
 
@@ -82,3 +84,11 @@ def test_the_verbs_print_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert said["verb"] == "config explain"
     (key,) = said["keys"]
     assert (key["path"], key["limits"], key["live"]) == ("mqtt.prefix", "at most 200 characters", False)
+
+
+PAGE = configuration_tables.PAGE.read_text()
+
+
+def test_example_and_keys_are_those_of_the_models() -> None:
+    assert configuration_tables.with_tables(PAGE) == PAGE, "python docs/tables/configuration_tables.py writes them"
+    assert len(re.findall(r"^- `[\w.]+` \(", PAGE, re.MULTILINE)) == len(config_keys())
