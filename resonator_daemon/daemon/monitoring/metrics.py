@@ -21,7 +21,8 @@ from prometheus_client.registry import Collector
 from resonator_daemon.base.errors import meaning_of
 from resonator_daemon.board.config.tables import Listen
 from resonator_daemon.daemon.monitoring.status import Status
-from resonator_daemon.mqtt.payloads import Condition, Health, LatencyInfo
+from resonator_daemon.mqtt.message_account import Cause
+from resonator_daemon.mqtt.payloads import Condition, Health, LatencyInfo, Lost
 
 TOGETHER: Final = 8  # connections; further ones are closed
 _BACKLOG: Final = 100
@@ -97,7 +98,7 @@ _OF_HEALTH: Final = (
         lambda h: h.messages.model_dump(include={"republished", "resent", "recovered"}),
         "why",
     ),
-    _Row("messages_dropped_total", "Messages never sent", lambda h: h.messages.dropped, "cause"),
+    _Row("messages_dropped_total", "Messages never sent", lambda h: _dropped(h), "cause"),
     _Row("messages_waiting", "Messages not yet sent", lambda h: _messages_waiting(h), "where"),
     _Row("commands_total", "Commands by what became of them", lambda h: h.commands, "outcome"),
     # These are named as all clients of Prometheus do, and read without /proc, which the service's sandbox may hide.
@@ -169,8 +170,13 @@ def _states(status: Status) -> dict[str, Any]:
     return {part: state for part, state in states.items() if state is not None}
 
 
+def _dropped(health: Health) -> dict[str, int]:
+    return {cause.value: health.messages.dropped.get(cause, 0) for cause in Cause}
+
+
 def _frames_lost(health: Health) -> dict[str, int]:
-    return health.lost.model_dump(exclude={"publish_dropped", "skipped_late"})  # those are messages
+    causes = Lost.model_fields.keys() - {"publish_dropped", "skipped_late"}  # those are messages
+    return {cause: getattr(health.lost, cause) for cause in sorted(causes)}
 
 
 def _bytes(health: Health) -> dict[str, int]:

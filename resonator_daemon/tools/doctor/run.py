@@ -142,6 +142,8 @@ class _Diagnosis:
             self._show(f"extension {name}")
             try:
                 found = list(check(config, self._captured))
+                if wrong := [each for each in found if not isinstance(each, Finding)]:
+                    raise TypeError(f"{wrong[0]!r} is no Finding")
             except Exception as error:  # noqa: BLE001 - code of others, without which the rest is checked
                 found = [Check(name, Area.SOFTWARE, f"extension {name}").not_checked(repr(error))]
             yield from found

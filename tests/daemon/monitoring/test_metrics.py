@@ -24,7 +24,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from resonator_daemon.board.config.tables import Listen
 from resonator_daemon.daemon.monitoring.metrics import TOGETHER, MetricsServer, MetricsTimes, StatusCollector
 from resonator_daemon.daemon.monitoring.status import BrokerStatus, Status
-from resonator_daemon.mqtt.payloads import Condition, MessageAccount
+from resonator_daemon.mqtt.payloads import Condition, Lost, MessageAccount
 
 Key = tuple[str, frozenset[tuple[str, str]]]
 DOCS = Path(__file__).parents[3] / "docs"
@@ -104,6 +104,17 @@ def test_what_is_down_is_zero_and_not_left_out() -> None:
         "events",
         "messages",
     }
+
+
+def test_each_cause_of_a_loss_is_a_counter_before_the_first_loss() -> None:
+    status = status_samples.status()
+    assert status.health is not None
+    unharmed = status.health.model_copy(update={"lost": Lost(), "messages": MessageAccount()})
+    found = metrics(status_samples.status(health=unharmed))
+    lost = ["link_gap", "damaged", "board_overflow", "host_overrun", "queue_overflow"]
+    assert [found[of("resonatord_frames_lost_total", cause=cause)] for cause in lost] == [0] * 5
+    for cause in ("no_connection", "queue_full", "refused", "spool_full", "spool_failed"):
+        assert found[of("resonatord_messages_dropped_total", cause=cause)] == 0
 
 
 def test_what_only_grows_is_a_counter_and_nothing_else_is() -> None:
