@@ -11,6 +11,7 @@ from emulation import emulated
 
 from resonator_daemon.commands import main
 from resonator_daemon.tools.doctor import broker_checks, host_checks, link_checks, sensor_checks
+from resonator_daemon.tools.doctor import run as doctor_run
 from resonator_daemon.tools.doctor.finding import FINE, WIDTH, Area, Report
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
@@ -124,3 +125,14 @@ def test_what_is_no_board_is_the_wirings(capsys: pytest.CaptureFixture[str], mon
         assert asked(capsys, address)[1]["cause"] == "board.answers"
     code, report = asked(capsys, address)
     assert (code, report["verdict"], report["cause"]) == (1, "wiring", "link.opens")
+
+
+@pytest.mark.parametrize("returned", [5, [5]])
+def test_an_extension_whose_findings_are_of_another_type_is_not_checked(
+    returned: object, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        doctor_run, "load_entries", lambda _group, _fits: [("cold", lambda _config, _capture: returned)]
+    )
+    _, report = asked(capsys, "tcp://127.0.0.1:9")
+    assert outcomes(report)["cold"] == "not_checked"
