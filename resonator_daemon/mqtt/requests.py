@@ -9,14 +9,15 @@ from typing import Any, Final
 
 from paho.mqtt.enums import MQTTProtocolVersion
 
-from resonator_daemon.base.errors import ConfigurationError, ExitCode, UserError, reason_of
+from resonator_daemon.base.errors import ConfigurationError, ExitCode, UserError
 from resonator_daemon.board.config.clients import Client
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.links.carriers import parse_link
-from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, BrokerConnection
+from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, BrokerConnection, ConnectionTimes
 from resonator_daemon.mqtt.codec import Incoming
+from resonator_daemon.mqtt.connecting import BrokerError
 from resonator_daemon.mqtt.payloads import Condition, Info, State
-from resonator_daemon.mqtt.reconnection import keep_connected
+from resonator_daemon.mqtt.reconnection import find_version, keep_connected
 from resonator_daemon.mqtt.subscriber import subscribe
 from resonator_daemon.mqtt.topics import INFO, STATE_DAEMON, TOPICS, full_topic
 from resonator_daemon.mqtt.verbs import UNKNOWN, VERBS, Answer, Refusal
@@ -58,20 +59,26 @@ class DeniedError(UserError):
 
 
 async def reach(broker: Mqtt) -> None:
-    """Open a connection once: other clients would wait for a broker for ever.
+    """Connect once, and disconnect: other clients would wait for a broker for ever.
+
+    A broker that refuses the user is one; the connection that follows reports it.
 
     Raises
     ------
     BrokerUnreachableError
-        Nobody listens there.
+        Nobody listens there, or what does is no broker.
     """
+    times = ConnectionTimes(connect_s=REACH_S)
     try:
-        async with asyncio.timeout(REACH_S):
-            _, writer = await asyncio.open_connection(broker.host, broker.port)
-    except (OSError, TimeoutError) as error:
-        where = f"{broker.host}:{broker.port}"
-        raise BrokerUnreachableError(f"no broker at {where} ({reason_of(error)}); see {broker.named_by}") from None
-    writer.close()
+        version = await find_version(broker, asyncio.get_running_loop().create_future(), times)
+        if broker.username is not None and version is not None:  # without a user, it may have been no answer
+            connection = BrokerConnection(broker, version, times=times)
+            await connection.connect()
+            await connection.disconnect()
+    except BrokerError as error:
+        if error.code is None:
+            see = "" if broker.named_by in str(error) else f"; see {broker.named_by}"
+            raise BrokerUnreachableError(f"no broker at {broker.host}:{broker.port} ({error}){see}") from None
 
 
 async def execute(

@@ -13,6 +13,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from resonator_daemon.board.config.mqtt import Mqtt
+from resonator_daemon.mqtt import requests
 from resonator_daemon.mqtt.commands import Handler
 from resonator_daemon.mqtt.requests import BrokerUnreachableError, DeniedError, NoAnswerError, request
 from resonator_daemon.mqtt.verbs import Mark, MarkAnswer
@@ -109,3 +110,24 @@ async def test_only_the_daemons_word_counts_as_an_answer(mosquitto: Mosquitto) -
             await other.publish(topic, payload, qos=1)
         async with asyncio.timeout(20):
             assert await asking == {"verb": "mark", "ok": True}
+
+
+@pytest.mark.parametrize("username", [None, "left"])
+@pytest.mark.parametrize("answer", [None, b"", b"HTTP/1.0 400 Bad Request\r\n\r\n"])  # None: it is silent
+async def test_a_server_that_is_no_broker_is_not_taken_for_one_without_a_daemon(
+    answer: bytes | None, username: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(requests, "REACH_S", 0.2)
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if answer is None:
+            await reader.read()  # to its end
+        else:
+            writer.write(answer)
+        writer.close()
+
+    async with await asyncio.start_server(serve, "127.0.0.1", 0) as server:
+        broker = Mqtt(url=f"mqtt://127.0.0.1:{server.sockets[0].getsockname()[1]}", username=username)
+        with pytest.raises(BrokerUnreachableError) as unreachable:
+            await request(broker, "left", "mark", {})
+    assert (unreachable.value.code, unreachable.value.exit_code) == ("no_broker", 69)
