@@ -112,7 +112,7 @@ class Requests:
         return answered.type
 
     def discard_all(self) -> None:
-        """Discard all requests: the board has started anew."""
+        """Discard all requests: the board has restarted."""
         self._unanswered.clear()
         self._unanswered_bytes = 0
         self._waiting.clear()
@@ -179,7 +179,7 @@ class Located(NamedTuple):
 
 
 class Rebooted(NamedTuple):
-    """The board started anew; the session is back at identifying."""
+    """The board restarted; the session is back at identifying."""
 
     boot_id: int
 

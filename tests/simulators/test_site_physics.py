@@ -112,7 +112,7 @@ def test_the_transient_is_the_derivative_of_the_temperature() -> None:
     around = REFERENCE_KELVIN + np.repeat(random.normal(size=10), 200)
     warmth = sites(a=0.0, b=0.0, c=0.0, transient_s=-2e-7).advance(1e-3, around, untouched(2000))
     rate = np.gradient(warmth.kelvin[:, 0], 1e-3)
-    inside = np.arange(2000) % 200 % 199 > 0  # not beside a jump of the surroundings
+    inside = np.arange(2000) % 200 % 199 > 0  # away from jumps of the surroundings
     assert warmth.relative_shift[inside, 0] == pytest.approx(-2e-7 * rate[inside], rel=1e-5, abs=1e-15)
 
 

@@ -56,6 +56,8 @@ class Series:
         With less room on the disk nothing is recorded.
     resumes
         A recording that the disk has ended goes on in a new file, as soon as it can.
+    begins_late
+        One that resumes begins, too, where the first file cannot be made yet.
     """
 
     directory: Path
@@ -66,6 +68,7 @@ class Series:
     max_total_bytes: int | None = None
     min_free_bytes: int = 0
     resumes: bool = False
+    begins_late: bool = False
 
     def is_over(self, file: RecordingWriter, now_ns: int) -> bool:
         """Return whether the next file is to begin."""

@@ -99,7 +99,7 @@ class Recorder:
     Raises
     ------
     UserError
-        The file cannot be made, or there is no room for it, and the series does not resume.
+        The file cannot be made, or there is no room for it, and the series does not begin late.
     """
 
     def __init__(
@@ -144,7 +144,7 @@ class Recorder:
         try:
             self._begin_file(self.since.utc_ns)
         except UserError as error:
-            if not self._resumes:
+            if not (isinstance(place, Series) and place.begins_late):
                 raise
             self._fail(_code(error), str(error))
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)

@@ -94,7 +94,7 @@ class RecordingSwitch:
         RecordingRunningError
             One runs.
         UserError
-            The file cannot be made, is there already, or there is no room for it, and the series does not resume.
+            The file cannot be made, is there already, or there is no room for it, and the series does not begin late.
         """
         with self._switching:
             if self._recorder is not None:

@@ -66,7 +66,7 @@ class RecordingCommands:
             if (now := self._switch.current) is not None:
                 return self._already(now, request.label)
             try:
-                await asyncio.to_thread(self._begin, request.label)
+                await asyncio.to_thread(self._begin, request.label, late=False)
             except (UserError, OSError) as error:
                 reason = reason_of(error) if isinstance(error, OSError) else str(error)
                 raise CommandRefusedError("recording_failed", reason, _DIRECTORY_HINT) from None
@@ -80,7 +80,7 @@ class RecordingCommands:
         async with self._one_at_a_time:
             wanted = self._config.recording.autostart and self._config.link.recording_path is None
             if wanted and self._switch.current is None:
-                await asyncio.to_thread(self._begin, None)
+                await asyncio.to_thread(self._begin, None, late=True)
                 self._label, self._by_config = None, True
 
     async def adopt(self, config: Config, config_sha256: str | None) -> None:
@@ -133,10 +133,10 @@ class RecordingCommands:
         file, since_t_ns = as_json_text(now.path), now.since.utc_ns
         return verbs.StartRecordingAnswer(file=file, since_t_ns=since_t_ns, was_active=was_active)
 
-    def _begin(self, label: str | None) -> None:
+    def _begin(self, label: str | None, *, late: bool) -> None:
         """Begin a recording; it takes a while, and waits for the disk."""
         about = origin(self._config, self._name, self._daemon_boot_id, self._config_sha256)
-        self._switch.start(_series(self._config, self._name, label), about)
+        self._switch.start(_series(self._config, self._name, label, late=late), about)
 
 
 class RecordedMessages:
@@ -181,7 +181,7 @@ def origin(config: Config, name: str | None, daemon_boot_id: str | None, config_
     )
 
 
-def _series(config: Config, name: str, label: str | None) -> Series:
+def _series(config: Config, name: str, label: str | None, *, late: bool) -> Series:
     settings = config.recording
     return Series(
         directory=settings.directory,
@@ -192,6 +192,7 @@ def _series(config: Config, name: str, label: str | None) -> Series:
         max_total_bytes=round(settings.max_total_mb * 1e6),
         min_free_bytes=round(settings.min_free_mb * 1e6),
         resumes=settings.autostart,
+        begins_late=late,
     )
 
 
@@ -221,7 +222,7 @@ def recording_info(switch: RecordingSwitch) -> RecordingInfo:
     now = switch.current
     failure = now.failure if now else None  # the recording goes on meanwhile
     return RecordingInfo(
-        file=as_json_text(now.path) if now else None,
+        file=as_json_text(now.path) if now and now.counts.files else None,
         since_t_ns=now.since.utc_ns if now else None,
         failure_code=failure.code if failure else None,
         failure=as_json_text(failure.text) if failure else None,

@@ -17,6 +17,7 @@ from resonator_daemon.board.recording.reader import Origin, open_recording
 from resonator_daemon.board.recording.switch import RecordingSwitch
 from resonator_daemon.board.recording.writer import Published
 from resonator_daemon.daemon.service.recordings import RecordedMessages, RecordingCommands, recording_info
+from resonator_daemon.mqtt.commands import CommandRefusedError
 from resonator_daemon.mqtt.topics import TOPICS
 from resonator_daemon.mqtt.verbs import StartRecording, StopRecording
 
@@ -128,6 +129,7 @@ async def test_limits_are_those_of_the_configuration(tmp_path: Path) -> None:
             max_total_bytes=7_000_000,
             min_free_bytes=3_000_000,
             resumes=True,
+            begins_late=True,
         )
     ]
 
@@ -161,3 +163,16 @@ def test_states_are_recorded_and_what_is_measured_where_it_is_wanted(include_mes
     for one in taken:
         validate(json.loads(one.payload), one.schema)
         assert one.utc_ns == published[one.topic].model_dump()["t_ns"]
+
+
+@pytest.mark.parametrize("autostart", [False, True])
+async def test_a_command_that_finds_no_room_is_refused_and_records_nothing(tmp_path: Path, *, autostart: bool) -> None:
+    switch = RecordingSwitch()
+    commands = RecordingCommands(config(tmp_path, autostart=autostart, min_free_mb=1e12), "left", switch)
+    await commands.keep_recording()
+    info = recording_info(switch)
+    assert (info.file, info.failure_code) == (None, "disk_full" if autostart else None)
+    await commands.stop(StopRecording())
+    with pytest.raises(CommandRefusedError) as refused:
+        await commands.start(StartRecording())
+    assert (refused.value.code, switch.current, list(tmp_path.iterdir())) == ("recording_failed", None, [])

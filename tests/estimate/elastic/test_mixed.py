@@ -187,8 +187,10 @@ def test_frictionless_flat_punch(nu: float):
     inner = r < 0.8 * A
     pressure = load / (2 * np.pi * A * np.sqrt(A**2 - r[inner] ** 2))
     np.testing.assert_allclose(solution.traction_pascal[2][inner], pressure, rtol=0.015)
-    beside = (r > 1.1 * A) & (r < 1.3 * A)
-    np.testing.assert_allclose(solution.displacement_m[2][beside], 2e-5 / np.pi * np.arcsin(A / r[beside]), rtol=0.011)
+    near_edge = (r > 1.1 * A) & (r < 1.3 * A)
+    np.testing.assert_allclose(
+        solution.displacement_m[2][near_edge], 2e-5 / np.pi * np.arcsin(A / r[near_edge]), rtol=0.011
+    )
     assert not solution.traction_pascal[:2].any()
     assert not solution.shift_m.any()
 

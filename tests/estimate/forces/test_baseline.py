@@ -84,7 +84,7 @@ def test_tare_takes_the_present_readings_at_once():
 
 
 def watch(path: np.ndarray, *, kelvin: float = NAN) -> list[str]:
-    """What is told of a common mode of two channels, the second at rest."""
+    """Estimates of the common mode of two channels, the second at rest."""
     drift = DriftWatch()
     return [drift.update((float(g), 0.0), kelvin, n * WATCH_STEP_S) for n, g in enumerate(path)]
 
@@ -102,7 +102,7 @@ def test_a_ramp_is_told_of_from_five_walks_in_ten_seconds_on() -> None:
 
 def test_it_ends_when_the_plate_is_at_rest_again() -> None:
     moving = ramp(3.0 * WALKS, 20.0)
-    rest = moving[-1] + 1e-12 * np.arange(300)  # measured anew each time
+    rest = moving[-1] + 1e-12 * np.arange(300)  # measured again each time
     told = watch(np.concatenate([moving, rest]))
     assert told[199]
     assert not any(told[199 + round(SPAN_S / WATCH_STEP_S) + 10 :])

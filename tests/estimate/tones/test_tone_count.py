@@ -189,7 +189,7 @@ def test_a_second_tone_moves_edges_by_the_share_of_a_period_that_its_ratio_says(
 
 @pytest.mark.parametrize("distance_hz", [3650.0, 4000.0, 17_300.0])
 def test_a_second_tone_of_three_tenths_is_heard_at_any_distance(distance_hz):
-    # Beats in step with the gates show the same phase at every end: no difference of gates tells of them.
+    # Beats in step with the gates show the same phase at every end: no difference of gates shows them.
     rng = np.random.default_rng(3)
     heard, alone = (
         [
