@@ -15,7 +15,7 @@ from resonator_daemon.estimate.tones.tone_detector import MultitoneDetector, Ton
 from resonator_daemon.measure.sensors.base import Sensor
 from resonator_daemon.measure.sensors.expected_tones import ExpectedTones, all_tones
 from resonator_daemon.measure.sensors.output import BOARD_RESTARTED, MessageOutput
-from resonator_daemon.measure.sensors.skin_processing import SkinProcessing
+from resonator_daemon.measure.sensors.skin_processing import SkinProcessing, ToneArray
 from resonator_daemon.measure.sensors.surface_decoding import MakeSurfaceDecoding, SequentialDecoding, SurfaceDecoding
 from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame, SurfaceSettings
 from resonator_daemon.mqtt.codec import Encoded
@@ -139,15 +139,15 @@ class SkinSensor(Sensor[SkinReading]):
             self.end_contacts(BOARD_RESTARTED)
             return
         plate, tones = self.plate, self.plate.tones
-        self._processing = SkinProcessing(
+        array = ToneArray(
             tones.f0_hz,
             tones.sensitivity,
             oscillator_hz(board.description),
             tones.site_index,
             tones.signal_index,
-            youngs_modulus_pascal=plate.required_skin.youngs_modulus_pascal,
-            gate_s=self.window_s,
+            plate.required_skin.youngs_modulus_pascal,
         )
+        self._processing = SkinProcessing(array, gate_s=self.window_s)
 
     def measure(self, frames: Sequence[Frame]) -> Sequence[SkinReading]:
         processing = self._processing

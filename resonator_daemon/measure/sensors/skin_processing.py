@@ -145,20 +145,9 @@ _PRESSED: Final = Reason(ReasonCode.PRESSED_AT_START, "touched before the common
 class SkinProcessing:
     """Offsets of many tones on four channels to the signals of the sites under a skin."""
 
-    def __init__(
-        self,
-        f0_hz: Floats,
-        sensitivity: Floats,
-        oscillator_hz: Floats,
-        site_index: NDArray[np.integer],
-        signal_index: NDArray[np.integer],
-        *,
-        youngs_modulus_pascal: float,
-        gate_s: float,
-    ) -> None:
-        """Initialise with a plate's tones as `ToneArray` does, (t, 4) and (t,), and the board's oscillators (t,)."""
-        self._tones = ToneArray(f0_hz, sensitivity, oscillator_hz, site_index, signal_index, youngs_modulus_pascal)
-        self._offset_hz = np.empty((4, len(f0_hz)))
+    def __init__(self, tones: ToneArray, *, gate_s: float) -> None:
+        self._tones = tones
+        self._offset_hz = np.empty((4, tones.tones))
         self._gate_s = gate_s
         self._common_mode = CommonMode(1, needed=BASELINE_READINGS, reading_std=COMMON_MODE_NOISE)
         self._untouched_readings = 0  # in a row

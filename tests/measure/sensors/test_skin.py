@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from small_skin import SITES, TONES, YOUNGS_MODULUS_PASCAL, Comb, dimensionless, some_signals
+from small_skin import SITES, TONES, Comb, dimensionless, some_signals
 
 from resonator_daemon.measure.sensors.skin_processing import SkinProcessing
 
@@ -15,16 +15,7 @@ class Skin:
 
     def __init__(self, seed=0):
         self.comb, self.rng, self.sequence = Comb(), np.random.default_rng(seed), 0
-        comb = self.comb
-        self.chain = SkinProcessing(
-            comb.f0_hz,
-            comb.sensitivity,
-            comb.oscillator_hz,
-            comb.site_index,
-            comb.signal_index,
-            youngs_modulus_pascal=YOUNGS_MODULUS_PASCAL,
-            gate_s=0.004,
-        )
+        self.chain = SkinProcessing(self.comb.array(), gate_s=0.004)
 
     def push(self, physical, common_mode=2e-5, known=KNOWN):
         self.sequence += 1
