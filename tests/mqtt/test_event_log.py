@@ -19,7 +19,7 @@ from observer import observe
 from small_disk import small_disk
 
 from resonator_daemon.mqtt import event_file, event_log
-from resonator_daemon.mqtt.event_file import FILE, EventFile, EventFileError, Span
+from resonator_daemon.mqtt.event_file import FILE, EventFile, EventFileDamagedError, EventFileError, Span
 from resonator_daemon.mqtt.event_log import IN_MEMORY_MAX, EventPage, UnknownRunError
 
 NOBODY = "mqtt://127.0.0.1:9"
@@ -176,6 +176,44 @@ async def test_a_file_that_is_damaged_while_in_use_costs_what_was_on_disk_alone(
         assert "set aside as events.damaged" in caplog.text
         stored = await left.stored_events(None, -1, LARGE)
         assert (seqs(stored)[-IN_MEMORY_MAX:], stored.complete) == (list(range(2000 - IN_MEMORY_MAX, 2000)), False)
+
+
+async def test_what_a_damaged_file_had_is_counted_as_lost_where_no_new_file_can_be_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with publishing(NOBODY, spool_directory=tmp_path) as left:
+        await happen(left, range(100))
+        await until(lambda: left.account.spooled == 100)
+        errors = iter([EventFileDamagedError("damaged")])
+
+        def write(*_: object) -> int:
+            raise next(errors, EventFileError("no room"))
+
+        monkeypatch.setattr(EventFile, "write", write)
+        await happen(left, range(100, 101))
+        await until(lambda: left.account.spooled == 0)
+    assert (left.account.dropped["spool_failed"], left.account.waiting) == (101, 0)
+
+
+async def test_what_was_delivered_is_not_read_again_with_what_memory_cannot_hold(
+    generous: Mosquitto, tmp_path: Path
+) -> None:
+    async with publishing(generous.url, spool_directory=tmp_path / "kept", boot_id="a") as left:
+        async with observe(generous.url) as observer:
+            await happen(left, range(500))
+            await received_events(observer, 499)
+            await until(lambda: left.account.waiting == 0)
+        await generous.kill()
+        await until(lambda: not left.connected)
+        await happen(left, range(500, 2500))
+        await until(lambda: left.account.spooled == 2000)
+        await until(lambda: on_disk(tmp_path / "kept")[1] == 2000)  # what another run would send
+        await generous.start()
+        async with observe(generous.url) as observer:
+            events = await received_events(observer, 2499)
+            await until(lambda: left.account.waiting == 0)
+    assert [event["seq"] for event in events] == list(range(500, 2500))
+    assert left.account.dropped == {}
 
 
 @pytest.mark.parametrize("connected", [False, True])
