@@ -112,13 +112,13 @@ test-firmware: .venv/test-stamp build/pico-sdk  ## the C reference under QEMU, t
 test-browser: .venv/browser-stamp build/browser  ## the live page in Debian's chromium: panels, presses, recordings, phone width, accessibility
 	$(debian-packages)
 	debian-packages $(BROWSER)
-	OMP_NUM_THREADS=1 .venv/bin/pytest -m 'browser and not soak' tests/tools/live_page/browser
+	OMP_NUM_THREADS=1 .venv/bin/pytest -m 'browser and not soak' tests/extensions/live_page/browser
 
-build/browser: tests/tools/live_page/browser/package-lock.json  # axe-core, which checks accessibility
+build/browser: tests/extensions/live_page/browser/package-lock.json  # axe-core, which checks accessibility
 	$(debian-packages)
 	debian-packages $(BROWSER)
 	mkdir -p $@
-	cp tests/tools/live_page/browser/{package.json,package-lock.json,.npmrc} $@
+	cp tests/extensions/live_page/browser/{package.json,package-lock.json,.npmrc} $@
 	npm ci --prefix $@
 	touch $@
 
@@ -298,7 +298,7 @@ soak: .venv/test-stamp  ## MINUTES=60 of faults; a simulated year; brokers froze
 	printf '\n== long tests\n'
 	OMP_NUM_THREADS=1 .venv/bin/pytest -m 'soak and not browser'
 	$(MAKE) build/browser .venv/browser-stamp
-	.venv/bin/pytest -o faulthandler_timeout=900 -m 'soak and browser' tests/tools/live_page/browser
+	.venv/bin/pytest -o faulthandler_timeout=900 -m 'soak and browser' tests/extensions/live_page/browser
 
 pins: .venv/run-stamp  ## write .ci/requirements/*.txt from pyproject.toml
 	$(pip-install)

@@ -18,6 +18,7 @@ RECORDING = Path(__file__).parents[1] / "corpus" / "touches" / "recording.mcap"
         ("rosbags", ["export", RECORDING, "--ros2", "--output", "out.mcap"]),
         ("cyclonedds", ["bridge", "ros2"]),
         ("foxglove", ["bridge", "foxglove"]),
+        ("aiohttp", ["view"]),
         ("distributed", ["decode-recordings", RECORDING, "--output", "out", "--workers", "2"]),
     ],
 )

@@ -14,9 +14,9 @@ import numpy as np
 from aiohttp import WSMsgType, web
 from numpy.typing import ArrayLike
 
-from resonator_daemon.tools.live_page.access import Access
+from resonator_daemon.extensions.live_page.access import Access
 
-PAGE = Path(str(resources.files("resonator_daemon.tools.live_page") / "page"))
+PAGE = Path(str(resources.files("resonator_daemon.extensions.live_page") / "page"))
 LIVE = {"source": "live", "url": "mqtt://127.0.0.1:1883"}
 OUTLINE = [[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]]
 PITCH = 0.4e-3  # of the map of a skin, 32 x 32

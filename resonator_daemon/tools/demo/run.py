@@ -170,7 +170,11 @@ class _Demo:
     async def _open_live_page(self, broker_url: str, folder: Path, stack: AsyncExitStack) -> None:
         """Start the page in which the plates are pressed with the mouse, and open it where there is a desktop."""
         controls = [station.emulator.control for station in self._stations.values()]
-        self._live_page, self._page_url = await start_live_page(broker_url, controls, folder)
+        try:
+            self._live_page, self._page_url = await start_live_page(broker_url, controls, folder)
+        except UserError as error:  # an optional extension
+            print_note(f"no page to press the plates in: {error}")
+            return
         stack.push_async_callback(self._live_page.stop)
         print_note(f"press the plates with the mouse: {self._page_url}")
         if any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
@@ -262,7 +266,8 @@ class _Demo:
     def _page(self, left_s: float) -> RenderableType:
         truths = {name: _truth_to_show(station) for name, station in self._stations.items()}
         views = [station.view for station in self._stations.values()]
-        title = f"resonatord demo, {left_s:.0f} s left, Ctrl-C ends it; press the plates: {self._page_url}"
+        page = f"; press the plates: {self._page_url}" if self._page_url else ""
+        title = f"resonatord demo, {left_s:.0f} s left, Ctrl-C ends it{page}"
         return render(views, truths, time.time_ns(), title=title)
 
     async def _evaluate(self, seconds: float) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import aiohttp
 import psutil
@@ -149,3 +150,16 @@ async def test_a_terminal_shows_the_address_of_a_page_in_which_the_plate_is_pres
         demo.kill()
         demo.wait()
         os.close(terminal)
+
+
+def test_without_the_live_page_a_terminal_shows_all_else(tmp_path: Path) -> None:
+    (tmp_path / "aiohttp.py").write_text("raise ImportError")
+    terminal, demos_end = pty.openpty()
+    command = [*COMMAND, "--plate", "quartz16", "--seconds", "1"]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    with subprocess.Popen(command, stdout=demos_end, stderr=demos_end, env=environment) as demo:
+        os.close(demos_end)
+        assert read_until(terminal, rb"pip install (\w+)") == "aiohttp"
+        assert int(read_until(terminal, rb"quartz16: (\d+) frames")) > 0
+    os.close(terminal)
+    assert demo.returncode in (0, 1)

@@ -56,11 +56,11 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     import asyncio
 
     try:
-        from resonator_daemon.tools.live_page.access import read_token, tls_of
-        from resonator_daemon.tools.live_page.hub import Sources
-        from resonator_daemon.tools.live_page.server import LivePage, serve
-    except ModuleNotFoundError as error:
-        raise MissingLibraryError(f"the live page needs {error.name}: {how_to_install('aiohttp')}") from error
+        from resonator_daemon.extensions.live_page.access import read_token, tls_of
+        from resonator_daemon.extensions.live_page.hub import Sources
+        from resonator_daemon.extensions.live_page.server import LivePage, serve
+    except ImportError as error:
+        raise MissingLibraryError(f"the live page needs aiohttp: {how_to_install('aiohttp')}") from error
 
     _check(arguments)
     directory = next((path for path in arguments.recordings if path.is_dir()), None)

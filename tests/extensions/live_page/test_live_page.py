@@ -20,8 +20,8 @@ from wire_host import opened
 from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.commands import main
-from resonator_daemon.tools.live_page.hub import Sources
-from resonator_daemon.tools.live_page.protocol import WAITING_MAX, Outgoing
+from resonator_daemon.extensions.live_page.hub import Sources
+from resonator_daemon.extensions.live_page.protocol import WAITING_MAX, Outgoing
 from simulators.emulator import EmulatorOptions
 
 PAYLOAD = bytes(range(256)) * 100  # no JSON and no CBOR: nothing is decoded on the way

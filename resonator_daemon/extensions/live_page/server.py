@@ -18,8 +18,8 @@ from resonator_daemon.base.errors import ListenError, UsageError, meaning_of
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.systemd import ServiceManager
 from resonator_daemon.board.config.mqtt import is_this_computer
-from resonator_daemon.tools.live_page.access import Access
-from resonator_daemon.tools.live_page.hub import Hub, Sources
+from resonator_daemon.extensions.live_page.access import Access
+from resonator_daemon.extensions.live_page.hub import Hub, Sources
 
 BROWSERS_MAX: Final = 32
 
@@ -125,7 +125,7 @@ class LivePage:
             task.result()
 
     def _make_app(self) -> web.Application:
-        page = Path(str(resources.files("resonator_daemon.tools.live_page") / "page"))
+        page = Path(str(resources.files("resonator_daemon.extensions.live_page") / "page"))
         files = {path.relative_to(page).as_posix(): path.read_bytes() for path in page.rglob("*.*")}
         app = web.Application()
         self._access.protect(app)

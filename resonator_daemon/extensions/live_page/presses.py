@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from resonator_daemon.base.errors import meaning_of
-from resonator_daemon.tools.live_page.protocol import RefusedRequest
+from resonator_daemon.extensions.live_page.protocol import RefusedRequest
 
 TRUTH_S: Final = 0.05
 AGAIN_S: Final = 1.0  # after an emulator was absent

@@ -6,7 +6,7 @@ import logging
 import pytest
 from page_client import served
 
-from resonator_daemon.tools.live_page.hub import Sources
+from resonator_daemon.extensions.live_page.hub import Sources
 
 TOKEN = b"0123456789abcdef"
 BEARER = b"Authorization: Bearer " + TOKEN

@@ -9,10 +9,10 @@ from typing import Any, Final
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from resonator_daemon.tools.live_page.library import Recorded
-from resonator_daemon.tools.live_page.player import Player
-from resonator_daemon.tools.live_page.presses import Touches
-from resonator_daemon.tools.live_page.protocol import (
+from resonator_daemon.extensions.live_page.library import Recorded
+from resonator_daemon.extensions.live_page.player import Player
+from resonator_daemon.extensions.live_page.presses import Touches
+from resonator_daemon.extensions.live_page.protocol import (
     Outgoing,
     RefusedRequest,
     Request,

@@ -10,10 +10,10 @@ from observer import until
 from page_client import browser, served
 
 from resonator_daemon.board.recording.reader import open_recording
-from resonator_daemon.tools.live_page.hub import Sources
-from resonator_daemon.tools.live_page.library import Library, Recorded
-from resonator_daemon.tools.live_page.player import Player
-from resonator_daemon.tools.live_page.protocol import Outgoing
+from resonator_daemon.extensions.live_page.hub import Sources
+from resonator_daemon.extensions.live_page.library import Library, Recorded
+from resonator_daemon.extensions.live_page.player import Player
+from resonator_daemon.extensions.live_page.protocol import Outgoing
 
 CORPUS = Path(__file__).parents[2] / "corpus"
 WHOLE, CUT_OFF = CORPUS / "touches" / "recording.mcap", CORPUS / "cut-off" / "recording.mcap"

@@ -14,15 +14,12 @@ from aiohttp import WSCloseCode, web
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.mqtt.payloads import Condition
-from resonator_daemon.mqtt.requests import request as send_command
-from resonator_daemon.mqtt.topics import INFO, STATE_DAEMON, TOPICS
-from resonator_daemon.tools.live_page.broker_relay import CONNECTING, BrokerRelay
-from resonator_daemon.tools.live_page.browser import Browser
-from resonator_daemon.tools.live_page.library import Library
-from resonator_daemon.tools.live_page.player import Player, play
-from resonator_daemon.tools.live_page.presses import Board, Emulators
-from resonator_daemon.tools.live_page.protocol import (
+from resonator_daemon.extensions.live_page.broker_relay import CONNECTING, BrokerRelay
+from resonator_daemon.extensions.live_page.browser import Browser
+from resonator_daemon.extensions.live_page.library import Library
+from resonator_daemon.extensions.live_page.player import Player, play
+from resonator_daemon.extensions.live_page.presses import Board, Emulators
+from resonator_daemon.extensions.live_page.protocol import (
     LIVE,
     Command,
     Open,
@@ -38,6 +35,9 @@ from resonator_daemon.tools.live_page.protocol import (
     payload_of,
     text_frame,
 )
+from resonator_daemon.mqtt.payloads import Condition
+from resonator_daemon.mqtt.requests import request as send_command
+from resonator_daemon.mqtt.topics import INFO, STATE_DAEMON, TOPICS
 
 COMMANDS: Final = ("tare", "mark", "start_recording", "stop_recording")
 

@@ -4,9 +4,9 @@ import asyncio
 from collections.abc import Callable, Collection
 from typing import Any, Final
 
+from resonator_daemon.extensions.live_page.library import Recorded
+from resonator_daemon.extensions.live_page.protocol import Outgoing, payload_frame, text_frame
 from resonator_daemon.mqtt.topics import TOPICS
-from resonator_daemon.tools.live_page.library import Recorded
-from resonator_daemon.tools.live_page.protocol import Outgoing, payload_frame, text_frame
 
 TURN_S: Final = 1 / 60
 POSITION_S: Final = 0.1

@@ -16,14 +16,14 @@ from typing import IO, Any, Final
 
 from resonator_daemon.base.errors import meaning_of
 from resonator_daemon.base.host.signals import ended_with_parent
+from resonator_daemon.extensions.live_page.protocol import RefusedRequest
 from resonator_daemon.mqtt.topics import TOPICS
-from resonator_daemon.tools.live_page.protocol import RefusedRequest
 
 OPEN_MAX: Final = 4  # of all browsers together: each is decoded by a process into a temporary file
 LISTED_MAX: Final = 1000
 
 _SUFFIX: Final = ".mcap"
-_WORKER: Final = "resonator_daemon.tools.live_page.recording_worker"
+_WORKER: Final = "resonator_daemon.extensions.live_page.recording_worker"
 _ENDED: Final = "its decoding ended before its end; all before that is shown"
 _UNREAD: Final = "its decoding ended before anything was read"
 _LINE_BYTES_MAX: Final = 1 << 26  # of all marks

@@ -8,13 +8,13 @@ from typing import Any, Final
 from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.board.config.mqtt import Mqtt
+from resonator_daemon.extensions.live_page.protocol import STREAMS
 from resonator_daemon.mqtt.broker_connection import MQTT_3, BrokerConnection
 from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.connecting import UNSUPPORTED_VERSION, RefusalError, code_of
 from resonator_daemon.mqtt.reconnection import keep_connected
 from resonator_daemon.mqtt.subscriber import EVERY_PLATE, topic_filters
 from resonator_daemon.mqtt.topics import TOPICS, full_topic, split_topic
-from resonator_daemon.tools.live_page.protocol import STREAMS
 
 CONNECTING, CONNECTED, DENIED = "connecting", "connected", "denied"
 NO_BROKER, REFUSED, LOST = "no_broker", "broker_refuses", "connection_lost"

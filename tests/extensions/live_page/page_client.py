@@ -10,8 +10,8 @@ from typing import Any
 import aiohttp
 from aiohttp import WSMsgType
 
-from resonator_daemon.tools.live_page.hub import Sources
-from resonator_daemon.tools.live_page.server import LivePage
+from resonator_daemon.extensions.live_page.hub import Sources
+from resonator_daemon.extensions.live_page.server import LivePage
 
 DEADLINE_S = 30.0
 
