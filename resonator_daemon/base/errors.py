@@ -49,8 +49,6 @@ FAILURES: Final = {
     "no_daemon": "no such daemon runs",
     "no_answer": "the daemon does not answer",
     "denied": "the access rules of the broker, or of this computer, do not allow it",
-    "not_offline": "the daemon of the plate to be removed is not offline",
-    "no_plate": "nothing is published under this name",
     "name_taken": "another process publishes under this name",
     "already_running": "another daemon runs with the same configuration file",
     "cannot_share": "the broker does not share messages among several decoders",

@@ -66,7 +66,6 @@ READ
 done
 kill -INT $daemon
 wait $daemon
-resonatord remove left-index --url "$url"
 
 sed -e 's#^plate = .*#plate = "skin32"#' -e 's#^\[decoding\]#&\nexternal = true#' left.toml >skin.toml
 timeout --preserve-status --signal=INT 4 resonatord decode skin.toml

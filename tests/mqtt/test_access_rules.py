@@ -34,7 +34,6 @@ EVERYTHING = (
     {f"resonator/{name}/{path}" for name in ("left", "right") for path in PLATE}
     | DECODER
     | {"resonator/decoder/forces", "resonator", "resonator/left", "elsewhere/left/forces"}
-    | {f"homeassistant/device/resonator/{name}/config" for name in ("left", "right")}
 )
 
 
@@ -44,15 +43,14 @@ def below(*names: str, paths: set[str]) -> set[str]:
 
 BOTH = ("left", "right")
 WRITES = {
-    "left": below("left", paths=PLATE - {"cmd/tare"}) | {"homeassistant/device/resonator/left/config"},
+    "left": below("left", paths=PLATE - {"cmd/tare"}),
     "decoder": below(*BOTH, paths=DECODED) | DECODER,
     "operator": below(*BOTH, paths={"cmd/tare"}),
     "subscriber": set(),
     "nobody": set(),
 }
 READS = {
-    "left": below("left", paths={"cmd/tare", "info", "schema", "state/daemon", "state/link", "state/sensor"})
-    | {"homeassistant/device/resonator/left/config"},
+    "left": below("left", paths={"cmd/tare", "info", "schema", "state/daemon", "state/link", "state/sensor"}),
     "decoder": below(*BOTH, paths={"signals", "info", "state/daemon", "state/link", "state/sensor"})
     | {"resonator/decoder/a/state"},
     "operator": {topic for topic in EVERYTHING if topic.startswith("resonator")},

@@ -36,7 +36,6 @@ link = "serial:/dev/serial/by-id/usb-RD_board_0042-if00?baud=4000000"   # or tcp
 [mqtt]
 url = "mqtt://127.0.0.1:1883"            # mqtts:// for TLS; certificates, passwords: docs/how-to/secure-the-broker.md
 prefix = "resonator"
-# home_assistant_discovery = "homeassistant"   # list the plate in Home Assistant: docs/how-to/dashboards.md
 [measurement]
 window_ms = 10
 step_ms = 5                              # publishing rate of forces and contacts: 200 Hz

@@ -121,11 +121,6 @@ class Mqtt(Table):
         description="PEM file of that certificate's key, not encrypted, or credential:NAME",
         examples=["left-index.key", "credential:mqtt-key"],
     )
-    home_assistant_discovery: Annotated[str, Field(max_length=200), AfterValidator(_topic)] | None = Field(
-        default=None,
-        description="list the plate in Home Assistant, whose discovery prefix this is; default: off",
-        examples=["homeassistant"],
-    )
 
     _named_by: str = PrivateAttr("mqtt.url")
 

@@ -5,7 +5,6 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 from urllib.parse import quote
 
-from resonator_daemon.base.entry_points import load_entries
 from resonator_daemon.base.host.files import state_directory
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config import Config
@@ -14,11 +13,9 @@ from resonator_daemon.mqtt.codec import Encoded, Outgoing, decoded, encode
 from resonator_daemon.mqtt.commands import Commands, Handler
 from resonator_daemon.mqtt.daemon_state import DaemonState
 from resonator_daemon.mqtt.event_log import EventPage
-from resonator_daemon.mqtt.payloads import Info, Message, MessageAccount, State
+from resonator_daemon.mqtt.payloads import Message, MessageAccount, State
 from resonator_daemon.mqtt.publisher import FRESH_S, Publisher, Subscription
 from resonator_daemon.mqtt.topics import (
-    CONTACTS,
-    INFO,
     JSON,
     SCHEMA_PATH,
     STATE_DAEMON,
@@ -91,8 +88,6 @@ class PlatePublisher:
             self._last[topic.path] = message
         if self._publisher is not None:
             self._publisher.publish(self._base, topic, message)
-            if topic is INFO and isinstance(message, Info):
-                self._publish_discovery(message)
         elif topic.retained and isinstance(message, Message):
             self._waiting[topic] = message
 
@@ -153,15 +148,6 @@ class PlatePublisher:
         if self._publisher is not None:
             farewell = (self._base, STATE_DAEMON, self._make_offline(Reason(ReasonCode.STOPPED, "stopped")))
             await self._publisher.close(farewell, wait_for_broker=wait_for_broker)
-
-    def _publish_discovery(self, info: Info) -> None:
-        """Publish the messages of extensions that list the plate in other programs."""
-        contacts = CONTACTS.path in info.rates_hz or self._config.decoding.external
-        for _, discovery in load_entries("discovery", callable):
-            listed = discovery(self._config.mqtt, self._name, info, contacts=contacts)
-            if self._publisher is not None and listed is not None:
-                topic, payload = listed
-                self._publisher.retain(topic, payload, JSON)
 
     def _answer(self, answer: Outgoing) -> None:
         if self._publisher is not None:

@@ -169,9 +169,7 @@ async def test_drawings_end_with_the_measurement_and_plates_change(server: Foxgl
         assert "left/forces" in seen.schemas
         assert "left/forces/cloud" not in seen.schemas
         assert len(seen.found["left/contacts"]) == 1  # nothing is invented there
-        server.cleared(
-            "left", "state/link"
-        )  # `resonatord remove` clears it, too, but only a plate without info is gone
+        server.cleared("left", "state/link")  # only a plate without info is gone
         server.add("left", "contacts", PRESS)
         await seen.until("left/contacts", 2)
         server.cleared("left", "info")
