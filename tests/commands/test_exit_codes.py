@@ -28,7 +28,7 @@ FAILING = """
 2 usage: config explain nope | record left-index.toml
 78 config: emulate --plate quartz16 --pty nope/board | check gone.toml
 69 no_broker: calibrate skin skin.toml | tare client.toml
-69 no_broker: command left ping --url mqtt://127.0.0.1:9 | remove left --url mqtt://127.0.0.1:9
+69 no_broker: command left ping --url mqtt://127.0.0.1:9
 69 no_board: calibrate board.toml --masses-grams 100 --output new.toml | identify tcp://127.0.0.1:9
 1 differs: compare run.mcap cut.mcap | export cut.mcap --output out.npz | replay cut.mcap --to out.jsonl
 1 fault: doctor tcp://127.0.0.1:9 --seconds 1
