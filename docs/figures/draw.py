@@ -34,7 +34,6 @@ from resonator_daemon.estimate.elastic.contact import paraboloid
 from resonator_daemon.estimate.elastic.fields import SurfaceFields
 from resonator_daemon.estimate.elastic.friction import FrictionalContact
 from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
-from resonator_daemon.extensions.planning.figures import write_density_figure
 
 PANELS = {
     "Fig. 2: p_n": ("p_n", [0]),
@@ -55,8 +54,31 @@ def power_spectra(folder: Path) -> None:
         matrix = BODY.transfer_matrix(output, "traction", wx, wy, DEPTH_M)
         spectra.append((np.abs(matrix[..., rows, :]) ** 2).sum(axis=(-2, -1)))
         spectra[-1][60, 60] = np.nan  # every direction has a limit of its own there
-    title = f"Power spectra per traction, depth {DEPTH_M * 1e3:g} mm, Poisson's ratio {BODY.poisson_ratio:g}"
-    write_density_figure(folder / "power-spectra.svg", list(PANELS), np.array(spectra), omega, title)
+    figure = Figure(figsize=(10.4, 7.3), layout="constrained")
+    figure.suptitle(
+        f"Power spectra per traction, depth {DEPTH_M * 1e3:g} mm, Poisson's ratio {BODY.poisson_ratio:g}; below them, "
+        "profiles at 0, 45 and 90 degrees",
+        fontsize="medium",
+    )
+    axes = figure.subplots(4, 3, height_ratios=[3, 1] * 2)
+    omega = omega * 1e-3
+    for index, (name, spectrum) in enumerate(zip(PANELS, spectra, strict=True)):
+        band, column = divmod(index, 3)
+        density, profile = axes[2 * band, column], axes[2 * band + 1, column]
+        scaled = spectrum / np.nanmax(spectrum)
+        density.imshow(scaled, cmap="Greys", vmin=0.0, extent=(omega[0], omega[-1], omega[-1], omega[0]))
+        density.set_title(name, fontsize="small")
+        for angle, along, values in (
+            ("0", omega, scaled[60]),
+            ("45", omega * np.sqrt(2.0), np.diagonal(scaled)),
+            ("90", omega, scaled[:, 60]),
+        ):
+            profile.plot(along, values, linewidth=1.0, label=f"{angle}°")
+        profile.set_xlim(omega[0], omega[-1])
+    axes[0, 0].set_ylabel("omega_y, rad/mm", fontsize="small")
+    axes[-1, 0].set_xlabel("omega_x, profiles: |omega|, rad/mm", fontsize="small")
+    axes[1, 0].legend(fontsize="xx-small")
+    figure.savefig(folder / "power-spectra.svg")
 
 
 def contact(count: int, pitch_m: float) -> FrictionalContact:

@@ -1,25 +1,37 @@
-"""A plan of codes: its ladder, what it bears and what it costs, as tables, a picture, or one object."""
+"""Plan of the codes of force sites: their tones, what they cost, and how often touches would be mistaken."""
 
+import argparse
 import math
-from collections.abc import Mapping
+import sys
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 
+from firmware_protocol.layouts import CHANNEL_COUNT
+from resonator_daemon.base.arrays import Integers
+from resonator_daemon.base.errors import ExitCode, UsageError, UserError
 from resonator_daemon.base.plate import Plate
-from resonator_daemon.base.plate_tables import Counter
-from resonator_daemon.estimate.forces.codes import CodeOverlap
-from resonator_daemon.extensions.planning.code_ladder import ForceNoise, GuardBand
-from resonator_daemon.extensions.planning.code_trials import Outcomes
-from resonator_daemon.extensions.planning.figures import write_code_figure
-from resonator_daemon.tools.view.words import number_table, quantity
+from resonator_daemon.extensions.planning import code_trials
+from resonator_daemon.extensions.planning.code_ladder import (
+    CodePlacement,
+    ForceNoise,
+    GuardBand,
+    Tolerances,
+    force_noise,
+    guard_band,
+)
+from resonator_daemon.extensions.planning.code_trials import Codes, Outcomes
+from resonator_daemon.extensions.planning.plate_file import planned_plate, plate_file_text
+from resonator_daemon.extensions.planning.request import PILOT_ABOVE, Request, make_request
+from resonator_daemon.measure.sensors import plate_sites
+from resonator_daemon.tools.view.words import number_table
 
-BITS_A_BYTE: Final = 10  # on a serial line: start bit, 8 data bits, stop bit
+PLATES: Final = 50  # drawn
+TWO_TOUCH_SHARE: Final = 20  # of simulated touches, one in this many is two at a time
+CODES_MORE: Final = 1.1  # times as many codes, while neighbours couple too much
 
 _CAUSES: Final = {
     "force": "largest force, all sensitivities",
@@ -28,19 +40,23 @@ _CAUSES: Final = {
     "noise": "noise and error of K, odds of 1000 : 1",
     "pulling": "pulling by the corners",
     "placement": "placement of two tones",
-    "common": "common shift, unnoticed without a pilot",
 }
+
+
+class PlanRefusedError(UserError):
+    """The plan cannot be fulfilled; no plate file was written."""
+
+    exit_code = ExitCode.FAILED
+    code = "no_plan"
 
 
 @dataclass(frozen=True)
 class Trials:
-    """What a simulation counted; `nearest_wrong` is the share that the nearest band misses, by common shift."""
+    """What a simulation counted."""
 
-    plates: int
     plates_overlapping: int
     one_touch: Outcomes
     two_touches: Outcomes
-    nearest_wrong: Mapping[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,43 +64,23 @@ class CodePlan:
     """Codes of a plate, by site, and all that was found of them; `codes` count from the highest tone, 1."""
 
     plate: Plate
-    codes: NDArray[np.int64]
-    step: float  # least between two tones on one channel, relative
+    plate_file: str
+    codes: Integers
+    step: float  # relative
     guard: GuardBand
-    too_near: tuple[tuple[int, int], ...]  # sites, by id, whose codes couple too much
-    overlaps: tuple[CodeOverlap, ...]
+    too_near: list[list[int]]  # sites, by id, whose codes couple too much
     refused: tuple[str, ...]
     trapped_band: float
-    baud: float
     window_s: float
-    has_pilot: bool
-    noise: Mapping[str, ForceNoise]
+    noise: ForceNoise
     trials: Trials
 
-    @property
-    def _band_hz(self) -> float:
-        """From the pilot, where there is one, down to the lowest tone under the largest force."""
-        low, high = self.bands_hz()
-        pilot_hz = self.plate.pilot_hz if self.has_pilot else 0.0
-        return max(pilot_hz, float(high.max())) - float(low.min())
-
-    def bands_hz(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Lowest and highest frequency of each site (m,), over forces and channels."""
-        tones = self.plate.tones
-        loaded = tones.f0_hz / (1.0 - tones.sensitivity * self.plate.force_max_newton)
-        return np.minimum(loaded, tones.f0_hz).min(axis=1), np.maximum(loaded, tones.f0_hz).max(axis=1)
-
-    def _loads(self) -> dict[str, int]:
-        """Bytes of a frame by kind of counter."""
-        counters = {kind: Counter.model_validate({"kind": kind}) for kind in ("single-tone", "channelised")}
-        return {kind: self.plate.model_copy(update={"counter": c}).frame_bytes for kind, c in counters.items()}
-
     def as_json(self) -> dict[str, Any]:
-        """Everything that is shown but the picture."""
+        """Everything that is shown."""
         plate, trials = self.plate, self.trials
-        ids = plate.site_ids.tolist()
-        rate_hz = plate.counter.frame_rate_hz
-        ladder_hz = float(np.ptp(plate.tones.f0_hz))
+        tones = plate.tones
+        loaded_hz = tones.f0_hz / (1.0 - tones.sensitivity * plate.force_max_newton)
+        used_hz = max(plate.pilot_hz, float(loaded_hz.max())) - float(np.minimum(loaded_hz, tones.f0_hz).min())
         return {
             "ok": not self.refused,
             "refused": list(self.refused),
@@ -94,112 +90,75 @@ class CodePlan:
                     "site": site,
                     "position_m": plate.site_positions_m[row].tolist(),
                     "code": int(self.codes[row]),
-                    "f0_hz": plate.tones.f0_hz[row].tolist(),
-                    "sensitivity": plate.tones.sensitivity[row].tolist(),
+                    "f0_hz": tones.f0_hz[row].tolist(),
+                    "sensitivity": tones.sensitivity[row].tolist(),
+                    "at_largest_force_hz": loaded_hz[row].tolist(),
                 }
-                for row, site in enumerate(ids)
+                for row, site in enumerate(plate.site_ids.tolist())
             ],
-            "step_ppm": None if math.isnan(self.step) else 1e6 * self.step,
+            "step_ppm": 1e6 * self.step,
             "guard_band_ppm": {cause: 1e6 * share for cause, share in self.guard._asdict().items()}
             | {"step": 1e6 * self.guard.step},
-            "neighbours_too_near": [list(pair) for pair in self.too_near],
-            "codes_may_overlap": plate.counter.codes_may_overlap,
-            "overlaps": [
-                {
-                    "sites": [ids[found.site], ids[found.other]],
-                    "channel": found.channel,
-                    "spacing_ppm": found.spacing_ppm,
-                    "needed_ppm": found.needed_ppm,
-                }
-                for found in self.overlaps
-            ],
+            "neighbours_too_near": self.too_near,
             "band": {
-                "codes_hz": ladder_hz,
-                "codes_ppm": 1e6 * ladder_hz / plate.pilot_hz,
-                "pilot_hz": plate.pilot_hz if self.has_pilot else None,
-                "used_hz": self._band_hz,
-                "used_ppm": 1e6 * self._band_hz / plate.pilot_hz,
+                "pilot_hz": plate.pilot_hz,
+                "used_hz": used_hz,
+                "used_ppm": 1e6 * used_hz / plate.pilot_hz,
                 "trapped_ppm": 1e6 * self.trapped_band,
-                "share": self._band_hz / plate.pilot_hz / self.trapped_band,
+                "share": used_hz / plate.pilot_hz / self.trapped_band,
             },
-            "link": {
-                kind: {
-                    "frame_bytes": size,
-                    "frame_rate_hz": rate_hz,
-                    "bytes_per_s": size * rate_hz,
-                    "share_of_baud": size * rate_hz * BITS_A_BYTE / self.baud,
-                }
-                for kind, size in self._loads().items()
-            },
-            "force_noise": {"window_s": self.window_s} | {name: noise._asdict() for name, noise in self.noise.items()},
+            "force_noise": {"window_s": self.window_s} | self.noise._asdict(),
             "trials": {
-                "plates": trials.plates,
+                "plates": PLATES,
                 "plates_overlapping": trials.plates_overlapping,
                 "one_touch": trials.one_touch._asdict(),
                 "two_touches": trials.two_touches._asdict(),
-                "nearest_wrong": [{"common_ppm": 1e6 * c, "share": w} for c, w in trials.nearest_wrong.items()],
             },
         }
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        for part in (self._site_table, self._guard_table, self._cost_table, self._noise_table, self._trial_table):
-            yield part()
+        found = self.as_json()
+        for table in (self._site_table(found), self._guard_table(), self._trial_table()):
+            yield table
             yield ""
-        yield from self._sentences()
+        band, noise = found["band"], self.noise
+        yield (
+            f"Band, from the pilot at {band['pilot_hz']:.1f} Hz down to full load: {band['used_ppm']:.0f} ppm, "
+            f"{band['share']:.0%} of {band['trapped_ppm']:.0f} ppm."
+        )
+        yield (
+            f"Noise of a force over {1e3 * self.window_s:g} ms: {1e3 * noise.total_newton:.2g} mN, of the counter "
+            f"{1e3 * noise.counter_newton:.2g} mN, of the oscillator {1e3 * noise.oscillator_newton:.2g} mN."
+        )
+        yield f"Codes overlap on {self.trials.plates_overlapping} of {PLATES} plates drawn."
+        if self.too_near:
+            pairs = ", ".join(f"{one} and {other}" for one, other in self.too_near)
+            yield (
+                f"Coupling: the codes of sites {pairs} are too near each other on the ladder; a wider band or sites "
+                "further apart would do."
+            )
 
-    def _site_table(self) -> Table:
+    def _site_table(self, found: dict[str, Any]) -> Table:
         table = number_table("code", "site", "x mm", "y mm", "f0 Hz", "K ppm/N", "at the largest force Hz")
-        tones = self.plate.tones
-        for index in np.argsort(self.codes).tolist():
-            x_m, y_m = self.plate.site_positions_m[index]
-            f0_hz, sensitivity = float(tones.f0_hz[index].mean()), float(tones.sensitivity[index].mean())
+        for site in sorted(found["sites"], key=lambda site: site["code"]):
+            x_m, y_m = site["position_m"]
             table.add_row(
-                str(self.codes[index]),
-                str(self.plate.site_ids[index]),
+                str(site["code"]),
+                str(site["site"]),
                 f"{1e3 * x_m:.2f}",
                 f"{1e3 * y_m:.2f}",
-                f"{f0_hz:.1f}",
-                f"{1e6 * sensitivity:.3g}",
-                f"{f0_hz / (1.0 - sensitivity * self.plate.force_max_newton):.1f}",
+                f"{np.mean(site['f0_hz']):.1f}",
+                f"{1e6 * np.mean(site['sensitivity']):.3g}",
+                f"{np.mean(site['at_largest_force_hz']):.1f}",
             )
-        if self.has_pilot:
-            table.add_row("pilot", "", "", "", f"{self.plate.pilot_hz:.1f}", "", "")
         return table
 
     def _guard_table(self) -> Table:
         table = number_table("a step must hold", "ppm")
         for cause, share in self.guard._asdict().items():
-            if share:
-                table.add_row(_CAUSES[cause], f"{1e6 * share:.1f}")
+            table.add_row(_CAUSES[cause], f"{1e6 * share:.1f}")
         table.add_row("together", f"{1e6 * self.guard.step:.1f}")
-        table.add_row("least between two tones", quantity(1e6 * self.step, ".1f", ""))
-        return table
-
-    def _cost_table(self) -> Table:
-        band = self.as_json()["band"]
-        table = number_table("uses", "", "", "share")
-        table.add_row(
-            "band, down to full load",
-            f"{band['used_ppm']:.0f} ppm",
-            f"{1e-3 * band['used_hz']:.2f} kHz",
-            f"{band['share']:.0%} of {band['trapped_ppm']:.0f} ppm",
-        )
-        rate_hz = self.plate.counter.frame_rate_hz
-        for kind, size in self._loads().items():
-            table.add_row(
-                f"link, {kind}",
-                f"{size} bytes x {rate_hz:g}/s",
-                f"{1e-3 * size * rate_hz:.0f} kB/s",
-                f"{size * rate_hz * BITS_A_BYTE / self.baud:.0%} of {self.baud:.0f} baud",
-            )
-        return table
-
-    def _noise_table(self) -> Table:
-        table = number_table(
-            f"noise of a force over {1e3 * self.window_s:g} ms", "counter mN", "oscillator mN", "both mN"
-        )
-        for name, noise in self.noise.items():
-            table.add_row(name.replace("_", " "), *(f"{1e3 * value:.2g}" for value in noise))
+        table.add_row("step", f"{1e6 * self.step:.1f}")
         return table
 
     def _trial_table(self) -> Table:
@@ -211,25 +170,106 @@ class CodePlan:
                 table.add_row(name, str(found.touches), *shares)
         return table
 
-    def _sentences(self) -> list[str]:
-        trials = self.trials
-        nearest = ", ".join(f"{share:.2%} at {1e6 * shift:g} ppm" for shift, share in trials.nearest_wrong.items())
-        overlap = f"overlap on {trials.plates_overlapping} of {trials.plates} plates drawn"
-        if trials.plates == 1:
-            overlap = "overlap" if trials.plates_overlapping else "do not overlap"
-        sentences = [
-            f"Codes {overlap}.",
-            f"By the nearest band alone, with all tones off together, wrong: {nearest}.",
-        ]
-        if self.too_near:
-            pairs = ", ".join(f"{one} and {other}" for one, other in self.too_near[:5])
-            more = f" and {len(self.too_near) - 5} more pairs" if len(self.too_near) > 5 else ""
-            sentences.append(
-                f"Coupling: the codes of sites {pairs}{more} are too near each other on the ladder; a wider band or "
-                "sites further apart would do."
-            )
-        return sentences
 
-    def write_picture(self, path: Path) -> None:
-        """Write plate and ladder to an SVG, PNG or PDF file; a UserError names what is missing."""
-        write_code_figure(path, self.plate, self.codes, self.bands_hz(), self.guard.step, has_pilot=self.has_pilot)
+def plan_codes(options: argparse.Namespace) -> CodePlan:
+    """Return the plan.
+
+    Raises
+    ------
+    UsageError
+        The options do not fit together.
+    PlanRefusedError
+        No plan can fulfil the options; other plans name in `refused` why they do not.
+    """
+    request = make_request(options)
+    random = np.random.default_rng(options.seed)
+    guard = guard_band(request.sensitivity, request.tolerances)
+    step, fitting = _step(request, guard, options)
+    codes, too_near = _place(request, fitting, random)
+    f0_hz = np.repeat(request.f0_hz * (1.0 - step * codes)[:, None], CHANNEL_COUNT, axis=1)
+    name = options.output.stem if options.output is not None else "planned"
+    text = plate_file_text(name, request, f0_hz, codes_may_overlap=options.accept_overlap)
+    plate = planned_plate(text)
+    refused: tuple[str, ...] = ()
+    if not options.accept_overlap:
+        is_narrow = step < guard.step * (1.0 - 1e-9) and len(codes) > 1
+        remedy = "raise --step-ppm" if options.step_ppm else "widen --band-ppm, take fewer sites"
+        refused = (_narrow(plate, codes, step, guard, remedy),) if is_narrow else plate_sites.findings(plate)
+    window_s = 1e-3 * options.window_ms
+    typical = float(np.median(np.abs(plate.tones.sensitivity)))
+    return CodePlan(
+        plate=plate,
+        plate_file=text,
+        codes=codes,
+        step=step,
+        guard=guard,
+        too_near=too_near,
+        refused=refused,
+        trapped_band=1e-6 * options.band_ppm,
+        window_s=window_s,
+        noise=force_noise(typical, request.tolerances.counter_std, window_s, CHANNEL_COUNT),
+        trials=_trials(plate, request.tolerances, int(options.touches), random),
+    )
+
+
+def _step(request: Request, guard: GuardBand, options: argparse.Namespace) -> tuple[float, int]:
+    """Return the step, narrowed where the band has no room for it, and how many codes fit."""
+    count, room = len(request.site_ids), 1e-6 * options.band_ppm - PILOT_ABOVE - guard.force
+    if room <= 0:
+        raise UsageError(
+            f"--band-ppm {options.band_ppm:g}: pilot and largest force alone need "
+            f"{1e6 * (PILOT_ABOVE + guard.force):.0f}; widen the band, or lower --force-max-newton"
+        )
+    step = 1e-6 * (options.step_ppm or math.ceil(1e6 * guard.step))
+    fitting = math.floor(room / step + 1e-9)
+    if fitting >= count:
+        return step, fitting
+    if options.step_ppm:
+        raise PlanRefusedError(
+            f"--step-ppm {options.step_ppm:g}: {count} codes with the pilot need "
+            f"{1e6 * (count * step + PILOT_ABOVE + guard.force):.0f} ppm, the trapped band has {options.band_ppm:g}; "
+            "lower the step, take fewer sites, or widen --band-ppm"
+        )
+    return room / count, count
+
+
+def _place(request: Request, fitting: int, random: np.random.Generator) -> tuple[Integers, list[list[int]]]:
+    """Return codes by site, and pairs that couple too much; takes more codes than sites where that helps."""
+    placement, code_count = CodePlacement(request.positions_m), len(request.site_ids)
+    while True:
+        codes = placement.place(code_count, random)
+        too_near = placement.too_near(codes)
+        if not too_near or code_count == fitting:
+            return codes, [[request.site_ids[site] for site in pair] for pair in too_near]
+        code_count = min(fitting, math.ceil(CODES_MORE * code_count))
+
+
+def _narrow(plate: Plate, codes: Integers, step: float, guard: GuardBand, remedy: str) -> str:
+    """Name the two sites whose codes are nearest to each other."""
+    order = np.argsort(codes)
+    steps = np.diff(codes[order])
+    nearest = int(np.argmin(steps))
+    one, other = sorted(int(plate.site_ids[site]) for site in order[nearest : nearest + 2])
+    low, high = plate.thermal.range_kelvin
+    return (
+        f"sites {one} and {other} can come to be mistaken for each other: their codes are "
+        f"{1e6 * step * steps[nearest]:.0f} ppm apart, the guard band is {1e6 * guard.step:.0f} ppm for forces up to "
+        f"{plate.force_max_newton:g} N from {low:g} to {high:g} K; {remedy}, lower --force-max-newton or the "
+        "tolerances, or insist with --accept-overlap"
+    )
+
+
+def _trials(plate: Plate, tolerances: Tolerances, touches: int, random: np.random.Generator) -> Trials:
+    aimed = Codes(plate.tones.f0_hz, plate.tones.sensitivity)
+    one, two, overlapping = Outcomes(), Outcomes(), 0
+    each = math.ceil(touches / PLATES)
+    for number in range(PLATES):
+        if sys.stderr is not None and sys.stderr.isatty():
+            sys.stderr.write(f"\rsimulating plate {number + 1} of {PLATES}" + "\n" * (number == PLATES - 1))
+            sys.stderr.flush()
+        drawn = code_trials.draw_plate(aimed, tolerances, random)
+        overlapping += code_trials.overlaps(drawn, tolerances)
+        one = one.plus(code_trials.one_touch(drawn, tolerances, each, random))
+        if len(aimed.f0_hz) > 1:
+            two = two.plus(code_trials.two_touches(drawn, tolerances, math.ceil(each / TWO_TOUCH_SHARE), random))
+    return Trials(overlapping, one, two)

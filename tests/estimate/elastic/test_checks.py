@@ -13,15 +13,12 @@ from resonator_daemon.estimate.elastic.grid import SpectralGrid
 from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
 from resonator_daemon.estimate.elastic.mixed import MixedBoundary, solve_regions
-from resonator_daemon.estimate.elastic.sensor_resolution import SensorArray
-from resonator_daemon.estimate.elastic.sensor_sets import SensorSet
 
 BODY = HalfSpace(2e5, 0.3)
 PITCH = 1e-3
 SURFACE = SurfaceCompliance(BODY, (8, 8), PITCH)
 BOWL = paraboloid((8, 8), PITCH, 1e-2)
 MIXED = MixedBoundary(BODY, SpectralGrid((8, 8), PITCH), ("f_x", "f_y", "u_z"), zero="periodic")
-ARRAY = SensorArray(SensorSet(HalfSpace(2e5, 0.5), ("p_n", "xz", "yz"), 1e-3), 4e-4, 30.0)
 IMAGES = np.zeros((3, 8, 8))
 
 
@@ -38,7 +35,6 @@ IMAGES = np.zeros((3, 8, 8))
         ),
         lambda bad: solve_regions(SURFACE, bad(IMAGES), np.full((3, 8, 8), np.nan)),
         lambda bad: MIXED.field(bad(IMAGES), "p_n"),
-        lambda bad: ARRAY.load_to_error("normal", bad(np.ones(2)), 0.0),
     ],
 )
 @pytest.mark.parametrize(

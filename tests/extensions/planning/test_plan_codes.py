@@ -14,12 +14,11 @@ from resonator_daemon.commands import main
 from resonator_daemon.measure.sensors import plate_sites
 
 GRID = ("--grid", "4x4", "--pitch-mm", "5")
-FEW = ("--touches", "500")
 
 
 def plan(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dict[str, Any], list[str]]:
     """Return exit code, the object on stdout, and the lines on stderr."""
-    code = main(["plan", "codes", "--json", *FEW, *arguments])
+    code = main(["plan", "codes", "--json", "--touches", "500", *arguments])
     printed = capsys.readouterr()
     return code, json.loads(printed.out) if printed.out else {}, printed.err.splitlines()
 
@@ -37,6 +36,9 @@ def test_a_planned_plate_passes_check_and_comes_back_as_it_was_shown(
     assert plate.tones.f0_hz.tolist() == [site["f0_hz"] for site in found["sites"]]
     assert plate.tones.sensitivity.tolist() == [site["sensitivity"] for site in found["sites"]]
     assert plate.site_positions_m.tolist() == [site["position_m"] for site in found["sites"]]
+    np.testing.assert_allclose(plate.site_positions_m[:5], 1e-3 * np.array([[-7.5, -7.5], [-2.5, -7.5], [2.5, -7.5],
+        [7.5, -7.5], [-7.5, -2.5]]))  # fmt: skip
+    assert plate.outline_m.tolist() == [[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]]
     assert not plate.counter.codes_may_overlap
     assert plate.counter.reference_hz == 1e9
     assert plate.calibration.sensitivity_std == pytest.approx(np.std(np.linspace(-0.3, 0.3, 100_001)), rel=1e-4)
@@ -51,7 +53,7 @@ def test_a_planned_plate_passes_check_and_comes_back_as_it_was_shown(
 
 
 def test_tables_list_the_ladder_from_the_highest_tone_down(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["plan", "codes", *FEW, *GRID]) == 0
+    assert main(["plan", "codes", "--touches", "500", *GRID]) == 0
     rows = [line.split() for line in capsys.readouterr().out.splitlines()[1:17]]
     assert [int(row[0]) for row in rows] == list(range(1, 17))
     tones_hz = [float(row[4]) for row in rows]
@@ -73,8 +75,6 @@ def test_the_numbers_of_quartz16_give_a_ladder_without_collisions(
     np.testing.assert_array_equal(plate.tones.sensitivity, shipped.tones.sensitivity)
     assert plate.load_sharing_exponent == shipped.load_sharing_exponent
     assert found["neighbours_too_near"] == []
-    assert found["link"]["single-tone"]["share_of_baud"] == pytest.approx(0.51)
-    assert found["link"]["channelised"]["frame_bytes"] == 4 * (28 + 8 + 16 * 12)
     trials = found["trials"]
     assert (trials["plates_overlapping"], trials["one_touch"]["wrong"], trials["two_touches"]["wrong"]) == (0, 0, 0)
     if "400" in extra:
@@ -82,7 +82,7 @@ def test_the_numbers_of_quartz16_give_a_ladder_without_collisions(
         assert found["band"]["used_ppm"] == pytest.approx(1000 + 15 * 400 + 50, rel=0.02)
 
 
-def test_a_plate_says_what_no_option_says(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_plate_gives_what_no_option_gives(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     coefficients = "temperature_coefficients = [-5e-8, -5e-10, 1e-10]\n"
     head = plate_head("known", (-9, -9), (9, 9), 5, reference_hz=250e6, frame_rate_hz=500, pilot_hz=5.005e6)
     thermal = "[thermal]\nrange_kelvin = [295, 300]\ncoefficient_std = 1e-8\n"
@@ -93,10 +93,9 @@ def test_a_plate_says_what_no_option_says(capsys: pytest.CaptureFixture[str], tm
     assert code == 0
     assert found["guard_band_ppm"]["force"] == pytest.approx(4 * 5)
     assert found["guard_band_ppm"]["temperature"] == pytest.approx(6 * 0.01 * 5)
-    assert found["link"]["single-tone"]["bytes_per_s"] == 500 * 204
-    # 12 s^2 / (N T^2) with s of 4 ns / sqrt(12) and 0.3 ns, N = 1e5, T = 10 ms.
-    counter_std = ((4e-9**2 / 12 + 0.3e-9**2) * 12 / 1e5) ** 0.5 / 10e-3
-    assert found["force_noise"]["one_channel"]["counter_newton"] == pytest.approx(counter_std / 4e-6)
+    # 12 s^2 / (N T^2) with s of 4 ns / sqrt(12) and 0.3 ns, N = 1e5, T = 10 ms, on four channels.
+    counter_newton = ((4e-9**2 / 12 + 0.3e-9**2) * 12 / 1e5) ** 0.5 / 10e-3 / 4e-6 / 2
+    assert found["force_noise"]["counter_newton"] == pytest.approx(counter_newton)
     plate = load_plate(str(new))
     assert (plate.counter.reference_hz, plate.counter.frame_rate_hz, plate.force_max_newton) == (250e6, 500, 5)
     assert plate.thermal.range_kelvin == (295.65, 300.65)
@@ -106,21 +105,7 @@ def test_a_plate_says_what_no_option_says(capsys: pytest.CaptureFixture[str], tm
     assert plate.tones.f0_hz.max() == pytest.approx(5e6 * (1 - 1e-6 * found["step_ppm"]), abs=0.1)
     code, found, _ = plan(capsys, "--plate", str(path), "--counter-tick-ns", "1", "--temperature-span-kelvin", "10")
     assert found["guard_band_ppm"]["temperature"] == pytest.approx(6 * 0.01 * 10)
-    assert found["force_noise"]["one_channel"]["counter_newton"] < 0.4 * counter_std / 4e-6
-
-
-def test_kept_codes_that_overlap_for_the_forces_asked_for_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ("--plate", "quartz16", "--keep-codes", "--force-max-newton", "80")
-    code, found, complaints = plan(capsys, *arguments)
-    assert code == 1
-    assert found["ok"] is False
-    assert "can be mistaken for each other" in complaints[0]
-    worst = found["overlaps"][0]
-    assert worst["needed_ppm"] > worst["spacing_ppm"]
-    assert worst["needed_ppm"] > 350
-    code, found, complaints = plan(capsys, *arguments, "--accept-overlap")
-    assert (code, complaints, found["ok"]) == (0, [], True)
-    assert found["overlaps"]
+    assert found["force_noise"]["counter_newton"] < 0.4 * counter_newton
 
 
 def test_a_step_below_the_guard_band_is_refused_with_the_pair_and_written_when_insisted(
@@ -129,11 +114,11 @@ def test_a_step_below_the_guard_band_is_refused_with_the_pair_and_written_when_i
     path = tmp_path / "narrow.toml"
     arguments = (*GRID, "--step-ppm", "60", "--pull-ppm", "0", "--output", str(path))
     code, found, complaints = plan(capsys, *arguments)
-    assert code == 1
+    assert (code, found["ok"]) == (1, False)
     assert not path.exists()
     (complaint,) = complaints
     one, other = (site["site"] for site in found["sites"] if site["code"] in (1, 2))
-    for word in (f"sites {one} and {other} ", "60 ppm apart", "guard band is 139 ppm", "raise --step-ppm", "--accept"):
+    for word in (f"sites {one} and {other} ", "60 ppm", "139 ppm", "--step-ppm", "--accept"):
         assert word in complaint
     code, found, complaints = plan(capsys, *arguments, "--accept-overlap")
     assert (code, complaints) == (0, [])
@@ -145,14 +130,42 @@ def test_a_step_below_the_guard_band_is_refused_with_the_pair_and_written_when_i
     assert found["trials"]["one_touch"]["undecided"] > 10
 
 
+@pytest.mark.parametrize("first", ["", "x_mm, y_mm\n\n"])
+def test_positions_are_read_from_lines(first: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "sites.csv"
+    path.write_text(f"{first}-6.1,4.2\n3, -5\n")
+    _, found, _ = plan(capsys, "--sites", str(path))
+    np.testing.assert_allclose([site["position_m"] for site in found["sites"]], [[-6.1e-3, 4.2e-3], [3e-3, -5e-3]])
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (b"1,2\n1,2,3\n", "sites.csv:2: got '1,2,3'"), (b"x,y\n", "sites.csv:1: got 'x,y'"),
+        (b"1,2\n3,4\n1.0,2\n", "sites.csv:3: got '1.0,2'"), (b"nan,1\n", "sites.csv:1: got 'nan,1'"),
+        (b"1e5,1\n", "within +-10000"), (b"\n", "no positions"), (b"\xff\xfe1,2", "cannot be read"),
+        (None, "cannot be read: No such file"),
+    ],
+)  # fmt: skip
+def test_the_line_that_is_no_position_is_named(
+    content: bytes | None, complaint: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "sites.csv"
+    if content is not None:
+        path.write_bytes(content)
+    assert exit_code("plan", "codes", "--sites", str(path)) == 2
+    assert complaint in capsys.readouterr().err.splitlines()[-1]
+
+
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
         ((), "give --sites or --plate or --grid"),
         ((*GRID, "--force-max-newton", "10000", "--sensitivity-ppm-per-newton", "100"), "largest shift is 1.3e+06 ppm"),
-        ((*GRID, "--coupling", "220@5,1150@4"), "is not HZ@MM,HZ@MM with the nearer distance first"),
-        ((*GRID, "--band-ppm", "1000"), "--band-ppm 1000: pilot and largest force alone need 1082; widen the band"),
-        (("--plate", "quartz16", "--keep-codes", "--step-ppm", "9"), "--step-ppm does not go with --keep-codes"),
+        ((*GRID, "--band-ppm", "1000"), "--band-ppm 1000: pilot and largest force alone need 1082"),
+        ((*GRID, "--sensitivity-ppm-per-newton", "0"), "--sensitivity-ppm-per-newton 0"),
+        ((*GRID, "--stamps-per-s", "1e9"), "--stamps-per-s 1e+09: 1e+06 in a frame"),
+        (("--grid", "20x20", "--pitch-mm", "5"), "400 sites; at most 256"),
         (("--plate", "skin32"), "'skin32' has a channelised counter of p_n, eps_xz, eps_yz"),
     ],
 )

@@ -1,21 +1,19 @@
 """Space the tones of force sites so that no two can be mistaken for each other.
 
 Each force site of a plate gets a code: a step of a ladder of tones, wide enough for forces, temperature, ageing, noise
-and tolerances, with codes far apart for neighbours. The page shows how often touches would be mistaken, what band and
-link it takes and how noisy forces are; --output writes a plate file.
+and tolerances, with codes far apart for neighbours. The page shows how often touches would be mistaken, what band it
+takes and how noisy forces are; --output writes a plate file.
 
 docs/explanation/codes.md explains more.
 Example: resonatord plan codes --grid 4x4 --pitch-mm 5 --force-max-newton 10 --output new-plate.toml
 """
 
 import argparse
-import logging
-import math
 from pathlib import Path
 from typing import Any
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.tools.command_line import number, picture, print_json, print_page, whole_number
+from resonator_daemon.tools.command_line import number, print_json, print_page, whole_number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,56 +30,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_number(tones, "--f0-mhz", 0.1, 1000, "the ladder begins one step below (default: 10)")
     add_number(tones, "--sensitivity-ppm-per-newton", -1e5, 1e5, "K of a typical site, signed (default: -6.3)")
     add_number(tones, "--sensitivity-spread", 0, 0.8, "largest relative difference from that (default: 0.3)")
-    add_number(tones, "--tolerance-ppm", 0, 1e4, "how far a tone may lie from its code (default: 20)")
-    add_number(tones, "--pull-ppm", 0, 1e4, "how far a corner may pull a tone (default: 25)")
+    add_number(tones, "--tolerance-ppm", 0, 1e4, "how far a tone may lie from its code (default: 20)", 20.0)
+    add_number(tones, "--pull-ppm", 0, 1e4, "how far a corner may pull a tone (default: 25)", 25.0)
     add_number(tones, "--step-ppm", 0.1, 1e5, "from code to code (default: what the guard band needs)")
     add_number(tones, "--band-ppm", 10, 1e5, "in which modes are trapped, pilot included (default: 15000)", 15000.0)
-    tones.add_argument(
-        "--coupling",
-        type=_coupling,
-        metavar="HZ@MM,HZ@MM",
-        help="of two equal sites, half the splitting, at two distances of their centres (default: neighbours get codes "
-        "two steps apart)",
-    )
     use = parser.add_argument_group("use")
     add_number(use, "--force-max-newton", 1e-3, 1e4, "largest force (default: 10)")
     add_number(use, "--temperature-span-kelvin", 0.1, 300, "from the coldest to the warmest (default: 20)")
-    add_number(use, "--ageing-ppm", 0, 1e4, "of one site against another (default: 2)")
-    use.add_argument("--no-pilot", action="store_true", help="nothing is measured on an untouched plate")
-    add_number(use, "--common-ppm", 0, 1e4, "shift of all tones together that a pilot would show (default: 10)", 10.0)
-    counter = parser.add_argument_group("counter and link")
+    add_number(use, "--ageing-ppm", 0, 1e4, "of one site against another (default: 2)", 2.0)
+    counter = parser.add_argument_group("counter")
     add_number(counter, "--counter-tick-ns", 1e-3, 1000, "of its clock (default: 1)")
     add_number(counter, "--stamps-per-s", 1e3, 1e9, "of one channel (default: 1e7)", 1e7)
     add_number(counter, "--window-ms", 0.1, 1000, "of one force (default: 10)", 10.0)
     add_number(counter, "--frame-rate-hz", 1, 1e5, "of the board (default: 1000)")
-    add_number(counter, "--baud", 300, 1e9, "of a serial link (default: 4e6)", 4e6)
     result = parser.add_argument_group("result")
     add_number(result, "--touches", 100, 1e6, "to simulate (default: 20000)", 20000)
     result.add_argument(
         "--seed", type=whole_number(0, 10**18), default=0, metavar="N", help="of all that is random (default: 0)"
     )
-    result.add_argument("--keep-codes", action="store_true", help="judge the codes that the plate has")
     result.add_argument("--accept-overlap", action="store_true", help="take codes that can be mistaken all the same")
     result.add_argument("--output", type=Path, metavar="FILE", help="write a plate file, which must be new")
-    result.add_argument("--picture", type=picture, metavar="FILE", help="draw to a .svg, .png or .pdf file")
     result.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     """Print the plan, and write the plate file where the plan can be fulfilled."""
-    from resonator_daemon.extensions.planning.run import PlanRefusedError, plan_codes
+    from resonator_daemon.extensions.planning.code_plan import PlanRefusedError, plan_codes
     from resonator_daemon.tools.calibration.plate_file import write_plate_file
 
-    logging.getLogger().setLevel(logging.WARNING)  # matplotlib logs its fonts
-    plan, plate_file = plan_codes(arguments)
-    if arguments.picture is not None:
-        plan.write_picture(arguments.picture)
+    plan = plan_codes(arguments)
     if not arguments.json:
         print_page(plan)
     if plan.refused:
         raise PlanRefusedError(*plan.refused, partial_result=plan.as_json())
     if arguments.output is not None:
-        write_plate_file(plate_file, arguments.output)
+        write_plate_file(plan.plate_file, arguments.output)
     if arguments.json:
         print_json(plan.as_json())
     return ExitCode.DONE
@@ -92,17 +75,3 @@ def _grid(text: str) -> tuple[int, int]:
     if len(parts) != 2 or not all(part.isascii() and part.isdecimal() and 1 <= int(part[:6]) <= 1000 for part in parts):
         raise argparse.ArgumentTypeError(f"{text!r} is not NXxNY, columns and rows from 1 to 1000, as 4x4")
     return int(parts[0]), int(parts[1])
-
-
-def _coupling(text: str) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Parse to distances in metres and couplings in Hz."""
-    try:
-        (near_hz, near_mm), (far_hz, far_mm) = (map(float, part.split("@")) for part in text.split(","))
-    except ValueError:
-        near_hz = near_mm = far_hz = far_mm = math.nan
-    if not (0 < far_hz < near_hz < 1e6 and 0 < near_mm < far_mm < 1e4):
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not HZ@MM,HZ@MM with the nearer distance first and less coupling further away, as "
-            "1150@4,220@5"
-        )
-    return (1e-3 * near_mm, 1e-3 * far_mm), (near_hz, far_hz)

@@ -1,8 +1,7 @@
 """Print what sensors under a skin resolve of loads on it.
 
 The sensors are a square lattice under an elastic half-space. The output has the resolution of normal and tangential
-load, the bandwidth, symmetry and rank of the signals, and the effect of pitch and depth. It also draws the power of the
-signals over the plane of spatial frequencies.
+load, and the bandwidth, symmetry and rank of the signals.
 
 A feature of 1 mm is one stripe of a grating with 1 mm stripes and 1 mm gaps. It is resolved if a best linear estimate
 recovers at least half of it. docs/explanation/codes.md explains more.
@@ -10,10 +9,9 @@ Example: resonatord plan sensors --set p_n,xz,yz --depth-mm 1 --pitch-mm 0.4 --s
 """
 
 import argparse
-import logging
 
 from resonator_daemon.base.errors import ExitCode, UsageError
-from resonator_daemon.tools.command_line import picture, print_json, print_page
+from resonator_daemon.tools.command_line import print_json, print_page
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,17 +39,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="20 log10 of the rms of the signals under a load without favoured width over that of the noise, -40 to "
         "100 (default: 30)",
     )
-    parser.add_argument("--picture", type=picture, metavar="FILE", help="also draw to a .svg, .png or .pdf file")
     parser.add_argument("--json", action="store_true", help="print one JSON object, in SI units, and nothing else")
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.estimate.elastic.half_space import HalfSpace
-    from resonator_daemon.estimate.elastic.sensor_resolution import SensorArray
-    from resonator_daemon.estimate.elastic.sensor_sets import SensorSet
+    from resonator_daemon.extensions.planning.sensor_array import SensorArray, SensorSet
     from resonator_daemon.extensions.planning.sensor_plan import SensorPlan
 
-    logging.getLogger().setLevel(logging.WARNING)  # matplotlib logs its fonts
     try:
         skin = HalfSpace(arguments.youngs_modulus_pascal, arguments.poisson_ratio)
         names = tuple(name.strip() for name in arguments.set.split(","))
@@ -59,8 +54,6 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         plan = SensorPlan(SensorArray(sensors, 1e-3 * arguments.pitch_mm, arguments.snr_db))
     except ValueError as error:
         raise UsageError(str(error)) from error
-    if arguments.picture is not None:
-        plan.write_picture(arguments.picture)
     if arguments.json:
         print_json(plan.as_json())
     else:

@@ -8,8 +8,6 @@ from resonator_daemon.estimate.elastic.grid import SpectralGrid
 from resonator_daemon.estimate.elastic.half_space import Convention, HalfSpace
 from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
 from resonator_daemon.estimate.elastic.mixed import MixedBoundary, solve_regions
-from resonator_daemon.estimate.elastic.sensor_resolution import SensorArray
-from resonator_daemon.estimate.elastic.sensor_sets import SensorSet
 
 __all__ = [
     "Convention",
@@ -17,8 +15,6 @@ __all__ = [
     "HalfSpace",
     "MixedBoundary",
     "NotConvergedError",
-    "SensorArray",
-    "SensorSet",
     "SpectralGrid",
     "SurfaceCompliance",
     "SurfaceFields",
