@@ -214,7 +214,6 @@ figures: .venv/figures-stamp  ## draw the pictures of README.md and docs/ again
 	@export OMP_NUM_THREADS=1
 	.venv/bin/python docs/figures/draw.py
 	.venv/bin/python docs/figures/fingertip.py
-	.venv/bin/python docs/figures/live_view.py
 	.venv/bin/python docs/figures/diagrams.py
 	.venv/bin/python docs/figures/press.py
 

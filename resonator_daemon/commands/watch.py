@@ -13,9 +13,6 @@ from resonator_daemon.tools.command_line import add_broker, broker_of
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_broker(parser, config_is_argument=True)
-    parser.add_argument(
-        "--full-rate", action="store_true", help="all messages as they come (default: at most 20 or 5 a second of each)"
-    )
     parser.add_argument("--json", action="store_true", help="one JSON object a message on stdout")
 
 
@@ -24,5 +21,5 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
     from resonator_daemon.tools.view.watch import watch
 
-    asyncio.run(watch(broker_of(arguments), as_json=arguments.json, full_rate=arguments.full_rate))
+    asyncio.run(watch(broker_of(arguments), as_json=arguments.json))
     return ExitCode.DONE

@@ -38,11 +38,11 @@ from resonator_daemon.tools.demo.processes import (
     start_emulator,
     start_live_page,
 )
-from resonator_daemon.tools.demo.results import cause, delays, failures, in_words, percentiles, plate_result
+from resonator_daemon.tools.demo.results import cause, delays, failures, in_words, plate_result
 from resonator_daemon.tools.demo.score import SCORED, PlateScore
 from resonator_daemon.tools.demo.subscription import Subscription
-from resonator_daemon.tools.demo.truth import TruthTable, site_traction, surface_traction
-from resonator_daemon.tools.view.plate_view import PlateView, TrueContact, Truth
+from resonator_daemon.tools.demo.truth import TruthTable
+from resonator_daemon.tools.view.plate_view import PlateView
 from resonator_daemon.tools.view.terminal import render
 
 _START_S: Final = 120.0  # decoders of a skin are set up first
@@ -165,7 +165,7 @@ class _Demo:
             plate.site_positions_m,
             touched_anywhere=plate.decodable,
         )
-        self._stations[name] = _Station(plate, emulator, daemon, truth, score, PlateView(name, full_rate=False))
+        self._stations[name] = _Station(plate, emulator, daemon, truth, score, PlateView(name))
 
     async def _open_live_page(self, broker_url: str, folder: Path, stack: AsyncExitStack) -> None:
         """Start the page in which the plates are pressed with the mouse, and open it where there is a desktop."""
@@ -264,7 +264,8 @@ class _Demo:
             yield self._live_page
 
     def _page(self, left_s: float) -> RenderableType:
-        truths = {name: _truth_to_show(station) for name, station in self._stations.items()}
+        lines = {name: station.truth.lines[-1:] for name, station in self._stations.items()}
+        truths = {name: last[0].contacts for name, last in lines.items() if last}
         views = [station.view for station in self._stations.values()]
         page = f"; press the plates: {self._page_url}" if self._page_url else ""
         title = f"resonatord demo, {left_s:.0f} s left, Ctrl-C ends it{page}"
@@ -312,23 +313,3 @@ class _Demo:
         if self._options.json:
             sys.stdout.write(json.dumps(result) + "\n")
         return ExitCode.DONE
-
-
-def _truth_to_show(station: _Station) -> Truth:
-    lines = station.truth.lines
-    latency = percentiles(station.score.latency_ms[-500:])
-    plate, traction = station.plate, None
-    if lines and plate.grid:
-        traction = surface_traction(lines[-1], (plate.grid.shape[0], plate.grid.shape[1]), plate.grid.pitch_m)[2]
-    elif lines and plate.decodable:
-        traction = site_traction(lines[-1], plate.site_positions_m)[2]
-    contacts = lines[-1].contacts if lines else ()
-    return Truth(
-        contacts=tuple(
-            TrueContact(contact["site"], tuple(contact["position_m"]), tuple(contact["force_newton"]))
-            for contact in contacts
-        ),
-        traction_z_pascal=traction,
-        latency_ms=(latency["p50"], latency["p99"]) if latency else None,
-        losses=station.score.losses,
-    )

@@ -27,18 +27,18 @@ _LINES_S: Final = 1.0
 Draw = Callable[[Sequence[PlateView]], None]
 
 
-async def watch(broker: Mqtt, *, as_json: bool, full_rate: bool = False) -> None:
+async def watch(broker: Mqtt, *, as_json: bool) -> None:
     """Show what plates publish on stdout until SIGINT, SIGTERM, SIGHUP, or the reader of a pipe leaves.
 
-    Without `full_rate` streams come as often as people can follow, by their decimated topics.
+    Streams come as often as people can follow, by their decimated topics.
     """
     console = Console()
     if as_json:
-        showing = asyncio.create_task(_print_messages(broker, full_rate))
+        showing = asyncio.create_task(_print_messages(broker))
     elif sys.stdout.isatty() and not console.is_dumb_terminal:
-        showing = asyncio.create_task(_show_page(broker, full_rate, console))
+        showing = asyncio.create_task(_show_page(broker, console))
     else:
-        showing = asyncio.create_task(_redraw(broker, full_rate, _print_lines(broker), _LINES_S))
+        showing = asyncio.create_task(_redraw(broker, _print_lines(broker), _LINES_S))
     try:
         with on_signals(showing.cancel):
             await asyncio.wait([showing])
@@ -62,14 +62,14 @@ def _discard_stdout() -> None:
         os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
-async def _print_messages(broker: Mqtt, full_rate: bool) -> None:
-    async with aclosing(subscribe(broker, full_rate=full_rate)) as messages:
+async def _print_messages(broker: Mqtt) -> None:
+    async with aclosing(subscribe(broker, full_rate=False)) as messages:
         async for plate, path, message in messages:
             sys.stdout.write(json_line(plate, path, message))
             sys.stdout.flush()
 
 
-async def _show_page(broker: Mqtt, full_rate: bool, console: Console) -> None:
+async def _show_page(broker: Mqtt, console: Console) -> None:
     first_notice = f"waiting for a broker at {broker.host}:{broker.port}"
     with _last_log_line(first_notice) as notice, Live(console=console, screen=True, auto_refresh=False) as live:
 
@@ -78,7 +78,7 @@ async def _show_page(broker: Mqtt, full_rate: bool, console: Console) -> None:
             page = render(views, {}, time.time_ns(), title=title) if views else Text(f"{title}\n{_waiting(broker)}")
             live.update(page, refresh=True)
 
-        await _redraw(broker, full_rate, draw, _PAGE_S)
+        await _redraw(broker, draw, _PAGE_S)
 
 
 def _print_lines(broker: Mqtt) -> Draw:
@@ -95,9 +95,9 @@ def _print_lines(broker: Mqtt) -> Draw:
     return draw
 
 
-async def _redraw(broker: Mqtt, full_rate: bool, draw: Draw, period_s: float) -> None:
+async def _redraw(broker: Mqtt, draw: Draw, period_s: float) -> None:
     views: dict[str, PlateView] = {}
-    listening = asyncio.create_task(_listen(broker, full_rate, views))
+    listening = asyncio.create_task(_listen(broker, views))
     try:
         while not listening.done():
             draw(list(views.values()))
@@ -108,10 +108,10 @@ async def _redraw(broker: Mqtt, full_rate: bool, draw: Draw, period_s: float) ->
         await asyncio.wait([listening])
 
 
-async def _listen(broker: Mqtt, full_rate: bool, views: dict[str, PlateView]) -> None:
-    async with aclosing(subscribe(broker, full_rate=full_rate)) as messages:
+async def _listen(broker: Mqtt, views: dict[str, PlateView]) -> None:
+    async with aclosing(subscribe(broker, full_rate=False)) as messages:
         async for plate, path, message in messages:
-            views.setdefault(plate, PlateView(plate, full_rate=full_rate)).add(path, message, time.time_ns())
+            views.setdefault(plate, PlateView(plate)).add(path, message, time.time_ns())
 
 
 def _waiting(broker: Mqtt) -> str:

@@ -34,12 +34,6 @@ def millinewtons(force_newton: float) -> str:
     return quantity(1e3 * force_newton, ".1f" if force_newton < 10e-3 else ".0f", "")
 
 
-def pascals(pressure_pascal: float) -> str:
-    if pressure_pascal >= 1e3:
-        return quantity(1e-3 * pressure_pascal, "g", " kPa")
-    return quantity(pressure_pascal, "g", " Pa")
-
-
 def duration(seconds: float) -> str:
     if not math.isfinite(seconds):
         return UNKNOWN

@@ -1,9 +1,9 @@
-"""What a view keeps of one plate: the last messages, rates, gaps, and nothing of an earlier run."""
+"""What a view keeps of one plate: the last messages, rates, and nothing of an earlier run."""
 
 import math
 
 import pytest
-from view_messages import NOW_NS, S, forces, health, info, state
+from view_messages import NOW_NS, S, forces, info, state
 
 from resonator_daemon.mqtt.payloads import Lost
 from resonator_daemon.mqtt.topics import FORCES, INFO, STATE_DAEMON, STATE_LINK
@@ -20,35 +20,14 @@ def link_state(view: PlateView) -> str | None:
     return None if message is None else message.state
 
 
-def test_rate_is_messages_that_arrived_within_the_last_second(view: PlateView) -> None:
-    for number in range(250):  # 200/s for 0.5 s, then 100/s for 1.5 s
-        at_ns = NOW_NS + (number * S // 200 if number < 100 else S // 2 + (number - 100) * S // 100)
-        view.add("forces", forces(seq=number), at_ns)
-        if number == 99:
-            assert math.isnan(view.rate_hz(FORCES, at_ns))
-    assert view.rate_hz(FORCES, NOW_NS + 2 * S) == pytest.approx(100, abs=1)
-    assert view.rate_hz(FORCES, NOW_NS + 5 * S // 2) == pytest.approx(50, abs=1)
-    assert view.rate_hz(FORCES, NOW_NS + 4 * S) == 0.0
-    assert view.age_s(NOW_NS + 4 * S) == pytest.approx(2.01)
-
-
-def test_gaps_are_counted_by_topic(view: PlateView) -> None:
-    for seq in (5, 6, 9, 9, 10, 14):
-        view.add("forces", forces(seq=seq), NOW_NS)
-    view.add("health", health(), NOW_NS)
-    assert view.missed["forces"] == 2 + 3
-    assert view.missed["health"] == 0
-
-
-def test_of_decimated_copies_the_rate_is_that_of_the_stream_and_nothing_is_missed() -> None:
-    view = PlateView("left", full_rate=False)
-    for number in range(40):  # every tenth of 200/s
+def test_rate_is_that_of_the_stream_also_by_its_decimated_copies(view: PlateView) -> None:
+    view.add("forces", forces(seq=0), NOW_NS)
+    assert math.isnan(view.rate_hz(FORCES, NOW_NS))
+    for number in range(1, 40):  # every tenth of 200/s
         view.add("forces", forces(seq=10 * number), NOW_NS + number * S // 20)
-    view.add("health", health(), NOW_NS)
-    view.add("health", health().model_copy(update={"seq": 4}), NOW_NS)
     assert view.rate_hz(FORCES, NOW_NS + 2 * S) == pytest.approx(200)
-    assert view.rate_hz(FORCES, NOW_NS + 295 * S // 100) == 0.0
-    assert view.missed == {"health": 2}
+    assert math.isnan(view.rate_hz(FORCES, NOW_NS + 3 * S))
+    assert view.age_s(NOW_NS + 4 * S) == pytest.approx(2.05)
 
 
 def test_losses_never_go_back_to_those_of_a_last_will(view: PlateView) -> None:
@@ -64,7 +43,6 @@ def test_a_new_run_starts_with_nothing(view: PlateView) -> None:
     view.add("forces", forces(seq=90, daemon_boot_id="new", t_ns=NOW_NS - 3600 * S), NOW_NS)
     assert view.last(INFO) is None
     assert view.lost == Lost()
-    assert view.missed["forces"] == 0
 
 
 def test_retained_messages_of_an_earlier_run_do_not_hide_the_present_one(view: PlateView) -> None:

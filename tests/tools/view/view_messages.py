@@ -51,18 +51,21 @@ def onset(site: int, since_s_ago: float) -> ContactEvent:
     return event.model_copy(update={"contact": contact})
 
 
-def contacts(site: int, force_newton: float) -> Contacts:
-    normal = {"force_newton": (None, None, force_newton), "noise_newton": (None, None, 0.0006)}
-    return example(Contacts, **header(), contacts=(example(Contact, site=site, systematic_newton=0.012, **normal),))
+def contact(
+    site: int, normal_newton: float, shear_newton: tuple[float, float] = (math.nan, math.nan), **changes: Any
+) -> Contact:
+    force = {"force_newton": (*shear_newton, normal_newton), "noise_newton": (math.nan, math.nan, 0.0006)}
+    margin = {"slip_margin": math.nan, "slip_margin_std": math.nan}
+    place = {"site": site, "position_m": (0.0, 0.0), "systematic_newton": 0.012}
+    return example(Contact, **{**place, **force, **margin, **changes})
 
 
-def skin_contact(id: int, force_newton: tuple[float, float, float], **changes: Any) -> Contact:
-    unknown = {"slip_margin": math.nan, "slip_margin_std": math.nan}
-    return example(Contact, **{"id": id, "force_newton": force_newton, **unknown, **changes})
-
-
-def contacts_of_skin(*found: Contact) -> Contacts:
+def contacts_of(*found: Contact) -> Contacts:
     return example(Contacts, **header(), contacts=found)
+
+
+def contacts(site: int, force_newton: float) -> Contacts:
+    return contacts_of(contact(site, force_newton))
 
 
 def health(**changes: Any) -> Health:
