@@ -5,8 +5,10 @@ import pytest
 from contact_scenes import DEPTH_M, PITCH_M, E, Scene, fourier_decoder, grid_scene, noise_std
 
 from resonator_daemon.estimate.elastic.half_space import HalfSpace
+from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
 from resonator_daemon.estimate.surface.decoded import Decoded
 from resonator_daemon.estimate.surface.fourier.decoder import FourierDecoder
+from resonator_daemon.estimate.surface.skin import Prior
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +81,22 @@ def test_noise_std_is_per_channel(centred: Scene):
     wrong = FourierDecoder(body, (32, 32), PITCH_M, DEPTH_M, declared[[0, 2, 1]]).decode(frame)
     assert centred.error(found[0]) < 0.92 * centred.error(equal)
     assert centred.error(found[0]) < 0.75 * centred.error(wrong)
+
+
+def test_where_signals_are_lost_the_priors_own_deviation_holds():
+    lost = np.full((3, 5, 7), np.nan)
+    lost[:, :, :4] = 0.0
+    blind = FourierDecoder(HalfSpace(E, 0.5), (5, 7), PITCH_M, 0.0, 10.0, prior=Prior(std_pascal=1e3)).decode(lost)
+    assert blind.traction_std_pascal[:, 2, 6] == pytest.approx(1e3 * np.sqrt([0.3, 0.3, 1.0]), rel=0.01)
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.5])
+def test_displacement_is_that_of_the_traction_on_the_open_plane(nu: float):
+    scene = grid_scene(nu=nu)
+    decoded = fourier_decoder(scene, 40, nu=nu).decode(scene.noisy(40, 0), displacement=True)
+    expected = SurfaceCompliance(HalfSpace(E, nu), (32, 32), PITCH_M).displacement_m(decoded.traction_pascal)
+    assert decoded.displacement_m is not None
+    assert np.linalg.norm(decoded.displacement_m - expected) < 0.05 * np.linalg.norm(expected)
 
 
 # --- lost and impossible signals

@@ -10,11 +10,8 @@ Four things that a small array needs are added to eq. (5) of Karason, Srinivasan
 - The noise is at least the declared one. Where the best fit leaves more (gain errors, a contact across the border), the
   excess counts as noise and widens the error bars; without that, small noise would make errors of the model explode.
 
-Two things are corrected: eq. (5) as printed holds only for noise of one power in all channels, and the spectra printed
-for a sliding contact are no covariance, because they tie f_z to both directions at once.
+Eq. (5) as printed holds only for noise of one power in all channels; here it holds for any.
 """
-
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,25 +29,13 @@ from resonator_daemon.estimate.surface.decoded import (
     noise_of_signals,
     stated,
 )
-from resonator_daemon.estimate.surface.fourier.wiener import (
-    AveragedWiener,
-    ExtendedTransform,
-    ExtensionName,
-    Spectra,
-    SpectralWiener,
-    prior_root,
-    product,
-    sliding,
-    spectra_of,
-    white,
-)
+from resonator_daemon.estimate.surface.fourier.wiener import ExtendedTransform, SpectralWiener, product
 from resonator_daemon.estimate.surface.skin import DEFAULT_PRIOR, Prior
 
 _SCALES = np.logspace(
     -1.0, 5.0, 30
 )  # standard deviation of the prior over the traction that makes a signal of the noise
 _PRIOR_LIMIT_PASCAL = 1e30  # keeps squares of it well within double precision
-_SECTORS = 36  # of directions in which a contact may slide
 _BORDER_SHARE = 0.04  # of the energy of f_z on the outermost sites ...
 _BORDER_SIGMAS = 1.5  # ... and their rms over the standard deviation
 
@@ -97,8 +82,8 @@ class Imputation:
         filled = predicted = np.where(known, frame, total / (self._neighbours_y @ known @ self._neighbours_x))
         limit = _FILL_TOLERANCE**2 * self._noise_variance * (known.size - known.sum())
         for n in range(_FILL_ROUNDS):
-            fit = self._wiener.fit(self._transform.to_spectrum(filled[None]), float(known.mean()))
-            change = np.where(known, 0.0, self._transform.to_space(self._wiener.signals(fit))[0] - predicted)
+            fit = self._wiener.fit(self._transform.to_spectrum(filled), float(known.mean()))
+            change = np.where(known, 0.0, self._transform.to_space(self._wiener.signals(fit)) - predicted)
             predicted = predicted + change
             filled = predicted + n / (n + 3.0) * change
             if np.sum(change**2) < limit:
@@ -122,8 +107,7 @@ class FourierDecoder:
     """Linear minimum-mean-square estimate of tractions and displacements on a grid of sites.
 
     The Wiener inverse of Karason, Srinivasan and Annaswamy, "Encoding and Decoding of Static Information in Tactile
-    Sensing Systems", eq. (5). The printed recipe is `extension="periodic", spectra="white"` with a `prior` of given
-    standard deviation; without regularisation, one far above any traction.
+    Sensing Systems", eq. (5), extended as the head of this file has it.
 
     Parameters
     ----------
@@ -137,26 +121,13 @@ class FourierDecoder:
     noise_std
         Standard deviation of the noise of the dimensionless signals: a scalar, (3,), or what broadcasts to (3, ny, nx).
         The solution uses the mean variance of each channel, because it works frequency by frequency.
-    extension
-        "taper", to a square of 1.5 times the longer side; "periodic", not at all.
-    spectra
-        Power spectra of the traction up to a common factor: "prior", those of the prior; "white", the same for all
-        frequencies and components; or spectra and cross-spectra as a function of omega_x and omega_y, see
-        `spectra.Spectra`.
     prior
-        Prior of the traction. With white spectra, only its standard deviation counts; give one, because their
-        likelihood chooses badly.
-    sliding_friction
-        Friction coefficient of a contact that slides as a whole: f_t is this times f_z, in one direction. Of the
-        spectra only the power of f_z counts. Estimates for 36 sectors of directions are averaged by their evidence, at
-        the cost of as many. Where a part of the contact sticks, f_t comes out too large there and its error bars too
-        small; above about 30 dB `chi2` shows it.
+        Prior of the traction.
 
     Raises
     ------
     ValueError
-        A shape that does not fit, a parameter that is not finite and above 0 (depth: at least 0), a name that is none
-        of those above, or spectra that are no covariance of real tractions.
+        A shape that does not fit, or a parameter that is not finite and above 0 (depth: at least 0).
     """
 
     def __init__(
@@ -167,14 +138,9 @@ class FourierDecoder:
         depth_m: float,
         noise_std: ArrayLike,
         *,
-        extension: ExtensionName = "taper",
-        spectra: Literal["prior", "white"] | Spectra = "prior",
         prior: Prior = DEFAULT_PRIOR,
-        sliding_friction: float | None = None,
     ) -> None:
         SpectralGrid(shape, pitch_m)  # refuses what is no grid
-        if sliding_friction is not None and not 0.0 < sliding_friction < np.inf:
-            raise ValueError(f"sliding_friction is {sliding_friction}, must be finite and above 0")
         std_pascal = prior.std_pascal
         if std_pascal is not None and std_pascal > _PRIOR_LIMIT_PASCAL:
             limit = f"must be at most {_PRIOR_LIMIT_PASCAL:.0e}, where it no longer regularises"
@@ -182,7 +148,7 @@ class FourierDecoder:
         channel_std = np.sqrt(np.mean(noise_of_signals(noise_std, shape) ** 2, axis=(1, 2)))
 
         self._shape = shape
-        self._transform = ExtendedTransform(shape, extension)
+        self._transform = ExtendedTransform(shape)
         grid = SpectralGrid(self._transform.extended_shape, pitch_m)
         bin_power = self._transform.noise_power
         forward = grid.transfer_matrix(half_space, "sensor", "traction", depth_m)
@@ -190,24 +156,13 @@ class FourierDecoder:
         noise_traction = 2.0 * half_space.shear_modulus_pascal * np.sqrt(np.mean(channel_std**2))
         scales = (noise_traction * _SCALES) ** 2 if std_pascal is None else np.array([std_pascal**2])
 
-        def wiener(spectra: Spectra) -> SpectralWiener:
-            return SpectralWiener(forward, prior_root(spectra, grid), bin_std, grid.multiplicity, scales)
-
-        self._inverse: SpectralWiener | AveragedWiener
-        chosen = _spectra(spectra, prior)
-        if sliding_friction is None:
-            self._inverse = predictor = wiener(chosen)
-        else:
-            sector = 2.0 * np.pi / _SECTORS
-            ways = [wiener(sliding(chosen, sliding_friction, n * sector, sector)) for n in range(_SECTORS)]
-            self._inverse = AveragedWiener(ways, self._transform.samples_share)
-            predictor = wiener(sliding(chosen, sliding_friction, 0.0, 2.0 * np.pi))
-
+        spectrum = prior.spectrum_m2(grid.omega_x**2 + grid.omega_y**2)
+        spectrum *= grid.shape[0] * grid.shape[1] / (grid.multiplicity * spectrum).sum()  # unit variance of f_z
+        prior_root = np.sqrt(spectrum[..., None] * prior.powers)
+        self._wiener = SpectralWiener(forward, prior_root, bin_std, grid.multiplicity, scales)
         self._noise_variance = float(np.mean(channel_std**2))
-        self._imputation = Imputation(shape, self._transform, predictor, self._noise_variance, depth_m / pitch_m)
-        # A periodic load has no level to move from: zero at omega = 0.
-        zero: Literal["isolated", "periodic"] = "periodic" if extension == "periodic" else "isolated"
-        compliance = grid.transfer_matrix(half_space, "displacement", "traction", 0.0, zero=zero)
+        self._imputation = Imputation(shape, self._transform, self._wiener, self._noise_variance, depth_m / pitch_m)
+        compliance = grid.transfer_matrix(half_space, "displacement", "traction", 0.0)
         self._compliance = np.ascontiguousarray(np.moveaxis(compliance.reshape(-1, 3, 3), 0, -1))
         self._border = np.ones(shape, np.bool_)
         self._border[1:-1, 1:-1] = False
@@ -224,8 +179,7 @@ class FourierDecoder:
             twenty times as long.
         displacement
             Also the surface displacement that the decoded traction causes, alone on the plane; for a Poisson's ratio
-            below 1/2 without the part that is linear in x and y. With a periodic extension that of the periodic
-            traction, less its mean.
+            below 1/2 without the part that is linear in x and y.
 
         Returns
         -------
@@ -271,33 +225,23 @@ class FourierDecoder:
         self, frame: Floats, known_share: float, density: Floats, displacement: bool, reason: Reason | None
     ) -> Decoded:
         """Decode a frame without gaps; `density` (1, 1) or (ny, nx) as the inverse takes it."""
-        estimate = self._inverse.estimate(self._transform.to_spectrum(frame[None]), known_share, density)
-        chi2, corrected = float(estimate.chi2[0]), float(estimate.log_evidence[0]) + known_share * self._evidence_offset
-        log_evidence = self._transform.samples_share * corrected
+        fit = self._wiener.fit(self._transform.to_spectrum(frame), known_share)
+        chi2 = fit.chi2
+        log_evidence = self._transform.samples_share * (fit.log_evidence + known_share * self._evidence_offset)
         left = chi2 * self._noise_variance / max(float(np.mean(frame**2)), np.finfo(np.float64).tiny)
         if chi2 > CHI2_LIMIT and left > UNEXPLAINED_LIMIT:
             text = f"chi2 {chi2:.3g} exceeds {CHI2_LIMIT:.0f} and {left:.0%} of the energy remain unexplained"
             why = Reason(ReasonCode.SIGNALS_UNEXPLAINED, text)
             return Decoded.unknown(frame.shape, displacement, log_evidence, chi2, "rejected", why)
 
-        traction = np.ascontiguousarray(self._transform.to_space(estimate.tractions)[0])
-        std = np.sqrt(estimate.variance[0])
+        tractions = self._wiener.tractions(fit)
+        traction = np.ascontiguousarray(self._transform.to_space(tractions))
+        std = np.sqrt(self._wiener.traction_variance(fit, density))
         moved = None
         if displacement:
-            spectrum = product(self._compliance, estimate.tractions)
-            moved = np.ascontiguousarray(self._transform.to_space(spectrum)[0])
+            moved = np.ascontiguousarray(self._transform.to_space(product(self._compliance, tractions)))
         normal = traction[2] ** 2
         significant = self._border.sum() * (_BORDER_SIGMAS * std[2].mean()) ** 2
         at_border = normal[self._border].sum() > max(_BORDER_SHARE * normal.sum(), significant)
         std = np.broadcast_to(std, traction.shape).copy()
         return Decoded(traction, std, moved, bool(at_border), log_evidence, chi2, "ok", *stated(reason))
-
-
-def _spectra(spectra: Literal["prior", "white"] | Spectra, prior: Prior) -> Spectra:
-    if spectra == "prior":
-        return spectra_of(prior)
-    if spectra == "white":
-        return white
-    if isinstance(spectra, str):
-        raise ValueError(f"spectra is {spectra!r}, must be 'prior', 'white' or a function of omega_x and omega_y")
-    return spectra
