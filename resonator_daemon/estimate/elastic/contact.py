@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from resonator_daemon.base.arrays import Bools, Floats
 from resonator_daemon.estimate.elastic.constrained import NotConvergedError, Pushing, minimise
 from resonator_daemon.estimate.elastic.grid import SpectralGrid, window_around
-from resonator_daemon.estimate.elastic.half_space import check_tolerance, finite_array, real_array
+from resonator_daemon.estimate.elastic.half_space import check_tolerance, real_array
 from resonator_daemon.estimate.elastic.influence import RoughStiffness, SurfaceCompliance, Z
 
 Point = tuple[float, float]
@@ -43,21 +43,6 @@ def sphere(shape: tuple[int, int], pitch_m: float, radius_m: float, centre_m: Po
 def flat_punch(shape: tuple[int, int], pitch_m: float, radius_m: float, centre_m: Point = (0.0, 0.0)) -> Floats:
     """Flat end of a round rod of `radius_m`; arguments and errors as of `paraboloid`."""
     return np.where(_distance_m(shape, pitch_m, radius_m, centre_m) <= radius_m, 0.0, np.inf)
-
-
-def relief(shape: tuple[int, int], elevation_m: ArrayLike) -> Floats:
-    """Face of an object in the middle of a grid of `shape`, from its elevation (rows, columns) towards the surface.
-
-    Nothing surrounds it, so that contact may reach the edge of the face. ValueError for an elevation that is not an
-    image within `shape` or not finite.
-    """
-    elevation = finite_array("elevation_m", elevation_m)
-    if elevation.ndim != 2 or elevation.size == 0 or elevation.shape[0] > shape[0] or elevation.shape[1] > shape[1]:
-        raise ValueError(f"elevation_m has shape {elevation.shape}, must be (rows, columns) of at most {shape}")
-    profile = np.full(shape, np.inf)
-    top, left = ((whole - part) // 2 for whole, part in zip(shape, elevation.shape, strict=True))
-    profile[top : top + elevation.shape[0], left : left + elevation.shape[1]] = elevation.max() - elevation
-    return profile
 
 
 def _distance_m(shape: tuple[int, int], pitch_m: float, radius_m: float, centre_m: Point) -> Floats:
@@ -109,7 +94,6 @@ def press(
     load_newton: float | None = None,
     approach_m: float | None = None,
     tolerance: float = 1e-8,
-    start_pascal: ArrayLike | None = None,
 ) -> NormalContact:
     """Press a rigid object into the surface, without friction, until it carries a load or has come a given way.
 
@@ -118,8 +102,8 @@ def press(
     `minimise` finds it on grids of ever halved pitch, each from the contact of the last and among the pixels near it.
 
     The last residual is |p - max(p - gap / c, 0)| / |p| over the whole grid, c being the compliance of a pixel to its
-    own load. On an infinite plane it is taken where the profile lies below the approach alone: there pressure raises
-    the surface nowhere, so that elsewhere the gap is open.
+    own load. It is taken where the profile lies below the approach alone: pressure raises the surface nowhere, so that
+    elsewhere the gap is open.
 
     Parameters
     ----------
@@ -128,38 +112,27 @@ def press(
     profile_m
         Height of the object above each pixel, shape (ny, nx); inf where there is no object.
     load_newton, approach_m
-        One of the two. Load: above 0; that of one period where the surface is periodic. Approach: how far the object
-        comes from where height 0 is level with the unloaded surface, or with a periodic one's mean; where it then
-        touches nothing, the answer is a pressure of 0.
+        One of the two. Load: above 0. Approach: how far the object comes from where height 0 is level with the unloaded
+        surface; where it then touches nothing, the answer is a pressure of 0.
     tolerance
         Residual to reach, above 0 and below 1.
-    start_pascal
-        Pressure to begin with instead of that of a coarser grid, such as that of a load before; at least 0, shape
-        (ny, nx). It is scaled to a given load.
 
     Raises
     ------
     ValueError
-        What differs from the above; contact at the border of a surface that is not periodic, as the height map does
-        not show what touches beyond; on a periodic one, an approach that leaves no gap on average.
+        What differs from the above; contact at the border, as the height map does not show what touches beyond.
     NotConvergedError
         A tolerance out of reach.
     """
     profile = real_array("profile_m", profile_m)
-    start = None if start_pascal is None else real_array("start_pascal", start_pascal)
     check_object(compliance, profile)
-    _check_request(load_newton, approach_m, tolerance, float(profile.mean()) if compliance.periodic else np.inf)
-    if start is not None and (start.shape != profile.shape or not (np.isfinite(start) & (start >= 0.0)).all()):
-        raise ValueError(
-            f"start_pascal has shape {start.shape} and minimum {start.min(initial=np.inf):.4g}, must have shape "
-            f"{profile.shape} and be finite and at least 0"
-        )
+    _check_request(load_newton, approach_m, tolerance)
     try:
-        contact = _press(compliance, profile, load_newton, approach_m, tolerance, start)
+        contact = _press(compliance, profile, load_newton, approach_m, tolerance)
     except NotConvergedError as error:
         raise NotConvergedError(f"contact: {error}; a greater tolerance helps", error.residuals) from error
     touches = contact.touches
-    if not compliance.periodic and (touches[[0, -1]].any() or touches[:, [0, -1]].any()):
+    if touches[[0, -1]].any() or touches[:, [0, -1]].any():
         raise ValueError(
             f"load_newton is {contact.load_newton:.6g} at approach_m {contact.approach_m:.6g}, where contact touches "
             f"the border of the height map, shape {profile.shape}, which must enclose it: press less, or give a larger "
@@ -177,7 +150,7 @@ def check_object(compliance: SurfaceCompliance, profile: Floats) -> None:
         raise ValueError("profile_m is inf everywhere, must be finite where there is an object")
 
 
-def _check_request(load: float | None, approach: float | None, tolerance: float, mean_height: float) -> None:
+def _check_request(load: float | None, approach: float | None, tolerance: float) -> None:
     for name, value in (("load_newton", load), ("approach_m", approach)):
         if value is not None and np.ndim(value):
             raise ValueError(f"{name} has shape {np.shape(value)}, must be one number")
@@ -187,11 +160,6 @@ def _check_request(load: float | None, approach: float | None, tolerance: float,
         raise ValueError(f"load_newton is {load}, must be finite and above 0")
     if approach is not None and not -np.inf < approach < np.inf:
         raise ValueError(f"approach_m is {approach}, must be finite")
-    if approach is not None and approach >= mean_height:
-        raise ValueError(
-            f"approach_m is {approach}, must be below the profile's mean, {mean_height:.6g}, on a periodic surface, "
-            "whose own mean stays at 0; for contact everywhere give a load"
-        )
     check_tolerance(tolerance)
 
 
@@ -201,15 +169,12 @@ def _press(
     load: float | None,
     approach: float | None,
     tolerance: float,
-    start: Floats | None,
 ) -> NormalContact:
     pressure = np.zeros(profile.shape)
     if approach is not None and approach <= profile.min():
         return NormalContact(compliance, profile, pressure, approach, (0.0,))
     there = np.isfinite(profile)
-    if start is None:
-        start = _of_coarser_grid(compliance, profile, load, approach)
-    start = np.where(there, start, 0.0)
+    start = np.where(there, _of_coarser_grid(compliance, profile, load, approach), 0.0)
     if not start.any():
         start = np.where(there if approach is None else profile < approach, 1.0, 0.0)
     sums = None
@@ -217,8 +182,7 @@ def _press(
         sums = np.array([load / compliance.pitch_m**2])
         start = start * (sums / start.sum())
     target = np.where(there, -profile, 0.0) + (0.0 if approach is None else approach)
-    everywhere = slice(0, profile.shape[0]), slice(0, profile.shape[1])
-    window = everywhere if compliance.periodic else window_around(start > 0.0, _MARGIN)
+    window = window_around(start > 0.0, _MARGIN)
     residuals: tuple[float, ...] = ()
     while True:
         shape = target[window].shape
@@ -255,6 +219,6 @@ def _of_coarser_grid(
     count = there.sum(axis=(1, 3))
     heights = np.where(there, blocks, 0.0).sum(axis=(1, 3)) / np.maximum(count, 1)
     heights[count == 0] = np.inf
-    coarse = SurfaceCompliance(compliance.half_space, heights.shape, 2.0 * compliance.pitch_m, compliance.periodic)
-    contact = _press(coarse, heights, load, approach, _COARSE_TOLERANCE, None)
+    coarse = SurfaceCompliance(compliance.half_space, heights.shape, 2.0 * compliance.pitch_m)
+    contact = _press(coarse, heights, load, approach, _COARSE_TOLERANCE)
     return contact.pressure_pascal.repeat(2, 0).repeat(2, 1)[: profile.shape[0], : profile.shape[1]]

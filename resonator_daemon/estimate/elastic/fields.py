@@ -1,8 +1,7 @@
-"""Fields in a half-space under sampled surface loads: periodic, zero-padded, or alone on the open plane."""
+"""Fields in a half-space under sampled surface loads that stand alone on the open plane."""
 
 from collections.abc import Iterator
 from itertools import pairwise, product
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,9 +10,7 @@ from scipy.special import roots_legendre
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.estimate.elastic.grid import SpectralGrid
-from resonator_daemon.estimate.elastic.half_space import HalfSpace, Input, Output, ZeroRule, finite_array
-
-Method = Literal["periodic", "padded", "wrap-free"]
+from resonator_daemon.estimate.elastic.half_space import HalfSpace, Input, Output, finite_array
 
 _ROWS: dict[Output, tuple[str, ...]] = {
     "displacement": ("x", "y", "z"),
@@ -35,25 +32,14 @@ class SurfaceFields:
     displacement, the value at the pixel's centre. Between them the load is the band-limited function that has these
     samples; around them it is 0 (of a displacement: the surface is held there). Fields are values below the centres.
 
-    What each method leaves, besides what the samples miss of the load:
+    Besides what the samples miss of the load, about 1e-10 of the largest value is left, at any depth, 0 included, and
+    for any shape. The kernel is the inverse Fourier integral of the transfer matrix over the band of the grid, by
+    quadrature and thus without a period, at all lags between two samples; the convolution is linear.
 
-    "wrap-free"
-        About 1e-10 of the largest value, at any depth, 0 included, and for any shape. The kernel is the inverse Fourier
-        integral of the transfer matrix over the band of the grid, by quadrature and thus without a period, at all lags
-        between two samples; the convolution is linear.
-    "padded"
-        The load repeats at twice the sides of the grid; its images disturb fields by the inverse cube of that period,
-        where ny differs from nx the xx, yy and xy of a traction by the inverse square.
-    "periodic"
-        The load repeats at the sides of the grid. With zero="periodic" this is exact for such a load; for one that
-        stands alone it leaves about eight times the error of "padded".
-
-    Relative L2 errors of p_n, eps_xz, eps_yz 1 mm below a Hertz pressure with equal shear, a = 2 mm, on 12.8 mm:
-    periodic 0.12, 0.13, 0.04; padded 0.013, 0.013, 0.0013; wrap-free 2e-4, 7e-4, 1.2e-3 from 32 x 32 samples, 1e-6,
-    3e-6, 4e-6 from 128 x 128. What is left of the last are the samples: they miss the load's vertical slope at its
-    edge, by the fourth power of the pitch at a fixed depth. One pitch deep it is 2e-3, 8e-3, 0.03 from 32 x 32; at
+    Relative L2 errors of p_n, eps_xz, eps_yz 1 mm below a Hertz pressure with equal shear, a = 2 mm, on 12.8 mm: 2e-4,
+    7e-4, 1.2e-3 from 32 x 32 samples, 1e-6, 3e-6, 4e-6 from 128 x 128. The samples miss the load's vertical slope at
+    its edge, by the fourth power of the pitch at a fixed depth. One pitch deep it is 2e-3, 8e-3, 0.03 from 32 x 32; at
     depth 0 stresses hold what the samples show of the load itself, sigma_zz to 4 %, while u_z is right to 8e-4.
-    `benchmarks/elastic_fields.py` of commit a510926e prints these errors and the time of each method.
 
     Parameters
     ----------
@@ -62,19 +48,15 @@ class SurfaceFields:
         (ny, nx) of the samples.
     pitch_m
         Spacing of the samples along both axes.
-    output, input, zero
-        As of `HalfSpace.transfer_matrix`; `zero` other than "isolated" is for the periodic method.
+    output, input
+        As of `HalfSpace.transfer_matrix`.
     depths_m
         A scalar or of any shape, each at least 0.
-    method
-        A call takes "padded" as long as "wrap-free".
 
     Raises
     ------
     ValueError
-        What `SpectralGrid` and `HalfSpace.transfer_matrix` refuse; an unknown method; a rule for omega = 0 that the
-        method cannot keep; the displacement under an isolated traction by any method but "wrap-free", because its
-        mean depends on the period and its part linear in x and y has none.
+        What `SpectralGrid` and `HalfSpace.transfer_matrix` refuse.
     """
 
     def __init__(
@@ -86,38 +68,20 @@ class SurfaceFields:
         depths_m: ArrayLike,
         *,
         input: Input = "traction",
-        method: Method = "wrap-free",
-        zero: ZeroRule = "isolated",
     ) -> None:
         SpectralGrid(shape, pitch_m)  # refuses what is no grid
         depths = finite_array("depths_m", depths_m)
         if not depths.size:
             raise ValueError(f"depths_m has shape {depths.shape}, must hold at least one depth")
-        half_space.transfer_matrix(output, input, np.pi / pitch_m, 0.0, depths, zero=zero)  # refuses what is no field
-        if method not in ("periodic", "padded", "wrap-free"):
-            raise ValueError(f"method is {method!r}, must be 'periodic', 'padded' or 'wrap-free'")
-        if method != "periodic" and zero != "isolated":
-            raise ValueError(f"zero is {zero!r}, must be 'isolated' for method {method!r}, whose load stands alone")
-        if method != "wrap-free" and (output, input, zero) == ("displacement", "traction", "isolated"):
-            raise ValueError(
-                f"method is {method!r}, must be 'wrap-free' for the displacement under an isolated load, which no "
-                "period can hold; or zero='periodic', for a load that repeats"
-            )
+        half_space.transfer_matrix(output, input, np.pi / pitch_m, 0.0, depths)  # refuses what is no field
         self._shape = shape
         self._depths_shape = depths.shape
-        self._lengths = shape if method == "periodic" else tuple(fft.next_fast_len(2 * n, real=True) for n in shape)
+        self._lengths = tuple(fft.next_fast_len(2 * n, real=True) for n in shape)
         rows, length_y, length_x = len(_ROWS[output]), *self._lengths
         self._response = np.empty((depths.size, rows, 3, length_y, length_x // 2 + 1), np.complex128)
         for depth, response in zip(depths.ravel(), self._response, strict=True):
-            if method == "wrap-free":
-                kernel = _open_plane_kernel(half_space, shape, pitch_m, output, input, float(depth))
-                response[:] = fft.rfft2(_at_both_signs(kernel, output, self._lengths))
-            else:
-                grid = SpectralGrid((length_y, length_x), pitch_m)
-                matrix = grid.transfer_matrix(half_space, output, input, float(depth), zero=zero)
-                response[:] = np.moveaxis(matrix, (-2, -1), (0, 1))
-                response *= _load_per_sample(grid.omega_y, pitch_m, input)
-                response *= _load_per_sample(grid.omega_x, pitch_m, input)
+            kernel = _open_plane_kernel(half_space, shape, pitch_m, output, input, float(depth))
+            response[:] = fft.rfft2(_at_both_signs(kernel, output, self._lengths))
 
     def __call__(self, loads: ArrayLike) -> Floats:
         """Return the fields of loads (..., 3, ny, nx) x, y, z in Pa or m: shape (..., *depths, rows, ny, nx).
@@ -169,11 +133,6 @@ def _entries(output: Output) -> Iterator[tuple[int, int, int, int]]:
         yield row, column, (indices + axis).count("y") % 2, (indices + axis).count("x") % 2
 
 
-def _load_per_sample(omega: Floats, pitch_m: float, input: Input) -> Floats | float:
-    """Spectrum of the load over that of its samples along one axis: a mean over the pixel is a sinc, undone here."""
-    return 1.0 / np.sinc(omega * pitch_m / (2.0 * np.pi)) if input == "traction" else 1.0
-
-
 def _open_plane_kernel(
     half_space: HalfSpace, shape: tuple[int, int], pitch_m: float, output: Output, input: Input, depth_m: float
 ) -> Floats:
@@ -212,7 +171,9 @@ def _waves(count: int, pitch_m: float, input: Input) -> tuple[Floats, Floats]:
         nodes.append(centre + half * x)
         weights.append(half * weight)
     omega = np.concatenate(nodes)
-    scale = np.concatenate(weights) * _load_per_sample(omega, pitch_m, input) * pitch_m / np.pi
+    scale = np.concatenate(weights) * pitch_m / np.pi
+    if input == "traction":  # a mean over the pixel is a sinc, undone here
+        scale /= np.sinc(omega * pitch_m / (2.0 * np.pi))
     phase = np.outer(np.arange(count) * pitch_m, omega)
     return omega, np.stack([np.cos(phase), np.sin(phase)]) * scale
 

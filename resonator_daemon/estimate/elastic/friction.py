@@ -109,7 +109,7 @@ class FrictionalContact:
         ValueError
             Another shape; both or neither given in a direction; a shear load that friction cannot hold, |Q| >= mu P,
             under which the object slides away (prescribe shifts instead); a profile, load or place that `press`
-            refuses; contact that shear spreads to the border of a surface that is not periodic.
+            refuses; contact that shear spreads to the border.
         NotConvergedError
             Where the residual stays above the tolerance.
         """
@@ -213,7 +213,7 @@ class FrictionalContact:
             )
 
     def _check_border(self, touches: Bools) -> None:
-        if not self.compliance.periodic and (touches[[0, -1]].any() or touches[:, [0, -1]].any()):
+        if touches[[0, -1]].any() or touches[:, [0, -1]].any():
             raise ValueError(
                 f"contact touches the border of the height map, shape {touches.shape}, which must enclose it: press or"
                 " shear less, or give a larger map, or one with a rim of inf, no object"

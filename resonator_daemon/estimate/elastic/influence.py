@@ -26,25 +26,19 @@ class SurfaceCompliance:
         Pixels (ny, nx).
     pitch_m
         Side of a pixel.
-    periodic
-        False: the pixels lie on an infinite plane, free of traction elsewhere; coefficients of the uniformly loaded
-        square (Love 1929; Johnson, Contact Mechanics, eqs 3.19 and 3.75 integrated), exact to rounding.
-        True: the grid repeats in both directions for ever; samples of band-limited tractions, by eq. (18), and
-        displacements counted from their mean, which a periodic load leaves undefined.
 
-    Raises ValueError for a shape or pitch that `SpectralGrid` refuses, and for a single pixel that repeats: it has no
-    traction but a mean one.
+    The pixels lie on an infinite plane, free of traction elsewhere. Coefficients are those of the uniformly loaded
+    square (Love 1929; Johnson, Contact Mechanics, eqs 3.19 and 3.75 integrated), exact to rounding.
+
+    Raises ValueError for a shape or pitch that `SpectralGrid` refuses.
     """
 
     half_space: HalfSpace
     shape: tuple[int, int]
     pitch_m: float
-    periodic: bool = False
 
     def __post_init__(self) -> None:
         SpectralGrid(self.shape, self.pitch_m)
-        if self.periodic and self.shape == (1, 1):
-            raise ValueError(f"shape is {self.shape}, must be more than one pixel where the surface is periodic")
 
     def displacement_m(self, traction_pascal: ArrayLike) -> Floats:
         """Displacement of the centres, shape (3, ny, nx), under tractions of that shape, x, y, z.
@@ -59,8 +53,7 @@ class SurfaceCompliance:
     def convolution(self, rows: tuple[int, ...], columns: tuple[int, ...], shape: tuple[int, int]) -> "Convolution":
         """Return displacements `rows` by tractions `columns` (0, 1, 2 for x, y, z) in a window of `shape`."""
         ny, nx = shape
-        lags_y = _lags(ny, self.shape[0] if self.periodic else 2 * ny - 1)
-        lags_x = _lags(nx, self.shape[1] if self.periodic else 2 * nx - 1)
+        lags_y, lags_x = _lags(ny), _lags(nx)
         squares = _Squares(shape, self.pitch_m)
         kernel = [[self._coefficients(row, column, squares, lags_y, lags_x) for column in columns] for row in rows]
         return Convolution(np.array(kernel), shape)
@@ -83,9 +76,6 @@ class SurfaceCompliance:
 
     def _coefficients(self, row: int, column: int, squares: "_Squares", lags_y: Indices, lags_x: Indices) -> Floats:
         """Displacement in metres per pascal at each lag (y, x) from the loaded pixel."""
-        if self.periodic:
-            ny, nx = self.shape
-            return np.asarray(self._periodic_coefficients[row, column][np.ix_(lags_y % ny, lags_x % nx)], np.float64)
         values: Floats = self._quadrant(row, column, squares)[np.ix_(np.abs(lags_y), np.abs(lags_x))]
         # Odd in each tangential direction that names just one of load and displacement.
         if (row == X) != (column == X):
@@ -109,14 +99,6 @@ class SurfaceCompliance:
         sign = -1.0 if column == Z else 1.0  # a normal load draws the surface in, a tangential one lowers it ahead
         slope = squares.x if X in (row, column) else squares.y
         return sign * (1.0 - 2.0 * nu) / (4.0 * np.pi * mu) * slope
-
-    @cached_property
-    def _periodic_coefficients(self) -> Floats:
-        """Shape (3, 3, ny, nx), lags in the order of the discrete transform."""
-        matrix = SpectralGrid(self.shape, self.pitch_m).transfer_matrix(
-            self.half_space, "displacement", "traction", 0.0, zero="periodic"
-        )
-        return np.asarray(fft.irfft2(np.moveaxis(matrix, (2, 3), (0, 1)), s=self.shape), np.float64)
 
 
 class _Squares:
@@ -195,9 +177,9 @@ class RoughStiffness:
         return np.asarray(stiff[..., :ny, :nx], np.float64)
 
 
-def _lags(count: int, length_min: int) -> Indices:
-    """Return the indices of a window of `count` pixels, in the order of a transform of at least `length_min`."""
-    length = fft.next_fast_len(length_min, real=True) if length_min >= 2 * count - 1 else length_min
+def _lags(count: int) -> Indices:
+    """Return the indices of a window of `count` pixels, in the order of a transform without wrap."""
+    length = fft.next_fast_len(2 * count - 1, real=True)
     lags = np.arange(length)
     lags[count:] -= length
     np.maximum(lags, 1 - count, out=lags)  # what the window never reaches

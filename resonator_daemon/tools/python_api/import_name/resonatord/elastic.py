@@ -1,7 +1,7 @@
 """Elastic half-space in the domain of spatial frequency: transfer matrices, fields, contact with friction."""
 
 from resonator_daemon.estimate.elastic.constrained import NotConvergedError
-from resonator_daemon.estimate.elastic.contact import flat_punch, paraboloid, press, relief, sphere
+from resonator_daemon.estimate.elastic.contact import flat_punch, paraboloid, press, sphere
 from resonator_daemon.estimate.elastic.fields import SurfaceFields
 from resonator_daemon.estimate.elastic.friction import FrictionalContact
 from resonator_daemon.estimate.elastic.grid import SpectralGrid
@@ -21,7 +21,6 @@ __all__ = [
     "flat_punch",
     "paraboloid",
     "press",
-    "relief",
     "solve_regions",
     "sphere",
 ]
