@@ -18,8 +18,7 @@ from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.frame_queue import FrameQueue, group_adjacent
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
-from resonator_daemon.mqtt.broker_connection import MQTT_5, InFlight
-from resonator_daemon.mqtt.broker_limits import BrokerLimits
+from resonator_daemon.mqtt.broker_connection import MQTT_5, PACKET_BYTES_MAX, InFlight
 from resonator_daemon.mqtt.codec import decode, decoded, encode
 from resonator_daemon.mqtt.message_account import Account
 from resonator_daemon.mqtt.outbox import Outbox
@@ -240,7 +239,8 @@ class RecordingBroker:
     writable = True
     unacknowledged = 0
     messages_in_flight = 0
-    limits = BrokerLimits()
+    receive_maximum = 65_535
+    packet_bytes_max = PACKET_BYTES_MAX
 
     def __init__(self, outbox: Outbox, seen: Seen) -> None:
         self.in_flight: dict[int, InFlight] = {}
@@ -276,7 +276,7 @@ class SimulatedDaemon:
         self.outbox.events.start(lambda: None)
 
     def connect(self) -> None:
-        self.outbox.connected(RecordingBroker(self.outbox, self._seen), at_once=True)  # type: ignore[arg-type]
+        self.outbox.connected(RecordingBroker(self.outbox, self._seen))  # type: ignore[arg-type]
         self.outbox.retained.republish(self.outbox.retained.topics)
 
     def clock_set(self, step_ns: int) -> None:

@@ -15,7 +15,6 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt import connecting
-from resonator_daemon.mqtt.broker_limits import BrokerLimits, limits_of
 from resonator_daemon.mqtt.codec import Incoming, Outgoing
 from resonator_daemon.mqtt.connecting import BrokerError, make_tls
 from resonator_daemon.mqtt.packets import PackedProperties, pack
@@ -24,6 +23,7 @@ from resonator_daemon.mqtt.topics import JSON
 MQTT_5: Final = MQTTProtocolVersion.MQTTv5
 NO_SUBSCRIBERS: Final = 0x10  # reason codes of MQTT 5
 FAILURE: Final = 0x80  # and above
+PACKET_BYTES_MAX: Final = 268_435_455 + 5  # largest that MQTT can encode
 MQTT_3: Final = MQTTProtocolVersion.MQTTv311
 
 _NO_DELAY: Final = (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else Nagle and delayed ACK add 40 ms now and then
@@ -77,8 +77,6 @@ class BrokerConnection:
         Of the client; None: the broker or the library chooses one.
     will
         Message that the broker publishes if the connection ends without a DISCONNECT packet.
-    will_limits
-        Those that earlier attempts have shown.
     on_completed
         Called with (messages, reason code) when QoS 0 messages are written in full, and when a QoS 1 message is
         acknowledged.
@@ -95,8 +93,10 @@ class BrokerConnection:
 
     Attributes
     ----------
-    limits
-        Those that the broker announced, once connected.
+    receive_maximum
+        Messages of QoS 1 that the broker takes before it has acknowledged them, once connected.
+    packet_bytes_max
+        Largest packet that the broker takes, once connected.
     lost
         Done when the connection has ended.
     """
@@ -108,7 +108,6 @@ class BrokerConnection:
         *,
         identifier: str | None = None,
         will: Outgoing | None = None,
-        will_limits: BrokerLimits | None = None,
         on_completed: OnCompleted | None = None,
         on_writable: Callable[[], None] | None = None,
         on_message: OnMessage | None = None,
@@ -121,7 +120,8 @@ class BrokerConnection:
         self._times = times or ConnectionTimes()
         self._loop = asyncio.get_running_loop()
         self.version = version
-        self.limits = BrokerLimits()
+        self.receive_maximum = 65_535
+        self.packet_bytes_max = PACKET_BYTES_MAX
         self.in_flight: dict[int, InFlight] = {}  # by packet identifier
         self.unacknowledged = 0
         self._accepted: asyncio.Future[None] = self._loop.create_future()
@@ -146,9 +146,7 @@ class BrokerConnection:
             properties = None
             if version is MQTT_5:
                 properties = pack(content_type=JSON, expiry_s=will.expiry_s, packet_type=PacketTypes.WILLMESSAGE)
-            limits = will_limits or self.limits
-            retained = will.retained and limits.retains
-            client.will_set(will.topic, will.payload, min(1, limits.qos_max), retained, properties)
+            client.will_set(will.topic, will.payload, 1, will.retained, properties)
         client.on_connect = self._connack_received
         client.on_disconnect = self._disconnected
         client.on_publish = self._completed
@@ -423,9 +421,8 @@ class BrokerConnection:
     def _connack_received(
         self, _client: object, _userdata: object, _flags: object, reason: Any, properties: Any
     ) -> None:
-        self.limits = limits_of(properties)
-        if refused := connecting.WILL_LIMITS.get(reason.value):
-            self.limits = self.limits._replace(**refused)
+        self.receive_maximum = getattr(properties, "ReceiveMaximum", self.receive_maximum)
+        self.packet_bytes_max = getattr(properties, "MaximumPacketSize", self.packet_bytes_max)
         if self._accepted.done():
             return
         if reason.is_failure:

@@ -5,7 +5,7 @@ import re
 import selectors
 import socket
 import ssl
-from typing import Any, Final
+from typing import Final
 
 from paho.mqtt.enums import MQTTProtocolVersion
 
@@ -137,10 +137,6 @@ def of_answer(error: Exception, broker: Mqtt) -> Exception:
             f"it refuses {client} ({error}); see mqtt.username, mqtt.password_file{certificate}", code=code
         )
     return error
-
-
-# A broker that takes no last will like this one refuses the connection, and may leave out what it does take.
-WILL_LIMITS: Final[dict[int, dict[str, Any]]] = {154: {"retains": False}, 155: {"qos_max": 0}}
 
 
 def code_of(error: Exception) -> int | None:

@@ -12,7 +12,6 @@ from time import monotonic
 from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
 from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, NO_SUBSCRIBERS, BrokerConnection, InFlight
-from resonator_daemon.mqtt.broker_limits import LargestMessages, packet_bytes
 from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.event_log import Event, EventLog
 from resonator_daemon.mqtt.message_account import Account, Cause
@@ -30,6 +29,7 @@ UNACKNOWLEDGED_MAX: Final = 10  # below every broker's usual limit of 20
 
 _OWN_MAX: Final = 8  # messages of a topic that the broker may still return
 _TOGETHER: Final = 32  # writes before other tasks of the event loop run
+_HEADER_BYTES: Final = 5 + 2 + 2  # of a packet of QoS 1 at most: its type and length, length of the topic, identifier
 _SEND_BYTES: Final = 64 * 1024  # of streams in one write
 
 log = logging.getLogger(__name__)
@@ -233,7 +233,6 @@ class Outbox:
         self._streams: BoundedQueue[_Stream] = BoundedQueue(STREAMS_WAITING_MAX, STREAM_BYTES_WAITING_MAX)
         self._reports: BoundedQueue[_Stream] = BoundedQueue(STREAMS_WAITING_MAX, STREAM_BYTES_WAITING_MAX)
         self.stream_wait_max_s = stream_wait_max_s
-        self._largest = LargestMessages()
         self._too_large: set[str] = set()  # topics of which it was logged
         self._pumping = False
         self._moved = asyncio.Event()
@@ -267,24 +266,19 @@ class Outbox:
         if client is None:
             self._account.drop(Cause.NO_CONNECTION, packets.topic)
             return
-        packet, now_s = packets.packet(payload, is_mqtt_5=client.version is MQTT_5), monotonic()
-        size_bytes, limit_bytes = len(packet), client.limits.packet_bytes_max
-        if size_bytes > limit_bytes or (
-            size_bytes > self._largest.limit_bytes and size_bytes > self._largest.bytes_max(now_s)
-        ):
-            self._drop_too_large(packets.topic, size_bytes, limit_bytes)
+        packet = packets.packet(payload, is_mqtt_5=client.version is MQTT_5)
+        size_bytes = len(packet)
+        if size_bytes > client.packet_bytes_max:
+            self._drop_too_large(packets.topic, size_bytes, client.packet_bytes_max)
             return
         queue = self._streams if packets.perishable else self._reports
-        for pushed_out in queue.put(_Stream(packets.topic, packet, size_bytes, now_s)):
+        for pushed_out in queue.put(_Stream(packets.topic, packet, size_bytes, monotonic())):
             self._account.drop(Cause.QUEUE_FULL, pushed_out.topic)
         if not self._pumping:
             self.pump_soon()
 
-    def connected(self, client: BrokerConnection, *, at_once: bool) -> None:
+    def connected(self, client: BrokerConnection) -> None:
         self._client = client
-        self._largest.connected(at_once=at_once)
-        if not client.limits.retains:
-            log.warning("broker keeps no retained messages: who subscribes later sees no states")
         self.events.connected()
 
     def disconnected(self) -> None:
@@ -300,20 +294,10 @@ class Outbox:
         self._drop(self._streams, Cause.NO_CONNECTION)
         self._drop(self._answers, Cause.WITHDRAWN)
         self._moved.set()
-        if (found := self._largest.ended(monotonic())) is not None:
-            topic, size_bytes = found
-            log.warning(
-                "broker ends the connection upon %s with %d bytes: messages of that size are dropped;"
-                " raise the broker's limit",
-                topic,
-                size_bytes,
-            )
 
     def published(self, sent: InFlight, reason_code: int) -> None:
         """Count messages that were written (QoS 0), acknowledged (QoS 1) or refused."""
         token = sent.token
-        if sent.qos:
-            self._largest.acknowledged()
         if reason_code >= FAILURE:
             self._account.drop(Cause.REFUSED, token.topic if isinstance(token, Packet | Event) else "")
         elif sent.qos:
@@ -356,20 +340,20 @@ class Outbox:
 
     def _send_next(self, client: BrokerConnection) -> bool:
         """Send one message that is acknowledged, or drop it as too large; False: none can be sent now."""
-        if client.unacknowledged >= min(UNACKNOWLEDGED_MAX, client.limits.receive_maximum):
+        if client.unacknowledged >= min(UNACKNOWLEDGED_MAX, client.receive_maximum):
             return False
         if waiting := self.retained.waiting:
             packet = waiting.pop(next(iter(waiting)))
-            self._send(client, packet, 1, packet, retain=client.limits.retains)
+            self._send(client, packet, packet, retain=True)
             return True
         if (event := self.events.pop()) is not None:
             packet = Packet(event.topic, event.payload(late=event.late), properties_of(CONTACT_EVENT))
-            if not self._send(client, packet, 1, event):
+            if not self._send(client, packet, event):
                 self.events.done(event)
             return True
         if self._answers.items:
             (packet,) = self._answers.pop(1)
-            self._send(client, packet, 1, packet)
+            self._send(client, packet, packet)
             return True
         return False
 
@@ -387,34 +371,29 @@ class Outbox:
         begun, complete = client.send_streams(packets)
         sent = self._reports.pop(begun) if self._reports.items else []
         sent += self._streams.pop(begun - len(sent))
-        self._largest.sent(sent, monotonic())
         self._account.written += complete
         self._moved.set()
         return complete == len(packets) and bool(self._reports.items or self._streams.items)
 
-    def _send(self, client: BrokerConnection, packet: Packet, qos: int, token: object, *, retain: bool = False) -> bool:
-        """Write a message to the socket; False: the broker would not take one of this size."""
+    def _send(self, client: BrokerConnection, packet: Packet, token: object, *, retain: bool = False) -> bool:
+        """Write a message to the socket; False: it is dropped, the broker would not take it."""
         properties = packet.properties if client.version is MQTT_5 else None
-        size_bytes = packet_bytes(
-            packet.topic, len(packet.payload), qos, len(properties.pack()) if properties is not None else 0
-        )
-        now_s = monotonic()
-        if size_bytes > min(client.limits.packet_bytes_max, self._largest.bytes_max(now_s)):
-            self._drop_too_large(packet.topic, size_bytes, client.limits.packet_bytes_max)
+        properties_bytes = len(properties.pack()) if properties is not None else 0
+        size_bytes = _HEADER_BYTES + len(packet.topic.encode()) + properties_bytes + len(packet.payload)
+        if size_bytes > client.packet_bytes_max:
+            self._drop_too_large(packet.topic, size_bytes, client.packet_bytes_max)
             return False
-        qos = min(qos, client.limits.qos_max)
         try:
-            client.send(packet.topic, packet.payload, qos=qos, retain=retain, properties=properties, token=token)
+            client.send(packet.topic, packet.payload, qos=1, retain=retain, properties=properties, token=token)
         except ValueError:  # not a topic that can be published to: of an answer, whose topic others choose
             self._account.drop(Cause.REFUSED, packet.topic)
             return False
-        self._largest.sent((_Stream(packet.topic, b"", size_bytes, now_s),), now_s, awaited=qos > 0)
         return True
 
     def _drop_too_large(self, topic: str, size_bytes: int, limit_bytes: int) -> None:
         self._account.drop(Cause.TOO_LARGE, topic)
         self._moved.set()
-        if topic not in self._too_large and size_bytes > limit_bytes:
+        if topic not in self._too_large:
             self._too_large.add(topic)
             log.warning(
                 "%s: messages of %d bytes are dropped, the broker takes %d; raise its limit",

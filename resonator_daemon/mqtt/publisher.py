@@ -14,7 +14,6 @@ from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes
-from resonator_daemon.mqtt.broker_limits import BrokerLimits
 from resonator_daemon.mqtt.codec import Encoded, Incoming, Outgoing, encode
 from resonator_daemon.mqtt.event_log import EventPage
 from resonator_daemon.mqtt.message_account import Account, Cause
@@ -121,8 +120,6 @@ class Publisher:
         self._on_connected = on_connected
         self._on_denied = on_denied
         self._client: BrokerConnection | None = None
-        self._attempt: BrokerConnection | None = None  # to connect, the last one
-        self._limits = BrokerLimits()  # that attempts have shown since the last connection, for the next last will
         self._connections = 0
         self.counts = Account()
         self._outbox = Outbox(self.counts, spool_directory, stream_wait_max_s, boot_id=boot_id, restore=self._restore)
@@ -285,27 +282,22 @@ class Publisher:
     def _make_connection(self, version: MQTTProtocolVersion) -> BrokerConnection:
         will = self._make_will()
         self._will_topic = will.topic
-        if self._attempt is not None:
-            self._limits = self._limits.within(self._attempt.limits)
-        self._attempt = BrokerConnection(
+        return BrokerConnection(
             self._broker,
             version,
             identifier=self._identifier,
             will=will,
-            will_limits=self._limits,
             on_completed=self._outbox.published,
             on_writable=self._outbox.pump_soon,
             on_message=self._received,
             on_denied=self._denied_by_broker,
             times=self._times,
         )
-        return self._attempt
 
-    async def _serve(self, client: BrokerConnection, at_once: bool) -> None:
+    async def _serve(self, client: BrokerConnection) -> None:
         self._client = client
-        self._limits = client.limits
         self._connections += 1
-        self._outbox.connected(client, at_once=at_once)
+        self._outbox.connected(client)
         for subscription in self._subscriptions:
             client.subscribe(
                 subscription.topic_filter, subscription.qos, retain_as_published=subscription.retain_as_published

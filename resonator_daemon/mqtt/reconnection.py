@@ -26,7 +26,7 @@ def _log_line(level: int, text: str) -> None:
 async def keep_connected(
     broker: Mqtt,
     make_connection: Callable[[MQTTProtocolVersion], BrokerConnection],
-    serve: Callable[[BrokerConnection, bool], Awaitable[None]],
+    serve: Callable[[BrokerConnection], Awaitable[None]],
     closing: asyncio.Future[None],
     *,
     report: Report = _log_line,
@@ -41,9 +41,8 @@ async def keep_connected(
     make_connection
         Makes the next connection, of a version of MQTT that the broker supports.
     serve
-        Called with a connection that the broker has accepted, and whether it was the first attempt since the one before
-        ended. It is cancelled when the connection is over, may end before, and may raise BrokerError to give it up:
-        then the broker publishes the will.
+        Called with a connection that the broker has accepted. It is cancelled when the connection is over, may end
+        before, and may raise BrokerError to give it up: then the broker publishes the will.
     closing
     report
         Called with level and text of a log line when the connection changes, once per change.
@@ -55,7 +54,6 @@ async def keep_connected(
     times = times or ConnectionTimes()
     pauses = Backoff(times.first_pause_s)
     version: MQTTProtocolVersion | None = None
-    attempts = 0
     reported: str | None = None
 
     def report_change(level: int, text: str) -> None:
@@ -65,16 +63,15 @@ async def keep_connected(
         reported = text
 
     while not closing.done():
-        attempts += 1
         longest_pause_s = times.longest_pause_s
         accepted_s: float | None = None
         try:
             version = version or await find_version(broker, closing, times)
             if version is None or not await _connect(connection := make_connection(version), closing):
                 return
-            at_once, attempts, accepted_s = attempts == 1, 0, loop.time()
+            accepted_s = loop.time()
             report_change(logging.INFO, f"connected, MQTT {'5' if version is MQTT_5 else '3.1.1'}")
-            await _serve_until_over(serve(connection, at_once), connection, closing)
+            await _serve_until_over(serve(connection), connection, closing)
         except (BrokerError, OSError) as caught:
             error = connecting.of_answer(caught, broker)
             on_failure(error)

@@ -142,7 +142,7 @@ async def request(
         if not answer.done():
             answer.set_exception(DeniedError(f"the broker denies {topic}; see its access rules for this user"))
 
-    async def serve(client: BrokerConnection, _at_once: bool) -> None:
+    async def serve(client: BrokerConnection) -> None:
         client.subscribe(own_topic if client.version is MQTT_5 else common_topic)
         client.send(
             command_topic, json.dumps(payload).encode(), qos=1, correlation=number.encode(), response_topic=own_topic

@@ -137,7 +137,7 @@ class Receiver:
             # amqtt takes connections without an identifier for a single client
             return BrokerConnection(self._broker, version, identifier=uuid.uuid4().hex, on_message=receive)
 
-        async def serve(connection: BrokerConnection, _at_once: bool) -> None:
+        async def serve(connection: BrokerConnection) -> None:
             await asyncio.wait([connection.subscribe(*each) for each in filters.items()])
             _finish(subscribed)
 

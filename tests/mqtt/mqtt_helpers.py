@@ -46,7 +46,6 @@ class ScriptedBroker:
         self.received: list[Published] = []
         self.answer: Callable[[int], int | None] = lambda number: 0  # reason code of the n-th QoS 1 message
         self.connack = b""  # its properties
-        self.too_large_bytes: int | None = None  # of packets upon which the connection is ended, without a word
         self.subscribed = 1  # reason code of each subscription: granted, QoS 1
         self.connections: list[asyncio.StreamWriter] = []
         self.greetings: list[bytes] = []  # bodies of CONNECT
@@ -62,9 +61,6 @@ class ScriptedBroker:
                     self.greetings.append(body)
                     length = len(self.connack)
                     writer.write(bytes((0x20, 3 + length, 0, 0, length)) + self.connack)
-                elif self.too_large_bytes is not None and len(body) >= self.too_large_bytes:
-                    writer.transport.abort()
-                    break
                 elif kind >> 4 == 3:
                     self._publish(kind, body, writer)
                 elif kind >> 4 == 8:

@@ -8,10 +8,13 @@ import pytest
 from mqtt_helpers import IMPATIENT, LEFT, Messages, assert_exact, publishing, scripted_broker, until
 from observer import observe
 
-from resonator_daemon.mqtt import outbox, topics
+from resonator_daemon.mqtt import message_account, outbox, topics
 from resonator_daemon.mqtt.codec import Encoded, Outgoing
 from resonator_daemon.mqtt.event_log import IN_MEMORY_MAX
+from resonator_daemon.mqtt.message_account import Account, Cause
 
+PACKET_SIZE = b"\x27"  # Maximum Packet Size, 4 bytes
+RECEIVE_MAXIMUM = b"\x21"  # 2 bytes
 ONLINE = Messages.state("online", "all is well")
 
 
@@ -111,6 +114,40 @@ async def test_of_too_many_messages_the_oldest_are_dropped() -> None:
             assert numbers == list(range(first, first + count))
 
 
+async def test_messages_beyond_the_brokers_packet_size_are_dropped_and_logged_once_a_topic(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with scripted_broker() as (url, script):
+        script.connack = PACKET_SIZE + (2000).to_bytes(4, "big")
+        async with publishing(url) as left:
+            await until(lambda: left.connected)
+            for number in range(3):
+                left.publish(LEFT, topics.DECODED, Messages.decoded(number))
+                left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
+            left.retain(f"{LEFT}/schema", b"x" * 3000, topics.JSON)
+            await until(lambda: left.account.waiting == 0)
+            assert left.account.dropped == {"too_large": 5}  # three, the copy of the first, and the document
+            assert left.account.acknowledged == 3
+    warned = [line.partition(":")[0] for line in caplog.messages]
+    assert warned == [f"{LEFT}/decoded", f"{LEFT}/decoded/5hz", f"{LEFT}/schema"]
+
+
+async def test_no_more_messages_are_on_their_way_than_the_broker_asks_for() -> None:
+    async with scripted_broker() as (url, script):
+        script.connack = RECEIVE_MAXIMUM + b"\x00\x03"
+        script.answer = lambda number: None
+        async with publishing(url) as left:
+            await until(lambda: left.connected)
+            for number in range(8):
+                left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
+            left.publish(LEFT, topics.HEALTH, Messages.health(9))
+            await until(lambda: left.account.written == 1)
+            assert len(script.received) == 4
+            script.hang_up()
+            script.answer = lambda number: 0
+            await until(lambda: left.account.acknowledged == 8)
+
+
 async def test_close_does_not_wait_for_a_frozen_broker(mosquitto) -> None:
     async with publishing(mosquitto.url, times=IMPATIENT) as left:
         await until(lambda: left.connected)
@@ -166,3 +203,20 @@ async def test_answers_of_a_connection_that_is_over_are_withdrawn() -> None:
         assert left.account.dropped == {"withdrawn": 2}
         await until(lambda: left.account.waiting == 0)
     assert "asker" not in {message.topic for message in script.received}
+
+
+async def test_drops_are_summed_up_in_one_line_a_minute(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(message_account, "FIRST_LINE_S", 0.01)
+    account = Account()
+    for _ in range(30):
+        account.drop(Cause.QUEUE_FULL, "a/forces")
+    account.drop(Cause.REFUSED, "a/info", 2)
+    await until(lambda: bool(caplog.records))
+    assert all(part in caplog.messages[0] for part in ("30 a/forces (queue_full)", "2 a/info (refused)"))
+    account.drop(Cause.QUEUE_FULL, "a/forces", 5)
+    await asyncio.sleep(0.03)
+    assert len(caplog.records) == 1
+    account.close()
+    assert "5 a/forces (queue_full)" in caplog.messages[1]

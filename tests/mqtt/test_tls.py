@@ -95,7 +95,7 @@ async def keeping_connected(broker: Mqtt, monkeypatch: pytest.MonkeyPatch) -> As
     def make_connection(version: MQTTProtocolVersion) -> BrokerConnection:
         return BrokerConnection(broker, version, identifier="left", on_message=attempts.heard.append, times=QUICK_TLS)
 
-    async def serve(connection: BrokerConnection, _at_once: bool) -> None:
+    async def serve(connection: BrokerConnection) -> None:
         await connection.subscribe("echo/#", qos=1)
         attempts.served.append(connection)
         await asyncio.wait([connection.lost])

@@ -99,7 +99,7 @@ class BrokerRelay:
         if code_of(error) == UNSUPPORTED_VERSION:
             self._streams_version = None  # a broker without MQTT 3.1.1
 
-    async def _serve_states(self, connection: BrokerConnection, _at_once: bool) -> None:
+    async def _serve_states(self, connection: BrokerConnection) -> None:
         topics = [topic for topic in TOPICS.values() if topic.qos]
         filters = topic_filters(self._broker.prefix, topics, plate=EVERY_PLATE, full_rate=True)
         self._delivered = set()
@@ -113,7 +113,7 @@ class BrokerRelay:
                 self._relay(plate, path, b"")
             await asyncio.wait([connection.lost])
 
-    async def _serve_streams(self, connection: BrokerConnection, _at_once: bool) -> None:
+    async def _serve_streams(self, connection: BrokerConnection) -> None:
         self._streams = connection
         try:
             for topic in sorted(self._watched):

@@ -96,7 +96,7 @@ class _Probe:
     def make_connection(self, broker: Mqtt, version: MQTTProtocolVersion) -> BrokerConnection:
         return BrokerConnection(broker, version, on_message=self._receive, times=self._times)
 
-    async def serve(self, client: BrokerConnection, _at_once: bool) -> None:
+    async def serve(self, client: BrokerConnection) -> None:
         self.version = "MQTT 5" if client.version is MQTT_5 else "MQTT 3.1.1"
         self.accepted.set()
         if (denied := await client.subscribe(self._topic, qos=0)) is not None:
