@@ -1,7 +1,6 @@
 """Opening of a connection to a broker: TLS, and errors, each with a sentence that names the key to check."""
 
 import contextlib
-import re
 import selectors
 import socket
 import ssl
@@ -64,11 +63,6 @@ UNSPECIFIED: Final = 128  # the library's code for a connection that ended witho
 _PROTOCOL_ERROR: Final = 130  # the library's word for bytes that are not MQTT, and for a 3.1.1 broker's "no 3.1.1"
 _REFUSED_CLIENTS: Final = (134, 135, 138)  # bad name or password, not authorized, banned
 _NEITHER_VERSION: Final = "it supports neither MQTT 5 nor 3.1.1"
-_NO_CERTIFICATE: Final = ("certificate required", "handshake failure")  # of TLS 1.3, 1.2
-_EXPIRED: Final = 10  # these are X509_V_ERR_ of OpenSSL
-_NOT_YET_VALID: Final = 9
-_ANOTHER_HOST: Final = (62, 64)
-_UNTRUSTED: Final = (18, 19, 20, 21)
 
 
 class BrokerError(Exception):
@@ -96,21 +90,20 @@ class SilentError(BrokerError):
 
 def of_opening(error: OSError, broker: Mqtt) -> BrokerError:
     """Return why the connection could not be opened, TLS included."""
-    no_tls = "it ended the connection instead of using TLS; if the port is for plain MQTT, "
-    no_tls += f"{broker.named_by} is mqtt://"
     match error:
         case UnusableFileError():
             return BrokerError(str(error))
         case ssl.SSLCertVerificationError():
-            return RefusalError(_certificate(error, broker))
-        case ssl.SSLError() if (alert := _alert(error)) is not None:
-            return RefusalError(_refused_by_tls(alert, broker))
-        case ssl.SSLEOFError() | ConnectionResetError():
-            return BrokerError(no_tls)
-        case ssl.SSLError() if error.reason == "WRONG_VERSION_NUMBER":
-            return BrokerError(no_tls)
-        case TimeoutError() if "handshake" in str(error):
-            return BrokerError(no_tls)
+            ours = f"see mqtt.ca_file, {broker.named_by} and this computer's clock"
+            return RefusalError(f"its certificate is not accepted ({error.verify_message}); {ours}")
+        case ssl.SSLError(reason=str(reason)) if "_ALERT_" in reason:
+            alert = reason.partition("_ALERT_")[2].replace("_", " ").lower()
+            return RefusalError(f"it refuses the TLS connection ({alert}); see mqtt.certificate_file")
+        case TimeoutError() if "handshake" not in str(error):
+            return BrokerError(reason_of(error))
+        case ssl.SSLError() | ConnectionResetError() | TimeoutError():
+            plain = f"if the port is for plain MQTT, {broker.named_by} is mqtt://"
+            return BrokerError(f"no TLS connection ({reason_of(error)}); {plain}")
         case socket.gaierror():
             return BrokerError(f"no host of this name ({meaning_of(error)}); see {broker.named_by}")
         case _:
@@ -142,33 +135,3 @@ def of_answer(error: Exception, broker: Mqtt) -> Exception:
 def code_of(error: Exception) -> int | None:
     """Return the reason code of MQTT in an error; None if there is none."""
     return error.code if isinstance(error, BrokerError) else None
-
-
-def _certificate(error: ssl.SSLCertVerificationError, broker: Mqtt) -> str:
-    authorities = f"{broker.ca_file} (mqtt.ca_file)" if broker.ca_file else "this system's store; see mqtt.ca_file"
-    match error.verify_code:
-        case code if code == _EXPIRED:
-            return "its certificate has expired; renew it, or set this computer's clock"
-        case code if code == _NOT_YET_VALID:
-            return "its certificate is not valid yet; set the clock of this computer or of the one that made it"
-        case code if code in _ANOTHER_HOST:
-            named = f"have {broker.named_by} name the host as the certificate does"
-            return f"its certificate is not for {broker.host}; {named}"
-        case code if code in _UNTRUSTED:
-            return f"its certificate is signed by no authority in {authorities}"
-        case _:
-            return f"its certificate cannot be trusted ({error.verify_message})"
-
-
-def _refused_by_tls(alert: str, broker: Mqtt) -> str:
-    if broker.certificate_file is not None:
-        return f"it refuses the TLS connection ({alert}); see mqtt.certificate_file"
-    if alert in _NO_CERTIFICATE:
-        return f"it asks for a client certificate ({alert}); see mqtt.certificate_file"
-    return f"it refuses the TLS connection ({alert})"
-
-
-def _alert(error: ssl.SSLError) -> str | None:
-    """Return the reason that the other end gave; None without one."""
-    found = re.fullmatch(r"(?:SSLV3|TLSV1|TLSV13)_ALERT_(\w+)", error.reason or "")
-    return found and found[1].replace("_", " ").lower()
