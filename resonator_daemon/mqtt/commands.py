@@ -1,19 +1,15 @@
-"""Commands to the daemon on `cmd/<verb>`, and the answer to each; a command that cannot be executed is refused.
-
-JSON of unknown senders is read strictly: what parsers may read in more than one way is refused.
-"""
+"""Commands to the daemon on `cmd/<verb>`, and the answer to each; a command that cannot be executed is refused."""
 
 import asyncio
 import json
 import logging
-import math
 import re
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Coroutine, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Final, NamedTuple, NoReturn
+from typing import Any, Final, NamedTuple
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from resonator_daemon.base.toml import nearest
@@ -27,6 +23,7 @@ from resonator_daemon.mqtt.verbs import (
     Problem,
     Refusal,
     Request,
+    RequestId,
     Verb,
     permitted,
 )
@@ -42,14 +39,11 @@ RESPONSE_TOPIC_BYTES_MAX: Final = 1024
 RESPONSE_TOPIC_LEVELS_MAX: Final = 100  # Mosquitto ends the connection of a client that publishes to more than 200
 CORRELATION_BYTES_MAX: Final = 1024
 PAYLOAD_BYTES_MAX: Final = 16 * 1024
-NESTING_MAX: Final = 8
-DIGITS_MAX: Final = 20  # of a 64 bit integer
 
 _FINDINGS_MAX: Final = 5
 _SHOWN_LENGTH_MAX: Final = 80
 _TEXT_LENGTH_MAX: Final = 1000
 _WORD: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
-_TOO_DEEP: Final = f"the payload is nested more than {NESTING_MAX} deep"
 _SCHEMA = "see the topic schema, which has each command with its fields"
 
 log = logging.getLogger(__name__)
@@ -268,42 +262,46 @@ class Commands:
         self.counts[code] += 1
 
 
+class _Identified(BaseModel):
+    """A request of which only the `id` matters."""
+
+    id: RequestId
+
+
 def _request_id(payload: bytes) -> str | None:
     """Return the `id` of a request whatever else it has; None where there is none, or none that is sound."""
     try:
-        return Request.model_validate({"id": read_object(payload).get("id")}).id
-    except ValueError:
+        return _Identified.model_validate_json(payload[: PAYLOAD_BYTES_MAX + 1], strict=True).id
+    except ValidationError:
         return None
 
 
 def _request(verb: Verb, payload: bytes) -> Request:
+    if len(payload) > PAYLOAD_BYTES_MAX:
+        size = f"payload of {len(payload)} bytes, at most {PAYLOAD_BYTES_MAX}"
+        raise CommandRefusedError("payload", size, _SCHEMA)
     try:
-        return verb.request.model_validate(read_object(payload))
+        return verb.request.model_validate_json(payload)
     except ValidationError as error:
         findings = error.errors(include_url=False)[:_FINDINGS_MAX]
-        raise CommandRefusedError(
-            "payload",
-            "; ".join(_sentence(verb, found) for found in findings),
-            _SCHEMA,
-        ) from None
-    except ValueError as error:
+        sentences = "; ".join(_sentence(verb, found) for found in findings)
         hint = _SCHEMA if payload else "send {} for a command without fields"
-        raise CommandRefusedError("payload", str(error), hint) from None
+        raise CommandRefusedError("payload", sentences, hint) from None
 
 
 def _sentence(verb: Verb, error: ErrorDetails) -> str:
     where = ".".join(_key(key) if isinstance(key, str) else str(key) for key in error["loc"])
     match error["type"]:
+        case "json_invalid":
+            return f"the payload is no JSON: {error['ctx']['error']}"
         case "extra_forbidden":
-            known = list(verb.request.model_fields)
-            return f"{where}: unknown key; {nearest(str(error['loc'][-1]), known)}"
+            return f"{where}: unknown key; {nearest(str(error['loc'][-1]), list(verb.request.model_fields))}"
         case "missing":
             return f"{where}: missing; give a value"
-        case "value_error":
-            return f"{where}: got {_quoted(error['input'])}; {error['ctx']['error']}"
         case _:
-            message = error["msg"].replace("Input should be", "must be", 1).replace("String should", "must", 1)
-            return f"{where}: got {_quoted(error['input'])}; {message}"
+            message = error["msg"].removeprefix("Value error, ")
+            message = message.replace("Input should be", "must be", 1).replace("String should", "must", 1)
+            return f"{where or 'payload'}: got {_quoted(error['input'])}; {message}"
 
 
 def _key(name: str) -> str:
@@ -314,73 +312,3 @@ def _quoted(value: object) -> str:
     """Return a value as JSON, which distinguishes texts from numbers, in ASCII and cut to a length."""
     text = json.dumps(value)
     return text if len(text) <= _SHOWN_LENGTH_MAX else f"{text[: _SHOWN_LENGTH_MAX - 3]}..."
-
-
-def read_object(data: bytes) -> dict[str, Any]:
-    """Read the object in UTF-8.
-
-    Raises
-    ------
-    ValueError
-        Empty, too long, not JSON, not an object, nested too deep, a key twice, or a number that no double or 64 bits
-        hold.
-    """
-    if len(data) > PAYLOAD_BYTES_MAX:
-        raise ValueError(f"payload of {len(data)} bytes, at most {PAYLOAD_BYTES_MAX}")
-    try:
-        text = data.decode()
-    except UnicodeDecodeError as error:
-        raise ValueError(f"the payload is not UTF-8: byte 0x{data[error.start]:02x} at {error.start}") from None
-    if not text:
-        raise ValueError("the payload is empty")
-    try:
-        content = _DECODER.decode(text)
-    except json.JSONDecodeError as error:
-        raise ValueError(f"the payload is not JSON: {error.msg} at {error.pos}") from None
-    except RecursionError:
-        raise ValueError(_TOO_DEEP) from None
-    if not isinstance(content, dict):
-        raise ValueError("the payload is JSON, but not an object")
-    _check_nesting(content)
-    return content
-
-
-def _check_nesting(content: object) -> None:
-    level = [content]
-    for _ in range(NESTING_MAX + 1):
-        containers = [item for item in level if isinstance(item, dict | list)]
-        if not containers:
-            return
-        level = [value for each in containers for value in (each.values() if isinstance(each, dict) else each)]
-    raise ValueError(_TOO_DEEP)
-
-
-def _each_key_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    content: dict[str, Any] = {}
-    for key, value in pairs:
-        if key in content:
-            raise ValueError(f"key {json.dumps(key)[:80]} is there twice")
-        content[key] = value
-    return content
-
-
-def _integer(digits: str) -> int:
-    if len(digits) > DIGITS_MAX:
-        raise ValueError(f"an integer of {len(digits)} digits, at most {DIGITS_MAX}")
-    return int(digits)
-
-
-def _finite(digits: str) -> float:
-    number = float(digits)
-    if not math.isfinite(number):
-        raise ValueError(f"{digits[:20]} is more than a double holds")
-    return number
-
-
-def _no_number(word: str) -> NoReturn:
-    raise ValueError(f"{word} is no JSON")
-
-
-_DECODER: Final = json.JSONDecoder(
-    object_pairs_hook=_each_key_once, parse_int=_integer, parse_float=_finite, parse_constant=_no_number
-)

@@ -11,6 +11,7 @@ from mqtt_helpers import until
 from resonator_daemon.mqtt.codec import Incoming, Outgoing
 from resonator_daemon.mqtt.commands import (
     AT_ONCE,
+    PAYLOAD_BYTES_MAX,
     REFUSALS_AT_ONCE,
     RESPONSE_TOPIC_BYTES_MAX,
     WAITING_MAX,
@@ -94,24 +95,36 @@ def incoming(
 
 
 @pytest.mark.parametrize(
-    ("payload", "sentence"),
+    "payload",
     [
-        (b'{"txt": "a"}', "text: missing; give a value; txt: unknown key; allowed: id, text; did you mean text?"),
-        (b'{"text": 7}', "text: got 7; must be a valid string"),
-        (b"", "the payload is empty"),
-        (b'{"text": "a\\nb"}', 'text: got "a\\nb"; must be printable characters, without line breaks and control'),
-        (b'{"text": "a", "at\\u0000": 1}', '"at\\u0000": unknown key; allowed: id, text'),
-        (b'{"text": "' + b"x" * 300 + b'"}', "must have at most 200 characters"),
-        (b'{"text": "a", "text": "b"}', 'key "text" is there twice'),
+        b'{"txt": "a"}',
+        b'{"text": 7}',
+        b"",
+        b"{",
+        b"\xff\x00",
+        '{"text": "a"}'.encode("utf-16"),
+        b"[]",
+        b'"text"',
+        b'{"text": NaN}',
+        b'{"text": "\\ud800"}',
+        b'{"text": ' + b"[" * 8000 + b"]" * 8000 + b"}",
+        b'{"text": ' + b"7" * 8000 + b"}",
+        b'{"text": "a\\nb"}',
+        b'{"text": "a", "at\\u0000": 1}',
+        b'{"text": "' + b"x" * 300 + b'"}',
+        b'{"text": "a"}' + b" " * PAYLOAD_BYTES_MAX,
     ],
+    ids=repr,
 )
-async def test_a_request_that_is_not_the_verbs_is_refused_with_every_finding(
-    bench: Bench, payload: bytes, sentence: str
-) -> None:
-    (said,) = await bench.ask(incoming("mark", payload))
-    assert said["error"]["code"] == "payload"
-    assert sentence in said["error"]["message"]
+async def test_a_request_that_is_not_the_verbs_is_refused(bench: Bench, payload: bytes) -> None:
+    await bench.ask(incoming("mark", payload))
+    assert bench.codes == ["payload"]
     assert bench.asked == []
+
+
+async def test_a_refusal_has_every_finding(bench: Bench) -> None:
+    (said,) = await bench.ask(incoming("mark", b'{"txt": "a"}'))
+    assert said["error"]["message"].count(";") == 4  # two keys with their remedies, one of them a suggestion
 
 
 @pytest.mark.parametrize("id_", ["drop-1", "é" * 64])
@@ -135,7 +148,7 @@ async def test_each_answer_repeats_the_id_of_its_request(bench: Bench, id_: str)
     assert {answer["id"] for answer in bench.said} == {id_}
 
 
-FORMS = ["7", "1.5", "true", '""', '"' + "x" * 65 + '"', '"a\\n"', "[1]", '"1", "id": "2"']
+FORMS = ["7", "1.5", "true", '""', '"' + "x" * 65 + '"', '"a\\n"', "[1]"]
 
 
 @pytest.mark.parametrize("payload", ["", "[]", '{"id": "1"', *(f'{{"id": {form}}}' for form in FORMS)])
