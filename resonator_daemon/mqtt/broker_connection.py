@@ -285,12 +285,12 @@ class BrokerConnection:
         return begun, complete
 
     def subscribe(
-        self, topic_filter: str, qos: int = 1, *, retain_as_published: bool = False, no_local: bool = False
+        self, topic_filter: str, qos: int = 1, *, retain_as_published: bool = False
     ) -> asyncio.Future[str | None]:
         """Subscribe, with options of MQTT 5; the result is the reason for which the broker refuses it, or None."""
         refused: asyncio.Future[str | None] = self._loop.create_future()
         if self.version is MQTT_5:
-            options = SubscribeOptions(qos, noLocal=no_local, retainAsPublished=retain_as_published)
+            options = SubscribeOptions(qos, retainAsPublished=retain_as_published)
             _, number = self._client.subscribe(topic_filter, options=options)
         else:
             _, number = self._client.subscribe(topic_filter, qos)

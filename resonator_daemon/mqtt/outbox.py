@@ -2,142 +2,30 @@
 
 import asyncio
 import logging
-import math
 from collections import deque
-from collections.abc import Callable, Collection, KeysView
-from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from time import monotonic
 from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
 from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, NO_SUBSCRIBERS, BrokerConnection, InFlight
-from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.event_log import Event, EventLog
 from resonator_daemon.mqtt.message_account import Account, Cause
 from resonator_daemon.mqtt.packets import Packet, StreamPackets, properties_of
 from resonator_daemon.mqtt.payloads import ContactEvent
 from resonator_daemon.mqtt.topics import CONTACT_EVENT
 
-PAUSES_S: Final = (0.0, 5.0, 30.0, 60.0)  # before the first, second, ... restoration of a topic; the last pause repeats
-QUIET_S: Final = 120.0  # without a restoration, after which the pauses begin again
 STREAMS_WAITING_MAX: Final = 4096
 STREAM_BYTES_WAITING_MAX: Final = 32 * 2**20
 ANSWERS_WAITING_MAX: Final = 32
 ANSWER_BYTES_WAITING_MAX: Final = 4 * 2**20
 UNACKNOWLEDGED_MAX: Final = 10  # below every broker's usual limit of 20
 
-_OWN_MAX: Final = 8  # messages of a topic that the broker may still return
 _TOGETHER: Final = 32  # writes before other tasks of the event loop run
 _HEADER_BYTES: Final = 5 + 2 + 2  # of a packet of QoS 1 at most: its type and length, length of the topic, identifier
 _SEND_BYTES: Final = 64 * 1024  # of streams in one write
 
 log = logging.getLogger(__name__)
-
-
-@dataclass
-class _Topic:
-    last: Packet
-    own: deque[bytes] = field(default_factory=lambda: deque(maxlen=_OWN_MAX))
-    restorations: int = 0
-    restored_s: float = -math.inf
-    due: asyncio.TimerHandle | None = None  # of the next restoration
-
-
-class RetainedTopics:
-    """Last messages by topic, those that wait to be sent, and when overwritten ones are sent again.
-
-    A message is foreign if it is none of this publisher's last messages. This includes a last will that the broker
-    publishes after a reconnection. A foreign message affects its own topic only. To be used from the event loop's
-    thread only.
-
-    Parameters
-    ----------
-    account
-        Takes what is superseded, sent again or dropped at the end.
-    on_ready
-        Called when something waits.
-    restore
-        Called with a topic that was overwritten; None: its last message is sent again.
-
-    Attributes
-    ----------
-    waiting
-        Messages that wait, by topic, in the order in which they are sent.
-    """
-
-    def __init__(
-        self, account: Account, on_ready: Callable[[], None], restore: Callable[[str], None] | None = None
-    ) -> None:
-        self._account = account
-        self._on_ready = on_ready
-        self._restore = restore or (lambda name: self.republish((name,)))
-        self._loop = asyncio.get_running_loop()
-        self._topics: dict[str, _Topic] = {}
-        self.waiting: dict[str, Packet] = {}
-
-    @property
-    def topics(self) -> KeysView[str]:
-        return self._topics.keys()
-
-    def put(self, packet: Packet) -> None:
-        """Set the last message of a topic; it replaces a foreign message, so that no restoration is due."""
-        name = packet.topic
-        if name in self.waiting:
-            self._account.drop(Cause.SUPERSEDED, name)
-        topic = self._topics.setdefault(name, _Topic(packet))
-        topic.last = self.waiting[name] = packet
-        topic.own.append(packet.payload)
-        if topic.due is not None:
-            topic.due.cancel()
-            topic.due = None
-        self._on_ready()
-
-    def republish(self, names: Collection[str]) -> None:
-        """Send the last messages of topics again."""
-        again = {name: self._topics[name].last for name in names if name not in self.waiting}
-        self._account.enqueued += len(again)
-        self._account.republished += len(again)
-        self.waiting.update(again)
-        self._on_ready()
-
-    def receive(self, message: Incoming) -> None:
-        """Handle a message of any sender; retained ones are ignored, since they are older than this publisher's."""
-        topic = self._topics.get(message.topic)
-        if topic is None or topic.due is not None or message.retained or message.payload in topic.own:
-            return
-        now_s = self._loop.time()
-        if now_s - topic.restored_s >= QUIET_S:
-            topic.restorations = 0
-        due_s = topic.restored_s + PAUSES_S[min(topic.restorations, len(PAUSES_S) - 1)]
-        topic.due = self._loop.call_at(max(now_s, due_s), self._restore_topic, message.topic)
-
-    def restore_now(self) -> None:
-        """Restore overwritten topics without the rest of their pauses; all pauses begin again."""
-        for name, topic in self._topics.items():
-            topic.restorations = 0
-            if topic.due is not None:
-                topic.due.cancel()
-                self._restore_topic(name)
-
-    def close(self) -> None:
-        """Cancel all restorations, and drop the messages that still wait."""
-        for topic in self._topics.values():
-            if topic.due is not None:
-                topic.due.cancel()
-        self._topics.clear()
-        for name in self.waiting:
-            self._account.drop(Cause.CLOSED, name)
-        self.waiting.clear()
-
-    def _restore_topic(self, name: str) -> None:
-        topic = self._topics[name]
-        topic.due = None
-        topic.restored_s = self._loop.time()
-        topic.restorations += 1
-        if topic.restorations == 1:
-            log.info("%s was overwritten, by another client or a late last will: it is restored", name)
-        self._restore(name)
 
 
 class _Stream(NamedTuple):
@@ -207,8 +95,6 @@ class Outbox:
         Where events wait; None: in memory alone.
     boot_id
         Of this run of the daemon, whose events are stored; None: they are not.
-    restore
-        As of `RetainedTopics`.
 
     Attributes
     ----------
@@ -223,11 +109,11 @@ class Outbox:
         stream_wait_max_s: float,
         *,
         boot_id: str | None = None,
-        restore: Callable[[str], None] | None = None,
     ) -> None:
         self._account = account
         self._client: BrokerConnection | None = None
-        self.retained = RetainedTopics(account, self.pump_soon, restore)
+        self._retained: dict[str, Packet] = {}  # last messages by topic
+        self._states: dict[str, Packet] = {}  # those of them that wait, in the order in which they are sent
         self.events = EventLog(account, spool_directory, self.pump_soon, boot_id=boot_id)
         self._answers: BoundedQueue[Packet] = BoundedQueue(ANSWERS_WAITING_MAX, ANSWER_BYTES_WAITING_MAX)
         self._streams: BoundedQueue[_Stream] = BoundedQueue(STREAMS_WAITING_MAX, STREAM_BYTES_WAITING_MAX)
@@ -240,7 +126,7 @@ class Outbox:
     @property
     def queued(self) -> int:
         streams = len(self._reports.items) + len(self._streams.items)
-        return len(self.retained.waiting) + self.events.waiting + len(self._answers.items) + streams
+        return len(self._states) + self.events.waiting + len(self._answers.items) + streams
 
     @property
     def waiting(self) -> int:
@@ -250,6 +136,27 @@ class Outbox:
         while self.waiting:
             self._moved.clear()
             await self._moved.wait()
+
+    def put_retained(self, packet: Packet) -> None:
+        """Queue the last message of a topic, instead of one that waits."""
+        if packet.topic in self._states:
+            self._account.drop(Cause.SUPERSEDED, packet.topic)
+        self._retained[packet.topic] = self._states[packet.topic] = packet
+        self.pump_soon()
+
+    def republish(self) -> None:
+        """Send the last message of each retained topic again."""
+        again = {topic: packet for topic, packet in self._retained.items() if topic not in self._states}
+        self._account.enqueued += len(again)
+        self._account.republished += len(again)
+        self._states.update(again)
+        self.pump_soon()
+
+    def drop_states(self) -> None:
+        """Drop the states that still wait at the end."""
+        for topic in self._states:
+            self._account.drop(Cause.CLOSED, topic)
+        self._states.clear()
 
     def put_event(self, topic: str, message: ContactEvent) -> None:
         self.events.put(topic, message)
@@ -342,8 +249,8 @@ class Outbox:
         """Send one message that is acknowledged, or drop it as too large; False: none can be sent now."""
         if client.unacknowledged >= min(UNACKNOWLEDGED_MAX, client.receive_maximum):
             return False
-        if waiting := self.retained.waiting:
-            packet = waiting.pop(next(iter(waiting)))
+        if self._states:
+            packet = self._states.pop(next(iter(self._states)))
             self._send(client, packet, packet, retain=True)
             return True
         if (event := self.events.pop()) is not None:

@@ -83,8 +83,6 @@ class Publisher:
         Called with the number of each connection, before the retained messages are sent again.
     on_denied
         Called with filter and reason when the broker refuses a subscription.
-    announce
-        Publishes a new message on the topic of the last will, if that is overwritten; None: its last one is sent again.
     stream_wait_max_s
         How long a measured message may wait for the socket, in seconds; older ones are skipped.
     times
@@ -107,7 +105,6 @@ class Publisher:
         boot_id: str | None = None,
         on_connected: Callable[[int], None] = ignore,
         on_denied: Callable[[str, str], None] = ignore,
-        announce: Callable[[], None] | None = None,
         stream_wait_max_s: float = math.inf,
         times: ConnectionTimes | None = None,
     ) -> None:
@@ -115,16 +112,13 @@ class Publisher:
         self._times = times or ConnectionTimes()
         self._identifier = identifier
         self._make_will = make_will
-        self._will_topic = ""  # of the latest attempt
         self._subscriptions = subscriptions
         self._on_connected = on_connected
         self._on_denied = on_denied
         self._client: BrokerConnection | None = None
         self._connections = 0
         self.counts = Account()
-        self._outbox = Outbox(self.counts, spool_directory, stream_wait_max_s, boot_id=boot_id, restore=self._restore)
-        self._retained = self._outbox.retained
-        self._announce = announce
+        self._outbox = Outbox(self.counts, spool_directory, stream_wait_max_s, boot_id=boot_id)
         self._streams: dict[tuple[str, str], _Stream] = {}  # by base and path
         self._denied: set[str] = set()  # filters whose refusal was logged
         self._defects: set[tuple[str, type[Exception]]] = set()  # filters, and kinds of errors that were logged
@@ -161,7 +155,7 @@ class Publisher:
         name = f"{base}/{topic.path}"
         if self._make(name, Cause.CLOSED if self._closed else None):
             if topic.retained:
-                self._put_retained(Packet(name, encode(message), properties_of(topic)))
+                self._outbox.put_retained(Packet(name, encode(message), properties_of(topic)))
             elif isinstance(message, ContactEvent):
                 self._outbox.put_event(name, message)
 
@@ -172,13 +166,12 @@ class Publisher:
     def retain(self, full_topic: str, payload: bytes, content_type: str) -> None:
         """Publish a document that is no message, to be kept by the broker."""
         if self._make(full_topic, Cause.CLOSED if self._closed else None):
-            self._put_retained(Packet(full_topic, payload, pack(content_type=content_type)))
+            self._outbox.put_retained(Packet(full_topic, payload, pack(content_type=content_type)))
 
     def restore_now(self) -> None:
-        """Restore at once the retained topics that another publisher overwrote last."""
-        self._retained.restore_now()
-        if self.protocol == "3.1.1":  # what others send is not received there
-            self._retained.republish(self._retained.topics)
+        """Publish all retained messages again: another client has overwritten some."""
+        if self.connected:
+            self._outbox.republish()
 
     def answer(self, outgoing: Outgoing) -> None:
         """Send an answer to a command, after all events: a flood of commands causes no loss of events."""
@@ -198,7 +191,7 @@ class Publisher:
             await keep_connected(self._broker, self._make_connection, self._serve, self._closing, times=self._times)
         finally:
             self._closed = True
-            self._retained.close()
+            self._outbox.drop_states()
             try:
                 await self._outbox.events.close()
             finally:
@@ -245,22 +238,6 @@ class Publisher:
             self.counts.drop(refused, topic)
         return refused is None
 
-    def _put_retained(self, packet: Packet) -> None:
-        if packet.topic not in self._retained.topics and self._client is not None:
-            self._watch_retained(self._client, packet.topic)
-        self._retained.put(packet)
-
-    def _watch_retained(self, client: BrokerConnection, topic: str) -> None:
-        """Subscribe to what others send to a retained topic; before MQTT 5 every own message would come back, too."""
-        if client.version is MQTT_5:
-            client.subscribe(topic, no_local=topic != self._will_topic)  # brokers regard a last will as the client's
-
-    def _restore(self, topic: str) -> None:
-        if topic == self._will_topic and self._announce is not None:
-            self._announce()
-        else:
-            self._retained.republish((topic,))
-
     def _publish_stream(self, base: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
         """Queue the message, and the same bytes on the decimated topic if its rate lets it pass."""
         stream = self._streams.get((base, topic.path))
@@ -280,13 +257,11 @@ class Publisher:
             self._outbox.put_stream(packets, payload)
 
     def _make_connection(self, version: MQTTProtocolVersion) -> BrokerConnection:
-        will = self._make_will()
-        self._will_topic = will.topic
         return BrokerConnection(
             self._broker,
             version,
             identifier=self._identifier,
-            will=will,
+            will=self._make_will(),
             on_completed=self._outbox.published,
             on_writable=self._outbox.pump_soon,
             on_message=self._received,
@@ -302,11 +277,8 @@ class Publisher:
             client.subscribe(
                 subscription.topic_filter, subscription.qos, retain_as_published=subscription.retain_as_published
             )
-        subscribed = {subscription.topic_filter for subscription in self._subscriptions}
-        for topic in self._retained.topics - subscribed:
-            self._watch_retained(client, topic)
         self._on_connected(self._connections)
-        self._retained.republish(self._retained.topics)
+        self._outbox.republish()
         try:
             await asyncio.wait([client.lost])
         finally:
@@ -314,7 +286,6 @@ class Publisher:
             self._outbox.disconnected()
 
     def _received(self, message: Incoming) -> None:
-        self._retained.receive(message)
         for subscription in self._subscriptions:
             if subscription.matches(message.topic):
                 try:

@@ -1,20 +1,21 @@
 """State of the daemon: connections to the broker, and conflicts with daemons of the same name."""
 
 import json
+from collections.abc import AsyncIterator
 
 import pytest
 from observer import skipping
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.mqtt.codec import Incoming
-from resonator_daemon.mqtt.daemon_state import SILENT_S, DaemonSnapshot, DaemonState
+from resonator_daemon.mqtt.daemon_state import RESTORE_S, SILENT_S, DaemonSnapshot, DaemonState
 from resonator_daemon.mqtt.payloads import Condition
 
 MEASURING = Reason(ReasonCode.MEASURING, "measuring")
 
 
-def incoming(boot_id: str, state: str, at: str = "1", *, retained: bool = False, connected: object = None) -> Incoming:
-    content = {"daemon_boot_id": boot_id, "state": state, "t_ns": at, "connected_t_ns": connected}
+def incoming(boot_id: str, state: str = "online", *, retained: bool = False, connected: object = None) -> Incoming:
+    content = {"daemon_boot_id": boot_id, "state": state, "t_ns": "1", "connected_t_ns": connected}
     return Incoming("resonator/hand/state/daemon", json.dumps(content).encode(), retained, None, None)
 
 
@@ -25,24 +26,18 @@ def sent() -> list[DaemonSnapshot]:
 
 @pytest.fixture
 def restored() -> list[None]:
-    """One element for each restoration of overwritten topics."""
+    """One element for each restoration of the retained topics."""
     return []
 
 
 @pytest.fixture
-async def state(sent: list[DaemonSnapshot], restored: list[None]) -> DaemonState:
+async def state(sent: list[DaemonSnapshot], restored: list[None]) -> AsyncIterator[DaemonState]:
     state = DaemonState("aa", sent.append, lambda: restored.append(None))
     state.become(Condition.ONLINE, MEASURING, 5)
     state.connected(1)
     sent.clear()
-    return state
-
-
-def run_daemons(state: DaemonState, *boot_ids: str) -> None:
-    """Receive two messages of each running daemon."""
-    for at in ("1", "2"):
-        for boot_id in boot_ids:
-            state.receive(incoming(boot_id, "online", at))
+    yield state
+    state.end()
 
 
 def reason_code(state: DaemonState) -> ReasonCode:
@@ -58,40 +53,30 @@ async def test_each_connection_is_numbered_and_dated(state: DaemonState, sent: l
     assert first.connected_utc_ns is not None
     assert again.connected_utc_ns is not None
     assert again.connected_utc_ns > first.connected_utc_ns
-    state.announce()
     state.end()
-    state.announce()
-    assert sent == [again, again]
+    state.receive(incoming("bb"))
+    assert sent == [again]
 
 
-async def test_one_message_is_no_evidence_of_another_daemon(state: DaemonState) -> None:
-    for condition, at in (("online", "1"), ("online", "1"), ("offline", "2"), ("online", "3")):
-        state.receive(incoming("bb", condition, at))
-    state.receive(incoming("bb", "online", "4", retained=True))
-    assert reason_code(state) is ReasonCode.MEASURING
-    assert state.answers_for("bb")
-    run_daemons(state, "bb")
+async def test_another_daemon_is_a_conflict_unless_its_message_is_old(state: DaemonState) -> None:
+    state.receive(incoming("bb", retained=True))
+    state.receive(incoming("aa"))
+    assert (reason_code(state), state.answers_for("bb")) == (ReasonCode.MEASURING, True)
+    state.receive(incoming("bb"))
     assert reason_code(state) is ReasonCode.NAME_CONFLICT
     state.connected(2)
     assert reason_code(state) is ReasonCode.MEASURING
 
 
-async def test_thousands_of_forged_boot_ids_are_not_listed_and_do_not_hide_a_daemon(
-    state: DaemonState, sent: list[DaemonSnapshot]
-) -> None:
+async def test_thousands_of_forged_boot_ids_are_not_listed(state: DaemonState, sent: list[DaemonSnapshot]) -> None:
     for number in range(3000):
-        state.receive(incoming(f"b{number}", "online"))
-    run_daemons(state, "cc")
-    assert "boot id cc)" in state.snapshot.reason.text
-    for number in range(3000):
-        run_daemons(state, f"b{number}")
+        state.receive(incoming(f"b{number}"))
     assert len(state.snapshot.reason.text) < 400
-    assert len(sent) == 1
+    assert len(sent) == 2
 
 
 async def test_of_two_daemons_one_answers_for_a_run(state: DaemonState) -> None:
     connected_ns = state.snapshot.connected_utc_ns or 0
-    run_daemons(state, "bb")
     for other, owns in (
         (str(connected_ns + 1), True),
         (str(connected_ns), True),  # of equal times the lower boot id
@@ -101,56 +86,61 @@ async def test_of_two_daemons_one_answers_for_a_run(state: DaemonState) -> None:
         (-1, True),
         ("-1", True),
     ):
-        state.receive(incoming("bb", "online", connected=other))
+        state.receive(incoming("bb", connected=other))
         answers = [state.answers_for(run) for run in (None, "an earlier one", "aa", "bb")]
         assert answers == [owns, owns, True, False], other
-    state.receive(incoming("bb", "online", connected="0"))
+    state.receive(incoming("bb", connected="0"))
     assert not state.answers_for(None)
     state.receive(incoming("bb", "offline"))
     assert state.answers_for(None)
     assert state.answers_for("bb")
 
 
-async def test_the_conflict_is_over_when_the_others_are_offline(
-    state: DaemonState, sent: list[DaemonSnapshot], restored: list[None]
+@pytest.mark.parametrize("boot_id", ["aa", "bb"], ids=["late will of an earlier connection", "of an earlier run"])
+async def test_a_message_that_overwrites_the_state_is_overwritten_at_once_and_then_seldom(
+    boot_id: str,
+    state: DaemonState,
+    sent: list[DaemonSnapshot],
+    restored: list[None],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    run_daemons(state, "bb", "cc")
-    state.receive(incoming("bb", "offline"))
-    assert "boot id cc)" in state.snapshot.reason.text
-    for _ in range(10):  # frequent changes are announced with the next restoration
-        state.receive(incoming("cc", "offline"))
-        assert reason_code(state) is ReasonCode.MEASURING
-        run_daemons(state, "cc")
-    assert (len(sent), len(restored)) == (1, 1)
+    skip = skipping(monkeypatch)
+    for number in range(10):
+        state.receive(incoming(boot_id, "offline"))
+        assert len(sent) == len(restored) == min(number + 1, 2)
+    await skip(RESTORE_S)
+    assert len(sent) == len(restored) == 3
+    assert reason_code(state) is ReasonCode.MEASURING
 
 
-async def test_the_conflict_is_over_when_the_other_is_silent(
+async def test_the_conflict_is_over_when_the_others_are_offline_or_silent(
     state: DaemonState, sent: list[DaemonSnapshot], restored: list[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     skip = skipping(monkeypatch)
-    run_daemons(state, "bb")
+    for boot_id in ("bb", "cc"):
+        state.receive(incoming(boot_id))
+    state.receive(incoming("bb", "offline"))
+    assert "boot id cc)" in state.snapshot.reason.text
     await skip(SILENT_S - 1.0)
-    state.receive(incoming("bb", "online", "3"))
+    state.receive(incoming("cc"))
     await skip(SILENT_S - 1.0)
-    assert [snapshot.reason.code for snapshot in sent] == [ReasonCode.NAME_CONFLICT]
+    assert sent[-1].reason.code is ReasonCode.NAME_CONFLICT
+    before = len(sent)
     await skip(1.0)
-    assert sent[1:] == [state.snapshot]
-    state.receive(incoming("bb", "online", "4"))
-    await skip(SILENT_S)
-    state.receive(incoming("bb", "online", "5"))
-    assert (reason_code(state), len(sent), len(restored)) == (ReasonCode.MEASURING, 2, 1)
+    assert sent[before:] == [state.snapshot]
+    assert (reason_code(state), len(restored)) == (ReasonCode.MEASURING, len(sent))
 
 
 @pytest.mark.parametrize(
     "payload",
     [b"", b"{}", b"[]", b"7", b"\xff", b'{"daemon_boot_id": "b"}', b"[" * 100_000, b'{"state": "online"}']
     + [
-        json.dumps({"daemon_boot_id": boot_id, "state": "online", "t_ns": at}).encode()
-        for boot_id, at in (*((b, "1") for b in (7, None, "", "x" * 65, "a\nb", ["b"], {"b": 1})), ("b", 1), ("b", "x"))
+        json.dumps({"daemon_boot_id": boot_id, "state": "online", "t_ns": "1"}).encode()
+        for boot_id in (7, None, "", "x" * 65, "a\nb", ["b"], {"b": 1})
     ],
 )
-async def test_malformed_messages_are_ignored(state: DaemonState, sent: list[DaemonSnapshot], payload: bytes) -> None:
-    for digit in (b"1", b"2"):
-        message = payload.replace(b"1", digit)
-        state.receive(Incoming("resonator/hand/state/daemon", message, False, None, None))
-    assert (reason_code(state), sent) == (ReasonCode.MEASURING, [])
+async def test_malformed_messages_are_overwritten(
+    state: DaemonState, sent: list[DaemonSnapshot], payload: bytes
+) -> None:
+    state.receive(Incoming("resonator/hand/state/daemon", payload, False, None, None))
+    assert (reason_code(state), sent) == (ReasonCode.MEASURING, [state.snapshot])

@@ -1,8 +1,11 @@
 """What a publisher listens to: on each connection, shared, denied, and whatever a message does to its taker."""
 
+import json
+
 import aiomqtt
 import pytest
 from mqtt_helpers import LEFT, Messages, publishing, scripted_broker, until
+from observer import observe
 from relay import relay
 
 from resonator_daemon.board.config.mqtt import Mqtt
@@ -72,3 +75,18 @@ async def test_a_subscription_that_is_denied_is_said_once(caplog: pytest.LogCapt
                 script.hang_up()
                 await until(lambda: not left.connected)
     assert caplog.text.count("broker denies resonator/left/cmd/+ (Not authorized)") == 1
+
+
+async def test_a_retained_command_is_marked_also_when_it_arrives_live(mosquitto) -> None:
+    received: list[Incoming] = []
+    subscription = Subscription(f"{LEFT}/cmd/+", 1, received.append, retain_as_published=True)
+    async with (
+        publishing(mosquitto.url, subscriptions=(subscription,)) as left,
+        observe(mosquitto.url, f"{LEFT}/state/link") as other,
+    ):
+        await until(lambda: left.connected)
+        await other.client.publish(f"{LEFT}/cmd/tare", json.dumps({}), qos=1, retain=True)
+        await other.client.publish(f"{LEFT}/cmd/tare", b"", qos=1, retain=True)
+        await other.client.publish(f"{LEFT}/cmd/ping", b"{}", qos=1)
+        await until(lambda: len(received) >= 3)
+    assert [message.retained for message in received] == [True, True, False]

@@ -111,7 +111,6 @@ class PlatePublisher:
             spool_directory=state_directory() / "spool" / quote(broker.prefix, safe="") / name,
             boot_id=self._daemon_boot_id,
             on_connected=daemon_state.connected,
-            announce=daemon_state.announce,
             stream_wait_max_s=FRESH_S,
         )
         self._publisher.retain(full_topic(broker.prefix, name, SCHEMA_PATH), asyncapi.encoded(), JSON)
@@ -120,7 +119,7 @@ class PlatePublisher:
         self._waiting.clear()
 
     def restore_now(self) -> None:
-        """Restore at once the retained topics that another daemon overwrote last."""
+        """Publish all retained messages again: another client has overwritten some."""
         if self._publisher is not None:
             self._publisher.restore_now()
 

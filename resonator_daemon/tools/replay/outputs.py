@@ -156,7 +156,6 @@ class BrokerOutput:
             make_will=self._make_will,
             subscriptions=(Subscription(topic, 1, self._state.receive),),
             on_connected=self._state.connected,
-            announce=self._state.announce,
         )
         self._running = asyncio.create_task(self._publisher.run())
         self._state.become(Condition.ONLINE, Reason(ReasonCode.REPLAYING, self._what), time.time_ns())
