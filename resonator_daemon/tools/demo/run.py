@@ -24,8 +24,9 @@ from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.text import print_note
 from resonator_daemon.base.plate import Plate, load_plate
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.mqtt.subscriber import Arrival, read_message, topic_filters
-from resonator_daemon.mqtt.topics import SIGNALS, TOPICS, full_topic, split_topic
+from resonator_daemon.mqtt.broker_connection import MQTT_3
+from resonator_daemon.mqtt.subscriber import Arrival, Receiver, read_message, topic_filters
+from resonator_daemon.mqtt.topics import SIGNALS, TOPICS, split_topic
 from resonator_daemon.tools.demo.processes import (
     BROKER_PART,
     Child,
@@ -40,7 +41,6 @@ from resonator_daemon.tools.demo.processes import (
 )
 from resonator_daemon.tools.demo.results import cause, delays, failures, in_words, plate_result
 from resonator_daemon.tools.demo.score import SCORED, PlateScore
-from resonator_daemon.tools.demo.subscription import Subscription
 from resonator_daemon.tools.demo.truth import TruthTable
 from resonator_daemon.tools.view.plate_view import PlateView
 from resonator_daemon.tools.view.terminal import render
@@ -49,7 +49,7 @@ _START_S: Final = 120.0  # decoders of a skin are set up first
 _END_S: Final = 10.0  # for the last messages of the daemons
 _STOPPED_END_S: Final = 1.0  # for them after Ctrl-C
 _TURN_S: Final = 1 / 5  # period of scoring and drawing; decimated maps are published as often
-_BEGIN_S: Final = 0.01  # period of looking for the answers that begin the measurement
+_BEGIN_S: Final = 0.01  # period of looking for the messages that begin the measurement
 _SWITCH_S: Final = 0.5e-3  # the longest that scoring and drawing keep the receiving thread from the interpreter
 _SHOWN: Final = tuple(topic for topic in TOPICS.values() if topic != SIGNALS)
 _SCORED_PATHS: Final = frozenset(topic.path for topic in SCORED)
@@ -133,8 +133,9 @@ class _Demo:
         self._broker = await stack.enter_async_context(local_broker(folder))
         url = self._broker.url
         print_note(f"broker at {url}; watch it too: resonatord watch --url {url}")
-        self._subscription = Subscription(url, self._filters(), self._arrivals.append)
-        stack.callback(self._subscription.close)
+        receiver = Receiver(Mqtt(url=url), [self._filters()], self._arrivals.append, version=MQTT_3)
+        receiver.start()
+        stack.push_async_callback(receiver.close)
         for name, plate in self._plates.items():
             await self._start(name, plate, url, folder, stack)
         if not self._options.headless:
@@ -239,10 +240,9 @@ class _Demo:
             await asyncio.sleep(_TURN_S)
 
     async def _begin_scores(self) -> None:
-        """Request `health` of each daemon; its score begins at the answer."""
-        for name, station in self._stations.items():
+        """Begin the score of each daemon at its next `health`."""
+        for station in self._stations.values():
             station.score.begin()
-            self._subscription.publish(full_topic(self._prefix, name, "cmd/health"), b"{}")
         while not all(station.score.begun for station in self._stations.values()):
             raise_if_ended(self._children())
             await asyncio.sleep(_BEGIN_S)
