@@ -22,11 +22,12 @@ import cbor2
 import numpy as np
 
 from resonator_daemon.base.plate import load_plate
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.config.tables import Measurement
-from resonator_daemon.mqtt.subscriber import Arrival
+from resonator_daemon.mqtt.broker_connection import MQTT_3
+from resonator_daemon.mqtt.subscriber import Arrival, Receiver
 from resonator_daemon.mqtt.topics import DECODED, FORCES, full_topic
 from resonator_daemon.tools.demo.processes import local_broker, raise_if_ended, start_daemon, start_emulator
-from resonator_daemon.tools.demo.subscription import Subscription
 from resonator_daemon.tools.demo.truth import TruthTable
 
 LATE_MS = 20.0
@@ -47,8 +48,10 @@ async def measure(plate_name: str, seconds: float) -> dict[str, Any]:
     async with AsyncExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="resonatord-latency-")))
         broker = await stack.enter_async_context(local_broker(folder))
-        subscription = Subscription(broker.url, {full_topic("resonator", plate_name, topic.path): 0}, keep)
-        stack.callback(subscription.close)
+        filters = {full_topic("resonator", plate_name, topic.path): 0}
+        receiver = Receiver(Mqtt(url=broker.url), [filters], keep, version=MQTT_3)
+        receiver.start()
+        stack.push_async_callback(receiver.close)
         emulator = await start_emulator(plate_name, plate, folder)
         stack.push_async_callback(emulator.child.stop)
         daemon = await start_daemon(plate_name, emulator.link, broker.url, folder)
