@@ -3,8 +3,8 @@
 Convention: the body fills z >= 0, z points into it. A traction f is what the object exerts on the surface, so that
 f_z > 0 presses and sigma_xz, sigma_yz, sigma_zz at z = 0 are -f_x, -f_y, -f_z. Stress is positive in tension, p_n is
 the mean of the three normal stresses, shear strains are tensor components, and the transform is
-F(omega) = integral of f exp(-j (omega_x x + omega_y y)) dx dy. `Convention` states the two signs that others choose
-otherwise.
+F(omega) = integral of f exp(-j (omega_x x + omega_y y)) dx dy. The text before eq (13) of the paper has the traction as
+the stress at z = 0, so that f_z < 0 presses; eq (4) printed has p_n as a pressure.
 """
 
 from dataclasses import dataclass
@@ -22,26 +22,6 @@ ZeroRule = Literal["isolated", "periodic", "raise"]
 
 # Sum of 1/r over a square lattice of unit spacing, its divergence removed: -4 zeta(1/2) beta(1/2).
 _SQUARE_LATTICE_SUM = 3.900264920001956
-
-
-@dataclass(frozen=True)
-class Convention:
-    """Signs of the caller's numbers, where they are not those of this module.
-
-    Parameters
-    ----------
-    traction_is_stress
-        The surface traction is the stress sigma_xz, sigma_yz, sigma_zz at z = 0, as the text before eq (13) has it,
-        so that f_z < 0 presses.
-    p_n_is_pressure
-        p_n, alone and as a row of the sensor, is a pressure, positive in compression, as in eq (4) printed.
-    """
-
-    traction_is_stress: bool = False
-    p_n_is_pressure: bool = False
-
-
-_OWN = Convention()
 
 
 @dataclass(frozen=True)
@@ -85,7 +65,6 @@ class HalfSpace:
         *,
         zero: ZeroRule = "isolated",
         period_m: float | None = None,
-        convention: Convention = _OWN,
     ) -> Complexes:
         """Return T with output(omega, depth) = T input(omega), Karason, Srinivasan and Annaswamy, eqs (4), (14)-(23).
 
@@ -108,8 +87,6 @@ class HalfSpace:
             Side of the square domain; needed for "displacement" of "traction" at omega = 0 under "isolated". For
             poisson_ratio < 0.5 the field of an isolated load has, besides this constant, a part linear in x and y,
             (1 - 2 nu) / (4 mu) (-f_z x, -f_z y, f_x x + f_y y) of the mean traction f, which no period can hold.
-        convention
-            What traction and p_n mean to the caller, if not what they mean in this module.
 
         Returns
         -------
@@ -162,10 +139,6 @@ class HalfSpace:
             raise ValueError(
                 f"omega spans {w.min()} .. {w.max()} rad/m, where {output} of {input} is beyond any number"
             )
-        if convention.traction_is_stress and "traction" in (output, input):
-            matrix *= -1.0
-        if convention.p_n_is_pressure and output in ("p_n", "sensor"):
-            matrix[..., 0, :] *= -1.0
         return matrix
 
     def _at_zero(

@@ -8,12 +8,11 @@ standard deviation.
 """
 
 import math
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from resonator_daemon.base.arrays import Floats, Indices
+from resonator_daemon.base.arrays import Bools, Floats, Indices
 from resonator_daemon.estimate.forces.force_sites import ForceSites, SiteResponse
 
 GAP_S: Final = 0.02  # a force is known between readings that are no further apart
@@ -21,8 +20,6 @@ DEAD_BAND: Final = 4.0  # of the noise: its largest excursion in some ten thousa
 
 # Rows of all that is followed more than once.
 _AS_IS, _HYSTERESIS_OFF, _FRACTION_OFF, _TIME_OFF, _LESS_BEFORE, _MORE_BEFORE = range(6)
-
-_Number = TypeVar("_Number", float, NDArray[np.float64])
 
 # Of quartz force sensors whose response nobody has measured: half width of hysteresis, of the largest force, and creep.
 DEFAULT_HYSTERESIS: Final = 0.01
@@ -126,38 +123,18 @@ class ResponseInverse:
         self._last_s[sites] = time_s
 
 
-def warmed_shift(left: _Number, slope_per_kelvin: _Number, transient_s: float, relaxation_s: float) -> _Number:
-    """Relative shift by a contact one kelvin warmer, of whose difference from the site the share `left` is left."""
-    return slope_per_kelvin * (1.0 - left) + transient_s / relaxation_s * left
-
-
-def warming_std(held_s: float, slope_per_kelvin: float, transient_s: float, relaxation_s: float) -> float:
-    """Relative shift by a contact one kelvin warmer or colder, after `held_s` of it; `slope_per_kelvin` is a."""
-    return abs(warmed_shift(math.exp(-held_s / relaxation_s), slope_per_kelvin, transient_s, relaxation_s))
-
-
-class Pressed(NamedTuple):
-    """A force that presses, its noise and systematic standard deviations, and whether calibration covers it.
+class PressedSites(NamedTuple):
+    """Forces that press k sites, (k,), their noise and systematic standard deviations, and whether calibration covers.
 
     `unmodelled_newton` is added to the latter once something presses: hysteresis and creep that were not calibrated,
-    an unknown rest, and the warmth of a touch for a site observed untouched.
+    an unknown rest, and the warmth of a touch. It must not hide a touch that causes it.
     """
-
-    force_newton: float
-    noise_newton: float
-    systematic_newton: float
-    unmodelled_newton: float
-    calibrated: bool
-
-
-class PressedSites(NamedTuple):
-    """As `Pressed`, of all sites, (m,)."""
 
     force_newton: Floats
     noise_newton: Floats
     systematic_newton: Floats
     unmodelled_newton: Floats
-    calibrated: NDArray[np.bool_]
+    calibrated: Bools
 
 
 class SiteErrors:
@@ -165,8 +142,6 @@ class SiteErrors:
 
     def __init__(self, sites: ForceSites) -> None:
         self._sites = sites
-        self._slope_per_kelvin: list[float] = sites.warmth.coefficients[:, 0].tolist()
-        self._contact_std_kelvin: list[float] = sites.warmth.contact_std_kelvin.tolist()
         low, high = sites.valid_newton
         margin = RANGE_MARGIN * high if math.isfinite(high) else 0.0
         self._lowest_newton, self._highest_newton = low - margin, high + margin
@@ -201,80 +176,37 @@ class SiteErrors:
 
     def press(
         self,
-        site: int,
-        felt_newton: float,
-        noise_newton: float,
-        systematic_newton: float,
-        newton_per_shift: float,
-        time_s: float,
-    ) -> Pressed:
-        """Update with the force that a touched site feels.
-
-        `systematic_newton` is what the felt force may be off by; to it come the response's share, the sensitivity's and
-        that of a warm or cold touch, which `newton_per_shift` makes a force of.
-        """
-        force, noise, of_response = felt_newton, noise_newton, 0.0
-        if self._inverse is None:
-            unmodelled = self.unmodelled_newton(force)
-        else:
-            at = np.array([site])
-            answer = self._inverse.press(at, np.array([felt_newton]), np.array([noise_newton]), time_s)
-            (force,), (noise,), (of_response,) = (part.tolist() for part in answer)
-            unmodelled = float(self._unknown_rest(at, answer.force_newton)[0])
-        since_s = float(self._since_s[site])
-        if math.isnan(since_s):
-            self._since_s[site] = since_s = time_s
-        self._silent[site] = self._all_silent = False
-        warmth = self._sites.warmth
-        held_s, slope = time_s - since_s, self._slope_per_kelvin[site]
-        per_kelvin = warming_std(held_s, slope, warmth.transient_s, warmth.contact_time_s)
-        # The slope itself is not known better than that.
-        unknown = warmth.coefficient_std * -math.expm1(-held_s / warmth.contact_time_s)
-        warming = self._contact_std_kelvin[site] * math.hypot(per_kelvin, unknown) * newton_per_shift
-        of_sensitivity = self._sites.sensitivity_std * force
-        systematic = math.sqrt(systematic_newton**2 + of_sensitivity**2 + warming**2 + of_response**2)
-        calibrated = math.isnan(force) or self._lowest_newton <= force <= self._highest_newton
-        return Pressed(force, noise, systematic, unmodelled, calibrated)
-
-    def press_all(
-        self,
+        sites: Indices,
         felt_newton: Floats,
         noise_newton: Floats,
         systematic_newton: Floats,
         newton_per_shift: Floats,
         time_s: float,
-        touched: NDArray[np.bool_],
+        touched: Bools,
     ) -> PressedSites:
-        """Update with the forces that all sites (m,) feel, NaN for unknown; sites not `touched` rest.
+        """Update with the forces that sites (k,), each named once, feel, NaN for unknown; those not `touched` rest.
 
-        The other arguments are those of `press`, one for each site. Warmth counts as unmodelled: touches cause it, and
-        it must not hide one.
+        `systematic_newton` is what the felt force may be off by; to it come the response's share and the sensitivity's.
+        `newton_per_shift` makes a force of the relative shift by a warm or cold touch.
         """
-        sites = np.arange(len(felt_newton))
-        since_s = np.where(np.isnan(self._since_s), time_s, self._since_s)
-        self._since_s = np.where(touched, since_s, math.nan)
-        self._silent[:] = self._all_silent = False
+        since_s = np.where(np.isnan(self._since_s[sites]), time_s, self._since_s[sites])
+        self._since_s[sites] = np.where(touched, since_s, math.nan)
+        self._silent[sites] = self._all_silent = False
         force, noise, of_response = felt_newton, noise_newton, np.zeros(len(sites))
         if self._inverse is None:
-            unmodelled = self._unmodelled_all(force)
+            unmodelled = self.unmodelled_newton(force)
         else:
             force, noise, of_response = self._inverse.press(sites, felt_newton, noise_newton, time_s)
             unmodelled = self._unknown_rest(sites, force)
         warmth = self._sites.warmth
-        held_s = np.where(touched, time_s - since_s, 0.0)
-        left = np.exp(-held_s / warmth.contact_time_s)
-        per_kelvin = warmed_shift(left, warmth.coefficients[:, 0], warmth.transient_s, warmth.contact_time_s)
-        unknown = warmth.coefficient_std * (1.0 - left)
-        warming = warmth.contact_std_kelvin * np.hypot(per_kelvin, unknown)
-        unmodelled = np.hypot(unmodelled, np.where(touched, warming, 0.0) * newton_per_shift)
+        left = np.exp((since_s - time_s) / warmth.contact_time_s)  # of the difference between touch and site
+        per_kelvin = warmth.coefficients[sites, 0] * (1.0 - left) + warmth.transient_s / warmth.contact_time_s * left
+        unknown = warmth.coefficient_std * (1.0 - left)  # the slope itself is not known better than that
+        warming = np.where(touched, warmth.contact_std_kelvin[sites] * np.hypot(per_kelvin, unknown), 0.0)
         of_sensitivity = self._sites.sensitivity_std * force
         systematic = np.sqrt(systematic_newton**2 + of_sensitivity**2 + of_response**2)
         calibrated = np.isnan(force) | ((force >= self._lowest_newton) & (force <= self._highest_newton))
-        return PressedSites(force, noise, systematic, unmodelled, calibrated)
-
-    def _unmodelled_all(self, force_newton: Floats) -> Floats:
-        lag = np.minimum(DEFAULT_HYSTERESIS * self._sites.force_max_newton / 2.0, np.abs(force_newton))
-        return np.hypot(lag, DEFAULT_CREEP / 2.0 * force_newton)
+        return PressedSites(force, noise, systematic, np.hypot(unmodelled, warming * newton_per_shift), calibrated)
 
     def _unknown_rest(self, sites: Indices, force_newton: Floats) -> Floats:
         response, unproven = self._sites.response, self._unproven[sites]
@@ -284,10 +216,10 @@ class SiteErrors:
         beyond = np.clip(force_newton - hysteresis, 0.0, hysteresis) / 2.0
         return np.where(unproven, np.nan_to_num(beyond), 0.0)
 
-    def unmodelled_newton(self, force_newton: float) -> float:
-        """Return one standard deviation of a force from unknown hysteresis and creep."""
+    def unmodelled_newton(self, force_newton: Floats) -> Floats:
+        """Return one standard deviation of forces from unknown hysteresis and creep."""
         if self._inverse is not None:
-            return 0.0
+            return np.zeros(force_newton.shape)
         # A site lags by half of its hysteresis, but by no more than presses it.
-        lag = min(DEFAULT_HYSTERESIS * self._sites.force_max_newton / 2.0, abs(force_newton))
-        return math.hypot(lag, DEFAULT_CREEP / 2.0 * force_newton)
+        lag = np.minimum(DEFAULT_HYSTERESIS * self._sites.force_max_newton / 2.0, np.abs(force_newton))
+        return np.hypot(lag, DEFAULT_CREEP / 2.0 * force_newton)

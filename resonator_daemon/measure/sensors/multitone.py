@@ -258,7 +258,8 @@ class MultitoneProcessing:
         """
         per_shift = 1.0 / np.abs(shifts.sensitivity)
         felt = (shifts.shift - drift.expected_shift) / shifts.sensitivity
-        forces = self._errors.press_all(
+        forces = self._errors.press(
+            np.arange(len(felt)),
             felt,
             np.sqrt(shifts.variance) * per_shift,
             drift.expected_std * per_shift,
@@ -311,7 +312,9 @@ class MultitoneProcessing:
             other = math.sqrt(max(widening * float(covariance[2, 2]) - noise**2, 0.0))
             x, y = position_m.tolist()
             over = newton > self._sites.force_max_newton
-            unmodelled = max(float(forces.unmodelled_newton[nearest]), self._errors.unmodelled_newton(newton))
+            unmodelled = max(
+                float(forces.unmodelled_newton[nearest]), float(self._errors.unmodelled_newton(np.array(newton)))
+            )
             touches.append(
                 Touch(
                     nearest,

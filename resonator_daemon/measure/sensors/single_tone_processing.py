@@ -281,7 +281,7 @@ class SingleToneProcessing:
         touches: list[Touch] = []
         if forces:
             time_s = board_ticks / self._reference_hz
-            forces = tuple([self._complete(force, time_s, status) for force in forces])
+            forces = self._complete(forces, time_s, status)
             positions_m, covariance_m2 = self._positions_m, self._covariance_m2
             touches = [touch_of(force, positions_m[force.site], covariance_m2[force.site]) for force in forces]
         touches = self._confirmed(touches, frames)
@@ -352,25 +352,25 @@ class SingleToneProcessing:
         oscillator = oscillator_std(frames * self._gate_s)
         return self._matcher.match(frequency_hz, [count.std for count in counts], oscillator, common_mode.std)
 
-    def _complete(self, force: SiteForce, time_s: float, status: SensorStatus) -> SiteForce:
-        """Return the force with the site's response taken out and with every systematic error."""
-        if force.status == "overload":
-            return force
-        per_shift = self._sites.newton_per_shift(force.site, force.channels)
+    def _complete(self, forces: tuple[SiteForce, ...], time_s: float, status: SensorStatus) -> tuple[SiteForce, ...]:
+        """Return the forces with the sites' response taken out and with every systematic error."""
+        within = [force for force in forces if force.status != "overload"]
         pressed = self._errors.press(
-            force.site, force.force_newton, force.noise_newton, force.systematic_newton, per_shift, time_s
+            np.array([force.site for force in within], np.intp),
+            np.array([force.force_newton for force in within]),
+            np.array([force.noise_newton for force in within]),
+            np.array([force.systematic_newton for force in within]),
+            np.array([self._sites.newton_per_shift(force.site, force.channels) for force in within]),
+            time_s,
+            np.ones(len(within), np.bool_),
         )
+        systematic = np.hypot(pressed.systematic_newton, pressed.unmodelled_newton)
+        parts = (pressed.force_newton, pressed.noise_newton, systematic, pressed.calibrated)
         worth: Literal["ok", "possibly_more"] = "possibly_more" if status == "possibly_more" else "ok"
-        return SiteForce(
-            force.site,
-            pressed.force_newton,
-            pressed.noise_newton,
-            math.hypot(pressed.systematic_newton, pressed.unmodelled_newton),
-            worth if pressed.calibrated else "uncalibrated",
-            force.at_least_newton,
-            force.unobserved_bound_newton,
-            force.channels,
-        )
+        for force, newton, noise, other, calibrated in zip(within, *(part.tolist() for part in parts), strict=True):
+            force.force_newton, force.noise_newton, force.systematic_newton = newton, noise, other
+            force.status = worth if calibrated else "uncalibrated"
+        return forces
 
     def _confirmed(self, touches: list[Touch], frames: int) -> list[Touch]:
         """Return the touches; of a window that has just begun only those that the frame before had, too.

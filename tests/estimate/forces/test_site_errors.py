@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from resonator_daemon.estimate.forces.force_sites import ForceSites, SiteResponse, Warmth
-from resonator_daemon.estimate.forces.site_errors import GAP_S, Pressed, ResponseInverse, SiteErrors
+from resonator_daemon.estimate.forces.site_errors import GAP_S, PressedSites, ResponseInverse, SiteErrors
 
 K = 6.3e-6
 HYSTERESIS_NEWTON = 0.1
 RESPONSE = SiteResponse(HYSTERESIS_NEWTON, 0.0, 20.0, 0.0, 0.0, 0.0)
+NONE = SiteResponse(0.0, 0.0, 20.0, 0.0, 0.0, 0.0)
 
 FULL_SCALE_NEWTON = 10.0
 NOISE_NEWTON = 5e-4
@@ -34,17 +35,11 @@ def errors(*, slope=-3e-7, slope_std=0.0, contact_std_kelvin=0.0, transient_s=0.
     )
 
 
-def press(errors, newton, time_s, *, site=1, noise=1e-3, systematic=0.0):
-    return errors.press(site, newton, noise, systematic, 1 / K, time_s)
-
-
-def press_all(errors, newton, time_s, *, touched, noise=1e-3):
-    """Press site 1 of three that are all heard."""
-    felt, nothing = np.array([0.0, newton, 0.0]), np.zeros(3)
-    pressed = errors.press_all(
-        felt, np.full(3, noise), nothing, np.full(3, 1 / K), time_s, np.array([False, touched, False])
-    )
-    return Pressed(*(part[1].item() for part in pressed))
+def press(errors, newton, time_s, *, noise=1e-3, systematic=0.0, touched=True):
+    """Press site 1 of three."""
+    numbers = (np.array([number]) for number in (newton, noise, systematic, 1 / K))
+    pressed = errors.press(np.array([1]), *numbers, time_s, np.array([touched]))
+    return PressedSites(*(part.item() for part in pressed))
 
 
 def test_without_a_response_and_warmth_a_force_is_what_the_site_feels():
@@ -76,47 +71,33 @@ def test_a_warm_touch_moves_the_force_by_what_a_warming_site_would(held_s, trans
         warm_kelvin += rate * step_s
     rate = (3.0 - warm_kelvin) / 5.0
     expected_newton = abs(-3e-7 * warm_kelvin + transient_s * rate) / K
-    warm = errors(contact_std_kelvin=3.0, transient_s=transient_s)
+    warm = errors(contact_std_kelvin=3.0, transient_s=transient_s, response=NONE)
     press(warm, 1.0, 100.0)
-    assert press(warm, 1.0, 100.0 + held_s).systematic_newton == pytest.approx(expected_newton, rel=1e-3, abs=1e-9)
+    pressed = press(warm, 1.0, 100.0 + held_s)
+    assert pressed.unmodelled_newton == pytest.approx(expected_newton, rel=1e-3, abs=1e-9)
+    assert pressed.systematic_newton == 0.0  # in which it would hide the touch that causes it
 
 
 def test_a_slope_that_is_not_known_counts_where_the_known_one_is_none():
-    warm = errors(slope=0.0, slope_std=5e-8, contact_std_kelvin=3.0)
-    press(warm, 1.0, 0.0)
-    assert press(warm, 1.0, 1000.0).systematic_newton == pytest.approx(3.0 * 5e-8 / K)
-    both = errors(slope=5e-8, slope_std=5e-8, contact_std_kelvin=3.0)
-    press(both, 1.0, 0.0)
-    assert press(both, 1.0, 1000.0).systematic_newton == pytest.approx(math.sqrt(2) * 3.0 * 5e-8 / K)
+    for slope, expected in ((0.0, 1.0), (5e-8, math.sqrt(2))):
+        warm = errors(slope=slope, slope_std=5e-8, contact_std_kelvin=3.0, response=NONE)
+        press(warm, 1.0, 0.0)
+        assert press(warm, 1.0, 1000.0).unmodelled_newton == pytest.approx(expected * 3.0 * 5e-8 / K)
 
 
 @pytest.mark.parametrize("end", ["silence", "untouched", "reset"])
 def test_the_warmth_of_a_touch_ends_with_it(end):
-    warm = errors(contact_std_kelvin=3.0)
+    warm = errors(contact_std_kelvin=3.0, response=NONE)
     press(warm, 1.0, 0.0)
-    assert press(warm, 1.0, 10.0).systematic_newton > 0.1
+    assert press(warm, 1.0, 10.0).unmodelled_newton > 0.1
     if end == "silence":
         warm.silence(10.1)
     elif end == "reset":
         warm.reset()
     else:
-        press_all(warm, 0.0, 10.1, touched=False)
-    assert press(warm, 1.0, 10.2).systematic_newton == 0.0
-    assert press(warm, 1.0, 20.2).systematic_newton > 0.1
-
-
-def test_the_warmth_of_a_touch_must_not_hide_it_where_sites_are_heard_untouched():
-    warm = errors(contact_std_kelvin=3.0)
-    press_all(warm, 1.0, 0.0, touched=True)
-    pressed = press_all(warm, 1.0, 10.0, touched=True)
-    alone = errors(contact_std_kelvin=3.0)
-    press(alone, 1.0, 0.0)
-    warmth_newton = press(alone, 1.0, 10.0).systematic_newton
-    assert warmth_newton > 0.1
-    assert pressed.systematic_newton == 0.0
-    assert pressed.unmodelled_newton == pytest.approx(
-        math.hypot(press(errors(), 1.0, 0.0).unmodelled_newton, warmth_newton)
-    )
+        press(warm, 0.0, 10.1, touched=False)
+    assert press(warm, 1.0, 10.2).unmodelled_newton == 0.0
+    assert press(warm, 1.0, 20.2).unmodelled_newton > 0.1
 
 
 @pytest.mark.parametrize(
@@ -155,7 +136,7 @@ def test_what_a_press_leaves_in_a_site_is_no_force():
     followed(calibrated, np.concatenate([np.linspace(0, 5, 200), np.linspace(5, 0, 200)]))
     left_newton = HYSTERESIS_NEWTON / 2  # z stays h above 0: (0 + h) / 2 is felt
     for number in range(20):
-        force = press_all(calibrated, left_newton, 2.0 + 0.005 * number, noise=0.0, touched=False).force_newton
+        force = press(calibrated, left_newton, 2.0 + 0.005 * number, noise=0.0, touched=False).force_newton
         assert force == pytest.approx(0.0, abs=1e-9)
 
 
@@ -170,27 +151,6 @@ def test_an_error_of_the_response_is_a_systematic_one():
     assert press(unsure, last, 1.25, noise=0.0).systematic_newton == pytest.approx(
         0.3 * HYSTERESIS_NEWTON / 2, rel=0.05
     )
-
-
-@pytest.mark.parametrize("response", [None, RESPONSE])
-def test_all_sites_are_pressed_as_one_is(response):
-    together, alone = (
-        errors(contact_std_kelvin=3.0, slope_std=5e-8, transient_s=-2e-7, sensitivity_std=0.01, response=response)
-        for _ in range(2)
-    )
-    for each in (together, alone):
-        each.rest(0.0)
-    draw = np.random.default_rng(1)
-    newtons = [0.15, 0.3, 2.0, 0.15, math.nan, *draw.uniform(-0.5, 12.0, 100)]
-    times_s = np.cumsum([0.005, 0.01, 0.01, 0.01, 0.01, *draw.uniform(0.001, 1.0, 100)]).tolist()
-    for newton, time_s in zip(newtons, times_s, strict=True):
-        of_all = press_all(together, newton, time_s, touched=True)
-        of_one = press(alone, newton, time_s)
-        # Of sites that are heard untouched, warmth counts as untold; the whole is the same.
-        assert of_all.calibrated == of_one.calibrated
-        assert of_all[:2] == pytest.approx(of_one[:2], rel=1e-12, nan_ok=True)
-        whole = [math.hypot(each.systematic_newton, each.unmodelled_newton) for each in (of_all, of_one)]
-        assert whole[0] == pytest.approx(whole[1], rel=1e-12, nan_ok=True)
 
 
 def feel(force_newton, h, c, tau_s):

@@ -5,12 +5,11 @@ from resonator_daemon.estimate.elastic.contact import flat_punch, paraboloid, pr
 from resonator_daemon.estimate.elastic.fields import SurfaceFields
 from resonator_daemon.estimate.elastic.friction import FrictionalContact
 from resonator_daemon.estimate.elastic.grid import SpectralGrid
-from resonator_daemon.estimate.elastic.half_space import Convention, HalfSpace
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
 from resonator_daemon.estimate.elastic.mixed import MixedBoundary, solve_regions
 
 __all__ = [
-    "Convention",
     "FrictionalContact",
     "HalfSpace",
     "MixedBoundary",
