@@ -54,7 +54,7 @@ def test_each_command_explains_itself(name: str, resonatord: Resonatord) -> None
     assert run.returncode == 0
     assert run.stdout.startswith(f"usage: resonatord {name} [-h]")
     assert f"Example: resonatord {name} " in f"{' '.join(run.stdout.split())} " or name == "install"  # by sudo
-    assert ("--json" in run.stdout) == (name not in ("bridge ros2", "decode", "run"))
+    assert ("--json" in run.stdout) == (name not in ("bridge home-assistant", "bridge ros2", "decode", "run"))
 
 
 def test_its_version_is_that_of_the_project(resonatord: Resonatord) -> None:

@@ -45,7 +45,8 @@ def topic_level(text: str) -> str:
     return text
 
 
-def _topic(text: str) -> str:
+def topic_prefix(text: str) -> str:
+    """Return a text that topics can begin with; ValueError if they cannot."""
     if not all(map(_is_level, text.split("/"))):
         raise ValueError(
             "begins MQTT topics: levels joined by /, each not empty, with no space, +, # nor control character and no "
@@ -94,7 +95,7 @@ class Mqtt(Table):
         description="the broker: mqtt://HOST:PORT, or mqtts:// for TLS; default ports: 1883 and 8883",
         examples=["mqtt://127.0.0.1:1883", "mqtts://broker.example"],
     )
-    prefix: Annotated[str, Field(max_length=200), AfterValidator(_topic)] = Field(
+    prefix: Annotated[str, Field(max_length=200), AfterValidator(topic_prefix)] = Field(
         default="resonator", description="first level of the topics; may have several levels, as lab/one"
     )
     username: Annotated[str, Field(max_length=1000), AfterValidator(_user)] | None = Field(
