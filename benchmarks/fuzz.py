@@ -224,7 +224,6 @@ def fuzz_messages(inputs: int, rng: random.Random) -> Counter[str]:
 BASE = "resonator/left"
 SOUND: dict[str, tuple[dict[str, Any], ...]] = {
     "ping": ({}, {"id": "question 7"}),
-    "snapshot": ({}, {"topics": ["info", "forces"]}),
     "events": ({}, {"after_seq": 8, "daemon_boot_id": BOOT_ID}),
     "start_recording": ({}, {"label": "drop-1"}),
     "mark": ({"text": "touched"},),

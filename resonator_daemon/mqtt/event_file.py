@@ -6,7 +6,6 @@ too, and the file stays in order.
 """
 
 import contextlib
-import logging
 import os
 import sqlite3
 import time
@@ -39,7 +38,6 @@ _CREATE: Final = (
     "CREATE TABLE IF NOT EXISTS runs (id INTEGER PRIMARY KEY, boot TEXT NOT NULL UNIQUE, newest_seq INTEGER NOT NULL)",
     "CREATE TABLE IF NOT EXISTS mark (id INTEGER PRIMARY KEY, number INTEGER NOT NULL)",
 )
-_TABLES: Final = {"events": 7, "runs": 3, "mark": 2}  # numbers of columns
 _MARK: Final = "SELECT coalesce(max(number), 0) FROM mark"
 _NEWEST: Final = "SELECT number, all_bytes FROM events ORDER BY number DESC LIMIT 1"
 _IN_SPAN: Final = "FROM events WHERE number > ? AND number < ? AND NOT number BETWEEN ? AND ?"
@@ -48,7 +46,6 @@ _DELETE_OLD: Final = f"""DELETE FROM events WHERE written_ns < ? AND number IN
 _OF_RUN: Final = "FROM events WHERE boot = ? AND number > ? AND written_ns >= ? AND seq"
 
 ResultT = TypeVar("ResultT")
-log = logging.getLogger(__name__)
 
 
 class EventFileError(Exception):
@@ -110,7 +107,6 @@ class EventFile:
         self.path = directory / FILE
         self._boot = boot
         self._database: sqlite3.Connection | None = None
-        self._identity: tuple[int, int] | None = None  # of the open database
         self._first: int | None = None  # number in the file of this run's first event
         self._mark: int | None = None  # as the file has it
         self.unsynced = False
@@ -130,14 +126,11 @@ class EventFile:
     def write(self, events: Sequence[StoredEvent], mark: int, span: Span) -> int:
         """Append events, store the mark, and delete what exceeds the bounds.
 
-        Where the open file is not the one of its name any more, all of it is written to a new one before.
-
         Returns
         -------
         int
             Number of the oldest events in `span` that had to go.
         """
-        self._make_again()
         if not events and self._mark == mark:
             return 0
         first, lost = self._first or 0, 0
@@ -218,32 +211,6 @@ class EventFile:
         first = self._first or 0
         return first + span.after, first + span.before, first, first + span.passed
 
-    def _make_again(self) -> None:
-        """Write all to a new file where the open one was removed or replaced: it ends with the process.
-
-        EventFileError leaves the open one in use: what is in it can be read and sent as long as the process lives.
-        """
-        removed, identity = self._database, self._identity
-        if removed is None or self._named() == identity:
-            return
-        self._database = None
-        try:
-            self._transact(lambda database: _copy(removed, database))
-        except EventFileError as error:
-            self.close()
-            self._database, self._identity = removed, identity
-            raise EventFileError(f"{self.path} was removed or replaced, and {error}") from error
-        removed.close()
-        log.warning("%s was removed or replaced: made again", self.path)
-
-    def _named(self) -> tuple[int, int] | None:
-        """Return device and inode of the file that has the name."""
-        try:
-            status = os.stat(self.path)
-        except OSError:
-            return None
-        return status.st_dev, status.st_ino
-
     def _transact(self, transact: Callable[[sqlite3.Connection], ResultT], *, synchronous: str = "NORMAL") -> ResultT:
         """Carry out one transaction and return its result, on a database that is opened for it where it is not open.
 
@@ -304,8 +271,7 @@ class EventFile:
         except BaseException:
             database.close()
             raise
-        self._identity, self._mark = self._named(), None
-        self._database = database
+        self._database, self._mark = database, None
         return database
 
 
@@ -319,12 +285,6 @@ def first_of(payloads: Iterable[bytes], bytes_max: int) -> list[bytes]:
             break
         fitting.append(payload)
     return fitting
-
-
-def _copy(source: sqlite3.Connection, target: sqlite3.Connection) -> None:
-    for table, columns in _TABLES.items():
-        rows = source.execute(f"SELECT * FROM {table} ORDER BY 1")
-        target.executemany(f"INSERT OR REPLACE INTO {table} VALUES ({', '.join('?' * columns)})", rows)
 
 
 def _rolled_back(database: sqlite3.Connection) -> bool:

@@ -1,7 +1,6 @@
 """Events as a log with a mark: what waits for the broker is what lies behind it, what a client asks for is a range."""
 
 import asyncio
-import contextlib
 import logging
 from collections import deque
 from collections.abc import Callable, Coroutine, Sequence
@@ -26,7 +25,6 @@ from resonator_daemon.mqtt.payloads import ContactEvent
 IN_MEMORY_MAX: Final = 1024
 UNWRITTEN_MAX: Final = 4096  # while a disk that works is being written to
 RETRY_S: Final = 5.0
-LOOK_S: Final = 5.0  # how long a removed file may go unnoticed where nothing is written
 SYNC_S: Final = 0.5  # between two fsyncs: how long the operating system alone may have an event
 CLOSE_TIMEOUT_S: Final = 2.0
 SUBSCRIBERS_S: Final = 60.0  # after a connection: how long events wait for the first subscriber
@@ -313,9 +311,7 @@ class EventLog:
         self.opened = True
         self._on_ready()
         while not self._closing:
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(LOOK_S):
-                    await self._wake.wait()
+            await self._wake.wait()
             self._wake.clear()
             await self._work_once(file)
         self._paused.clear()
@@ -331,7 +327,7 @@ class EventLog:
             await self._try("sync", self._sync(file))
 
     async def _write(self, file: EventFile) -> None:
-        """Write what the disk lacks; find a file that was removed also where that is nothing."""
+        """Write what the disk lacks."""
         if not self._file_known:
             mark, found = await self._in_thread(file.open)
             self._file_known = True

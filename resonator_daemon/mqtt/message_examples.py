@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 from resonator_daemon.mqtt.codec import encode, read_arrays
 from resonator_daemon.mqtt.payload_types import UNITS
-from resonator_daemon.mqtt.payloads import WITH_ARRAYS, ContactEvent, Contacts, Forces, Grid, Message, State
+from resonator_daemon.mqtt.payloads import WITH_ARRAYS, ContactEvent, Contacts, Forces, Grid, Message
 from resonator_daemon.mqtt.topics import DECODER_HEALTH, DECODER_STATE, SCHEMA_VERSION, TOPICS
 from resonator_daemon.mqtt.verbs import VERBS, Refusal
 
@@ -78,7 +78,7 @@ _VALUES: Final[dict[str, Any]] = {
     "frame_rate_hz": 1000.0,
     "rates_hz": {"forces": 200.0, "forces/20hz": 20.0, "contacts": 200.0, "contacts/20hz": 20.0, "tones": 20.0},
     "units": UNITS,
-    "Info.commands": ["ping", "health", "snapshot", "tare"],
+    "Info.commands": ["ping", "health", "tare"],
     "force_max_newton": 10.0,
     "codes": [
         {
@@ -147,7 +147,6 @@ _COMMAND_VALUES: Final[dict[str, Any]] = {
     "Request.id": "1f9c",
     "Answer.id": "1f9c",
     "Refusal.id": "1f9c",
-    "Snapshot.topics": ("state/link",),
     "Events.after_seq": 1233,
     "EventsAnswer.complete": True,
     "EventsAnswer.oldest_seq": 0,
@@ -235,7 +234,6 @@ def _on_skin() -> dict[str, Any]:
     return _json(contacts, contacts=(contact.model_copy(update={**forces, **_SLIP}),))
 
 
-_COMMAND_VALUES["SnapshotAnswer.messages"] = {"state/link": _example(State)}
 _COMMAND_VALUES["EventsAnswer.events"] = (_example(ContactEvent).model_copy(update={"replayed": True}),)
 
 _KINDS: Final = [*(topic.payload for topic in TOPICS.values()), DECODER_STATE.payload, DECODER_HEALTH.payload]

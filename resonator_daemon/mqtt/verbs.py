@@ -2,16 +2,15 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
+from typing import Annotated, Any, Final, Literal, get_args
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, SerializeAsAny
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic.fields import FieldInfo
 
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.config.tables import ChangingVerb
 from resonator_daemon.mqtt.payload_types import optional
 from resonator_daemon.mqtt.payloads import ContactEvent, Health, Int64, Message, PerChannel
-from resonator_daemon.mqtt.topics import JSON, TOPICS
 
 LABEL_PATTERN: Final = "^[A-Za-z0-9_-]{1,64}$"
 ID_LENGTH_MAX: Final = 64
@@ -30,13 +29,6 @@ def _named(name: str, about: str, meanings: Mapping[Any, str | None]) -> FieldIn
     return field
 
 
-if TYPE_CHECKING:
-    JsonTopic = str
-    NamedJsonTopic = str
-else:
-    JsonTopic = Literal[tuple(path for path, topic in TOPICS.items() if topic.content_type == JSON)]
-    _ABOUT = {path: topic.payload.__doc__ for path, topic in TOPICS.items()}
-    NamedJsonTopic = Annotated[JsonTopic, _named("JsonTopic", "Topics with JSON.", _ABOUT)]
 ErrorCode = Literal[
     "unknown_verb",
     "not_permitted",
@@ -153,22 +145,6 @@ class HealthAnswer(Answer):
 
     verb: Literal["health"] = "health"
     health: Health
-
-
-class Snapshot(Request):
-    """Ask for the last messages on the JSON topics."""
-
-    topics: Annotated[tuple[NamedJsonTopic, ...], Field(strict=False, max_length=16)] | None = Field(
-        None, description="those wanted; all where not given"
-    )
-
-
-class SnapshotAnswer(Answer):
-    """The last messages, as they were published."""
-
-    verb: Literal["snapshot"] = "snapshot"
-    messages: dict[str, SerializeAsAny[Message]] = Field(description="by topic; none of those that had no message yet")
-    omitted: tuple[str, ...] = Field(description="topics whose messages would make the answer too long: request fewer")
 
 
 class Events(Request):
@@ -321,7 +297,6 @@ VERBS: Final[dict[str, Verb]] = {
     for verb in (
         Verb(Ping, Pong, "confirms that the daemon runs"),
         Verb(HealthRequest, HealthAnswer, "answers with the health of the daemon"),
-        Verb(Snapshot, SnapshotAnswer, "repeats the last message of each JSON topic"),
         Verb(Events, EventsAnswer, "answers with stored events"),
         Verb(Tare, TareAnswer, "takes the present readings as those of the untouched plate"),
         Verb(StartRecording, StartRecordingAnswer, "records the link to a file"),

@@ -11,7 +11,6 @@ from resonator_daemon.mqtt.verbs import VERBS, Refusal
 EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "ping": [{}, {"id": None}, *({"id": id_} for id_ in ("a", "é" * 64))],
     "health": [{}],
-    "snapshot": [{}, {"topics": ["info", "state/link"]}, {"topics": []}, {"topics": None}],
     "events": [{}, {"after_seq": -1}, {"after_seq": 2**53 - 1, "daemon_boot_id": "9f3c52d0"}],
     "tare": [{}],
     "start_recording": [{}, {"label": "drop-test_3"}],
@@ -23,10 +22,6 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
 REFUSED: list[tuple[str, dict[str, Any]]] = [
     *((verb, {**examples[0], "more": 1}) for verb, examples in EXAMPLES.items()),
     *(("ping", {"id": id_}) for id_ in (7, 1.0, True, "", "a" * 65, "a\n", "\ud800", [], {})),
-    ("snapshot", {"topics": ["signals"]}),
-    ("snapshot", {"topics": "info"}),
-    ("snapshot", {"topics": {"info": 1}}),
-    ("snapshot", {"topics": ["info"] * 17}),
     *(("events", {"after_seq": seq}) for seq in (-2, 2**53, 1.5, "1", True, None)),
     *(("events", {"daemon_boot_id": boot_id}) for boot_id in ("", "a" * 65, 7)),
     *(("start_recording", {"label": label}) for label in ("", "a/b", "..", "a b", "é", "a\n", "a" * 65, 7, ["a"])),

@@ -3,7 +3,7 @@
 import asyncio
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 from resonator_daemon.board.config import Config, timing_problems
 from resonator_daemon.board.session.board_reader import BoardReader
@@ -19,10 +19,9 @@ from resonator_daemon.mqtt.commands import CommandRefusedError, Handler, NotAddr
 from resonator_daemon.mqtt.daemon_state import DaemonState
 from resonator_daemon.mqtt.event_file import EventFileError
 from resonator_daemon.mqtt.event_log import EventPage, UnknownRunError
-from resonator_daemon.mqtt.payloads import Condition, ContactEvent, Health, Message
+from resonator_daemon.mqtt.payloads import Condition, ContactEvent, Health
 from resonator_daemon.mqtt.topics import CONTACTS
 
-SNAPSHOT_BYTES_MAX: Final = 128 * 1024
 EVENTS_BYTES_MAX: Final = 128 * 1024
 
 
@@ -67,7 +66,6 @@ class CommandHandlers:
         self.by_verb: Mapping[str, Handler] = {
             "ping": self._ping,
             "health": self._health,
-            "snapshot": self._snapshot,
             "events": self._events,
             "tare": self._tare,
             "start_recording": recording.start,
@@ -83,23 +81,6 @@ class CommandHandlers:
 
     def _health(self, _request: verbs.HealthRequest) -> verbs.HealthAnswer:
         return verbs.HealthAnswer(health=self._report_health())
-
-    def _snapshot(self, request: verbs.Snapshot) -> verbs.SnapshotAnswer:
-        wanted = get_args(verbs.JsonTopic) if request.topics is None else dict.fromkeys(request.topics)
-        messages: dict[str, Message] = {}
-        omitted = []
-        room_bytes = SNAPSHOT_BYTES_MAX
-        for path in wanted:
-            message = self._publisher.last_message(path)
-            if message is None:
-                continue
-            size_bytes = len(message.model_dump_json())
-            if size_bytes <= room_bytes:
-                messages[path] = message
-                room_bytes -= size_bytes
-            else:
-                omitted.append(path)
-        return verbs.SnapshotAnswer(messages=messages, omitted=tuple(omitted))
 
     async def _events(self, request: verbs.Events) -> verbs.EventsAnswer:
         if not self._daemon.answers_for(request.daemon_boot_id):

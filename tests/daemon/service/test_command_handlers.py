@@ -8,7 +8,6 @@ import pytest
 from command_stand_ins import StandIn, configured, handlers_on, messages
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.daemon.service import command_handlers
 from resonator_daemon.daemon.service.command_handlers import CommandHandlers
 from resonator_daemon.mqtt.commands import CommandRefusedError
 from resonator_daemon.mqtt.topics import SIGNALS
@@ -39,16 +38,6 @@ class Bench:
 @pytest.fixture
 async def bench(tmp_path: Path) -> Bench:
     return Bench(tmp_path)
-
-
-async def test_a_snapshot_is_bounded(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    info = len(messages()["info"].model_dump_json())
-    monkeypatch.setattr(command_handlers, "SNAPSHOT_BYTES_MAX", info)
-    said = await bench.ask("snapshot", topics=["info", "state/link"])
-    assert (list(said["messages"]), said["omitted"]) == (["info"], ["state/link"])
-    assert (await bench.ask("snapshot", topics=["info", "info"]))["omitted"] == []
-    said = await bench.ask("snapshot", topics=["state/link", "info"])
-    assert (list(said["messages"]), said["omitted"]) == (["state/link"], ["info"])
 
 
 async def test_stored_events(bench: Bench) -> None:

@@ -84,10 +84,6 @@ async def test_each_command_does_what_it_states(bench: Bench) -> None:
         await observer.until_count(FORCES, count + 5)
         assert ticks_per_message(observer.payloads(FORCES)[count:]) == {2 * step_ticks}
 
-        snapshot = await ask("snapshot", topics=["info", "state/sensor", "forces"])
-        assert snapshot["messages"]["info"] == observer.payloads(INFO)[-1]
-        assert snapshot["messages"]["state/sensor"]["state"] == "online"
-        assert snapshot["omitted"] == []
         assert (await ask("events", after_seq=0))["events"] == []
         assert service.link_counters.lost.total == 0
         await observer.client.publish("resonator/hand/cmd/ping", "{}", qos=1)  # without a response topic
@@ -101,7 +97,7 @@ async def test_without_permission_nothing_is_changed(bench: Bench) -> None:
     async with bench.emulated(scenario="still"), observe(bench.broker_url) as observer, bench.running(bench.service()):
         await observer.until_last("resonator/hand/state/sensor", state="online")
         info = await observer.until_last(INFO, window_s=0.01)
-        assert info["commands"] == ["ping", "health", "snapshot", "events"]
+        assert info["commands"] == ["ping", "health", "events"]
         for verb in ALL:
             answer = await request(Mqtt(url=bench.broker_url), "hand", verb, {})
             assert answer["error"]["code"] == "not_permitted"
