@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 from resonator_daemon.base.errors import FAILURES
 from resonator_daemon.mqtt import payloads
 from resonator_daemon.mqtt.message_examples import EXAMPLES
-from resonator_daemon.mqtt.verbs import ERRORS
+from resonator_daemon.mqtt.verbs import ErrorCode
 
 PAGES = [Path(__file__).parents[1] / "reference" / f"{name}.md" for name in ("mqtt-topics", "mqtt-commands", "states")]
 WIDTH = 130
@@ -70,7 +70,7 @@ def _wrapped(message: object) -> str:
 
 def list_of_words(names: list[str]) -> str:
     (name,) = names
-    return _list(ERRORS.items() if name == "ErrorCode" else ((word, word.meaning) for word in getattr(payloads, name)))
+    return _list((word, word.meaning) for word in (ErrorCode if name == "ErrorCode" else getattr(payloads, name)))
 
 
 def list_of_errors(_: list[str]) -> str:

@@ -55,9 +55,9 @@ Handler = Callable[[Any], Answer | Coroutine[Any, Any, Answer]]
 class CommandRefusedError(Exception):
     """Raised by a handler instead of an answer: what is wrong, by a code for programs and a sentence for display."""
 
-    def __init__(self, code: ErrorCode, message: str, hint: str = "") -> None:
+    def __init__(self, code: str, message: str, hint: str = "") -> None:
         super().__init__(message)
-        self.code, self.message, self.hint = code, message, hint
+        self.code, self.message, self.hint = ErrorCode(code), message, hint
 
 
 class NotAddressedError(Exception):
@@ -254,8 +254,8 @@ class Commands:
         self._send(Outgoing(command.topic, answer.model_dump_json().encode(), command.correlation))
         self.counts["done"] += 1
 
-    def _refuse(self, command: _Command, code: ErrorCode, message: str, hint: str = "") -> None:
-        problem = Problem(code=code, message=message[:_TEXT_LENGTH_MAX], hint=hint[:_TEXT_LENGTH_MAX])
+    def _refuse(self, command: _Command, code: str, message: str, hint: str = "") -> None:
+        problem = Problem(code=ErrorCode(code), message=message[:_TEXT_LENGTH_MAX], hint=hint[:_TEXT_LENGTH_MAX])
         refusal = Refusal(verb=command.verb, id=_request_id(command.payload), error=problem)
         # In ASCII, which takes any text: a path may hold what UTF-8 does not.
         self._send(Outgoing(command.topic, json.dumps(refusal.model_dump()).encode(), command.correlation))

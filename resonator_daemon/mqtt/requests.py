@@ -41,7 +41,7 @@ class NoAnswerError(UserError):
 
 
 class RefusedError(UserError):
-    """The daemon refused the command; `code` is one of `verbs.ERRORS`."""
+    """The daemon refused the command; `code` is one of `verbs.ErrorCode`."""
 
     exit_code = ExitCode.FAILED
     code = "refused"

@@ -1,13 +1,12 @@
 """The commands on `cmd/<verb>`: what each takes and what it answers. A request with a key too many is refused."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Annotated, Any, Final, Literal, get_args
+from typing import Annotated, Final, Literal, get_args
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
-from pydantic.fields import FieldInfo
 
-from resonator_daemon.base.reasons import ReasonCode
+from resonator_daemon.base.reasons import ReasonCode, Word
 from resonator_daemon.board.config.tables import ChangingVerb
 from resonator_daemon.mqtt.payload_types import optional
 from resonator_daemon.mqtt.payloads import ContactEvent, Health, Int64, Message, PerChannel
@@ -17,60 +16,31 @@ ID_LENGTH_MAX: Final = 64
 UNKNOWN: Final = "unknown"  # `verb` of the refusal of any other command, and the last level of its topic
 
 
-def _named(name: str, about: str, meanings: Mapping[Any, str | None]) -> FieldInfo:
-    """Return what gives a set of words its name, and each word its meaning, in a JSON schema."""
+class ErrorCode(Word):
+    """Why a command was refused."""
 
-    def describe(schema: dict[str, Any]) -> None:
-        lines = [about, *(f"- `{word}`: {meanings[word]}" for word in schema["enum"])]
-        schema["description"] = "\n".join(lines)
-        schema["x-enum-descriptions"] = [meanings[word] for word in schema["enum"]]
-
-    field: FieldInfo = Field(title=name, json_schema_extra=describe)
-    return field
-
-
-ErrorCode = Literal[
-    "unknown_verb",
-    "not_permitted",
-    "payload",
-    "response_topic",
-    "correlation",
-    "too_many",
-    "busy",
-    "timeout",
-    "failed",
-    "not_ready",
-    "not_untouched",
-    "recording",
-    "not_recording",
-    "recording_failed",
-    "window",
-    "not_published",
-    "unknown_boot",
-    "storage_failed",
-    "not_located",
-]
-ERRORS: Final[dict[ErrorCode, str]] = {
-    "unknown_verb": "there is no such command",
-    "not_permitted": "it changes something, and the configuration does not allow it",
-    "payload": "not a JSON object of this command, an empty payload, or more than 16 KiB",
-    "response_topic": "a topic with wildcards, or a daemon's own outside `rsp/`",
-    "correlation": "correlation data of more than 1024 bytes",
-    "too_many": "more than 20 at once, or 10 a second; most of those get no answer at all",
-    "busy": "32 commands wait already",
-    "timeout": "not done within 8 s; it may still be done",
-    "failed": "an error of the daemon; its log has more",
-    "not_ready": "no force sites are being measured: no board, or a plate with a skin; or the link is a recording",
-    "not_untouched": "the plate is touched, or not all of it is detected",
-    "recording": "another recording runs",
-    "not_recording": "nothing is being recorded",
-    "recording_failed": "the file cannot be made, or takes nothing more",
-    "window": "window and step do not fit each other, or the frames",
-    "not_published": "the daemon does not publish this stream",
-    "unknown_boot": "no run with this `daemon_boot_id` is on record",
-    "storage_failed": "stored events of an earlier run cannot be read",
-    "not_located": "the board did not answer, or cannot blink",
-}
+    UNKNOWN_VERB = "unknown_verb", "there is no such command"
+    NOT_PERMITTED = "not_permitted", "it changes something, and the configuration does not allow it"
+    PAYLOAD = "payload", "not a JSON object of this command, an empty payload, or more than 16 KiB"
+    RESPONSE_TOPIC = "response_topic", "a topic with wildcards, or a daemon's own outside `rsp/`"
+    CORRELATION = "correlation", "correlation data of more than 1024 bytes"
+    TOO_MANY = "too_many", "more than 20 at once, or 10 a second; most of those get no answer at all"
+    BUSY = "busy", "32 commands wait already"
+    TIMEOUT = "timeout", "not done within 8 s; it may still be done"
+    FAILED = "failed", "an error of the daemon; its log has more"
+    NOT_READY = (
+        "not_ready",
+        "no force sites are being measured: no board, or a plate with a skin; or the link is a recording",
+    )
+    NOT_UNTOUCHED = "not_untouched", "the plate is touched, or not all of it is detected"
+    RECORDING = "recording", "another recording runs"
+    NOT_RECORDING = "not_recording", "nothing is being recorded"
+    RECORDING_FAILED = "recording_failed", "the file cannot be made, or takes nothing more"
+    WINDOW = "window", "window and step do not fit each other, or the frames"
+    NOT_PUBLISHED = "not_published", "the daemon does not publish this stream"
+    UNKNOWN_BOOT = "unknown_boot", "no run with this `daemon_boot_id` is on record"
+    STORAGE_FAILED = "storage_failed", "stored events of an earlier run cannot be read"
+    NOT_LOCATED = "not_located", "the board did not answer, or cannot blink"
 
 
 def _printable(text: str) -> str:
@@ -109,7 +79,7 @@ class Answer(Message):
 class Problem(Message):
     """Why a command was refused."""
 
-    code: Annotated[ErrorCode, _named("ErrorCode", "Why a command was refused.", ERRORS)]
+    code: ErrorCode
     message: str = Field(description="sentence for display: what is wrong")
     hint: str = Field(description="what to do about it; may be empty")
 
