@@ -14,7 +14,7 @@ from observer import until as until
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.board.config.clients import load_decoder_config
-from resonator_daemon.daemon.remote_decoding.service import DecoderProcess
+from resonator_daemon.extensions.remote_decoding.service import DecoderProcess
 from resonator_daemon.mqtt.codec import Incoming, encode
 from resonator_daemon.mqtt.payloads import CalibrationInfo, GridInfo, Info, Lost, Signals, SiteInfo, SkinInfo
 from resonator_daemon.mqtt.topics import SCHEMA_VERSION

@@ -7,8 +7,8 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.clients import DecoderConfig
-from resonator_daemon.daemon.remote_decoding.plate import NO_SIGNALS, RemotePlate
 from resonator_daemon.estimate.surface.skin import DecodingOptions
+from resonator_daemon.extensions.remote_decoding.plate import NO_SIGNALS, RemotePlate
 from resonator_daemon.measure.sensors.output import LatencyHistogram
 from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings
 from resonator_daemon.mqtt.codec import Encoded, Incoming

@@ -15,11 +15,11 @@ from observer import running_task
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.clients import DecoderConfig
 from resonator_daemon.board.config.tables import Decoding
-from resonator_daemon.daemon.remote_decoding import plate, shared_plates
-from resonator_daemon.daemon.remote_decoding.shared_plates import DECODERS_MAX, SharedPlates
 from resonator_daemon.estimate.surface.decoded import Decoded
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.surface.skin_decoder import SurfaceReading
+from resonator_daemon.extensions.remote_decoding import plate, shared_plates
+from resonator_daemon.extensions.remote_decoding.shared_plates import DECODERS_MAX, SharedPlates
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import DecoderPlateHealth, GridInfo, Info, Message, Signals
 

@@ -23,9 +23,9 @@ from resonator_daemon.base.reasons import Reason, ReasonCode, joined
 from resonator_daemon.board.config.clients import DecoderConfig
 from resonator_daemon.board.config.tables import DECODER
 from resonator_daemon.daemon.monitoring.liveness import LivenessMonitor
-from resonator_daemon.daemon.remote_decoding.followed_plates import FollowedPlates
-from resonator_daemon.daemon.remote_decoding.plates import RemotePlates
-from resonator_daemon.daemon.remote_decoding.shared_plates import SharedPlates
+from resonator_daemon.extensions.remote_decoding.followed_plates import FollowedPlates
+from resonator_daemon.extensions.remote_decoding.plates import RemotePlates
+from resonator_daemon.extensions.remote_decoding.shared_plates import SharedPlates
 from resonator_daemon.mqtt.codec import Encoded, Incoming, Outgoing, encode
 from resonator_daemon.mqtt.payloads import Condition, DecoderHealth, DecoderState
 from resonator_daemon.mqtt.publisher import FRESH_S, Publisher, Subscription

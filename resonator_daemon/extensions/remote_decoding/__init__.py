@@ -18,7 +18,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     import asyncio
 
     from resonator_daemon.board.config.clients import load_decoder_config
-    from resonator_daemon.daemon.remote_decoding.service import serve
+    from resonator_daemon.extensions.remote_decoding.service import serve
 
     asyncio.run(serve(load_decoder_config(arguments.config)))
     return ExitCode.DONE

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from decoder_bench import info, signals
 
-from resonator_daemon.daemon.remote_decoding import plate as plate_module
-from resonator_daemon.daemon.remote_decoding.plate import RemotePlate
 from resonator_daemon.estimate.surface.skin import DecodingOptions
+from resonator_daemon.extensions.remote_decoding import plate as plate_module
+from resonator_daemon.extensions.remote_decoding.plate import RemotePlate
 from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import SiteInfo

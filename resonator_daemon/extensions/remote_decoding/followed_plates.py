@@ -14,9 +14,9 @@ from threadpoolctl import threadpool_limits
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.clients import DecoderConfig
-from resonator_daemon.daemon.remote_decoding.plate import RemotePlate, frame_of, header_of
-from resonator_daemon.daemon.remote_decoding.plates import Publish, RemotePlates
 from resonator_daemon.estimate.surface.decoder_setup import EqualSkins
+from resonator_daemon.extensions.remote_decoding.plate import RemotePlate, frame_of, header_of
+from resonator_daemon.extensions.remote_decoding.plates import Publish, RemotePlates
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.measure.pipeline.board_pipeline import CONTACTS_END_S
 from resonator_daemon.measure.sensors.surface_decoding import Origin, Skipped, SurfaceClient, SurfaceDecoding

@@ -19,9 +19,9 @@ from decoder_bench import Daemon, assert_exact, config_file, daemon, info, proce
 from observer import Observer, observe
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.daemon.remote_decoding import followed_plates, plate, shared_plates
-from resonator_daemon.daemon.remote_decoding import service as decode_service
-from resonator_daemon.daemon.remote_decoding.service import CannotShareError, own_id
+from resonator_daemon.extensions.remote_decoding import followed_plates, plate, shared_plates
+from resonator_daemon.extensions.remote_decoding import service as decode_service
+from resonator_daemon.extensions.remote_decoding.service import CannotShareError, own_id
 from resonator_daemon.mqtt.topics import DECODER_STATE
 
 RESONATORD = Path(sys.executable).with_name("resonatord")

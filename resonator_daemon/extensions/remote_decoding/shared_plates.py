@@ -12,11 +12,11 @@ from threadpoolctl import threadpool_limits
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.clients import DecoderConfig
 from resonator_daemon.board.config.tables import plate_name
-from resonator_daemon.daemon.remote_decoding.plate import NO_INFO, MakeSettings, RemotePlate, error_text, frame_of
-from resonator_daemon.daemon.remote_decoding.plates import Publish, RemotePlates
 from resonator_daemon.estimate.surface.decoder_setup import CANNOT_DECODE, set_up
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 from resonator_daemon.estimate.surface.streaming import failed
+from resonator_daemon.extensions.remote_decoding.plate import NO_INFO, MakeSettings, RemotePlate, error_text, frame_of
+from resonator_daemon.extensions.remote_decoding.plates import Publish, RemotePlates
 from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame, SurfaceSettings
 from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.payloads import Condition, Signals

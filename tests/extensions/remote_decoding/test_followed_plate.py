@@ -12,12 +12,12 @@ from observer import running_task
 
 from resonator_daemon.board.config.clients import DecoderConfig
 from resonator_daemon.board.config.tables import Decoding
-from resonator_daemon.daemon.remote_decoding import followed_plates
-from resonator_daemon.daemon.remote_decoding.followed_plates import FollowedPlates
-from resonator_daemon.daemon.remote_decoding.plate import frame_of
 from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface import decoder_setup
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
+from resonator_daemon.extensions.remote_decoding import followed_plates
+from resonator_daemon.extensions.remote_decoding.followed_plates import FollowedPlates
+from resonator_daemon.extensions.remote_decoding.plate import frame_of
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.measure.sensors import surface_decoding
 from resonator_daemon.measure.sensors.surface_worker import (
