@@ -186,7 +186,6 @@ class Scene(NamedTuple):
 
     loads: Path_
     friction_coefficient: float | None = None  # that the decoder is given
-    cold: bool = False
 
 
 def swing(frame: int, step_m: float, reach_m: float) -> float:
@@ -220,7 +219,6 @@ SCENES: dict[str, Scene] = {
     "pressed, no shear": Scene(lambda _: [Load((0.7e-3, 0.4e-3), (0.0, 0.0, 1.0))]),
     "two contacts": Scene(two),
     "moving .16 mm a frame": Scene(moving(1.6e-4)),
-    "cold": Scene(moving(1.6e-4), cold=True),
 }
 
 
@@ -229,22 +227,18 @@ def frame_ms(scene: Scene, frames: int) -> tuple[Floats, int]:
     rng = np.random.default_rng(0)
     noise_std = np.full((3, len(SITES_M)), noise_at(FRAME_DB))
     gains = 1.0 + GAIN_ERROR * rng.standard_normal(noise_std.shape)
-    options = DecodingOptions(friction_coefficient=scene.friction_coefficient, background=not scene.cold)
+    options = DecodingOptions(friction_coefficient=scene.friction_coefficient)
     decoder = SkinDecoder(Skin(BODY, SITES_M, DEPTH_M), options, noise_std, lambda _: None)
     spent_ms, rebuilds = np.zeros((frames, 3)), 0
     for number in range(-WARM_UP, frames):
         frame = signals(scene.loads(number)) * gains + noise_std * rng.standard_normal(noise_std.shape)
         marks = [time.thread_time()]
-        if scene.cold:  # as the decoding service for groups does; all its time counts as map
-            decoder.decode_alone(frame, noise_std)
-            marks += [time.thread_time()] * 3
-        else:
-            decoded = decoder.decode_map(frame, noise_std)
-            marks.append(time.thread_time())
-            decoder.read_contacts(decoded)
-            marks.append(time.thread_time())
-            rebuilds += decoder.rebuild() and number >= 0
-            marks.append(time.thread_time())
+        decoded = decoder.decode_map(frame, noise_std)
+        marks.append(time.thread_time())
+        decoder.read_contacts(decoded)
+        marks.append(time.thread_time())
+        rebuilds += decoder.rebuild() and number >= 0
+        marks.append(time.thread_time())
         if number >= 0:
             spent_ms[number] = 1e3 * np.diff(marks)
     return spent_ms, rebuilds

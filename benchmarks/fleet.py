@@ -2,9 +2,9 @@
 
 Run it with `python benchmarks/fleet.py [--daemons N] [--plates N]... [--decoders N] [--seconds S]`. Daemons publish to
 the near broker; a bridge carries `signals` and `info` to the far broker, and results back. Decoders connect to the far
-broker and share frames (`$share`). First, real daemons with emulated boards of skin32 run; the messages of one are
-stored. Then a player publishes them under `--plates` names, at the real rate, over a connection for each. Emulators
-and player are excluded. All parts share this computer: a row is valid if the player reaches its rate.
+broker; the first follows `plate-0`, and so on. First, real daemons with emulated boards of skin32 run; the messages of
+one are stored. Then a player publishes them under `--plates` names, at the real rate, over a connection for each.
+Emulators and player are excluded. All parts share this computer: a row is valid if the player reaches its rate.
 """
 
 import argparse
@@ -105,9 +105,9 @@ class Fleet:
             "far broker": [self.far.pid],
             "decoders": [],
         }
-        config, far = folder / "decoder.toml", self.far.port
-        config.write_text(f'[mqtt]\nurl = "mqtt://127.0.0.1:{far}"\n[decoding]\nplates = ["+"]\ngroup = "touch"\n')
-        for _ in range(decoders):
+        for number in range(decoders):
+            config = folder / f"decoder-{number}.toml"
+            config.write_text(f'name = "plate-{number}"\n[mqtt]\nurl = "mqtt://127.0.0.1:{self.far.port}"\n')
             decoder = stack.enter_context(child(*COMMAND, "decode", "--config", str(config), OMP_NUM_THREADS="1"))
             self.parts["decoders"].append(decoder.pid)
         until(lambda: len(self.far.health) == decoders, "the decoders")

@@ -127,10 +127,10 @@ _VALUES: Final[dict[str, Any]] = {
     "DecoderState.reason_code": "decoding",
     "DecoderState.decoder_id": "bench-4711",
     "DecoderHealth.decoder_id": "bench-4711",
-    "topic_filter": "$share/touch/resonator/+/signals",
+    "topic_filter": "resonator/left-index/signals",
     "DecoderHealth.cpu_percent": 97.0,
     "DecoderHealth.plates": {
-        "left-index": {"received": 3010, "decoded": 2998, "skipped": 10, "unusable": 0, "waiting": 2, "missed": 2990}
+        "left-index": {"received": 3010, "decoded": 2998, "skipped": 10, "unusable": 0, "waiting": 2, "missed": 0}
     },
     "DecoderHealth.latency": {"decoded": {"bounds_ms": [2.0, 5.0, 10.0], "counts": [0, 2710, 260, 28]}},
 }

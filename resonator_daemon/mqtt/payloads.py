@@ -124,7 +124,7 @@ class Contact(Message):
     Moments and slip are keys of skins alone, `systematic_newton` of force sites.
     """
 
-    id: int | None = Field(description="the same from onset to release; null if many decoders share a skin")
+    id: int = Field(description="the same from onset to release")
     site: int = Field(description="the nearest site")
     position_m: Vector2 = Field(description="x and y of the centre of pressure; on a single-tone counter, of the site")
     position_covariance_m2: Vector3 = Field(
@@ -241,7 +241,7 @@ class Patch(Message):
     What only a fit of the contact yields is null where the fit does not hold, or the contact slips too little to show.
     """
 
-    id: int | None = Field(description="as in `contacts`, whose order is the same")
+    id: int = Field(description="as in `contacts`, whose order is the same")
     area_m2: Float = Field(description="of the pressed part of the map")
     at_border: bool = Field(description="part of the contact may lie beyond the sites")
     radius_of_curvature_m: Float = Field(description="of the object, taken as a paraboloid")
@@ -497,7 +497,7 @@ class Health(BoardHeader):
 
 
 class DecoderState(Message):
-    """State of a decoder process, which may serve many plates."""
+    """State of a decoder process."""
 
     decoder_id: str = Field(description="that of the topic, and of the messages it publishes")
     state: Condition = Field(description="one word")
@@ -516,7 +516,7 @@ class DecoderPlateHealth(Message):
     skipped: int = Field(description="a newer frame existed, or the decoder was not ready")
     unusable: int = Field(description="not a message, another shape than in `info`, or the noise is not known yet")
     waiting: int = Field(description="being decoded, or next")
-    missed: int = Field(description="gaps in `seq`; with a group: frames that others got, too")
+    missed: int = Field(description="gaps in `seq`")
 
 
 class DecoderHealth(Message):
@@ -529,8 +529,7 @@ class DecoderHealth(Message):
     cpu_percent: Float = Field(description=_CPU + ", with its child process")
     rss_mb: Float = Field(description="memory of the decoder, with its child process")
     latency: dict[str, LatencyInfo] = Field(
-        description="of `decoded`, of all plates, from the window to the hand-over, by UTC: clocks of two computers "
-        "must agree"
+        description="of `decoded`, from the window to the hand-over, by UTC: clocks of two computers must agree"
     )
     messages: MessageAccount = Field(description=_MESSAGES)
 

@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 
 class Subscription(NamedTuple):
-    """Topic filter and handler of its messages; of a shared one, `$share/group/filter`, the filter alone is matched."""
+    """Topic filter and handler of its messages."""
 
     topic_filter: str
     qos: int
@@ -38,9 +38,7 @@ class Subscription(NamedTuple):
     retain_as_published: bool = False  # with MQTT 5: `Incoming.retained` is that of the sender
 
     def matches(self, topic: str) -> bool:
-        shared = self.topic_filter.startswith("$share/")
-        own = self.topic_filter.split("/", 2)[2] if shared else self.topic_filter
-        return topic_matches_sub(own, topic)
+        return topic_matches_sub(self.topic_filter, topic)
 
 
 def ignore(*_: object) -> None:
@@ -81,8 +79,6 @@ class Publisher:
         Of this run of the daemon, whose events are stored next to those that wait; None: they are not.
     on_connected
         Called with the number of each connection, before the retained messages are sent again.
-    on_denied
-        Called with filter and reason when the broker refuses a subscription.
     stream_wait_max_s
         How long a measured message may wait for the socket, in seconds; older ones are skipped.
     times
@@ -104,7 +100,6 @@ class Publisher:
         spool_directory: Path | None = None,
         boot_id: str | None = None,
         on_connected: Callable[[int], None] = ignore,
-        on_denied: Callable[[str, str], None] = ignore,
         stream_wait_max_s: float = math.inf,
         times: ConnectionTimes | None = None,
     ) -> None:
@@ -114,7 +109,6 @@ class Publisher:
         self._make_will = make_will
         self._subscriptions = subscriptions
         self._on_connected = on_connected
-        self._on_denied = on_denied
         self._client: BrokerConnection | None = None
         self._connections = 0
         self.counts = Account()
@@ -301,4 +295,3 @@ class Publisher:
         if topic_filter not in self._denied:
             self._denied.add(topic_filter)
             log.warning("broker denies %s (%s): no messages are received there", topic_filter, reason)
-        self._on_denied(topic_filter, reason)

@@ -99,15 +99,14 @@ async def daemon(url: str) -> AsyncIterator[Daemon]:
         yield Daemon(client)
 
 
-def config_file(folder: Path, url: str, *, decoding: str = "", name: str | None = "hand") -> Path:
+def config_file(folder: Path, url: str) -> Path:
     path = folder / "decoder.toml"
-    named = f'name = "{name}"\n' if name else ""
-    path.write_text(f'{named}[mqtt]\nurl = "{url}"\n[decoding]\n{decoding}\n')
+    path.write_text(f'name = "hand"\n[mqtt]\nurl = "{url}"\n[decoding]\ncontact_physics = false\n')
     return path
 
 
-def process(folder: Path, url: str, decoder_id: str = "host-1", **options: Any) -> DecoderProcess:
-    return DecoderProcess(load_decoder_config(config_file(folder, url, **options)), decoder_id)
+def process(folder: Path, url: str, decoder_id: str = "host-1") -> DecoderProcess:
+    return DecoderProcess(load_decoder_config(config_file(folder, url)), decoder_id)
 
 
 @asynccontextmanager

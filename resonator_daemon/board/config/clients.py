@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
-from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo, field_validator
+from pydantic import AfterValidator, Field, PlainValidator, field_validator
 
 from resonator_daemon.base.toml import Table, load_model, read_toml
 from resonator_daemon.board.config import Config, config_from
@@ -54,16 +54,11 @@ def load_part(model: type[_Part], path: Path) -> _Part:
 
 
 class DecoderConfig(Table):
-    """Whose signals to decode, how, and over which broker.
-
-    The plate called `name` is followed, or those of `decoding.plates`; with `decoding.group`, their frames are shared.
-    """
+    """Whose signals to decode, how, and over which broker."""
 
     mqtt: Mqtt = Mqtt()
-    decoding: Annotated[Decoding, Field(validate_default=True)] = Decoding()
-    name: Annotated[
-        Annotated[str, Field(max_length=100), AfterValidator(plate_name)] | None, Field(validate_default=True)
-    ] = None
+    decoding: Decoding = Decoding()
+    name: Annotated[str, Field(max_length=100), AfterValidator(plate_name)]
 
     @field_validator("decoding")
     @classmethod
@@ -71,14 +66,6 @@ class DecoderConfig(Table):
         if decoding.method == "off":
             raise ValueError('method = "off" leaves a decoder nothing to do; use "open-plane" or "fourier"')
         return decoding
-
-    @field_validator("name")
-    @classmethod
-    def _names_a_plate(cls, name: str | None, info: ValidationInfo) -> str | None:
-        decoding = info.data.get("decoding")
-        if name is None and decoding is not None and not decoding.plates:
-            raise ValueError("missing; give the name of the plate, or decoding.plates")
-        return name
 
     @property
     def method(self) -> Literal["open-plane", "fourier"]:

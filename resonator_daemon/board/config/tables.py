@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Annotated, Final, Literal
 
 from pydantic import (
-    AfterValidator,
     BeforeValidator,
     Field,
     PlainValidator,
@@ -35,17 +34,6 @@ def _directory(value: object, info: ValidationInfo) -> Path:
     if not isinstance(value, str) or not value or "\0" in value:
         raise ValueError("must be a string: a directory, relative to this file or absolute")
     return (info.context or Path()) / value
-
-
-def _plates(names: tuple[str, ...]) -> tuple[str, ...]:
-    if "+" in names and len(names) > 1:
-        raise ValueError('"+" stands for all plates; name them or give it alone')
-    if len(set(names)) < len(names):
-        raise ValueError("must not name a plate twice")
-    for name in names:
-        if name != "+":
-            plate_name(name)
-    return names
 
 
 _FRICTION_LIMITS: Final = (0.001, 10)
@@ -215,26 +203,3 @@ class Decoding(Table):
     external: StrictBool = Field(
         default=False, description="publish signals only; `resonatord decode` decodes them in a process of its own"
     )
-    plates: Annotated[tuple[str, ...], AfterValidator(_plates)] = Field(
-        default=(),
-        description='plates that a decoder follows, or that a group shares, "+" for all; default: `name`',
-        examples=[["+"], ["left-index", "left-thumb"]],
-    )
-    group: Annotated[str, AfterValidator(topic_level)] | None = Field(
-        default=None,
-        validate_default=True,
-        description="decoders of one group share the plates: one of them receives each frame",
-        examples=["touch"],
-    )
-
-    @field_validator("group")
-    @classmethod
-    def _group_shares_plates(cls, group: str | None, info: ValidationInfo) -> str | None:
-        plates = info.data.get("plates")
-        if plates == ("+",) and group is None:
-            raise ValueError(
-                'missing; decoders of the same group share the plates of ["+"]; to follow plates, name them instead'
-            )
-        if plates == () and group is not None:
-            raise ValueError('shares plates that are named in decoding.plates, as plates = ["+"]; there are none')
-        return group

@@ -1,4 +1,4 @@
-"""Set-up of decoders: from the cache in the user's directory, or with matrices that equal skins share.
+"""Set-up of decoders, with a cache in the user's directory.
 
 What takes seconds to set up is kept under a hash of all that it depends on.
 """
@@ -14,7 +14,6 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy
@@ -29,8 +28,6 @@ log = logging.getLogger(__name__)
 Built = TypeVar("Built")
 
 CANNOT_DECODE = (ValueError, ArithmeticError, MemoryError)
-
-SetUp = Callable[[Skin, DecodingOptions, Floats, Callable[[str], None]], SkinDecoder]
 
 _KEPT = 4  # files of some 80 MB
 _LEFT_S = 3600.0
@@ -120,42 +117,3 @@ def _keep(path: Path, content: bytes) -> None:
     by_age = sorted(path.parent.glob("*.pickle"), key=lambda file: file.stat().st_mtime)
     for file in by_age[:-_KEPT]:
         file.unlink(missing_ok=True)
-
-
-class _Matrices:
-    """Read-only arrays of a decoder that has not decoded yet."""
-
-    def __init__(self, skin: Skin, options: DecodingOptions, decoder: SkinDecoder) -> None:
-        self._geometry, self._options, self._decoder = skin.geometry(), options, decoder
-        arrays: list[pickle.PickleBuffer] = []
-        self._rest = pickle.dumps(decoder, protocol=5, buffer_callback=arrays.append)
-        self._arrays = [array.raw().toreadonly() for array in arrays]
-
-    def match(self, skin: Skin, options: DecodingOptions, noise_std: Floats) -> bool:
-        """Return whether a decoder with these matrices decodes signals of such noise, (3, n), under a skin."""
-        return skin.geometry() == self._geometry and options == self._options and bool(self._decoder.fits(noise_std))
-
-    def decoder(self) -> SkinDecoder:
-        """Return another decoder with these matrices, in its initial state."""
-        decoder: SkinDecoder = pickle.loads(self._rest, buffers=self._arrays)
-        return decoder
-
-
-class EqualSkins:
-    """Set-up of decoders whose matrices equal skins share; matrices are released with the last decoder that has them.
-
-    A decoder returns the same values as one that is alone, if both were set up for the same noise.
-    """
-
-    def __init__(self) -> None:
-        self._matrices: WeakKeyDictionary[SkinDecoder, _Matrices] = WeakKeyDictionary()
-
-    def set_up(
-        self, skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
-    ) -> SkinDecoder:
-        """Return a decoder with the matrices of an equal skin of similar noise; without one, as `set_up`."""
-        known = (each for each in list(self._matrices.values()) if each.match(skin, options, noise_std))
-        matrices = next(known, None) or _Matrices(skin, options, set_up(skin, options, noise_std, progress))
-        decoder = matrices.decoder()
-        self._matrices[decoder] = matrices
-        return decoder

@@ -173,18 +173,6 @@ class SkinContacts:
         events += [SkinEvent(event.event, contacts[event.contact]) for event in slip_events]
         return tuple(contacts.values()), tuple(events)
 
-    def alone(self, signals: Floats, patches: Sequence[Patch]) -> tuple[SkinContact, ...]:
-        """Return the contacts of a single frame (3, n), numbered from 1; those that are tracked are not changed.
-
-        The friction estimate is left out, too: frames may be those of many skins.
-        """
-        real = {i: patch for i, patch in enumerate(patches, 1) if _is_significant(patch)}
-        slips, _ = SlipWatch(self._model, self._friction).update(signals, self._noise_of(signals), _starts(real))
-        force = {i: float(patch.force_newton[2]) for i, patch in real.items()}
-        return tuple(
-            SkinContact(i, patch, slips.get(i), self._curvature_m(slips.get(i)), force[i]) for i, patch in real.items()
-        )
-
     def _is_real(self, contact: int, patch: Patch) -> bool:
         """Return whether a patch is a contact: significant in some frames in a row, then while it is tracked."""
         if contact not in self._tracks:

@@ -251,17 +251,6 @@ class SkinDecoder:
             self._estimator.physics.friction_estimate = self.contacts.friction_estimate
         return reading
 
-    def decode_alone(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
-        """Read a frame, both arrays (3, n), as if it were the first: contacts have no past, and there are no events.
-
-        With `DecodingOptions.background`, contact physics would have no matrices for it.
-        """
-        frame = self._sound(signals, noise_std)
-        if self._estimator.physics is not None:
-            self._estimator.physics.reset(rows_kept=True)
-        decoded = self._estimator.read(frame)
-        return SurfaceReading(self.name, decoded, self.contacts.alone(frame, self._estimator.patches(decoded)))
-
     def _sound(self, signals: Floats, noise_std: Floats) -> Floats:
         return np.where(noise_std < _NOISY * self._noise_std, signals, np.nan)
 

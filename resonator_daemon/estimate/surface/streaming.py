@@ -9,7 +9,7 @@ import numpy as np
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.surface.decoded import Decoded
-from resonator_daemon.estimate.surface.decoder_setup import CANNOT_DECODE, SetUp, set_up
+from resonator_daemon.estimate.surface.decoder_setup import CANNOT_DECODE, set_up
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.surface.skin_contacts import SkinEvent
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
@@ -38,8 +38,6 @@ class StreamingDecoder:
         Called with each step of a set-up, and with "" at its end.
     last_contact_id
         Number of the last contact of an earlier decoder; numbers go on from there.
-    build
-        As `set_up`, which is the default.
     """
 
     def __init__(
@@ -48,13 +46,11 @@ class StreamingDecoder:
         options: DecodingOptions,
         progress: Callable[[str], None],
         last_contact_id: int = 0,
-        build: SetUp | None = None,
     ) -> None:
         self._skin = skin
         self._options = options
         self._progress = progress
         self._last_contact_id = last_contact_id
-        self._build = build or set_up
         self._decoder: SkinDecoder | None = None
         self._map: Decoded | SurfaceReading | None = None
         self._ended: tuple[SkinEvent, ...] = ()  # contacts of a decoder that was replaced
@@ -75,7 +71,7 @@ class StreamingDecoder:
             return False
         self._progress("looking in the cache")
         try:
-            decoder = self._build(self._skin, self._options, built_for, self._progress)
+            decoder = set_up(self._skin, self._options, built_for, self._progress)
         except CANNOT_DECODE as error:
             raise UndecodableError(str(error) or repr(error)) from error
         if before is not None:

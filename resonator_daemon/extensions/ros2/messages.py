@@ -165,15 +165,14 @@ class Translation:
         """Return the frame of each contact; a contact keeps its number."""
         contacts = list(contacts)
         present = {contact.id for contact in contacts}
-        self._numbers = {of: number for of, number in self._numbers.items() if of is not None and of in present}
+        self._numbers = {of: number for of, number in self._numbers.items() if of in present}
         numbers: list[int] = []
         for contact in contacts:
             taken = {*self._numbers.values(), *numbers}
             number = self._numbers.get(contact.id)
             if number is None:
                 number = next(free for free in range(len(taken) + 1) if free not in taken)
-            if contact.id is not None:
-                self._numbers[contact.id] = number
+            self._numbers[contact.id] = number
             numbers.append(number)
         return [f"{self.frame_id}_contact_{number}" for number in numbers]
 

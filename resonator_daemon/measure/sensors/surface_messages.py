@@ -83,8 +83,7 @@ class SurfaceMessages:
             decoder_id=self._decoder_id,
         )
 
-    def summary(self, header: HeaderFields, surface: "SurfaceReading", *, numbered: bool = True) -> DecodedSummary:
-        """Return the summary; `numbered`: contacts are followed, and have ids."""
+    def summary(self, header: HeaderFields, surface: "SurfaceReading") -> DecodedSummary:
         frame = surface.decoded
         return DecodedSummary(
             **header,
@@ -94,16 +93,13 @@ class SurfaceMessages:
             status=Status(str(frame.status)),
             reason_code=_code(frame),
             reason=str(frame.reason) or None,
-            patches=tuple(_patch(contact, contact.id if numbered else None) for contact in surface.contacts),
+            patches=tuple(_patch(contact) for contact in surface.contacts),
             decoder_id=self._decoder_id,
         )
 
-    def contacts(self, header: HeaderFields, surface: "SurfaceReading", *, numbered: bool = True) -> Contacts:
-        """Return the contacts; `numbered` as of `summary`."""
+    def contacts(self, header: HeaderFields, surface: "SurfaceReading") -> Contacts:
         frame, present = surface.decoded, self.present
-        contacts = tuple(
-            Contact(**self._contact(contact, contact.id if numbered else None)) for contact in surface.contacts
-        )
+        contacts = tuple(Contact(**self._contact(contact)) for contact in surface.contacts)
         for contact, message in zip(surface.contacts, contacts, strict=True):
             if (before := present.get(contact.id)) is not None:
                 present[contact.id] = EventContact.model_construct(
@@ -128,7 +124,7 @@ class SurfaceMessages:
         if event.event == "release":
             duration_s = before.duration_s if before is not None else 0.0
         described = EventContact(
-            **self._contact(contact, contact.id),
+            **self._contact(contact),
             peak_newton=rounded(contact.peak_newton, float(contact.patch.force_std_newton[2])),
             since_t_ns=since_ns,
             duration_s=duration_s,
@@ -143,12 +139,12 @@ class SurfaceMessages:
             decoder_id=self._decoder_id,
         )
 
-    def _contact(self, contact: "SkinContact", number: int | None) -> dict[str, Any]:
+    def _contact(self, contact: "SkinContact") -> dict[str, Any]:
         patch = contact.patch
         nearest = int(np.hypot(*(self._site_positions_m - patch.centroid_m).T).argmin())
         x_std, y_std = patch.centroid_std_m.tolist()
         return {
-            "id": number,
+            "id": contact.id,
             "site": int(self._site_ids[nearest]),
             "position_m": _rounded(patch.centroid_m, patch.centroid_std_m),
             "position_covariance_m2": (rounded_std(x_std**2), math.nan, rounded_std(y_std**2)),
@@ -165,11 +161,11 @@ def _code(frame: "DecodedFrame") -> ReasonCode | None:
     return ReasonCode(str(frame.reason_code)) if frame.reason_code else None
 
 
-def _patch(contact: "SkinContact", number: int | None) -> Patch:
+def _patch(contact: "SkinContact") -> Patch:
     patch, slip = contact.patch, contact.slip
     stick_ratio = rounded(slip.stick_ratio, slip.stick_ratio_std) if slip is not None else math.nan
     return Patch(
-        id=number,
+        id=contact.id,
         area_m2=rounded_std(patch.area_m2),
         at_border=patch.at_border,
         radius_of_curvature_m=rounded_std(contact.radius_of_curvature_m),

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason
-from resonator_daemon.estimate.surface.decoder_setup import SetUp
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.surface.streaming import StreamingDecoder, UndecodableError
 from resonator_daemon.measure.sensors.surface_messages import SurfaceMessages
@@ -143,15 +142,13 @@ class SurfaceWorker:
     settings
     send
         Called with each reply. The map of a frame is sent before its contacts are evaluated.
-    build
-        As of `StreamingDecoder`.
     """
 
-    def __init__(self, settings: SurfaceSettings, send: Callable[[Reply], None], build: SetUp | None = None) -> None:
+    def __init__(self, settings: SurfaceSettings, send: Callable[[Reply], None]) -> None:
         self._settings = settings
         self._send = send
         self._decoder = StreamingDecoder(
-            settings.skin, settings.options, lambda step: send(SetUpStep(step)), settings.last_contact_id, build
+            settings.skin, settings.options, lambda step: send(SetUpStep(step)), settings.last_contact_id
         )
         self._reporter = settings.messages()
         self._rebuild_from_ns = 0  # monotonic time from which the next rebuild may begin

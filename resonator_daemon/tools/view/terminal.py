@@ -41,7 +41,7 @@ def render(views: Sequence[PlateView], truths: Mapping[str, Truth], now_utc_ns: 
 def summary_line(view: PlateView, now_utc_ns: int) -> str:
     """Return a plate in one line of text, for where there is no terminal."""
     touches = (
-        f"contact {_name(contact)} at site {contact.site} {_normal(contact)}" for contact in _contacts(view, now_utc_ns)
+        f"contact {contact.id!s} at site {contact.site} {_normal(contact)}" for contact in _contacts(view, now_utc_ns)
     )
     return "; ".join([f"{view.name}: {_states(view, now_utc_ns).plain}", *touches, _figures(view, now_utc_ns)])
 
@@ -95,17 +95,13 @@ def _table(view: PlateView, contacts: Sequence[Contact], truth: Truth, now_utc_n
     for contact in contacts:
         lasted_s = (now_utc_ns - view.contact_since_t_ns(contact.id, now_utc_ns)) / 1e9
         place, shear = _place(contact.position_m), _shear(contact.force_newton)
-        row = (_name(contact), str(contact.site), place, _normal(contact), shear, _margin(contact), duration(lasted_s))
+        row = (str(contact.id), str(contact.site), place, _normal(contact), shear, _margin(contact), duration(lasted_s))
         table.add_row(*row)
     for true in truth:
         site = "between" if true["site"] is None else str(true["site"])
         force = true["force_newton"]
         table.add_row("true", site, _place(true["position_m"]), newtons(force[2]), _shear(force))
     return table
-
-
-def _name(contact: Contact) -> str:
-    return UNKNOWN if contact.id is None else str(contact.id)
 
 
 def _place(position_m: Sequence[float]) -> str:

@@ -84,7 +84,6 @@ BROKEN = [
      "did you mean open-plane?"),
     ("on for true", SKIN + '[decoding]\ncontact_physics = "on"\n', ":4: decoding.contact_physics: got 'on'",
      "true or false, without quotes"),
-    ("group without plates", SKIN + '[decoding]\ngroup = "g"\n', ":4: decoding.group", 'as plates = ["+"]'),
     ("a command misspelt", TOP + '[commands]\nallow = ["tear"]\n', ":4: commands.allow[0]: got 'tear'",
      "did you mean tare?"),
     ("a command alone", TOP + '[commands]\nallow = "tare"\n', ":4: commands.allow: got 'tare'", "as ['tare']"),

@@ -33,24 +33,13 @@ def test_what_only_the_daemon_needs_is_passed_over_whatever_it_states(tmp_path: 
     assert loaded(tmp_path, text).name == "left"
 
 
-def test_a_file_of_two_tables_will_do_for_a_group(tmp_path: Path) -> None:
-    text = '[mqtt]\nurl = "mqtt://10.0.0.1"\n[decoding]\nplates = ["a", "b"]\ngroup = "touch"\ndisplacement = false\n'
-    config = loaded(tmp_path, text)
-    assert (config.decoding.plates, config.decoding.group) == (("a", "b"), "touch")
-    assert (config.decoding.uncertainty, config.decoding.displacement) == (True, False)
-
-
 @pytest.mark.parametrize(
     ("text", "sentences"),
     [
-        ("", (" name: missing; give the name of the plate, or decoding.plates",)),
+        ("", (" name: missing",)),
         ('name = "decoder"', ("1: name: got 'decoder'; is the topic of decoder processes; choose another",)),
         ('name = "a"\n[mqtt]\nurll = ""', ("3: mqtt.urll: unknown key; did you mean url?",)),
         ('name = "a"\n[decoding]\nmethod = "off"', ('2: decoding: got a table; method = "off" leaves a decoder',)),
-        ('[decoding]\nplates = ["+"]', ("1: decoding.group: missing; decoders of the same group share the plates",)),
-        ('[decoding]\ngroup = "g"', ("2: decoding.group: got 'g'; shares plates that are named in decoding.plates",)),
-        ('[decoding]\nplates = ["+", "a"]\ngroup = "g"', ("2: decoding.plates: got ['+', 'a']; \"+\" stands for all",)),
-        ('[decoding]\nplates = ["a/b"]\ngroup = "g/h"', ("2: decoding.plates: got ['a/b']; becomes", "3: decoding.g")),
     ],
 )
 def test_each_finding_is_one_sentence_with_its_line(tmp_path: Path, text: str, sentences: tuple[str, ...]) -> None:

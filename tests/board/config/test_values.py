@@ -47,7 +47,7 @@ def test_settings_load_back_equal(tmp_path: Path) -> None:
         "",
         "[measurement]\nwindow_ms = 7.3\nstep_ms = 0.1\n",
         '[decoding]\nmethod = "fourier"\ncontact_physics = false\nuncertainty = false\nfriction_coefficient = 0.3\n',
-        '[decoding]\nexternal = true\nplates = ["+"]\ngroup = "g"\ndisplacement = false\n',
+        "[decoding]\nexternal = true\ndisplacement = false\n",
     ):
         config = loaded(tmp_path, base + table)
         settings = load_settings_text(settings_text(config), ORIGIN)

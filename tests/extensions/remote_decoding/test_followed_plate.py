@@ -13,13 +13,10 @@ from observer import running_task
 from resonator_daemon.board.config.clients import DecoderConfig
 from resonator_daemon.board.config.tables import Decoding
 from resonator_daemon.estimate.elastic.half_space import HalfSpace
-from resonator_daemon.estimate.surface import decoder_setup
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
-from resonator_daemon.extensions.remote_decoding import followed_plates
-from resonator_daemon.extensions.remote_decoding.followed_plates import FollowedPlates
-from resonator_daemon.extensions.remote_decoding.plate import frame_of
+from resonator_daemon.extensions.remote_decoding import plate
+from resonator_daemon.extensions.remote_decoding.plate import RemotePlate, frame_of
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
-from resonator_daemon.measure.sensors import surface_decoding
 from resonator_daemon.measure.sensors.surface_worker import (
     Reply,
     Results,
@@ -33,7 +30,6 @@ from resonator_daemon.mqtt.topics import Topic
 
 SKIN = Skin(HalfSpace(E, NU), SITES_M, 1e-3)
 LINEAR = DecodingOptions(contact_physics=False, background=False)
-REPRODUCIBLE = DecodingOptions(background=False)
 NOTHING = np.zeros((3, len(SITES_M)))
 
 
@@ -43,7 +39,7 @@ def as_sent(path: str, message: Message | Encoded) -> tuple[str, bytes]:
     return path, encode(message)
 
 
-def alone(frames: list[Signals], options: DecodingOptions) -> list[tuple[str, bytes]]:
+def alone(frames: list[Signals]) -> list[tuple[str, bytes]]:
     """Topic and payload of each message about a plate that is decoded without others."""
     sent: list[tuple[str, bytes]] = []
 
@@ -51,7 +47,7 @@ def alone(frames: list[Signals], options: DecodingOptions) -> list[tuple[str, by
         if isinstance(reply, Results):
             sent.extend(as_sent(*message) for message in reply.messages)
 
-    worker = SurfaceWorker(SurfaceSettings(SKIN, options, np.arange(100, 244), PITCH_M, "host-1"), add)
+    worker = SurfaceWorker(SurfaceSettings(SKIN, LINEAR, np.arange(100, 244), PITCH_M, "host-1"), add)
     for message in frames:
         worker.serve(Work(frame_of(message), 1 << 62))
     return sent
@@ -61,18 +57,18 @@ class Followed:
     """A followed plate, and what it has published."""
 
     def __init__(self, **options: Any) -> None:
-        self.published: list[tuple[str, str, Message]] = []
+        self.published: list[tuple[str, Message]] = []
         config = DecoderConfig(name="hand", decoding=Decoding(**({"contact_physics": False} | options)))
-        self.plates = FollowedPlates(config, "host-1", self._publish)
-        self._info, self._signals = self.plates.subscriptions
+        self.plate = RemotePlate(config, "host-1", self._publish)
+        self._info, self._signals = self.plate.subscriptions
 
-    def _publish(self, plate: str, topic: Topic[Any], message: Message | Encoded) -> None:
+    def _publish(self, topic: Topic[Any], message: Message | Encoded) -> None:
         if isinstance(message, Encoded):
             message = decode(topic.payload, message.payload)
-        self.published.append((plate, topic.path, message))
+        self.published.append((topic.path, message))
 
     def on(self, path: str) -> list[Any]:
-        return [message for _, topic, message in self.published if topic == path]
+        return [message for topic, message in self.published if topic == path]
 
     async def send_info(self, message: Info) -> None:
         """Send an info; it takes effect with the next turn of the event loop, and frames before that are skipped."""
@@ -88,8 +84,8 @@ class Followed:
         while self.account.decoded == decoded:
             self.send(signals(0, np.zeros((3, sites)), noise_std=noise_std))
             await asyncio.sleep(0.01)
-        await until(lambda: self.account.waiting == 0 and self.published[-1][1] == "contacts")
-        self.published[published:] = [each for each in self.published[published:] if each[1] == "contacts/event"]
+        await until(lambda: self.account.waiting == 0 and self.published[-1][0] == "contacts")
+        self.published[published:] = [each for each in self.published[published:] if each[0] == "contacts/event"]
 
     def send(self, message: Signals) -> None:
         self._signals.handle(incoming(self._signals.topic_filter, encode(message)))
@@ -104,7 +100,7 @@ class Followed:
 
     @property
     def account(self) -> Any:
-        return self.plates.health()["hand"]
+        return self.plate.health()
 
     @property
     def is_exact(self) -> bool:
@@ -113,24 +109,19 @@ class Followed:
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator["Followed"]:
-        async with running_task(self.plates.run()):
+        async with running_task(self.plate.run()):
             yield self
         assert self.is_exact
         assert self.account.waiting == 0
 
 
-@pytest.mark.parametrize(
-    ("options", "wanted"),
-    [({}, LINEAR), ({"plates": ("hand",), "contact_physics": True}, REPRODUCIBLE)],
-    ids=["child process", "thread, contact physics"],
-)
-async def test_results_are_those_of_the_daemons_own_stage(options: dict[str, Any], wanted: DecodingOptions) -> None:
+async def test_results_are_those_of_the_daemons_own_stage() -> None:
     frames = [signals(seq, pressed(seq)) for seq in range(8)] + [signals(seq, NOTHING) for seq in range(8, 13)]
-    async with Followed(**options).running() as followed:
+    async with Followed().running() as followed:
         await followed.prepare(info())
         for frame in frames:
             await followed.read(frame)
-    expected = alone([signals(0, NOTHING), *frames], wanted)
+    expected = alone([signals(0, NOTHING), *frames])
     events = followed.on("contacts/event")
     for path in ("decoded", "decoded/summary", "contacts", "contacts/event"):
         prepared = 0 if path == "contacts/event" else 1
@@ -138,7 +129,6 @@ async def test_results_are_those_of_the_daemons_own_stage(options: dict[str, Any
         assert sent == [message for message in expected if message[0] == path][prepared:]
     assert [event.seq for event in events] == list(range(len(events)))
     assert [event.event for event in followed.on("contacts/event")] == ["onset", "release"]
-    assert {plate for plate, _, _ in followed.published} == {"hand"}
 
 
 @pytest.mark.parametrize(("uncertainty", "displacement"), [(True, False), (False, True)])
@@ -154,17 +144,17 @@ async def test_a_plate_without_a_skin_and_one_that_cannot_be_decoded_are_disting
     on_a_line = tuple(site.model_copy(update={"position_m": (1e-4 * i, 0.0)}) for i, site in enumerate(info().sites))
     async with Followed(method="fourier", contact_physics=True).running() as followed:
         await followed.send_info(info(skin=None))
-        assert followed.plates.condition()[1].code == "info_unusable"
+        assert followed.plate.condition()[1].code == "info_unusable"
         await followed.send_info(info(sites=on_a_line, grid=None))
         followed.send(signals(0))
-        await until(lambda: followed.plates.condition()[0] == "refused")
-        assert followed.plates.condition()[1].code == "undecodable"
+        await until(lambda: followed.plate.condition()[0] == "refused")
+        assert followed.plate.condition()[1].code == "undecodable"
         for seq in range(1, 4):  # in vain
             followed.send(signals(seq))
         assert followed.is_exact
         await followed.prepare(info())
         await followed.read(signals(1))
-        await until(lambda: followed.plates.condition()[0] == "online")
+        await until(lambda: followed.plate.condition()[0] == "online")
 
 
 async def test_another_skin_takes_effect_ends_the_contacts_and_counts_on() -> None:
@@ -187,8 +177,8 @@ async def test_another_skin_takes_effect_ends_the_contacts_and_counts_on() -> No
 
 
 async def test_contacts_end_when_signals_stop_and_only_then(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(followed_plates, "CONTACTS_END_S", 3600.0)
-    monkeypatch.setattr(followed_plates, "LOOK_S", 0.01)
+    monkeypatch.setattr(plate, "CONTACTS_END_S", 3600.0)
+    monkeypatch.setattr(plate, "LOOK_S", 0.01)
     interruptions: list[str] = []
     interrupt = DecoderSupervisor.interrupt
     monkeypatch.setattr(
@@ -199,7 +189,7 @@ async def test_contacts_end_when_signals_stop_and_only_then(monkeypatch: pytest.
         for seq in range(3):
             await followed.read(signals(seq))
         assert interruptions == []
-        monkeypatch.setattr(followed_plates, "CONTACTS_END_S", 0.05)
+        monkeypatch.setattr(plate, "CONTACTS_END_S", 0.05)
         await until(lambda: len(followed.on("contacts/event")) == 2)
         await until(lambda: followed.on("contacts")[-1].contacts == ())
         onset, release = followed.on("contacts/event")
@@ -208,64 +198,7 @@ async def test_contacts_end_when_signals_stop_and_only_then(monkeypatch: pytest.
         assert len(followed.on("decoded")) == len(followed.on("decoded/summary")) == 3
         await asyncio.sleep(0.05)  # looked some times more
         assert len(interruptions) == 1
-        monkeypatch.setattr(followed_plates, "CONTACTS_END_S", 3600.0)
+        monkeypatch.setattr(plate, "CONTACTS_END_S", 3600.0)
         for seq in range(3, 5):
             await followed.read(signals(seq))
         assert followed.on("contacts/event")[2].contact.id == 2
-
-
-FRAMES = {
-    "left": [signals(seq, pressed(seq)) for seq in range(1, 6)] + [signals(seq, pressed(90)) for seq in (6, 7)],
-    "right": [signals(1, pressed(30)), *(signals(seq, pressed(60 - 4 * seq, 0.6)) for seq in range(2, 8))],
-}
-FRAMES["right"][3].signals[1, 40] = np.nan  # a lost signal has a state of its own
-
-
-async def test_each_plate_is_decoded_as_if_alone_with_matrices_built_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    expected = {plate: alone(FRAMES[plate], REPRODUCIBLE) for plate in FRAMES}
-    built: list[int] = []
-    set_up = decoder_setup.set_up
-    monkeypatch.setattr(decoder_setup, "set_up", lambda skin, *rest: (built.append(1), set_up(skin, *rest))[1])
-    monkeypatch.setattr(surface_decoding, "AGE_MAX_NS", 10**11)  # both for busy computers
-    monkeypatch.setattr(followed_plates, "CONTACTS_END_S", 3600.0)
-    sent: dict[str, list[tuple[str, bytes]]] = {"left": [], "right": [], "point": []}
-    config = DecoderConfig(decoding=Decoding(plates=tuple(sent)))
-    plates = FollowedPlates(
-        config, "host-1", lambda plate, topic, message: sent[plate].append(as_sent(topic.path, message))
-    )
-    handlers = {subscription.topic_filter: subscription.handle for subscription in plates.subscriptions}
-
-    def send(plate: str, path: str, message: Message) -> None:
-        topic = f"resonator/{plate}/{path}"
-        handlers[topic](incoming(topic, encode(message)))
-
-    async def decoded(frames: int) -> None:
-        """Wait until so many frames of both plates have their last message."""
-        await until(lambda: all([path for path, _ in sent[p]].count("contacts") == frames for p in FRAMES))
-
-    at_one_point = tuple(site.model_copy(update={"position_m": (0.0, 0.0)}) for site in info().sites)
-    running = asyncio.create_task(plates.run())
-    for plate in sent:
-        send(plate, "info", info(sites=at_one_point, grid=None) if plate == "point" else info())
-    await asyncio.sleep(0)  # an info takes effect
-    await asyncio.sleep(0)
-    for plate in sent:
-        send(plate, "signals", signals(0, NOTHING))
-    await decoded(1)
-    await until(lambda: "nothing is decoded" in plates.condition()[1].text)
-    assert (plates.condition()[0], len(built)) == ("online", 2)  # one for the plate that cannot be decoded
-    for messages in sent.values():
-        messages.clear()
-    for number, both in enumerate(zip(*FRAMES.values(), strict=True), 1):
-        for plate, frame in zip(FRAMES, both, strict=True):
-            send(plate, "signals", frame)
-        send("point", "signals", signals(0, NOTHING))
-        await decoded(number)
-    found = {plate: sent[plate].copy() for plate in FRAMES}
-    running.cancel()
-    await asyncio.wait([running])
-    assert found == expected
-    assert all([path for path, _ in found[plate]].count("contacts/event") for plate in FRAMES)
-    assert [path for path, _ in sent["right"][len(found["right"]) :]][-2:] == ["contacts/event", "contacts"]  # released
-    for plate, health in plates.health().items():
-        assert (health.decoded, health.skipped) == ((0, 8) if plate == "point" else (8, 0))

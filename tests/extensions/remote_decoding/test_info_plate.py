@@ -3,19 +3,16 @@
 import json
 import random
 from collections.abc import Iterator
-from functools import partial
-from types import SimpleNamespace
 from typing import Any
 
 import cbor2
 import numpy as np
 import pytest
-from decoder_bench import info, signals
+from decoder_bench import incoming, info, signals
 
-from resonator_daemon.estimate.surface.skin import DecodingOptions
-from resonator_daemon.extensions.remote_decoding import plate as plate_module
+from resonator_daemon.board.config.clients import DecoderConfig
+from resonator_daemon.extensions.remote_decoding import info as info_module
 from resonator_daemon.extensions.remote_decoding.plate import RemotePlate
-from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import SiteInfo
 
@@ -23,15 +20,36 @@ SKIN = info().skin
 assert SKIN is not None
 
 
+class Plate(RemotePlate):
+    """A plate that nothing decodes."""
+
+    def __init__(self) -> None:
+        super().__init__(DecoderConfig(name="hand"), "host-1", lambda _topic, _message: None)
+        self._info, self._signals = self.subscriptions
+
+    def read_info(self, payload: bytes) -> bool:
+        """Return whether the skin is another one now."""
+        before = self.settings
+        self._info.handle(incoming(self._info.topic_filter, payload))
+        return self.settings is not before
+
+    @property
+    def problem(self) -> str | None:
+        """Why there are no settings; None if there are."""
+        return self.condition()[1].text if self.settings is None else None
+
+    def take(self, payload: bytes) -> bool:
+        """Return whether signals can be decoded."""
+        unusable = self.health().unusable
+        self._signals.handle(incoming(self._signals.topic_filter, payload))
+        return self.health().unusable == unusable
+
+
 @pytest.fixture
-def plate() -> RemotePlate:
-    known = RemotePlate("hand", partial(SurfaceSettings, options=DecodingOptions()))
+def plate() -> Plate:
+    known = Plate()
     assert known.read_info(encode(info()))
     return known
-
-
-def take(plate: RemotePlate, payload: bytes) -> bool:
-    return plate.read_signals(payload) is not None
 
 
 @pytest.mark.parametrize(
@@ -45,7 +63,7 @@ def take(plate: RemotePlate, payload: bytes) -> bool:
         {"skin": SKIN.model_copy(update={"youngs_modulus_pascal": 3e5})},
     ],
 )
-def test_another_skin_is_noticed_and_the_same_one_is_not(plate: RemotePlate, change: dict[str, Any]) -> None:
+def test_another_skin_is_noticed_and_the_same_one_is_not(plate: Plate, change: dict[str, Any]) -> None:
     assert not plate.read_info(encode(info(daemon_version="0.2.0")))
     assert plate.read_info(encode(info(**change)))
     assert not plate.read_info(encode(info(**change)))
@@ -66,15 +84,14 @@ def test_another_skin_is_noticed_and_the_same_one_is_not(plate: RemotePlate, cha
         (encode(info(frame_rate_hz=5e-324)), "frame_rate_hz is 5e-324"),
     ],
 )
-def test_an_info_that_is_no_use_says_why(plate: RemotePlate, payload: bytes, problem: str) -> None:
+def test_an_info_that_is_no_use_says_why(plate: Plate, payload: bytes, problem: str) -> None:
     assert plate.read_info(payload)
     assert plate.settings is None
-    assert plate.problem is not None
-    assert problem in plate.problem.text
-    assert not take(plate, encode(signals(0)))
-    assert (plate.received, plate.unusable) == (1, 1)
+    assert problem in str(plate.problem)
+    assert not plate.take(encode(signals(0)))
+    assert (plate.health().received, plate.health().unusable) == (1, 1)
     assert plate.read_info(encode(info()))
-    assert take(plate, encode(signals(1)))
+    assert plate.take(encode(signals(1)))
 
 
 TOO_LONG = [
@@ -87,16 +104,15 @@ TOO_LONG = [
 
 @pytest.mark.parametrize(("payload", "problem"), TOO_LONG, ids=range(len(TOO_LONG)))
 def test_an_info_that_is_too_long_is_refused_before_it_is_checked_entry_by_entry(
-    plate: RemotePlate, payload: bytes, problem: str, monkeypatch: pytest.MonkeyPatch
+    plate: Plate, payload: bytes, problem: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(plate_module, "decode", pytest.fail)
+    monkeypatch.setattr(info_module, "decode", pytest.fail)
     assert plate.read_info(payload)
-    assert plate.problem is not None
-    assert problem in plate.problem.text
+    assert problem in str(plate.problem)
     assert plate.settings is None
 
 
-def test_an_info_of_10_000_sites_and_one_of_2_mb_are_read(plate: RemotePlate) -> None:
+def test_an_info_of_10_000_sites_and_one_of_2_mb_are_read(plate: Plate) -> None:
     sites = tuple(SiteInfo(site=number, position_m=(1e-3 * number / 3, 2e-3 / 7)) for number in range(10_000))
     assert plate.read_info(encode(info(sites=sites, grid=None)))
     assert plate.problem is None
@@ -116,7 +132,7 @@ def places(value: Any) -> Iterator[tuple[Any, Any]]:
             yield from places(value[key])
 
 
-def test_no_absurdity_anywhere_in_info_raises(plate: RemotePlate) -> None:
+def test_no_absurdity_anywhere_in_info_raises(plate: Plate) -> None:
     whole, tried = json.loads(encode(info(sites=info().sites[:9], grid=None))), 0
     for container, key in list(places(whole)):
         kept, container[key] = container[key], "absurd"
@@ -146,38 +162,28 @@ HOSTILE = [
 
 
 @pytest.mark.parametrize("payload", HOSTILE, ids=range(len(HOSTILE)))
-def test_what_is_no_frame_of_this_skin_is_counted(plate: RemotePlate, payload: bytes) -> None:
-    assert not take(plate, payload)
-    assert (plate.received, plate.unusable) == (1, 1)
-    assert take(plate, encode(signals(0)))
-    assert plate.missed == 0
+def test_what_is_no_frame_of_this_skin_is_counted(plate: Plate, payload: bytes) -> None:
+    assert not plate.take(payload)
+    assert (plate.health().received, plate.health().unusable) == (1, 1)
+    assert plate.take(encode(signals(0)))
+    assert plate.health().missed == 0
 
 
-def test_the_age_of_a_frame_counts_from_the_end_of_its_gate(
-    plate: RemotePlate, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    message = signals(0)
-    monkeypatch.setattr(plate_module, "time", SimpleNamespace(time_ns=lambda: message.t_ns + 12_000_000))
-    assert plate.age_s(message) == pytest.approx(0.007)
-    assert not plate.read_info(encode(info(frame_rate_hz=200.0)))  # the skin is the same
-    assert plate.age_s(message) == pytest.approx(0.0095)
-
-
-def test_mutated_frames_never_raise(plate: RemotePlate) -> None:
+def test_mutated_frames_never_raise(plate: Plate) -> None:
     whole, rng, used = encode(signals(3)), random.Random(7), 0
     for _ in range(3000):
         payload = bytearray(whole)
         for _ in range(rng.randrange(1, 8)):
             payload[rng.randrange(200 if rng.random() < 0.7 else len(whole))] = rng.randrange(256)
-        used += take(plate, bytes(payload[: rng.randrange(len(whole))] if rng.random() < 0.2 else payload))
-    assert plate.received == 3000 == used + plate.unusable
+        used += plate.take(bytes(payload[: rng.randrange(len(whole))] if rng.random() < 0.2 else payload))
+    assert plate.health().received == 3000 == used + plate.health().unusable
     assert 0 < used < 3000
 
 
-def test_gaps_of_one_daemon_are_missed_frames(plate: RemotePlate) -> None:
+def test_gaps_of_one_daemon_are_missed_frames(plate: Plate) -> None:
     for seq in (5, 6, 9, 9, 8, 10):  # 7 and 8 missing; 8 comes late, 9 twice
-        take(plate, encode(signals(seq)))
-    assert plate.missed == 2
-    take(plate, encode(signals(0, boot="another")))
-    take(plate, encode(signals(2, boot="another")))
-    assert plate.missed == 3
+        plate.take(encode(signals(seq)))
+    assert plate.health().missed == 2
+    plate.take(encode(signals(0, boot="another")))
+    plate.take(encode(signals(2, boot="another")))
+    assert plate.health().missed == 3

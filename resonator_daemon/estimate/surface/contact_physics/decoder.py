@@ -107,13 +107,9 @@ class ContactDecoder:
         self._count = len(linear_decoder.site_positions_m)
         self.reset()
 
-    def reset(self, *, rows_kept: bool = False) -> None:
-        """Discard the frames before: the next one starts cold.
-
-        Its matrices are made quicker, and differ by rounding, where those of signals and prior are kept.
-        """
-        if not rows_kept:
-            self._search.discard_rows()
+    def reset(self) -> None:
+        """Discard the frames before: the next one starts cold."""
+        self._search.discard_rows()
         self._wanted: _Request | None = None
         self._found: deque[_Found] = deque(maxlen=1)
         self._hypothesis = self._fresh(None)
