@@ -11,8 +11,6 @@ from scipy.linalg import cho_factor
 from stages import Stage, Work
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic.contact import paraboloid, press
-from resonator_daemon.estimate.elastic.influence import SurfaceCompliance, Z
 from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDecoder
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
 from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart
@@ -22,8 +20,6 @@ from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder
 
 FRAMES = 64  # of a scene, to and fro
-HERTZ_SIDE, HERTZ_SIDE_M, CURVATURE_RADIUS_M, HERTZ_RADIUS_M = 128, 12.8e-3, 20e-3, 2e-3
-LOAD_NEWTON = 4.0 * 2e5 / 0.75 * HERTZ_RADIUS_M**3 / (3.0 * CURVATURE_RADIUS_M)
 NOISE_STD = 1e-4
 
 
@@ -72,13 +68,6 @@ def constrained_map() -> Work:
     return Work("", ContactFrames(decoder, frames), FRAMES)
 
 
-def hertz() -> Work:
-    pitch_m = HERTZ_SIDE_M / HERTZ_SIDE
-    compliance = SurfaceCompliance(BODY, (HERTZ_SIDE,) * 2, pitch_m)
-    profile = paraboloid((HERTZ_SIDE,) * 2, pitch_m, CURVATURE_RADIUS_M)
-    return Work("", partial(press, compliance, profile, load_newton=LOAD_NEWTON, tolerance=1e-8))
-
-
 def slip() -> Work:
     frames, noise = sliding()
     start = {1: ContactStart((-3e-3, 0.4e-3), RADIUS_M)}
@@ -94,7 +83,6 @@ def set_up() -> None:
 COUNTABLE = {
     "map, 32 x 32 sites": linear_map,
     "constrained solution in a frame, map included": constrained_map,
-    "constrained solution, Hertz, 128 x 128": hertz,
     "slip, one contact": slip,
 }
 
@@ -105,19 +93,11 @@ def countable() -> dict[str, Work]:
 
 
 def stages() -> Iterator[Stage]:
-    fields, square, unknowns = (
-        np.zeros((3, 48, 48), np.float32),
-        np.zeros((516,) * 2, np.float32),
-        np.zeros(516, np.float32),
-    )
-    influence = SurfaceCompliance(BODY, (HERTZ_SIDE,) * 2, HERTZ_SIDE_M / HERTZ_SIDE).convolution(
-        (Z,), (Z,), (HERTZ_SIDE,) * 2
-    )
-    pressure, rows = np.full((1, HERTZ_SIDE, HERTZ_SIDE), LOAD_NEWTON), np.zeros((8, 3 * SIDE * SIDE), np.float32)
+    fields, rows = np.zeros((3, 48, 48), np.float32), np.zeros((8, 3 * SIDE * SIDE), np.float32)
+    square, unknowns = np.zeros((516,) * 2, np.float32), np.zeros(516, np.float32)
     limits = (
         Work("scipy.fft of three 48 x 48 fields and back", lambda: fft.irfft2(fft.rfft2(fields), s=(48, 48))),
         Work("numpy, one product with a matrix of 516 unknowns", lambda: square @ unknowns),
-        Work("one convolution with the influence of a pixel", lambda: influence(pressure)),
         Work("numpy, normal equations of 7 parameters and 3072 signals", lambda: rows @ rows[1:].T),
     )
     for (name, make), limit in zip(COUNTABLE.items(), limits, strict=True):

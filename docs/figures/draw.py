@@ -30,9 +30,8 @@ from scene import signals as signals_in_closed_form
 from section4 import errors_by_noise, figures_9_to_12
 from stick_radius import stick_radius
 
-from resonator_daemon.estimate.elastic.contact import paraboloid
+from resonator_daemon.estimate.elastic.contact import FrictionalContact, paraboloid
 from resonator_daemon.estimate.elastic.fields import SurfaceFields
-from resonator_daemon.estimate.elastic.friction import FrictionalContact
 from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
 
 PANELS = {

@@ -1,10 +1,11 @@
-"""Contact with a rigid object of any shape, without friction: profiles of objects, who touches, and with what pressure.
+"""Contact with a rigid object under Coulomb friction, through a history of loads: what acts, who sticks, who slips.
 
 A profile is the height above each pixel of a grid, inf where there is no object. Grids are (ny, nx) square pixels
 around the origin, as wide as `pitch_m`; a profile takes its value at their centres, and is 0 where the object is
 lowest.
 """
 
+from collections import deque
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,16 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from resonator_daemon.base.arrays import Bools, Floats
-from resonator_daemon.estimate.elastic.constrained import NotConvergedError, Pushing, minimise
-from resonator_daemon.estimate.elastic.grid import SpectralGrid, window_around
+from resonator_daemon.estimate.elastic.constrained import Face, Friction, NotConvergedError, Pushing, minimise
+from resonator_daemon.estimate.elastic.grid import SpectralGrid, Window, window_around
 from resonator_daemon.estimate.elastic.half_space import check_tolerance, real_array
-from resonator_daemon.estimate.elastic.influence import RoughStiffness, SurfaceCompliance, Z
+from resonator_daemon.estimate.elastic.influence import Convolution, RoughStiffness, SurfaceCompliance, X, Y, Z
 
 Point = tuple[float, float]
 
-_COARSEST = 12  # pixels a side that a coarser grid must have to pay
-_COARSE_TOLERANCE = 3e-2  # about as far as the coarser grid is from the finer one
-_MARGIN = 2  # pixels around a first guess of the contact that may come to touch
+_MARGIN = 2  # pixels around the contact in which it is free to grow between two looks at the whole grid
+_REMEMBERED = 5  # passes from which the next limit of friction is extrapolated
+_LEAST_FRICTION = 1e-6
+_STALL_PASSES = 20  # without a better residual: the passes go round in circles, or away
 
 
 def paraboloid(shape: tuple[int, int], pitch_m: float, radius_m: float, centre_m: Point = (0.0, 0.0)) -> Floats:
@@ -30,14 +32,6 @@ def paraboloid(shape: tuple[int, int], pitch_m: float, radius_m: float, centre_m
     ValueError for what `SpectralGrid` refuses, a radius not above 0, or values that are not finite.
     """
     return _distance_m(shape, pitch_m, radius_m, centre_m) ** 2 / (2.0 * radius_m)
-
-
-def sphere(shape: tuple[int, int], pitch_m: float, radius_m: float, centre_m: Point = (0.0, 0.0)) -> Floats:
-    """Lower half of a sphere; arguments and errors as of `paraboloid`."""
-    r = _distance_m(shape, pitch_m, radius_m, centre_m)
-    below = np.maximum(radius_m**2 - r**2, 0.0)
-    # r^2 / (R + sqrt(R^2 - r^2)) is R - sqrt(R^2 - r^2), which loses digits near the apex.
-    return np.where(r <= radius_m, r**2 / (radius_m + np.sqrt(below)), np.inf)
 
 
 def flat_punch(shape: tuple[int, int], pitch_m: float, radius_m: float, centre_m: Point = (0.0, 0.0)) -> Floats:
@@ -57,168 +51,282 @@ def _distance_m(shape: tuple[int, int], pitch_m: float, radius_m: float, centre_
 
 
 @dataclass(frozen=True)
-class NormalContact:
-    """Pressure under a rigid object pressed into the surface."""
+class FrictionState:
+    """Object and surface at the end of a step, and what the next step needs of the past."""
 
-    compliance: SurfaceCompliance
-    profile_m: Floats  # (ny, nx)
-    pressure_pascal: Floats  # (ny, nx), at least 0
-    approach_m: float  # of the object, from where height 0 of its profile is level with the unloaded surface
-    residuals: tuple[float, ...]  # one an iteration on this grid; the last is certified
-
-    @property
-    def load_newton(self) -> float:
-        return float(self.pressure_pascal.sum()) * self.compliance.pitch_m**2
-
-    @property
-    def touches(self) -> Bools:
-        """Pixels under pressure, (ny, nx)."""
-        return self.pressure_pascal > 0.0
-
-    @property
-    def area_m2(self) -> float:
-        return int(np.count_nonzero(self.touches)) * self.compliance.pitch_m**2
-
-    @cached_property
-    def gap_m(self) -> Floats:
-        """Gap between surface and object, (ny, nx): 0 within the residual where they touch, inf below no object."""
-        depth_by_pressure = self.compliance.convolution((Z,), (Z,), self.compliance.shape)
-        depth_m = depth_by_pressure(self.pressure_pascal[None])[0]
-        return np.asarray(depth_m + self.profile_m - self.approach_m, np.float64)
+    traction_pascal: Floats  # (3, ny, nx), by the object on the surface
+    displacement_m: Floats  # (3, ny, nx), of the surface
+    shift_m: Floats  # (3,), of the object: sideways since it was apart, down since 0 of its profile met the surface
+    slip_m: Floats  # (2, ny, nx), of the object over the surface since they touched, 0 where they do not
+    sticks: Bools  # (ny, nx): in contact, and below the limit of friction
+    slips: Bools  # (ny, nx): in contact, and at the limit
+    load_newton: Floats  # (3,), on the surface
+    residuals: tuple[float, ...]  # one a pass, of the whole problem; the last one is certified
 
 
-def press(
-    compliance: SurfaceCompliance,
-    profile_m: ArrayLike,
-    *,
-    load_newton: float | None = None,
-    approach_m: float | None = None,
-    tolerance: float = 1e-8,
-) -> NormalContact:
-    """Press a rigid object into the surface, without friction, until it carries a load or has come a given way.
+@dataclass(frozen=True)
+class FrictionalContact:
+    """A rigid object of any shape on the half-space, with Coulomb friction, loaded in steps.
 
-    The pressure p >= 0 leaves a gap u_z(p) + profile - approach >= 0 that is 0 wherever p > 0 (Signorini), which makes
-    p the minimum of the complementary energy (Kalker, Three-Dimensional Elastic Bodies in Rolling Contact, 1990).
-    `minimise` finds it on grids of ever halved pitch, each from the contact of the last and among the pixels near it.
+    In each step, with shift s of the object, displacement u of the surface, pressure p = f_z and shear q = (f_x, f_y):
 
-    The last residual is |p - max(p - gap / c, 0)| / |p| over the whole grid, c being the compliance of a pixel to its
-    own load. It is taken where the profile lies below the approach alone: pressure raises the surface nowhere, so that
-    elsewhere the gap is open.
+    - gap = u_z + profile - s_z >= 0, p >= 0, and one of them is 0 at each pixel (Signorini);
+    - |q| <= mu p; where the object slips over the surface, by w = (s - u) - (s - u at the end of the step before)
+      along x and y, q = mu p w / |w|: it drags the surface along (Coulomb, in increments; Johnson, Contact Mechanics,
+      1985, section 7.2; Kalker, Three-Dimensional Elastic Bodies in Rolling Contact, 1990).
+
+    A pixel that lifts off loses its slip. One that touches again counts its slip from the end of the step before, so
+    that where the area of contact grows, the answer depends on the length of the steps, to first order. Slopes and
+    shifts are small: the profile does not move sideways over the grid. Pressure moves the surface sideways and shear
+    moves it up and down wherever nu < 1/2; both are taken into account.
+
+    Method: at a given limit of friction the problem is convex, one call of `minimise` for all three components. The
+    limit, mu p, is the fixed point of passes of that kind (Panagiotopoulos 1975; Necas, Jarusek and Haslinger 1980),
+    extrapolated from the last few (Anderson 1965).
 
     Parameters
     ----------
     compliance
-        The surface; of its coefficients those of normal displacement by pressure count.
+        The body and its pixels.
     profile_m
-        Height of the object above each pixel, shape (ny, nx); inf where there is no object.
-    load_newton, approach_m
-        One of the two. Load: above 0. Approach: how far the object comes from where height 0 is level with the unloaded
-        surface; where it then touches nothing, the answer is a pressure of 0.
+        Height of the object's lower side, (ny, nx); inf where there is no object.
+    friction_coefficient
+        mu, 0 or at least 1e-6: less drowns in the rounding of the pressure.
     tolerance
-        Residual to reach, above 0 and below 1.
+        Of the residual: |f - nearest(f + slack / self-compliance)| / |f| over all pixels, where `slack` is -gap and w,
+        and `nearest` projects onto p >= 0 and |q| <= mu f_z. It is 0 at the solution and nowhere else.
 
     Raises
     ------
     ValueError
-        What differs from the above; contact at the border, as the height map does not show what touches beyond.
-    NotConvergedError
-        A tolerance out of reach.
+        A profile of another shape than the compliance has, with nan or -inf, or without an object; a coefficient that
+        is negative, between 0 and 1e-6 or not finite; a tolerance that is not above 0 and below 1.
     """
-    profile = real_array("profile_m", profile_m)
-    check_object(compliance, profile)
-    _check_request(load_newton, approach_m, tolerance)
-    try:
-        contact = _press(compliance, profile, load_newton, approach_m, tolerance)
-    except NotConvergedError as error:
-        raise NotConvergedError(f"contact: {error}; a greater tolerance helps", error.residuals) from error
-    touches = contact.touches
-    if touches[[0, -1]].any() or touches[:, [0, -1]].any():
-        raise ValueError(
-            f"load_newton is {contact.load_newton:.6g} at approach_m {contact.approach_m:.6g}, where contact touches "
-            f"the border of the height map, shape {profile.shape}, which must enclose it: press less, or give a larger "
-            "map, or one with a rim of inf, no object"
+
+    compliance: SurfaceCompliance
+    profile_m: ArrayLike
+    friction_coefficient: float
+    tolerance: float = 1e-8
+
+    def __post_init__(self) -> None:
+        if self._profile.shape != self.compliance.shape:
+            raise ValueError(f"profile_m has shape {self._profile.shape}, must be {self.compliance.shape}")
+        if np.isnan(self._profile).any() or (self._profile == -np.inf).any():
+            raise ValueError("profile_m holds nan or -inf, must be finite, or inf where there is no object")
+        if not self._under_object.any():
+            raise ValueError("profile_m is inf everywhere, must be finite where there is an object")
+        mu = self.friction_coefficient
+        if np.ndim(mu) or not (mu == 0.0 or _LEAST_FRICTION <= mu < np.inf):
+            raise ValueError(f"friction_coefficient is {mu}, must be finite, and 0 or at least {_LEAST_FRICTION:g}")
+        check_tolerance(self.tolerance)
+
+    @property
+    def apart(self) -> FrictionState:
+        """State before anything touches."""
+        nothing, none = np.zeros((3, *self.compliance.shape)), np.zeros(self.compliance.shape, np.bool_)
+        return FrictionState(nothing, nothing, np.zeros(3), nothing[:2], none, none, np.zeros(3), ())
+
+    def step(
+        self, before: FrictionState, *, load_newton: ArrayLike = np.nan, shift_m: ArrayLike = np.nan
+    ) -> FrictionState:
+        """Bring the object to new loads or places.
+
+        Parameters
+        ----------
+        before
+            End of the step before; `apart` at the start.
+        load_newton, shift_m
+            Total load on the surface and shift of the object, (3,), x, y, z: in each direction one of the two, NaN in
+            the other. Positive along z presses.
+
+        Raises
+        ------
+        ValueError
+            Another shape; both or neither given in a direction; a shear load that friction cannot hold, |Q| >= mu P,
+            under which the object slides away (prescribe shifts instead); a load along z that does not press;
+            contact at the border, as the height map does not show what touches beyond.
+        NotConvergedError
+            Where the residual stays above the tolerance.
+        """
+        if before.traction_pascal.shape != (3, *self.compliance.shape):
+            shape = before.traction_pascal.shape[1:]
+            raise ValueError(f"before is a state of {shape} pixels, must be of {self.compliance.shape}")
+        load, shift = _one_of_two(load_newton, shift_m)
+        if load[Z] <= 0.0:
+            raise ValueError(f"load_newton is {load[Z]:g} along z, must be above 0")
+        free = np.isfinite(load)
+        origin = np.array([*before.shift_m[:Z], 0.0])  # slip counts from the step before, the gap from the profile
+        held = np.where(free, 0.0, shift - origin).reshape(3, 1, 1)
+        target = held + np.stack([*before.displacement_m[:Z], -np.where(self._under_object, self._profile, 0.0)])
+        mu = self.friction_coefficient
+
+        pressure = self._pressed(target[Z], load[Z])
+        f = np.stack([*before.traction_pascal[:Z], pressure])
+        touched = pressure > 0.0
+        limit = mu * pressure
+        extrapolation = _Extrapolation()
+        uncoupled = self.compliance.half_space.poisson_ratio == 0.5  # shear does not change the pressure
+        tolerance = self.tolerance / 4.0 if uncoupled else 1e-2
+        residuals: list[float] = []
+        while True:
+            self._check_shear(load[:Z], limit)
+            f, moved = self._at_limit(limit, target, load, f, window_around(touched, _MARGIN), tolerance)
+            displacement = self._respond(f)
+            slack = target + moved - displacement
+            aim = _Limited(mu * f[Z], self._under_object).nearest(f + slack / self.compliance.of_own_load)
+            residuals.append(float(np.linalg.norm(aim - f) / (np.linalg.norm(f) or 1.0)))
+            best = min(residuals)
+            if best <= self.tolerance:
+                break
+            if len(residuals) > _STALL_PASSES and best > 0.9 * min(residuals[:-_STALL_PASSES]):
+                raise NotConvergedError(
+                    f"residual of contact with friction stays at {best:.2g} after {len(residuals)} passes, must reach"
+                    f" {self.tolerance:.2g}; smaller steps or less friction may help",
+                    tuple(residuals),
+                )
+            touched = (f[Z] > 0.0) | (aim[Z] > 0.0)
+            tolerance = max(self.tolerance / 4.0, 0.1 * best)
+            limit = np.maximum(extrapolation.next(limit, mu * f[Z]), 0.0)
+
+        touches = f[Z] > 0.0
+        self._check_border(touches)
+        sticks = touches & (np.hypot(*f[:Z]) < limit * (1.0 - 1e-9))
+        return FrictionState(
+            traction_pascal=f,
+            displacement_m=displacement,
+            shift_m=origin + (held + moved)[:, 0, 0],
+            slip_m=np.where(touches, before.slip_m + slack[:Z], 0.0),
+            sticks=sticks,
+            slips=touches & ~sticks,
+            load_newton=f.sum(axis=(1, 2)) * self.compliance.pitch_m**2,
+            residuals=tuple(residuals),
         )
-    return contact
 
-
-def check_object(compliance: SurfaceCompliance, profile: Floats) -> None:
-    if profile.shape != compliance.shape:
-        raise ValueError(f"profile_m has shape {profile.shape}, must be {compliance.shape}")
-    if np.isnan(profile).any() or (profile == -np.inf).any():
-        raise ValueError("profile_m holds nan or -inf, must be finite, or inf where there is no object")
-    if not np.isfinite(profile).any():
-        raise ValueError("profile_m is inf everywhere, must be finite where there is an object")
-
-
-def _check_request(load: float | None, approach: float | None, tolerance: float) -> None:
-    for name, value in (("load_newton", load), ("approach_m", approach)):
-        if value is not None and np.ndim(value):
-            raise ValueError(f"{name} has shape {np.shape(value)}, must be one number")
-    if (load is None) == (approach is None):
-        raise ValueError(f"load_newton is {load} and approach_m is {approach}, must be just one of the two")
-    if load is not None and not 0.0 < load < np.inf:
-        raise ValueError(f"load_newton is {load}, must be finite and above 0")
-    if approach is not None and not -np.inf < approach < np.inf:
-        raise ValueError(f"approach_m is {approach}, must be finite")
-    check_tolerance(tolerance)
-
-
-def _press(
-    compliance: SurfaceCompliance,
-    profile: Floats,
-    load: float | None,
-    approach: float | None,
-    tolerance: float,
-) -> NormalContact:
-    pressure = np.zeros(profile.shape)
-    if approach is not None and approach <= profile.min():
-        return NormalContact(compliance, profile, pressure, approach, (0.0,))
-    there = np.isfinite(profile)
-    start = np.where(there, _of_coarser_grid(compliance, profile, load, approach), 0.0)
-    if not start.any():
-        start = np.where(there if approach is None else profile < approach, 1.0, 0.0)
-    sums = None
-    if load is not None:
-        sums = np.array([load / compliance.pitch_m**2])
-        start = start * (sums / start.sum())
-    target = np.where(there, -profile, 0.0) + (0.0 if approach is None else approach)
-    window = window_around(start > 0.0, _MARGIN)
-    residuals: tuple[float, ...] = ()
-    while True:
-        shape = target[window].shape
+    def _pressed(self, target: Floats, load_newton: float) -> Floats:
+        """Return the pressure without friction, at a load or, where that is NaN, at the place that `target` has."""
+        sums, start = None, np.where(self._under_object & (target > 0.0), 1.0, 0.0)
+        if np.isfinite(load_newton):
+            sums = np.array([load_newton / self.compliance.pitch_m**2])
+            start = np.where(self._under_object, sums / np.count_nonzero(self._under_object), 0.0)
         found = minimise(
-            compliance.convolution((Z,), (Z,), shape),
-            target[None, *window],
-            Pushing(there[window]),
-            start[None, *window],
-            self_compliance=compliance.of_own_load,
-            precondition=RoughStiffness(shape),
+            self.compliance.convolution((Z,), (Z,), target.shape),
+            target[None],
+            Pushing(self._under_object),
+            start[None],
+            self_compliance=self.compliance.of_own_load,
+            precondition=RoughStiffness(target.shape),
             sums=sums,
+            tolerance=self.tolerance / 4.0,
+        )
+        return np.asarray(found.tractions[0], np.float64)
+
+    def _at_limit(
+        self, limit: Floats, target: Floats, load: Floats, start: Floats, window: Window, tolerance: float
+    ) -> tuple[Floats, Floats]:
+        """Return tractions within a window, and shift (3, 1, 1) where loads are given, at a given limit of friction."""
+        part = (slice(None), *window)
+        shape = limit[window].shape
+        found = minimise(
+            self.compliance.convolution((X, Y, Z), (X, Y, Z), shape),
+            target[part],
+            _Limited(limit[window], self._under_object[window]),
+            start[part],
+            self_compliance=self.compliance.of_own_load,
+            precondition=RoughStiffness(shape),
+            sums=load / self.compliance.pitch_m**2,
             tolerance=tolerance,
         )
-        pressure[window] = found.tractions[0]
-        residuals += found.residuals
-        came = float(found.shift[0, 0, 0]) if approach is None else approach
-        may_touch = profile < came
-        may_touch[window] = True
-        wider = window_around(may_touch)
-        if wider == window:
-            return NormalContact(compliance, profile, pressure, came, residuals)
-        start, window = pressure, wider
+        f = np.zeros_like(start)
+        f[part] = found.tractions
+        return f, found.shift
+
+    @cached_property
+    def _profile(self) -> Floats:
+        return real_array("profile_m", self.profile_m)
+
+    @cached_property
+    def _under_object(self) -> Bools:
+        return np.isfinite(self._profile)
+
+    @cached_property
+    def _respond(self) -> Convolution:
+        return self.compliance.convolution((X, Y, Z), (X, Y, Z), self.compliance.shape)
+
+    def _check_shear(self, load_newton: Floats, limit: Floats) -> None:
+        shear = float(np.linalg.norm(np.nan_to_num(load_newton)))
+        most = float(limit.sum()) * self.compliance.pitch_m**2
+        if shear > 0.0 and shear >= most:
+            raise ValueError(
+                f"shear load is {shear:.6g} N, must be below friction coefficient x normal load = {most:.6g} N,"
+                " or the object slides away; prescribe shift_m instead"
+            )
+
+    def _check_border(self, touches: Bools) -> None:
+        if touches[[0, -1]].any() or touches[:, [0, -1]].any():
+            raise ValueError(
+                f"contact touches the border of the height map, shape {touches.shape}, which must enclose it: press or"
+                " shear less, or give a larger map, or one with a rim of inf, no object"
+            )
 
 
-def _of_coarser_grid(
-    compliance: SurfaceCompliance, profile: Floats, load: float | None, approach: float | None
-) -> Floats:
-    """Pressure found on a grid of twice the pitch; 0 where that would not pay."""
-    if min(profile.shape) < 2 * _COARSEST:
-        return np.zeros(profile.shape)
-    padded = np.pad(profile, [(0, count % 2) for count in profile.shape], constant_values=np.inf)
-    blocks = padded.reshape(padded.shape[0] // 2, 2, padded.shape[1] // 2, 2)
-    there = np.isfinite(blocks)
-    count = there.sum(axis=(1, 3))
-    heights = np.where(there, blocks, 0.0).sum(axis=(1, 3)) / np.maximum(count, 1)
-    heights[count == 0] = np.inf
-    coarse = SurfaceCompliance(compliance.half_space, heights.shape, 2.0 * compliance.pitch_m)
-    contact = _press(coarse, heights, load, approach, _COARSE_TOLERANCE)
-    return contact.pressure_pascal.repeat(2, 0).repeat(2, 1)[: profile.shape[0], : profile.shape[1]]
+@dataclass(frozen=True)
+class _Limited:
+    """Shear of modulus at most `limit`, and pressure >= 0, 0 where there is no object."""
+
+    limit: Floats
+    under_object: Bools
+
+    def nearest(self, tractions: Floats) -> Floats:
+        shear, pressure = self._parts()
+        return np.concatenate([shear.nearest(tractions[:Z]), pressure.nearest(tractions[Z:])])
+
+    def face(self, tractions: Floats, push: Floats | None) -> Face:
+        shear, pressure = self._parts()
+        along = shear.face(tractions[:Z], None if push is None else push[:Z])
+        down = pressure.face(tractions[Z:], None if push is None else push[Z:])
+        flat = np.zeros((1, *self.limit.shape))
+        return Face(
+            free=np.concatenate([np.broadcast_to(along.free, (2, *self.limit.shape)), down.free]),
+            barred=None if along.barred is None else np.concatenate([along.barred, flat]),
+            curvature=None if along.curvature is None else np.stack([along.curvature, along.curvature, flat[0]]),
+        )
+
+    def yielding(self, tractions: Floats) -> Floats:
+        shear, pressure = self._parts()
+        both = np.zeros((3, 3))
+        both[:Z, :Z] = shear.yielding(tractions[:Z])
+        both[Z:, Z:] = pressure.yielding(tractions[Z:])
+        return both
+
+    def _parts(self) -> tuple[Friction, Pushing]:
+        return Friction(self.limit), Pushing(self.under_object)
+
+
+class _Extrapolation:
+    """Anderson's: the next guess of a fixed point from the last few guesses and what became of them."""
+
+    def __init__(self) -> None:
+        self._guesses: deque[Floats] = deque(maxlen=_REMEMBERED)
+        self._results: deque[Floats] = deque(maxlen=_REMEMBERED)
+
+    def next(self, guess: Floats, result: Floats) -> Floats:
+        self._guesses.append(guess)
+        self._results.append(result)
+        results = np.array(self._results).reshape(len(self._results), -1)
+        misses = results - np.array(self._guesses).reshape(results.shape)
+        steps = misses[:-1] - misses[-1]
+        shares = np.linalg.lstsq(steps.T, -misses[-1])[0]
+        return np.asarray(results[-1] + shares @ (results[:-1] - results[-1]), np.float64).reshape(result.shape)
+
+
+def _one_of_two(load_newton: ArrayLike, shift_m: ArrayLike) -> tuple[Floats, Floats]:
+    load, shift = real_array("load_newton", load_newton), real_array("shift_m", shift_m)
+    for name, given in (("load_newton", load), ("shift_m", shift)):
+        if given.shape != (3,) and not (given.shape == () and np.isnan(given)):
+            raise ValueError(f"{name} has shape {given.shape}, must be (3,)")
+        if np.isinf(given).any():
+            raise ValueError(f"{name} is {given}, must be finite, or NaN where the other one is given")
+    load, shift = np.broadcast_to(load, 3), np.broadcast_to(shift, 3)
+    if (np.isfinite(load) == np.isfinite(shift)).any():
+        raise ValueError(f"load_newton is {load}, shift_m is {shift}: in each direction one must be given, one be NaN")
+    return load, shift

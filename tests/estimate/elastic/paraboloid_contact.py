@@ -3,7 +3,7 @@
 import numpy as np
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic.friction import FrictionalContact
+from resonator_daemon.estimate.elastic.contact import FrictionalContact
 from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
 

@@ -10,8 +10,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipk
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic.contact import press
-from resonator_daemon.estimate.elastic.friction import FrictionalContact, FrictionState
+from resonator_daemon.estimate.elastic.contact import FrictionalContact, FrictionState
 from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
 from simulators.contact import pixel_tractions
 
@@ -158,17 +157,6 @@ def test_lifted_off_it_forgets():
     size = first.traction_pascal.max()
     np.testing.assert_allclose(again.traction_pascal, first.traction_pascal, atol=1e-6 * size)
     assert np.abs(dragged.traction_pascal - first.traction_pascal).max() > 0.1 * size
-
-
-@pytest.mark.parametrize("nu", [0.0, 0.5])
-def test_without_friction_nothing_holds_sideways(nu: float):
-    contact = paraboloid(32, 0.0, nu)
-    state = contact.step(contact.apart, load_newton=[0, 0, hertz_load(nu)])
-    pressure = press(contact.compliance, contact.profile_m, load_newton=hertz_load(nu)).pressure_pascal
-    np.testing.assert_allclose(state.traction_pascal[2], pressure, atol=1e-7 * pressure.max())
-    assert not state.traction_pascal[:2].any()
-    assert not state.sticks.any()
-    np.testing.assert_array_equal(state.shift_m[:2], 0.0)
 
 
 # What is refused, and what does not converge, with its status

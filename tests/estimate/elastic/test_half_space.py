@@ -88,23 +88,6 @@ def test_zero_frequency_can_be_refused():
         HalfSpace(E, 0.5).transfer_matrix("p_n", "traction", [1.0, 0.0], 0.0, 0.0, zero="raise")
 
 
-# --- what the outputs are of each other
-
-
-@pytest.mark.parametrize("source", ["traction", "displacement"])
-@pytest.mark.parametrize("wx", [0.0, 700.0])
-def test_traction_is_minus_the_stress_at_the_surface_and_p_n_the_mean_of_the_normal_ones(wx: float, source: Input):
-    body = HalfSpace(E, 0.3)
-    at_surface = body.transfer_matrix("stress", source, wx, wx, 0.0)[[4, 5, 2]]
-    held = np.eye(3) if source == "traction" else body.transfer_matrix("traction", "displacement", wx, wx, 0.0)
-    np.testing.assert_allclose(at_surface, -held, atol=1e-12 * max(np.abs(held).max(), 1e-300))
-    stress, strain, p_n, sensor = (
-        body.transfer_matrix(output, source, wx, wx, 1e-3) for output in ("stress", "strain", "p_n", "sensor")
-    )
-    np.testing.assert_allclose(p_n[0], stress[:3].sum(axis=0) / 3, atol=1e-14 * np.abs(stress).max())
-    np.testing.assert_allclose(sensor, [1.5 / E * p_n[0], strain[4], strain[5]], rtol=1e-13)
-
-
 # --- shapes
 
 

@@ -241,9 +241,3 @@ def test_each_entry_is_the_kernel_of_its_two_depths(distinct: int):
     for field, matrix in surface.items():
         expected = PRIOR.kernel(field, 0.0, "sensor", depths[9], 0.02)(SITES[4] - SITES[9])
         assert np.abs(matrix[:, 4, :, 9] - expected).max() < 1e-5 * np.abs(matrix).max()
-
-
-def test_signals_have_a_covariance():
-    matrix = SiteCovariance(PRIOR, SITES, np.linspace(0.7e-3, 1.4e-3, 12)).signals()
-    assert matrix == pytest.approx(matrix.T, abs=1e-9 * matrix.max())
-    assert np.linalg.eigvalsh(matrix).min() > -1e-6 * matrix.max()

@@ -68,10 +68,3 @@ def test_displacement_of_an_incompressible_skin():
     found = prior().kernel("displacement", 0.0, "sensor", Z, 0.02)(offset)[2, 0]
     expected = -hankel(0, lambda t: Z / t, 1.7e-3, 1) / (2 * mu)
     assert found * 2 * mu == pytest.approx(expected, rel=1e-5)
-
-
-def test_exchange_of_the_fields_transposes():
-    one = prior(0.2).kernel("sensor", 1e-3, "sensor", 2e-3, 0.01)
-    other = prior(0.2).kernel("sensor", 2e-3, "sensor", 1e-3, 0.01)
-    offset = np.array([1e-3, 0.6e-3])
-    assert one(offset) == pytest.approx(other(-offset).T, rel=1e-9, abs=1e-12 * np.abs(one(offset)).max())

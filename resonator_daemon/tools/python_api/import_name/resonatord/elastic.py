@@ -1,9 +1,8 @@
 """Elastic half-space in the domain of spatial frequency: transfer matrices, fields, contact with friction."""
 
 from resonator_daemon.estimate.elastic.constrained import NotConvergedError
-from resonator_daemon.estimate.elastic.contact import flat_punch, paraboloid, press, sphere
+from resonator_daemon.estimate.elastic.contact import FrictionalContact, flat_punch, paraboloid
 from resonator_daemon.estimate.elastic.fields import SurfaceFields
-from resonator_daemon.estimate.elastic.friction import FrictionalContact
 from resonator_daemon.estimate.elastic.grid import SpectralGrid
 from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.elastic.influence import SurfaceCompliance
@@ -19,7 +18,5 @@ __all__ = [
     "SurfaceFields",
     "flat_punch",
     "paraboloid",
-    "press",
     "solve_regions",
-    "sphere",
 ]
