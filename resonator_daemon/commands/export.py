@@ -1,4 +1,4 @@
-"""Convert recordings to tables (Parquet, CSV, NumPy) or to MCAP for viewers, also for ROS 2.
+"""Convert recordings to tables (Parquet, CSV) or to MCAP for viewers, also for ROS 2.
 
 Example: resonatord export run.mcap --output run.parquet
 """
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="OUT",
-        help="new file, as out.npz; of .csv and .parquet one for each topic, as out-forces.csv for out.csv, or OUT "
+        help="new file, as view.mcap; of .csv and .parquet one for each topic, as out-forces.csv for out.csv, or OUT "
         "itself where --topics has one",
     )
     how = parser.add_mutually_exclusive_group()

@@ -30,14 +30,14 @@ FAILING = """
 69 no_broker: calibrate skin skin.toml | tare client.toml
 69 no_broker: command left ping --url mqtt://127.0.0.1:9
 69 no_board: calibrate board.toml --masses-grams 100 --output new.toml | identify tcp://127.0.0.1:9
-1 differs: compare run.mcap cut.mcap | export cut.mcap --output out.npz | replay cut.mcap --to out.jsonl
+1 differs: compare run.mcap cut.mcap | export cut.mcap --output view.mcap | replay cut.mcap --to out.jsonl
 1 fault: doctor tcp://127.0.0.1:9 --seconds 1
 1 listen: emulate --plate quartz16 --tcp 192.0.2.1:7000
 1 install: install --prefix run.mcap
 1 no_plan: plan codes --grid 10x10 --pitch-mm 5 --touches 100
 78 output: record board.toml --output run.mcap
 1 no_daemon: reload no-such-plate | status no-such-plate
-2 no_recording: repair run.txt | replay run.txt --to copy | export run.txt --output out.npz | repair gone.mcap
+2 no_recording: repair run.txt | replay run.txt --to copy | export run.txt --output view.mcap | repair gone.mcap
 2 no_mark: replay run.mcap --to out.jsonl --from nope
 """  # exit code and code of the error: command lines
 LINES = [

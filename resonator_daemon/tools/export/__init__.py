@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 _OWN: Final = {
     "csv": ("table_formats", "CsvFormat"),
-    "npz": ("table_formats", "NpzFormat"),
     "parquet": ("parquet", "ParquetFormat"),
 }
 

@@ -1,13 +1,11 @@
-"""Tables as text, as an archive of NumPy arrays, and in memory."""
+"""Tables as text, and as NumPy arrays in memory."""
 
 import csv
 import io
-import tempfile
-import zipfile
+import sys
 from collections.abc import Iterable, Sequence
-from contextlib import ExitStack
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,138 +50,6 @@ def _text(value: Value) -> object:
     return str(value) if isinstance(value, str) else value
 
 
-_DTYPES: Final = {
-    "int64": "<i8",
-    "uint64": "<u8",
-    "float64": "<f8",
-    "bool": "|b1",
-    "float32 array": "<f4",
-    "text": "<u4",  # the number of the text
-}
-
-
-class ColumnEncoder:
-    """Encoder of one column, batch after batch: text by its number, what is missing as NaN, 0 or False.
-
-    Attributes
-    ----------
-    dtype : numpy.dtype
-        Of the arrays.
-    texts : dict of str to int, or None
-        Number of each text so far, the empty one where it is missing; None for numbers.
-    """
-
-    def __init__(self, column: Column) -> None:
-        self.dtype = np.dtype(_DTYPES[column.data_type])
-        self.texts: dict[str, int] | None = {} if column.data_type == "text" else None
-        self._shape = column.shape
-
-    def encode(self, values: Sequence[Value]) -> NDArray[Any]:
-        """Return an array of shape (n, ...) for n values."""
-        array: NDArray[Any] = np.zeros((len(values), *self._shape), self.dtype)
-        if self.texts is not None:
-            words = ("" if value is None else str(value) for value in values)
-            array[:] = [self.texts.setdefault(word, len(self.texts)) for word in words]
-            return array
-        if np.issubdtype(self.dtype, np.floating):
-            array[...] = np.nan
-        for index, value in enumerate(values):
-            if value is not None:
-                array[index] = value
-        return array
-
-
-_PIECE_ROWS: Final = 1 << 10
-_COMPRESSION: Final = 1  # the fastest: most columns hardly change
-
-
-class NpzFormat(TableOutput):
-    """One archive for all topics; until it is made, columns wait next to it on the disk, uncompressed.
-
-    A number that is not known, or missing, is NaN; text that is missing is empty. A whole number or truth value that
-    may be missing has next to it a column of its name and `_known`. The metadata are arrays of one text each,
-    `metadata/KEY`.
-    """
-
-    def begin(self) -> None:
-        super().begin()
-        self._tables: list[_ArchivedTable] = []
-        self._waiting = ExitStack()
-        self._archive = self._new_file().file
-        prefix = f".{self._path.name}."
-        made = tempfile.TemporaryDirectory(prefix=prefix, suffix=".columns", dir=self._path.parent)
-        self._folder = Path(self._waiting.enter_context(made))
-
-    def open_table(self, topic: str, columns: Sequence[Column]) -> "_ArchivedTable":
-        folder = self._folder / str(len(self._tables))
-        folder.mkdir()
-        self._tables.append(_ArchivedTable(topic, columns, folder))
-        return self._tables[-1]
-
-    def finish(self) -> None:
-        super().finish()
-        with zipfile.ZipFile(self._archive, "w", zipfile.ZIP_DEFLATED, compresslevel=_COMPRESSION) as archive:
-            for key, text in self._recorded.metadata.items():
-                with archive.open(f"metadata/{key}.npy", "w") as member:
-                    np.lib.format.write_array(member, np.array(text), allow_pickle=False)
-            for table in self._tables:
-                table.write_into(archive)
-        self._waiting.close()
-
-    def discard(self) -> None:
-        self._waiting.close()
-        super().discard()
-
-
-class _ArchivedTable:
-    """The columns of one topic, each a file of bytes, and next to it, where values may be missing, which are known."""
-
-    def __init__(self, topic: str, columns: Sequence[Column], folder: Path) -> None:
-        self._files: list[tuple[int, bool, _ColumnFile]] = []  # number of the column, and whether it has what is known
-        for number, column in enumerate(columns):
-            name = f"{topic}/{column.name}"
-            self._files.append((number, False, _ColumnFile(name, column, folder / str(number))))
-            if column.nullable and column.counts:
-                known = _ColumnFile(f"{name}_known", Column("", "bool"), folder / f"{number}.known")
-                self._files.append((number, True, known))
-
-    def write(self, batch: Batch) -> None:
-        for number, is_known, file in self._files:
-            file.append([value is not None for value in batch[number]] if is_known else batch[number])
-
-    def write_into(self, archive: zipfile.ZipFile) -> None:
-        for _, _, file in self._files:
-            file.write_into(archive)
-
-
-class _ColumnFile:
-    """The bytes of one column; of text, which needs a width, the number of each text."""
-
-    def __init__(self, name: str, column: Column, place: Path) -> None:
-        self._name = name
-        self._place = place
-        self._encoder = ColumnEncoder(column)
-        self._shape = column.shape
-        self._rows = 0
-
-    def append(self, values: Sequence[Value]) -> None:
-        self._rows += len(values)
-        with self._place.open("ab") as file:
-            file.write(self._encoder.encode(values).tobytes())
-
-    def write_into(self, archive: zipfile.ZipFile) -> None:
-        texts = None if self._encoder.texts is None else np.array(list(self._encoder.texts))
-        dtype = self._encoder.dtype if texts is None else texts.dtype
-        shape = (self._rows, *self._shape)
-        header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
-        piece_bytes = _PIECE_ROWS * self._encoder.dtype.itemsize
-        with archive.open(f"{self._name}.npy", "w", force_zip64=True) as member, self._place.open("rb") as file:
-            np.lib.format.write_array_header_2_0(member, header)
-            while data := file.read(piece_bytes):
-                member.write(data if texts is None else texts[np.frombuffer(data, self._encoder.dtype)].tobytes())
-        self._place.unlink()
-
-
 class MemoryOutput(TableOutput):
     """Output that stays in memory.
 
@@ -213,47 +79,35 @@ class MemoryOutput(TableOutput):
 
 
 class MemoryTable:
-    """Columns of one topic.
-
-    Parameters
-    ----------
-    columns
-        In their order.
-    """
+    """Columns of one topic, in their order."""
 
     def __init__(self, columns: Sequence[Column]) -> None:
-        self._columns = [_MemoryColumn(column) for column in columns]
-
-    @property
-    def columns(self) -> dict[str, Column]:
-        """Columns by name."""
-        return {each.column.name: each.column for each in self._columns}
+        self.columns = {column.name: column for column in columns}
+        self._pieces = [[_array(column, ())] for column in columns]
 
     def write(self, batch: Batch) -> None:
-        for column, values in zip(self._columns, batch, strict=True):
-            column.append(values)
+        for column, pieces, values in zip(self.columns.values(), self._pieces, batch, strict=True):
+            pieces.append(_array(column, values))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the array of each column: text as words, counts that may be missing as masked arrays."""
-        return {each.column.name: each.array() for each in self._columns}
+        return {
+            name: (np.ma.concatenate if isinstance(pieces[0], np.ma.MaskedArray) else np.concatenate)(pieces)
+            for name, pieces in zip(self.columns, self._pieces, strict=True)
+        }
 
 
-class _MemoryColumn:
-    def __init__(self, column: Column) -> None:
-        self.column = column
-        self._encoder = ColumnEncoder(column)
-        self._pieces = [self._encoder.encode(())]
-        self._missing = [np.zeros(0, np.bool_)]
-
-    def append(self, values: Sequence[Value]) -> None:
-        self._pieces.append(self._encoder.encode(values))
-        self._missing.append(np.array([value is None for value in values], np.bool_))
-
-    def array(self) -> NDArray[Any]:
-        numbers = np.concatenate(self._pieces)
-        if self._encoder.texts is not None:
-            words = np.array([*self._encoder.texts, ""], object)  # each text once in memory
-            return np.take(words, numbers)
-        if self.column.counts and self.column.nullable:
-            return np.ma.MaskedArray(numbers, np.concatenate(self._missing))
-        return numbers
+def _array(column: Column, values: Sequence[Value]) -> NDArray[Any]:
+    """Return the values (n, ...) of a column: what is missing is NaN, an empty text, or masked."""
+    if column.data_type == "text":  # each in memory once
+        return np.array([sys.intern("" if value is None else str(value)) for value in values], object)
+    if column.shape:
+        array = np.full((len(values), *column.shape), np.nan, np.float32)
+        for row, value in zip(array, values, strict=True):
+            row[...] = np.nan if value is None else value
+        return array
+    if column.counts and column.nullable:
+        missing = [value is None for value in values]
+        known = [0 if value is None else value for value in values]
+        return np.ma.MaskedArray(known, missing, column.data_type)
+    return np.array(values, column.data_type)

@@ -126,7 +126,6 @@ def load_recording(
     >>> recording.forces.columns["site_7_force_newton"].unit
     'N'
     >>> recording.contacts.to_pandas()                   # index: UTC
-    >>> recording.forces.to_xarray().site_force_newton   # along time and site
 
     Parameters
     ----------
@@ -185,9 +184,7 @@ def _load(
         output.finish()
         problems = differences_in_words(replaying, "loaded")
     tables = {
-        topic: Table(
-            topic, output.tables[topic].columns, output.tables[topic].arrays(), recorded.plate, recorded.metadata
-        )
+        topic: Table(topic, output.tables[topic].columns, output.tables[topic].arrays(), recorded.metadata)
         for topic in topics
         if topic in output.tables
     }

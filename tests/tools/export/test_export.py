@@ -16,8 +16,8 @@ from export_bench import played, recording
 from resonator_daemon.commands import main
 from resonator_daemon.tools.replay.recorded_pipeline import RecordingReplay
 
-FORMATS = ("parquet", "csv", "npz", "mcap", "ros2")
-SIGNALS = dict(zip(FORMATS, [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTERM, signal.SIGHUP], strict=True))
+FORMATS = ("parquet", "csv", "mcap", "ros2")
+SIGNALS = dict(zip(FORMATS, [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTERM], strict=True))
 
 
 def export(*arguments: object) -> int:

@@ -1,8 +1,7 @@
-"""CSV, NumPy and Parquet have the very values that are published, read back by programs that others wrote."""
+"""CSV and Parquet have the very values that are published, read back by programs that others wrote."""
 
 import csv
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from resonator_daemon.tools.export.output import TableOutput
 from resonator_daemon.tools.export.tables import sources
 
 OF_SITE = ("force_newton", "noise_newton", "systematic_newton", "unobserved_bound_newton")
-CASES = ("touches", "comb", "slide", "skin")
 
 
 @pytest.fixture(autouse=True)
@@ -128,35 +126,6 @@ def test_every_number_has_its_unit_in_its_name(case: str, tmp_path: Path) -> Non
             assert unit or str(field.type) not in ("double", "uint64"), field.name
             assert str(field.type) != "string" or not unit
             assert field.metadata[b"description"], field.name
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_numpy_has_what_parquet_has(case: str, tmp_path: Path) -> None:
-    _, tables = parquet(case, tmp_path)
-    write("npz", tmp_path / "all.npz", case)
-    with np.load(tmp_path / "all.npz", allow_pickle=False) as archive:
-        assert archive["metadata/plate"] == "quartz16"
-        seen = {"metadata/plate", "metadata/source_sha256"}
-        for path, table in tables.items():
-            for field in table.schema:
-                name = f"{path}/{field.name}"
-                read, values = archive[name], table[field.name].to_pylist()
-                seen.add(name)
-                if read.ndim > 1:
-                    np.testing.assert_array_equal(read.reshape(len(read), -1), np.array(values, np.float32))
-                elif read.dtype.kind == "f":
-                    np.testing.assert_array_equal(read, [math.nan if value is None else value for value in values])
-                elif read.dtype.kind == "U":
-                    assert read.tolist() == [value or "" for value in values]
-                elif f"{name}_known" in archive:
-                    known = archive[f"{name}_known"]
-                    seen.add(f"{name}_known")
-                    assert known.tolist() == [value is not None for value in values]
-                    assert read[known].tolist() == [value for value in values if value is not None]
-                else:
-                    assert read.tolist() == values
-        assert seen == set(archive.files)
-    assert sorted(file.suffix for file in tmp_path.iterdir() if file.suffix != ".parquet") == [".npz"]
 
 
 @pytest.mark.parametrize("case", ["slide", "comb"])

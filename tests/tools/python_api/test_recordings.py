@@ -1,6 +1,5 @@
-"""`resonatord.load_recording`: the values that are published, as NumPy arrays, DataFrames and Datasets."""
+"""`resonatord.load_recording`: the values that are published, as NumPy arrays and DataFrames."""
 
-import math
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +10,7 @@ import pytest
 import resonatord
 from export_bench import played, recording
 
-LIBRARIES = {"scipy", "numpy", "pydantic", "paho", "aiomqtt", "mcap", "pandas", "xarray"}
+LIBRARIES = {"scipy", "numpy", "pydantic", "paho", "aiomqtt", "mcap", "pandas"}
 
 
 def loaded_libraries(folder: Path, code: str) -> set[str]:
@@ -48,12 +47,6 @@ def test_forces_are_those_that_are_published() -> None:
     assert frame.attrs["units"]["site_7_force_newton"] == "N"
     assert set(frame["site_7_status"].dropna()) == {"ok"}
 
-    data = forces.to_xarray()
-    np.testing.assert_array_equal(data.site_force_newton, expected)
-    assert (data.site_force_newton.dims, data.site_force_newton.units) == (("time", "site"), "N")
-    assert data.site.values.tolist() == list(range(1, 17))
-    assert data.channel_beats.shape == (len(messages), 4)
-
 
 def test_contacts_have_a_row_each_and_missing_counts_are_masked() -> None:
     contacts = resonatord.load_recording(recording("slide")).contacts
@@ -64,7 +57,6 @@ def test_contacts_have_a_row_each_and_missing_counts_are_masked() -> None:
     ]
     assert None in ids
     assert contacts["contact_id"].tolist() == ids
-    assert [None if math.isnan(value) else value for value in contacts.to_xarray()["contact_id"].values] == ids
     numbers = contacts.to_pandas()["contact_id"]
     assert numbers.dtype == "Int64"
     assert numbers.isna().tolist() == [number is None for number in ids]
@@ -73,11 +65,9 @@ def test_contacts_have_a_row_each_and_missing_counts_are_masked() -> None:
 def test_maps_of_a_skin_are_loaded_where_asked_for() -> None:
     skin = resonatord.load_recording(recording("skin"), topics=["decoded", "signals"])
     messages = played("skin").messages("decoded")
-    data = skin.decoded.to_xarray()
-    np.testing.assert_array_equal(data.traction_pascal, np.stack([message.traction_pascal for message in messages]))
-    assert data.traction_pascal.dims == ("time", "component", "y", "x")
-    np.testing.assert_allclose(data.x, 0.6e-3 * (np.arange(7) - 3), atol=1e-12)  # the plate's grid
-    assert skin.signals.to_xarray().signals.dims == ("time", "signal", "site")
+    maps = skin.decoded["traction_pascal"]
+    np.testing.assert_array_equal(maps, np.stack([message.traction_pascal for message in messages]))
+    assert skin.signals["signals"].shape == (len(played("skin").messages("signals")), 3, 49)
     assert len(skin.decoded.to_pandas()) == len(messages)
     with pytest.raises(resonatord.RecordingError):
         skin.forces  # noqa: B018
