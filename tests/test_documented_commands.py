@@ -19,7 +19,6 @@ LINES_MAX, WORDS_MAX = 120, 900
 GUIDES = ROOT / "docs" / "how-to"
 # Commands of guides that need what a test has not, by a part of them, and what that is.
 ELSEWHERE = {
-    "--step": "keys that somebody presses",
     "mqtt://robot:1883": "another computer",
     "status --watch": "somebody who ends it",
     "decode-recordings": "recordings of a fleet",

@@ -6,7 +6,6 @@ Example: resonatord replay run.mcap --speed 4
 import argparse
 import logging
 import math
-import sys
 import time
 from pathlib import Path
 from typing import Final
@@ -25,11 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--url", metavar="URL", help=f"the broker (default: that of --config, or {_DEFAULT_URL})")
     where.add_argument("--to", type=Path, metavar="FILE.jsonl", help="a line a message instead; - is stdout")
     parser.add_argument("--name", help="to publish under (default: the recorded one)")
-    pace = parser.add_mutually_exclusive_group()
-    pace.add_argument(
+    parser.add_argument(
         "--speed", type=_speed, metavar="X|max", help="times real time (default: 1 to a broker, max to a file)"
     )
-    pace.add_argument("--step", action="store_true", help="wait for Enter before each moment that has messages")
     parser.add_argument("--from", dest="start", metavar="MARK|SECONDS", help="publish nothing of what was before")
     parser.add_argument("--until", dest="end", metavar="MARK|SECONDS", help="end there")
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end, and nothing else")
@@ -64,8 +61,6 @@ def _check(arguments: argparse.Namespace) -> None:
             raise UsageError("--name does not go with --to")
         if arguments.json and str(arguments.to) == "-":
             raise UsageError("--json and --to - both write to stdout; give one of them")
-    if arguments.step and not sys.stdin.isatty():
-        raise UsageError("--step waits for Enter, and there is no terminal to read it from; try --speed")
 
 
 def _speed(text: str) -> float:

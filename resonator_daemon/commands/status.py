@@ -43,9 +43,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
     answers = asyncio.run(_ask(arguments.name))
     if answers and not arguments.json:
-        console = Console(highlight=False)
-        columns = console.width if console.is_terminal else None  # else a line stays whole, as for grep
-        console.print(status_page(answers, columns), soft_wrap=columns is None)
+        Console(highlight=False).print(status_page(answers), soft_wrap=True)
     return finish(arguments, _checked(answers, arguments.name))
 
 
@@ -63,7 +61,7 @@ async def _watch(name: str | None, *, as_json: bool) -> None:
     lines = as_json or not console.is_terminal or console.is_dumb_terminal
 
     def show(answers: "list[Answer]", live: Live) -> None:
-        page = status_page(answers, None if lines else console.width) if answers else Text(str(_nobody(name)))
+        page = status_page(answers) if answers else Text(str(_nobody(name)))
         if not lines:
             live.update(page, refresh=True)
         elif not as_json:

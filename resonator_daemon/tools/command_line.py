@@ -141,14 +141,6 @@ def check_plate_name(name: str) -> None:
         raise UsageError(f"--plate: {error}") from error
 
 
-def picture(text: str) -> Path:
-    """Parse the name of a picture file."""
-    path = Path(text)
-    if path.suffix not in (".svg", ".png", ".pdf"):
-        raise argparse.ArgumentTypeError(f"{text!r} must end in .svg, .png or .pdf")
-    return path
-
-
 def options_of(kind: Callable[..., T], arguments: argparse.Namespace, **others: Any) -> T:
     """Return a dataclass of options: the arguments with the names of its fields, and `others`.
 

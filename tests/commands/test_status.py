@@ -149,7 +149,7 @@ async def test_what_is_not_well_is_in_the_block(capsys: pytest.CaptureFixture[st
         "/etc/hand.toml has problems:",
         "hand.toml:4: nmae: unknown key",
         "restart for what has changed: link, mqtt.url",
-        "1 link gap, 2 damaged",
+        "link gap 1, damaged 2",
         "61 sent, 80 waiting (36 of them on disk); dropped: 32 no connection, 33 spool full",
         "12.5 % of a core, 96 MB, 20 file descriptors, 19 threads",
     ):

@@ -2,11 +2,10 @@
 
 import asyncio
 import json
-import re
 from collections import deque
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from resonator_daemon.base.toml import shown
 from resonator_daemon.mqtt.topics import TOPICS
@@ -97,6 +96,14 @@ class Outgoing:
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Source = Literal["live", "a", "b"]
+
+
+def _stream(path: str) -> str:
+    if path not in STREAMS:
+        raise ValueError(f"must be of {', '.join(sorted(STREAMS))}")
+    return path
+
+
 PlateName = Annotated[str, Field(min_length=1, max_length=200, strict=True)]
 
 
@@ -119,7 +126,7 @@ class Watch(Content):
 
     source: Source = "live"
     plate: PlateName
-    topics: frozenset[str] = STREAMS
+    topics: frozenset[Annotated[str, AfterValidator(_stream)]] = STREAMS
 
 
 class Command(Content):
@@ -217,23 +224,7 @@ def read_request(text: str) -> Request:
     try:
         content = KINDS[found[0]].model_validate(whole[found[0]])
     except ValidationError as error:
-        raise _refused(found[0], error) from None
-    if isinstance(content, Watch) and (unknown := content.topics - STREAMS):
-        raise RefusedRequest("bad_value", f"topics: {sorted(unknown)[0]!r}; must be of {', '.join(sorted(STREAMS))}")
+        first = error.errors(include_url=False)[0]
+        where = ".".join(map(str, (found[0], *first["loc"])))
+        raise RefusedRequest("bad_value", f"{where}: got {shown(first['input'])}; {first['msg']}") from None
     return Request(read_number(text), content)
-
-
-def _refused(verb: str, error: ValidationError) -> RefusedRequest:
-    first = error.errors(include_url=False)[0]
-    where, keys = ".".join(map(str, (verb, *first["loc"]))), ", ".join(KINDS[verb].model_fields)
-    got = f"{where}: got {shown(first['input'])}"
-    match first["type"]:
-        case "model_type":
-            return RefusedRequest("bad_value", f"{got}; must be an object with keys of {keys}")
-        case "extra_forbidden":
-            return RefusedRequest("unknown_key", f"{where}: unknown key; allowed: {keys}")
-        case "missing":
-            return RefusedRequest("missing_key", f"{where}: missing; {verb} has the keys {keys}")
-        case found:
-            must = re.sub(r"^(Input|String) should", "must", first["msg"])
-            return RefusedRequest("not_finite" if found == "finite_number" else "bad_value", f"{got}; {must}")

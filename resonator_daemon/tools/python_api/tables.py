@@ -109,5 +109,5 @@ class Table(Mapping[str, NDArray[Any]]):
         if isinstance(array, np.ma.MaskedArray):
             return pd.array(array.tolist(), _PANDAS_COUNTS[column.data_type])
         if column.data_type == "text":
-            return pd.Categorical(np.where(array == "", None, array) if column.nullable else array)
+            return pd.Categorical([word or None for word in array] if column.nullable else array)
         return array

@@ -1,4 +1,4 @@
-"""Two recordings side by side: touches, forces, losses and timing, as a table, as JSON and as a figure."""
+"""Two recordings side by side: touches, forces, losses and timing, as a table and as JSON."""
 
 import math
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from resonator_daemon.mqtt.codec import decoded
 from resonator_daemon.mqtt.payloads import ContactEvent, Contacts
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS
 from resonator_daemon.tools.replay.recorded_pipeline import RecordingReplay, open_replay
-from resonator_daemon.tools.view.words import make_figure, number_table
+from resonator_daemon.tools.view.words import number_table
 
 
 class Touch(NamedTuple):
@@ -34,8 +34,6 @@ class Played:
     ----------
     touches
         In the order of their onsets.
-    times_s, force_newton
-        Normal force of all contacts together, (n,), from the first message on; NaN where one is not known.
     """
 
     path: Path
@@ -48,15 +46,13 @@ class Played:
     t_uncertainty_ns: float = math.nan  # median
     unknown: float = math.nan  # share of the messages in which a force is not known
     touches: list[Touch] = field(default_factory=list)
-    times_s: list[float] = field(default_factory=list)
-    force_newton: list[float] = field(default_factory=list)
 
     @property
     def frame_rate_hz(self) -> float:
         return self.frames / self.seconds if self.seconds else math.nan
 
     def as_json(self) -> dict[str, Any]:
-        """Return all but the touches and the series; null for what is not known."""
+        """Return all but the touches; null for what is not known."""
         keys = ("seconds", "frames", "frame_rate_hz", "lost", "connections", "t_uncertainty_ns", "unknown", "damage")
         return {"file": str(self.path), **{key: _known(getattr(self, key)) for key in keys}}
 
@@ -85,6 +81,7 @@ def play(path: Path) -> Played:
 def _collect(result: Played, replaying: RecordingReplay) -> None:
     begun_ns: int | None = None
     uncertainties_ns: list[int] = []
+    unknown = 0
     present: dict[int | None, int] = {}  # number of the touch by the id of its contact
     for moment in replaying.moments():
         begun_ns = moment.now.monotonic_ns if begun_ns is None else begun_ns
@@ -93,13 +90,12 @@ def _collect(result: Played, replaying: RecordingReplay) -> None:
             payload = decoded(topic.payload, message) if topic in (CONTACTS, CONTACT_EVENT) else None
             if isinstance(payload, Contacts):
                 uncertainties_ns.append(payload.t_uncertainty_ns)
-                result.times_s.append(result.seconds)
-                result.force_newton.append(sum(contact.force_newton[2] for contact in payload.contacts))
+                unknown += any(math.isnan(contact.force_newton[2]) for contact in payload.contacts)
             elif isinstance(payload, ContactEvent):
                 _add_event(result.touches, present, payload, result.seconds)
     if uncertainties_ns:
         result.t_uncertainty_ns = median(uncertainties_ns)
-        result.unknown = sum(map(math.isnan, result.force_newton)) / len(result.force_newton)
+        result.unknown = unknown / len(uncertainties_ns)
 
 
 def _add_event(touches: list[Touch], present: dict[int | None, int], event: ContactEvent, now_s: float) -> None:
@@ -167,24 +163,6 @@ class Comparison:
             yield f"{name}: onset, s", touch_a.onset_s, touch_b.onset_s, ".3f"
             yield f"{name}: duration, s", touch_a.duration_s, touch_b.duration_s, ".3f"
             yield f"{name}: peak, N", touch_a.peak_newton, touch_b.peak_newton, ".4f"
-
-    def write_picture(self, path: Path) -> None:
-        """Draw force over time, and the peaks of the touches against each other; UserError without matplotlib."""
-        figure = make_figure((9.0, 4.0))
-        force, peaks = figure.subplots(1, 2, width_ratios=[2, 1])
-        for name, played in (("A", self.a), ("B", self.b)):
-            force.plot(played.times_s, played.force_newton, linewidth=1.0, label=f"{name}: {played.path.name}")
-        force.set_xlabel("s from the beginning")
-        force.set_ylabel("normal force of all contacts, N")
-        force.legend(fontsize="x-small")
-        both = [(one.peak_newton, other.peak_newton) for one, other in self.pairs if one and other]
-        known = [pair for pair in both if all(map(math.isfinite, pair))]
-        if known:
-            peaks.scatter(*zip(*known, strict=True), s=16)
-            peaks.axline((0.0, 0.0), slope=1.0, color="0.7", linewidth=1.0)
-        peaks.set_xlabel("peak in A, N")
-        peaks.set_ylabel("peak in B, N")
-        figure.savefig(path)
 
 
 _NONE = Touch(0, math.nan, math.nan, math.nan)

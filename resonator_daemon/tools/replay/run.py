@@ -2,7 +2,6 @@
 
 import asyncio
 import math
-import sys
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable
@@ -16,7 +15,6 @@ from resonator_daemon.base.host.text import printable
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.config.tables import plate_name
-from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.mqtt.payloads import Info
 from resonator_daemon.mqtt.topics import Topic
 from resonator_daemon.tools.command_line import broker_at
@@ -63,33 +61,6 @@ class AtSpeed:
         await self._sleep(left_s if left_s > _AT_ONCE_S else 0.0)
 
 
-class StepByStep:
-    """Prints on stderr what comes next, and waits for Enter on a terminal."""
-
-    def __init__(self, begun: HostTime) -> None:
-        self._begun_ns = begun.monotonic_ns
-
-    async def wait_for(self, moment: Moment) -> None:
-        at_s = (moment.now.monotonic_ns - self._begun_ns) * 1e-9
-        topics = ", ".join(published.topic.path for published in moment.messages)
-        sys.stderr.write(f"{at_s:.3f} s  {topics}  [Enter] ")
-        sys.stderr.flush()
-        await _enter()
-
-
-async def _enter() -> None:
-    """Wait for a line on stdin; EOFError: no more of them come."""
-    loop = asyncio.get_running_loop()
-    there = asyncio.Event()
-    loop.add_reader(sys.stdin.fileno(), there.set)
-    try:
-        await there.wait()
-    finally:
-        loop.remove_reader(sys.stdin.fileno())
-    if not sys.stdin.readline():
-        raise EOFError
-
-
 @dataclass
 class Tally:
     """What a replay came to."""
@@ -118,8 +89,6 @@ class ReplayOptions:
         The broker, and the name to publish under; None: those of the configuration or the recording.
     speed
         Times real time; None: real time to a broker, as fast as possible to a file.
-    step
-        Wait for Enter before each moment that has messages.
     start, end
         Mark or seconds; None: the recording's own.
     """
@@ -129,7 +98,6 @@ class ReplayOptions:
     url: str | None = None
     name: str | None = None
     speed: float | None = None
-    step: bool = False
     start: str | None = None
     end: str | None = None
     show_progress: bool = False
@@ -169,10 +137,9 @@ async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[d
         boot_id, speed = output.daemon_boot_id, options.speed or 1.0
         summary["name"] = name
     with open_replay(path, config, boot_id) as replaying:
-        pacing = StepByStep(span.begun) if options.step else AtSpeed(speed)
-        with Progress(path, shown=options.show_progress and not options.step) as progress:
+        with Progress(path, shown=options.show_progress) as progress:
             async with output:
-                playing = asyncio.create_task(play(replaying, span, pacing, output, progress, tally))
+                playing = asyncio.create_task(play(replaying, span, AtSpeed(speed), output, progress, tally))
                 with on_signals(playing.cancel):  # after which the end is published
                     await playing
         if isinstance(output, BrokerOutput):
@@ -194,7 +161,7 @@ async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[d
 async def play(
     replaying: RecordingReplay,
     span: Span,
-    pacing: AtSpeed | StepByStep,
+    pacing: AtSpeed,
     output: FileOutput | BrokerOutput,
     progress: Progress,
     tally: Tally,
@@ -215,10 +182,7 @@ async def play(
             moment = Moment(moment.now, (*retained.values(), *moment.messages))
             retained = {}
         tally.found = True
-        try:
-            await pacing.wait_for(moment)
-        except EOFError:  # nobody is left to press Enter
-            break
+        await pacing.wait_for(moment)
         for published in moment.messages:
             await output.put(published)
             tally.messages[published.topic.path] += 1

@@ -2,21 +2,19 @@
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from typing import Final
 
 from pydantic import ValidationError
-from rich.console import Console
 from rich.text import Text
 
 from resonator_daemon.base.host.text import printable
 from resonator_daemon.daemon.monitoring.status import Status
 from resonator_daemon.daemon.monitoring.status_client import Answer
 from resonator_daemon.mqtt.payloads import Condition, Health, State
-from resonator_daemon.tools.view.words import UNKNOWN, duration, quantity
+from resonator_daemon.tools.view.words import UNKNOWN, duration, losses_in_words, quantity
 
 _LABEL_WIDTH: Final = 11
-_ROOM_MIN: Final = 20  # columns for text: a terminal that is narrower wraps by itself
 _STYLES: Final = {
     Condition.ONLINE: "green",
     Condition.STARTING: "yellow",
@@ -27,22 +25,16 @@ _STYLES: Final = {
 }
 
 
-def status_page(answers: Iterable[Answer], columns: int | None) -> Text:
-    """Return the blocks of several daemons; of one that gave no answer that can be read, why.
-
-    Parameters
-    ----------
-    columns
-        As of `status_block`.
-    """
-    return Text("\n\n").join(_block_or_problem(answer, columns) for answer in answers)
+def status_page(answers: Iterable[Answer]) -> Text:
+    """Return the blocks of several daemons; of one that gave no answer that can be read, why."""
+    return Text("\n\n").join(map(_block_or_problem, answers))
 
 
-def _block_or_problem(answer: Answer, columns: int | None) -> Text:
+def _block_or_problem(answer: Answer) -> Text:
     problem = answer.problem
     if problem is None:
         try:
-            return status_block(Status.model_validate_json(json.dumps(answer.status)), columns)
+            return _block(Status.model_validate_json(json.dumps(answer.status)))
         except ValidationError as error:
             version = (answer.status or {}).get("version", "unknown")
             keys = ", ".join(sorted({".".join(map(str, found["loc"])) for found in error.errors()}))
@@ -50,29 +42,12 @@ def _block_or_problem(answer: Answer, columns: int | None) -> Text:
     return Text.assemble((answer.socket.parent.name, "bold"), "   ", (printable(problem), "yellow"))
 
 
-def status_block(status: Status, columns: int | None) -> Text:
-    """Return a block of lines, without a line break at its end.
-
-    Parameters
-    ----------
-    columns
-        Of the terminal: longer lines go on below their own beginning. None: they stay as they are.
-    """
+def _block(status: Status) -> Text:
     title = printable(status.name or "(its name comes from the board)")
     about = f"process {status.pid}, resonatord {printable(status.version)}, up {_age(status, 'started')}"
     lines = [Text.assemble((title, "bold"), f"   {about}")]
-    for label, text in _lines(status):
-        head = Text(f"  {label:<{_LABEL_WIDTH}}")
-        parts = [text] if columns is None else _wrapped(text, max(columns - len(head), _ROOM_MIN))
-        lines.append(head.append_text(Text(f"\n{' ' * len(head)}").join(parts)))
+    lines += [Text(f"  {label:<{_LABEL_WIDTH}}").append_text(text) for label, text in _lines(status)]
     return Text("\n").join(lines)
-
-
-def _wrapped(text: Text, width: int) -> list[Text]:
-    parts = list(text.wrap(Console(), width))
-    for part in parts:
-        part.rstrip()
-    return parts
 
 
 def _lines(status: Status) -> Iterator[tuple[str, Text]]:
@@ -116,11 +91,10 @@ def _state(status: Status, part: str, state: State) -> Text:
 
 
 def _lost(health: Health) -> Text:
-    text = _by_cause(health.lost.model_dump(exclude={"publish_dropped", "skipped_late"}), "nothing")
-    others = {"parts of frames": health.parts_lost, "frames not decoded": health.frames_not_decoded}
-    others |= {"messages skipped as late": health.lost.skipped_late}
-    others |= {f"readings unusable ({_in_words(cause)})": count for cause, count in health.records_unusable.items()}
-    return text.append("".join(f"; {_count(count)} {printable(what)}" for what, count in others.items() if count))
+    counts = health.lost.model_dump() | {"parts": health.parts_lost, "not_decoded": health.frames_not_decoded}
+    unusable = ", ".join(f"{_count(count)} {_in_words(cause)}" for cause, count in health.records_unusable.items())
+    text = losses_in_words(counts) + (f"; readings unusable: {unusable}" if unusable else "")
+    return Text(text, "yellow" if any(counts.values()) else "")
 
 
 def _clock(health: Health) -> str:
@@ -143,8 +117,8 @@ def _messages(health: Health) -> Text:
     text = Text(f"{_count(sent)} sent, {_count(account.waiting)} waiting")
     if account.spooled:
         text.append(f" ({_count(account.spooled)} of them on disk)")
-    text.append("; dropped: ").append_text(_by_cause(account.dropped, "none"))
-    return text
+    dropped = ", ".join(f"{_count(count)} {_in_words(cause)}" for cause, count in account.dropped.items() if count)
+    return text.append("; dropped: ").append(dropped or "none", "yellow" if dropped else "")
 
 
 def _recording(status: Status) -> Text:
@@ -180,11 +154,6 @@ def _config(status: Status) -> Iterator[Text]:
         yield Text.assemble(
             ("restart", "yellow"), f" for what has changed: {', '.join(map(printable, config.needs_restart))}"
         )
-
-
-def _by_cause(counts: Mapping[str, int], nothing: str) -> Text:
-    text = ", ".join(f"{_count(count)} {_in_words(cause)}" for cause, count in counts.items() if count)
-    return Text(text, "yellow") if text else Text(nothing)
 
 
 def _in_words(cause: str) -> str:

@@ -1,16 +1,10 @@
-"""Parts of pages: quantities as text, with units and "-" for unknown ones, tables of numbers, and empty figures."""
+"""Parts of pages: quantities as text, with units and "-" for unknown ones, and tables of numbers."""
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from rich.table import Table
-
-from resonator_daemon.base.errors import MissingLibraryError
-from resonator_daemon.base.host.text import how_to_install
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 UNKNOWN: Final = "-"
 
@@ -69,14 +63,3 @@ def number_table(first: str, *others: str) -> Table:
     for name in others:
         table.add_column(name, justify="right", overflow="fold")
     return table
-
-
-def make_figure(inches: tuple[float, float]) -> "Figure":
-    """Return an empty figure, which `savefig` writes in the format of a file's suffix; UserError without matplotlib."""
-    try:
-        from matplotlib.figure import Figure
-    except ModuleNotFoundError as error:
-        raise MissingLibraryError(
-            f"--picture needs {error.name}, which is not installed: {how_to_install('matplotlib')}"
-        ) from error
-    return Figure(figsize=inches, layout="constrained")

@@ -2,10 +2,6 @@
 
 import asyncio
 import json
-import os
-import pty
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -105,22 +101,6 @@ async def test_beside_a_live_daemon_a_replay_needs_another_name(
         await heard.until_last("resonator/again/state/daemon", state="offline")
 
 
-def test_step_by_step_waits_for_enter(tmp_path: Path) -> None:
-    output = tmp_path / "steps.jsonl"
-    ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "resonator_daemon.commands", "replay", TOUCHES, "--step", "--to", output]
-    with subprocess.Popen(map(str, command), stdin=theirs, stderr=subprocess.PIPE, text=True) as process:
-        os.close(theirs)
-        os.write(ours, b"\n\n")
-        os.write(ours, b"\x04")  # the end of the input
-        printed = process.communicate(timeout=60)[1]
-    os.close(ours)
-    assert process.returncode == 0
-    assert printed.startswith("0.000 s  state/link, state/sensor  [Enter] ")
-    assert printed.count("[Enter]") == 3
-    assert 2 <= len(lines(output)) <= 6
-
-
 @pytest.mark.parametrize("case", ["cut-off", "bit-flipped"])
 def test_a_damaged_file_is_played_up_to_there(case: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert replay(CORPUS / case / "recording.mcap", "--to", "-") == 1
@@ -136,7 +116,6 @@ def test_a_damaged_file_is_played_up_to_there(case: str, capsys: pytest.CaptureF
         ("one.mcap", "two.mcap"),
         ("one.mcap", "--to", "-", "--json"),
         ("one.mcap", "--speed", "0"),
-        ("one.mcap", "--speed", "2", "--step"),
     ],
 )
 def test_what_does_not_go_together_is_a_matter_of_usage(arguments: tuple[str, ...]) -> None:
