@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, InitErrorDetails
 
 from resonator_daemon.base.errors import ConfigurationError, meaning_of
-from resonator_daemon.base.toml_syntax import advice, excess
+from resonator_daemon.base.toml_syntax import advice
 
 KeyPath = tuple[int | str, ...]
 Model = TypeVar("Model", bound="Table")
@@ -98,12 +98,12 @@ def parse_toml(text: str, path: Path) -> TomlFile:
     Raises
     ------
     ConfigurationError
-        It is not TOML, or holds more than the parser can take in a few seconds.
+        It is not TOML, or is nested too deeply.
     """
-    if (much := excess(text)) is not None:
-        raise ConfigurationError(f"{named(path)}:{'' if much.line is None else f'{much.line}:'} {much.sentence}")
     try:
         return TomlFile(path, text, tomllib.loads(text))
+    except RecursionError:
+        raise ConfigurationError(f"{named(path)}: too many brackets within each other; nest fewer") from None
     except ValueError as error:  # also of numbers and dates that Python cannot hold
         place = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
         number, column = (int(place[1]), int(place[2])) if place else (text.count("\n") + 1, 1)

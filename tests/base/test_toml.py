@@ -66,8 +66,8 @@ def test_a_dotted_key_and_an_inline_table_have_the_line_of_their_first_word(tmp_
         (b"a = 1\na = 2\n", ":2: not TOML: Cannot overwrite a value (at line 2, column 6)"),
         (b"a = [\n1,\n", ":3: not TOML: Invalid value (at end of document)"),
         (b"a = 1\nb = '\xff'\n", ":2: not UTF-8: byte 0xff; save the file as UTF-8"),
-        (b"a = " + b"9" * 5000, f":1: {'9' * 40}...: 1000 signs of a name or number are read at most; correct it"),
-        (b"a = " + b"[" * 100_000, ":1: more than 32 brackets within each other; close them"),
+        (b"a = " + b"9" * 5000, ":1: not TOML: Exceeds the limit"),
+        (b"a = " + b"[" * 100_000, ": too many brackets within each other; nest fewer"),
     ],
 )
 def test_what_is_no_toml(tmp_path: Path, data: bytes, expected: str) -> None:
