@@ -1,4 +1,4 @@
-"""Frequency from a counter's exact integer sums: merging adjacent gates, three estimators, and the noise of each.
+"""Frequency from a counter's exact integer sums: merging adjacent gates, a regression, and its noise.
 
 Integers stay exact until the one division that makes a frequency. Definitions of the sums are in
 `firmware_protocol.layouts`. Relative variances over a window T of N stamps, each off by s, and of an oscillator whose
@@ -11,9 +11,8 @@ measurement of the stability of oscillators with frequency counters, 2007):
 | Lambda | means of two halves | 16 s^2 / (N T^2) | 4/3 h0 / 2T |
 | Omega | regression | 12 s^2 / (N T^2): optimal, the Cramer-Rao bound | 6/5 h0 / 2T |
 
-Omega is the one for a window of one reading, and never much worse than the best. Pi needs no stamp but the first and
-the last and is the one for long times, where the oscillator's noise rules. Lambda is for boards and instruments that
-give it, to compare with. Means of frequencies are none of these: they throw away what joins the gates.
+Omega, the one computed here, is the one for a window of one reading, and never much worse than the best. Means of
+frequencies are none of these: they throw away what joins the gates.
 """
 
 import math

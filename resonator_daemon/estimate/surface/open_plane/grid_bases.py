@@ -22,16 +22,6 @@ _FEWEST = 150  # products of a class: fewer save no time
 # Parts of what may be left out that each axis' vectors may lose, before the products are chosen.
 _AXIS_PART: dict[Field, float] = {"sensor": 0.1, "traction": 0.2, "displacement": 0.2}
 
-# Which channel each becomes where x and y are exchanged.
-_EXCHANGED: dict[Field, tuple[int, int, int]] = {
-    "sensor": (0, 2, 1),
-    "traction": (1, 0, 2),
-    "displacement": (1, 0, 2),
-}
-
-_EXCHANGED_CLASSES = [CLASSES.index((y, x)) for x, y in CLASSES]
-_OWN_PARTNERS = [index for index, there in enumerate(_EXCHANGED_CLASSES) if index == there]
-
 
 class Bases:
     """Even and odd vectors along both axes, as many of each, and the products of them that each class keeps.
@@ -41,7 +31,7 @@ class Bases:
     grid
     field
     along_x, along_y
-        Power of the estimate, see `EstimatePower.by_channel`; None along y where exchanging x and y changes nothing.
+        Power of the estimate, see `EstimatePower.by_channel`.
     loss
         Share of it that may be lost.
 
@@ -51,15 +41,15 @@ class Bases:
         Vectors as columns of (sites of the axis, 2 k), even ones first.
     places
         Of what each class keeps, in (2 kx, 3, 2 ky): two plain products lead there and back. (4, kept).
-    exchanged
-        Where exchanging x and y changes nothing: for each class, which product of the exchanged class each one is then.
     """
 
-    def __init__(self, grid: Grid, field: Field, along_x: AxisPower, along_y: AxisPower | None, loss: float) -> None:
+    def __init__(self, grid: Grid, field: Field, along_x: AxisPower, along_y: AxisPower, loss: float) -> None:
         self.field: Field = field
-        power = along_x, along_y or [along_x[channel] for channel in _EXCHANGED[field]]
-        vectors = [_leading(grid.shape[1], along_x, _AXIS_PART[field] * loss)]
-        vectors.append(_leading(grid.shape[0], along_y, _AXIS_PART[field] * loss) if along_y else vectors[0])
+        power = along_x, along_y
+        vectors = [
+            _leading(count, along, _AXIS_PART[field] * loss)
+            for count, along in zip(grid.shape[::-1], power, strict=True)
+        ]
         self.x, self.y = (np.hstack(both) for both in vectors)
         kx, ky = vectors[0][0].shape[1], vectors[1][0].shape[1]
         carried = np.array(
@@ -74,24 +64,10 @@ class Bases:
                 for parity in CLASSES
             ]
         ).reshape(len(CLASSES), -1)
-        places = np.arange(3 * ky * kx)
-        partners = places
-        if not along_y:
-            channel, row, column = np.unravel_index(places, (3, ky, kx))
-            partners = np.ravel_multi_index((np.array(_EXCHANGED[field])[channel], column, row), (3, ky, kx))
-            carried = (carried + carried[_EXCHANGED_CLASSES][:, partners]) / 2.0
-        ranks = np.array([np.lexsort((np.minimum(places, partners), -of_class)) for of_class in carried])
+        ranks = np.argsort(-carried, axis=1, kind="stable")
         by_rank = np.take_along_axis(carried, ranks, axis=1).sum(axis=0)
-        needed = min(max(_FEWEST, _needed(by_rank, loss)), places.size)
-        while not all(np.isin(partners[ranks[index, :needed]], ranks[index, :needed]).all() for index in _OWN_PARTNERS):
-            needed += 1
+        needed = min(max(_FEWEST, _needed(by_rank, loss)), carried.shape[1])
         kept = np.sort(ranks[:, :needed], axis=1)
-        self.exchanged: list[Indices] | None = None
-        if not along_y:
-            kept[CLASSES.index((1, 0))] = np.sort(partners[kept[CLASSES.index((0, 1))]])
-            self.exchanged = [
-                np.searchsorted(kept[there], partners[kept[index]]) for index, there in enumerate(_EXCHANGED_CLASSES)
-            ]
         channel, row, column = np.unravel_index(kept, (3, ky, kx))
         odd_x, odd_y = np.array([parities(field, parity) for parity in CLASSES]).transpose(2, 0, 1)
         x = np.take_along_axis(odd_x, channel, axis=1) * kx + column

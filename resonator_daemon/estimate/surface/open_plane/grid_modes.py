@@ -103,16 +103,12 @@ class GridCovariance:
         ny, nx = grid.shape
         self.mean_power = float(np.einsum("cc->", self.tables["sensor"][..., ny - 1, nx - 1])) / 3.0
         self._along_x = EstimatePower(prior, grid, depth_m, noise_std, 0)
-        is_square = ny == nx and np.isclose(grid.pitch_x_m, grid.pitch_y_m) and noise_std[1] == noise_std[2]
-        self._along_y = None if is_square else EstimatePower(prior, grid, depth_m, noise_std, 1)
+        self._along_y = EstimatePower(prior, grid, depth_m, noise_std, 1)
 
     def bases(self, scale: float, loss: dict[Field, float]) -> dict[Field, Bases]:
         """Return the bases that lose no more than a share of each field's estimate at a scale of the prior."""
-        along_x = self._along_x.by_channel(scale)
-        along_y = self._along_y.by_channel(scale) if self._along_y else {}
-        return {
-            field: Bases(self.grid, field, along_x[field], along_y.get(field), share) for field, share in loss.items()
-        }
+        along_x, along_y = self._along_x.by_channel(scale), self._along_y.by_channel(scale)
+        return {field: Bases(self.grid, field, along_x[field], along_y[field], share) for field, share in loss.items()}
 
 
 class GridModes(Modes):
@@ -135,18 +131,8 @@ class GridModes(Modes):
         reductions = {
             field: Reduction(table, bases[field], bases["sensor"]) for field, table in covariance.tables.items()
         }
-        for index, parity in enumerate(CLASSES):
-            partners = bases["sensor"].exchanged
-            if partners and parity == (1, 0):
-                values_of_class.append(values_of_class[-1])
-                rotations.append(rotations[-1][partners[index]])
-                for field, blocks in surface.items():
-                    exchanged = bases[field].exchanged or []
-                    blocks.append(blocks[-1][exchanged[index]])
-                continue
-            block = reductions["sensor"].block(index)
-            halved = partners and parity in ((0, 0), (1, 1))
-            values, rotation = _eigenvectors(block, partners[index]) if partners and halved else np.linalg.eigh(block)
+        for index in range(len(CLASSES)):
+            values, rotation = np.linalg.eigh(reductions["sensor"].block(index))
             values_of_class.append(np.maximum(values, 0.0))
             rotations.append(rotation)
             for field, blocks in surface.items():
@@ -187,22 +173,3 @@ class GridModes(Modes):
         of_class = coefficients.reshape(signals.size, -1)[:, self._sensor.places].swapaxes(0, 1)
         rows: Floats = (of_class @ self._rotation).swapaxes(0, 1).reshape(signals.size, -1)
         return rows
-
-
-def _eigenvectors(matrix: Floats, partners: Indices) -> tuple[Floats, Floats]:
-    """Solve the eigenproblem of a matrix that is the same after rows and columns trade places with their partners."""
-    places = np.arange(partners.size)
-    first, alone = np.flatnonzero(places < partners), np.flatnonzero(places == partners)
-    second = partners[first]
-    same, across = matrix[np.ix_(first, first)], matrix[np.ix_(first, second)]
-    to_alone = np.sqrt(2.0) * matrix[np.ix_(first, alone)]
-    even, even_vectors = np.linalg.eigh(
-        np.block([[same + across, to_alone], [to_alone.T, matrix[np.ix_(alone, alone)]]])
-    )
-    odd, odd_vectors = np.linalg.eigh(same - across)
-    vectors = np.zeros_like(matrix)
-    vectors[first, : even.size] = vectors[second, : even.size] = even_vectors[: first.size] / np.sqrt(2.0)
-    vectors[alone, : even.size] = even_vectors[first.size :]
-    vectors[first, even.size :] = odd_vectors / np.sqrt(2.0)
-    vectors[second, even.size :] = -odd_vectors / np.sqrt(2.0)
-    return np.concatenate([even, odd]), vectors
