@@ -23,11 +23,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="go from file to file, each of this size, in 10^6 bytes; their names are that of --output and the time",
     )
     parser.add_argument("--max-minutes", type=positive, metavar="N", help="likewise, each of this time")
-    parser.add_argument(
-        "--include-messages",
-        action="store_true",
-        help="measure, too, and record forces, contacts and states as JSON channels",
-    )
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
 
 

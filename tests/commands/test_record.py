@@ -12,8 +12,6 @@ from pathlib import Path
 
 import pytest
 from emulation import emulated
-from jsonschema import validate
-from mcap.reader import make_reader
 from recording_bench import read, replayed
 
 from resonator_daemon.base.plate import load_plate
@@ -70,19 +68,18 @@ def stop_late(reader: BoardReader, stop: Callable[[BoardReader], None] = BoardRe
     stop(reader)
 
 
-def test_files_follow_each_other_and_have_what_was_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_follow_each_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(BoardReader, "stop", stop_late)
     port, output = tmp_path / "board", tmp_path / "run.mcap"
     path = config(tmp_path, f"serial:{port}?baud=4000000")
     path.write_text(f'name = "hand"\n{path.read_text()}')
     with emulated(EmulatorOptions("quartz16", pty=port)):
-        report = record(path, RecordOptions(output, 1.6, max_minutes=0.01, include_messages=True))
+        report = record(path, RecordOptions(output, 1.6, max_minutes=0.01))
     files = Series(tmp_path, "run").files()
     assert (report["files"], report["file"]) == (len(files), str(files[-1]))
     assert len(files) == 3
     assert not output.exists()
     received = 0
-    topics: dict[str, int] = {}
     boots: set[str] = set()
     for file in files:
         with open_recording(str(file)) as recording:
@@ -92,33 +89,8 @@ def test_files_follow_each_other_and_have_what_was_measured(tmp_path: Path, monk
             boots.add(recording.header["daemon_boot_id"])
             assert recording.plate_text is not None
             assert load_plate_text(recording.plate_text, file).name == "quartz16"
-        with file.open("rb") as opened:
-            for schema, channel, message in make_reader(opened).iter_messages():
-                if schema is not None:
-                    if channel.topic not in topics:
-                        validate(json.loads(message.data), json.loads(schema.data))
-                        boots.add(json.loads(message.data).get("daemon_boot_id", ""))
-                    topics[channel.topic] = topics.get(channel.topic, 0) + 1
     assert received == report["bytes_received"]
     assert len(boots) == 1
-    assert topics["forces"] > 200
-    assert topics["forces"] == pytest.approx(report["frames"] / 5, abs=1)  # one each 5 ms, to the last frame
-    assert {"info", "state/link", "state/sensor"} <= topics.keys()
-    assert topics["info"] == len(files)
-    assert report["messages"] == sum(topics.values()) - (len(files) - 1) * 3  # states, again in each file
-    assert report["messages_missing"] == 0
-
-
-def test_frames_that_are_not_measured_in_time_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(BoardReader.__init__.__kwdefaults__, "frame_queue_bytes", 10_000)  # below a read
-    port, output = tmp_path / "board", tmp_path / "run.mcap"
-    path = config(tmp_path, f"serial:{port}?baud=4000000")
-    with emulated(EmulatorOptions("quartz16", pty=port)):
-        report = record(path, RecordOptions(output, 0.5, include_messages=True))
-    assert report["frames_unmeasured"] > 0
-    with open_recording(str(output)) as recording:
-        received = sum(len(event.data) for event in recording.events() if isinstance(event, Received))
-    assert received == report["bytes_received"]
 
 
 def test_a_board_that_sends_no_frame_is_not_waited_for_without_end(tmp_path: Path) -> None:

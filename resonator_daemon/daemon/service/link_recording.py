@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from resonator_daemon.base.errors import (
     ConfigurationError,
@@ -28,16 +28,12 @@ from resonator_daemon.board.session.frames import (
     BoardOnline,
     BoardRefused,
     ChannelisedFrame,
-    Gap,
     LinkChange,
     ReaderFailed,
     SingleToneFrame,
 )
 from resonator_daemon.board.session.link_events import WireEvent
 from resonator_daemon.daemon.service.recordings import origin
-
-if TYPE_CHECKING:
-    from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 
 _TURN_S: Final = 0.2
 
@@ -74,8 +70,6 @@ class RecordOptions:
         From the first frame on.
     max_mb, max_minutes
         After which the next file begins.
-    include_messages
-        Also record what is measured.
     open_s
         Time in which a board must count.
     progress_s
@@ -86,7 +80,6 @@ class RecordOptions:
     seconds: float | None = None
     max_mb: float | None = None
     max_minutes: float | None = None
-    include_messages: bool = False
     open_s: float = 10.0
     progress_s: float = 1.0
 
@@ -128,7 +121,6 @@ class _LinkRecording:
     def __init__(self, config: Config, config_sha256: str, options: RecordOptions) -> None:
         boot_id = secrets.token_hex(4)
         self._recorder = Recorder(options.place, origin(config, config.name, boot_id, config_sha256), needs_frame=True)
-        self._pipeline = _pipeline(config, boot_id, self._recorder) if options.include_messages else None
         self._loop = BlockingReader(config.link, config.plate, step_frames=(64,), on_event=self._put)
         self._frames_counted = 0
         self._board: BoardOnline | None = None
@@ -136,7 +128,6 @@ class _LinkRecording:
         self._first_frame_s: float | None = None
         self._ended_s = 0.0
         self._stopped = False
-        self._frames_unmeasured = 0  # dropped from the full frame queue
 
     @contextmanager
     def open(self) -> Iterator[None]:
@@ -148,7 +139,6 @@ class _LinkRecording:
                 yield
                 self._ended_s = time.monotonic()
         finally:
-            self._measure_the_rest()
             self._recorder.close()
             is_kept = self._recorder.written.frames > 0 and self._recorder.path.exists()
             if not is_kept and self._recorder.path.is_file():
@@ -203,9 +193,6 @@ class _LinkRecording:
             "frames_lost": asdict(counters.lost),
             "connections": counters.connections,
             "events_missing": counts.events_missing,
-            "messages": counts.messages,
-            "messages_missing": counts.messages_missing,
-            "frames_unmeasured": self._frames_unmeasured,
         }
 
     def _put(self, event: WireEvent) -> None:
@@ -218,10 +205,6 @@ class _LinkRecording:
         self._stopped = True
 
     def _handle(self, arrival: Arrival) -> None:
-        if self._pipeline is not None:
-            self._pipeline.handle(arrival)
-            if isinstance(arrival, Gap):
-                self._frames_unmeasured += arrival.loss.queue_overflow
         match arrival:
             case BoardOnline():
                 self._recorder.name_board(arrival)
@@ -237,12 +220,6 @@ class _LinkRecording:
             case ReaderFailed():
                 raise RecordingEndedError(f"the reader failed: {arrival.error!r}") from arrival.error
 
-    def _measure_the_rest(self) -> None:
-        """Measure what came before the reader stopped: its bytes are in the file."""
-        if self._pipeline is not None:
-            for arrival in self._loop.reader.pop_arrivals():
-                self._pipeline.handle(arrival)
-
     def _print_progress(self, end: str = "") -> None:
         line = _progress(self._loop.reader.machine.lost.total, self._recorder)
         if sys.stderr.isatty():
@@ -252,20 +229,9 @@ class _LinkRecording:
         sys.stderr.flush()
 
 
-def _pipeline(config: Config, boot_id: str, recorder: Recorder) -> "BoardPipeline":
-    """Return the pipeline whose messages are recorded; its imports take half a second."""
-    from resonator_daemon.daemon.service.recordings import RecordedMessages
-    from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
-
-    messages = RecordedMessages(recorder.publish, include_messages=True)
-    return BoardPipeline(config, boot_id, messages.record)
-
-
 def _progress(lost: int, recorder: Recorder) -> str:
     counts = recorder.counts
     line = f"{recorder.path}: {recorder.written.frames} frames, {lost} lost, {counts.file_bytes / 1e6:.1f} MB"
     if counts.files > 1:
         line += f", file {counts.files}"
-    for what, missing in (("events", counts.events_missing), ("messages", counts.messages_missing)):
-        line += f", {missing} {what} too many for the disk" if missing else ""
-    return line
+    return line + (f", {counts.events_missing} events too many for the disk" if counts.events_missing else "")

@@ -2,7 +2,6 @@
 
 import asyncio
 import gc
-import json
 import logging
 import os
 import re
@@ -17,14 +16,14 @@ from resonator_daemon.base.host.files import state_directory
 from resonator_daemon.base.host.load import ProcessUsage
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.systemd import ServiceManager
-from resonator_daemon.base.reasons import Reason, ReasonCode, joined
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.clients import DecoderConfig
 from resonator_daemon.board.config.tables import DECODER
 from resonator_daemon.daemon.monitoring.liveness import LivenessMonitor
 from resonator_daemon.extensions.remote_decoding.plate import LOOK_S, RemotePlate
-from resonator_daemon.mqtt.codec import Encoded, Incoming, Outgoing, encode
+from resonator_daemon.mqtt.codec import Encoded, Outgoing, encode
 from resonator_daemon.mqtt.payloads import Condition, DecoderHealth, DecoderState
-from resonator_daemon.mqtt.publisher import FRESH_S, Publisher, Subscription
+from resonator_daemon.mqtt.publisher import FRESH_S, Publisher
 from resonator_daemon.mqtt.topics import (
     DECODED,
     DECODER_EXPIRY_S,
@@ -64,51 +63,6 @@ def own_id() -> str:
     return f"{host or 'host'}-{os.getpid()}-{secrets.token_hex(3)}"
 
 
-class OtherDecoders:
-    """Other decoders of the same signals, by their states, which they repeat within `DECODER_EXPIRY_S`.
-
-    A live state adds a decoder, `offline` removes it. Retained states add none: their decoder may have ended, and one
-    that runs publishes again when it receives the state of this one.
-
-    Parameters
-    ----------
-    decoder_id
-        Id of this process.
-    topic_filter
-        Topic of its signals.
-    """
-
-    def __init__(self, decoder_id: str, topic_filter: str) -> None:
-        self._decoder_id = decoder_id
-        self._topic_filter = topic_filter
-        self._seen_s: dict[str, float] = {}  # arrival of the last state, by id
-
-    def receive(self, message: Incoming, now_s: float) -> None:
-        """Handle the state of any decoder."""
-        try:
-            content = json.loads(message.payload)
-            other, state, taken = content["decoder_id"], content["state"], content["topic_filter"]
-        except (ValueError, RecursionError, TypeError, KeyError):
-            return
-        if not isinstance(other, str) or not other.isprintable() or not 0 < len(other) <= _ID_LENGTH_MAX:
-            return
-        if state == Condition.OFFLINE or taken != self._topic_filter:
-            self._seen_s.pop(other, None)
-        elif other in self._seen_s or (
-            other != self._decoder_id and not message.retained and len(self._seen_s) < _NAMED_MAX
-        ):
-            self._seen_s[other] = now_s
-
-    def remark(self, now_s: float) -> Reason | None:
-        """Return a reason that lists the other decoders; None without one."""
-        self._seen_s = {other: at_s for other, at_s in self._seen_s.items() if now_s - at_s < DECODER_EXPIRY_S}
-        if not self._seen_s:
-            return None
-        others = ", ".join(sorted(self._seen_s))
-        text = f"decoder {others} follows this plate, too, and both publish: stop one of them"
-        return Reason(ReasonCode.SECOND_DECODER, text)
-
-
 class DecoderProcess:
     """One decoder between its signals and what it publishes of them.
 
@@ -126,15 +80,11 @@ class DecoderProcess:
         self._plate_base = f"{config.mqtt.prefix}/{config.name}"
         self._topic_filter = full_topic(config.mqtt.prefix, config.name, SIGNALS.path)
         self._plate = RemotePlate(config, self.decoder_id, self._publish)
-        self._others = OtherDecoders(self.decoder_id, self._topic_filter)
-        states = full_topic(config.mqtt.prefix, DECODER, f"+/{DECODER_STATE.path}")
-        # QoS 0: each state comes again, and no acknowledgement is open when this process ends.
-        others = Subscription(states, 0, lambda it: self._others.receive(it, time.monotonic()))
         self._publisher = Publisher(
             config.mqtt,
             identifier=f"resonatord-decoder-{self.decoder_id}-{secrets.token_hex(4)}",
             make_will=self._make_will,
-            subscriptions=(*self._plate.subscriptions, others),
+            subscriptions=self._plate.subscriptions,
             spool_directory=state_directory() / "spool" / quote(config.mqtt.prefix, safe="") / DECODER / config.name,
             stream_wait_max_s=FRESH_S,
         )
@@ -196,8 +146,7 @@ class DecoderProcess:
             await asyncio.sleep(LOOK_S)
             turns += 1
             condition, reason = self._plate.condition()
-            others = self._others.remark(time.monotonic())
-            state = condition, joined(reason, others) or reason
+            state = condition, reason
             decoded = self._plate.health().decoded
             online = condition is Condition.ONLINE
             if self._liveness.healthy(decoded, Condition.ONLINE if online else Condition.WAITING, turns):
@@ -207,7 +156,7 @@ class DecoderProcess:
                 if state[0] != self._state[0]:
                     self._since_utc_ns = time.time_ns()
                 self._state = state
-                well = condition in (Condition.ONLINE, Condition.STARTING) and not others
+                well = condition in (Condition.ONLINE, Condition.STARTING)
                 log.log(logging.INFO if well else logging.WARNING, "%s: %s", condition, state[1].text)
                 self._publish_state(*state)
             elif time.monotonic() - self._published_s > STATE_AGAIN_S:

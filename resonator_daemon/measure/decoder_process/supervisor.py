@@ -11,7 +11,6 @@ import sys
 import time
 from asyncio.subprocess import DEVNULL, Process
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Final, Literal
 
@@ -31,6 +30,7 @@ SET_UP_MAX_S: Final = 600.0  # of a start, or of one step of a set-up
 RESTART_FIRST_S: Final = 0.5
 RESTART_LONGEST_S: Final = 30.0
 SOUND_S: Final = 60.0  # of running, after which the back-off starts from the beginning
+_UNREAD_BYTES_MAX: Final = 1 << 22  # of replies, a few frames
 _EXIT_S: Final = 1.0  # of a process that has closed its socket
 
 Ending = Literal["crashed", "hung"]
@@ -43,56 +43,6 @@ _ENDINGS: Final[dict[Ending, ReasonCode]] = {
 _ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 log = logging.getLogger(__name__)
-
-
-class WorkerConnection(asyncio.Protocol):
-    """The daemon's end of the socket to a decoder process: writes requests without waiting, and reads replies.
-
-    Parameters
-    ----------
-    on_reply
-        Called with each reply.
-    on_lost
-        Called when the other end is closed.
-    """
-
-    def __init__(self, on_reply: Callable[[Reply], None], on_lost: Callable[[], None]) -> None:
-        self._on_reply = on_reply
-        self._on_lost = on_lost
-        self._transport: asyncio.Transport | None = None
-        self._received = bytearray()
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        if isinstance(transport, asyncio.Transport):
-            self._transport = transport
-
-    def send(self, request: SurfaceSettings | Request) -> None:
-        """Write a request; ignored after `close`."""
-        if self._transport is not None:
-            self._transport.write(packed(request))
-
-    def close(self) -> None:
-        """Close the connection at once; neither `on_reply` nor `on_lost` is called any more."""
-        if self._transport is not None:
-            self._transport.abort()
-            self._transport = None
-
-    def data_received(self, data: bytes) -> None:
-        self._received += data
-        while self._transport is not None and len(self._received) >= LENGTH.size:
-            (length,) = LENGTH.unpack_from(self._received)
-            end = LENGTH.size + length
-            if len(self._received) < end:
-                return
-            with memoryview(self._received) as view:
-                reply: Reply = pickle.loads(view[LENGTH.size : end])
-            del self._received[:end]
-            self._on_reply(reply)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        if self._transport is not None:
-            self._transport = None
-            self._on_lost()
 
 
 class DecoderSupervisor(SurfaceDecoding[Origin]):
@@ -115,7 +65,8 @@ class DecoderSupervisor(SurfaceDecoding[Origin]):
 
     def __init__(self, settings: SurfaceSettings, client: SurfaceClient[Origin], name: str = "skin") -> None:
         super().__init__(settings, client, name)
-        self._connection: WorkerConnection | None = None
+        self._requests: asyncio.StreamWriter | None = None
+        self._reading: asyncio.Task[None] | None = None
         self._usage: ProcessUsage | None = None
         self._is_idle = False
         self._ending: asyncio.Future[Ending | None] | None = None
@@ -137,7 +88,7 @@ class DecoderSupervisor(SurfaceDecoding[Origin]):
 
     def interrupt(self, reason: Reason) -> None:
         """Release all contacts, because frames have stopped arriving; at once where there is no process."""
-        if self._connection is None:
+        if self._requests is None:
             self.release_contacts(reason)
         else:
             super().interrupt(reason)
@@ -185,14 +136,13 @@ class DecoderSupervisor(SurfaceDecoding[Origin]):
 
     async def _start(self) -> Process:
         own, other = socket.socketpair()
-        connection = WorkerConnection(self._received, lambda: self._end("crashed"))
         with other:
             try:
-                await asyncio.get_running_loop().create_unix_connection(lambda: connection, sock=own)
+                replies, self._requests = await asyncio.open_unix_connection(sock=own, limit=_UNREAD_BYTES_MAX)
             except BaseException:
                 own.close()
                 raise
-            self._connection = connection
+            self._reading = asyncio.create_task(self._read(replies))
             process = await asyncio.create_subprocess_exec(
                 *(sys.executable, "-P", "-m", __package__, self._name, str(other.fileno())),
                 stdin=DEVNULL,
@@ -202,25 +152,40 @@ class DecoderSupervisor(SurfaceDecoding[Origin]):
             )
         with contextlib.suppress(psutil.Error):  # it has ended already
             self._usage = ProcessUsage(process.pid)
-        connection.send(replace(self._settings, last_contact_id=self.last_contact_id))
-        self._expect_reply(SET_UP_MAX_S)
+        self._send(replace(self._settings, last_contact_id=self.last_contact_id), SET_UP_MAX_S)
         return process
 
     def _disconnect(self) -> None:
-        if self._connection is not None:
-            self._connection.close()
+        if self._requests is not None:
+            self._requests.transport.abort()
+        if self._reading is not None:
+            self._reading.cancel()
         if self._deadline is not None:
             self._deadline.cancel()
         self._skip_present("decoder_ended")
-        self._connection = self._ending = self._usage = self._interruption = None
+        self._requests = self._reading = self._ending = self._usage = self._interruption = None
         self._is_idle = False
         self._ready_ns, self._until_ready = None, "decoder_ended"
 
     def _wake(self) -> None:
-        if self._connection is not None and self._is_idle and (request := self._next_request()) is not None:
+        if self._is_idle and (request := self._next_request()) is not None:
             self._is_idle = False
-            self._connection.send(request)
-            self._expect_reply(HUNG_S)
+            self._send(request, HUNG_S)
+
+    def _send(self, request: SurfaceSettings | Request, within_s: float) -> None:
+        """Write a request without waiting; a reply has to come within a time."""
+        if self._requests is not None:
+            self._requests.write(packed(request))
+            self._expect_reply(within_s)
+
+    async def _read(self, replies: asyncio.StreamReader) -> None:
+        """Handle replies until the process closes its end."""
+        try:
+            while True:
+                (length,) = LENGTH.unpack(await replies.readexactly(LENGTH.size))
+                self._received(pickle.loads(await replies.readexactly(length)))
+        except (EOFError, ConnectionError):
+            self._end("crashed")
 
     def _received(self, reply: Reply) -> None:
         super()._received(reply)

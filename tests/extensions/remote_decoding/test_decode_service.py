@@ -74,21 +74,6 @@ async def test_a_followed_plate_is_decoded_and_its_states_and_account_are_report
     assert {summary["decoder_id"] for summary in summaries} == {"host-1"}
 
 
-async def test_two_that_follow_one_plate_report_each_other_until_one_has_gone(
-    tmp_path: Path, broker: Mosquitto | Amqtt, caplog: pytest.LogCaptureFixture
-) -> None:
-    def remarks(of: str, rival: str) -> bool:
-        (*_, state) = observer.payloads(f"resonator/decoder/{of}/state") or [{"reason": ""}]
-        return f"decoder {rival} follows this plate, too" in state["reason"]
-
-    async with observe(broker.url) as observer, running(process(tmp_path, broker.url)):
-        await observer.until_last(STATE, state="waiting", reason=NO_INFO)
-        async with running(process(tmp_path, broker.url, "host-2")):
-            await observer.until(lambda: remarks("host-1", "host-2") and remarks("host-2", "host-1"))
-        await observer.until_last(STATE, state="waiting", reason=NO_INFO)
-    assert sum("host-2 follows this plate" in line for line in caplog.messages) == 1
-
-
 async def test_the_will_of_a_decoder_that_is_killed_is_its_state(tmp_path: Path, mosquitto: Mosquitto) -> None:
     path = config_file(tmp_path, mosquitto.url)
     victim = await asyncio.create_subprocess_exec(RESONATORD, "decode", "--config", path, stderr=DEVNULL)

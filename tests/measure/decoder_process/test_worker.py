@@ -1,6 +1,6 @@
 """What runs in the decoder process, over a socket pair in a thread: one request, its results, and its age."""
 
-import asyncio
+import pickle
 import socket
 import threading
 import time
@@ -14,8 +14,7 @@ from decoder_bench import NOISE
 from surface_bench import NOTHING, frame, header, settings
 
 from resonator_daemon.estimate.surface.streaming import StreamingDecoder
-from resonator_daemon.measure.decoder_process.supervisor import WorkerConnection
-from resonator_daemon.measure.decoder_process.worker import packed, work
+from resonator_daemon.measure.decoder_process.worker import LENGTH, packed, work
 from resonator_daemon.measure.sensors.surface_worker import (
     Reply,
     Request,
@@ -33,19 +32,16 @@ class Bench:
         self._own, other = socket.socketpair()
         self._thread = threading.Thread(target=work, args=(other,))
         self._thread.start()
-        self._replies: list[Reply] = []
-        self._parser = WorkerConnection(self._replies.append, lambda: None)
-        self._parser.connection_made(asyncio.Transport())  # it reads as long as there is one
+        self._replies = self._own.makefile("rb")
 
     def ask(self, request: SurfaceSettings | Request) -> list[Any]:
         """Send a request; return all replies up to its outcome."""
-        self._replies.clear()
         self._own.sendall(packed(request))
-        while not any(isinstance(reply, Results) and reply.outcome for reply in self._replies):
-            data = self._own.recv(1 << 16)
-            assert data, "the worker has ended"
-            self._parser.data_received(data)
-        return list(self._replies)
+        replies: list[Reply] = []
+        while not any(isinstance(reply, Results) and reply.outcome for reply in replies):
+            (length,) = LENGTH.unpack(self._replies.read(LENGTH.size))
+            replies.append(pickle.loads(self._replies.read(length)))
+        return replies
 
     def decode(self, seq: int, values: Any = NOTHING, *, within_ns: int = 10**11) -> str:
         """Ask for a frame that has some time left; return its outcome."""
@@ -53,6 +49,7 @@ class Bench:
         return str(replies[-1].outcome)
 
     def close(self) -> None:
+        self._replies.close()
         self._own.close()
         self._thread.join(30)
         assert not self._thread.is_alive()
