@@ -1,8 +1,10 @@
 """What sensors of force sites have in common: windows, tare, forces, contacts and their events."""
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
+
+import numpy as np
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason
@@ -10,31 +12,91 @@ from resonator_daemon.board.config.tables import Measurement
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.compatibility import oscillator_hz
 from resonator_daemon.board.session.frames import BoardOnline, Frame
-from resonator_daemon.estimate.forces.readings import Compensation, ContactEvent, ForceReading
+from resonator_daemon.estimate.forces.force_sites import ForceSites, cell_std_m
+from resonator_daemon.estimate.forces.readings import Compensation, ContactEvent, ContactTracker, ForceReading
+from resonator_daemon.estimate.forces.site_errors import SiteErrors
 from resonator_daemon.measure.sensors.base import Sensor
 from resonator_daemon.measure.sensors.force_messages import ForceMessages, tones_message
-from resonator_daemon.measure.sensors.output import MessageOutput
+from resonator_daemon.measure.sensors.output import BOARD_RESTARTED, MessageOutput
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, FORCES, TONES, Topic
 
 if TYPE_CHECKING:
     from resonator_daemon.measure.sensors.surface_decoding import MakeSurfaceDecoding
 
 
-class ForceProcessing(Protocol):
-    """Records of force sites to readings."""
+UNKNOWN_CONTACT_S: Final = 0.5  # for which a contact of which nothing is known is kept
 
-    def restart(self) -> tuple[ContactEvent, ...]: ...
 
-    def end_contacts(self, reason: Reason) -> tuple[ContactEvent, ...]: ...
+class ForceProcessing(ABC):
+    """Records of force sites to readings.
 
-    def tare(self) -> str | None: ...
+    Parameters
+    ----------
+    sites
+    reference_hz
+        Of the board's ticks.
+    gate_s
+        Length of a gate.
+    reach_m
+        A touch that moves less between two readings is the same touch.
+    """
 
-    def set_window(self, window_frames: int, step_frames: int) -> None: ...
+    def __init__(self, sites: ForceSites, *, reference_hz: float, gate_s: float, reach_m: float = 0.0) -> None:
+        self._sites = sites
+        self._reference_hz = reference_hz
+        self._gate_s = gate_s
+        self._errors = SiteErrors(sites)
+        self._positions_m: list[tuple[float, float]] = [(x, y) for x, y in sites.positions_m.tolist()]
+        self._covariance_m2 = [np.diag(std_m**2) for std_m in cell_std_m(sites.positions_m, sites.outline_m)]
+        self._tracker = ContactTracker(round(UNKNOWN_CONTACT_S * reference_hz), reach_m)
+        self._last: tuple[int, int] | None = None  # sequence and ticks of the last frame
+        self._evaluated_ticks: int | None = None  # of the last reading
+        self._response: Literal["on", "off"] = "off" if sites.response is None else "on"
+
+    def end_contacts(self, reason: Reason) -> tuple[ContactEvent, ...]:
+        """Release every contact, as when frames have stopped coming; what is still touched then begins again."""
+        return self._tracker.close(self._last[1], reason) if self._last else ()
+
+    def restart(self) -> tuple[ContactEvent, ...]:
+        """Discard the zero and every contact: the board has booted or is configured again."""
+        events = self.end_contacts(BOARD_RESTARTED)
+        self._errors.reset()
+        self._last = self._evaluated_ticks = None
+        self._reset()
+        return events
+
+    def set_window(self, window_frames: int, step_frames: int) -> None:
+        """Measure over another window from the next reading on; a longer one grows to its length, frame by frame.
+
+        Raises
+        ------
+        ValueError
+            A step of less than one frame, or of more than the window.
+        """
+        if not 1 <= step_frames <= window_frames:
+            raise ValueError(f"step of {step_frames} frames, 1 to the window's {window_frames}")
+        self._measure_over(window_frames, step_frames)
+
+    @abstractmethod
+    def tare(self) -> str | None:
+        """Set the zero to the present readings; return why that cannot be done, None if it was done."""
 
     @property
-    def compensation(self) -> Compensation: ...
+    @abstractmethod
+    def compensation(self) -> Compensation:
+        """What is taken out now."""
 
-    def process(self, frames: Sequence[Frame]) -> list[ForceReading]: ...
+    @abstractmethod
+    def process(self, frames: Sequence[Frame]) -> list[ForceReading]:
+        """Return the readings that end with one of these adjacent frames."""
+
+    @abstractmethod
+    def _reset(self) -> None:
+        """Discard what the frames up to now have left."""
+
+    @abstractmethod
+    def _measure_over(self, window_frames: int, step_frames: int) -> None:
+        """Use another window from now on."""
 
 
 class ForceSensor(Sensor[ForceReading]):

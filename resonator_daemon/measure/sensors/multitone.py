@@ -12,33 +12,30 @@ from scipy.spatial.distance import pdist, squareform
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.session.frames import ChannelisedFrame, Frame
-from resonator_daemon.estimate.forces.force_sites import ForceSites, ForceTones, SiteShifts, cell_std_m
+from resonator_daemon.estimate.forces.force_sites import ForceSites, ForceTones, SiteShifts
 from resonator_daemon.estimate.forces.plate_drift import OFF_SIGMAS, DriftReading, PlateDrift
 from resonator_daemon.estimate.forces.readings import (
     ONSET_NEWTON,
     Compensation,
-    ContactEvent,
-    ContactTracker,
     ForceReading,
     SensorStatus,
     Touch,
     touch_of,
 )
-from resonator_daemon.estimate.forces.site_errors import PressedSites, SiteErrors
+from resonator_daemon.estimate.forces.site_errors import PressedSites
 from resonator_daemon.estimate.forces.site_identification import SiteForce, overload_reason
 from resonator_daemon.estimate.forces.spread import TOUCHES_MAX, SpreadFit, Touches
 from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
 from resonator_daemon.estimate.tones.tone_detector import MultitoneDetector, ToneDetector
 from resonator_daemon.estimate.tones.tone_merging import SIGMA_HZ, merge_tones
 from resonator_daemon.measure.sensors.expected_tones import ExpectedTones, force_tones
-from resonator_daemon.measure.sensors.force_sensor import ForceSensor
-from resonator_daemon.measure.sensors.output import BOARD_RESTARTED, NO_TONE
+from resonator_daemon.measure.sensors.force_sensor import ForceProcessing, ForceSensor
+from resonator_daemon.measure.sensors.output import NO_TONE
 from resonator_daemon.measure.sensors.plate_sites import force_sites
 
 OFFSET_STD: Final = 2e-7  # of a site's f0 since calibration, relative: the ageing of weeks
 LOCAL_KELVIN_STD: Final = 0.01  # of a site's own thermometer
 KNOWN_KELVIN: Final = 2.0  # a temperature that is known worse is not compared with the calibration's range
-UNKNOWN_CONTACT_S: Final = 0.5
 SHARE_ERROR: Final = 0.003  # of a touch, by which a site's share differs from the law of the cover
 UNLAWFUL_SHARE_ERROR: Final = 0.05  # where the sites' forces do not follow that law
 UNEXPLAINED_MAX: Final = 0.2  # of the squares of the sites' forces: with more, no touch can be named
@@ -54,7 +51,7 @@ class _Frame(NamedTuple):
     known: NDArray[np.bool_]
 
 
-class MultitoneProcessing:
+class MultitoneProcessing(ForceProcessing):
     """Channelised frames of force sites in, readings out."""
 
     def __init__(
@@ -69,10 +66,9 @@ class MultitoneProcessing:
         spread_width_m: float | None = None,
     ) -> None:
         """Initialise with a plate's sites and tones; without a width of the spread, each site is touched by itself."""
-        self._sites = sites
+        reach_m = 0.0 if spread_width_m is None else REACH_PITCHES * _pitch_m(sites.positions_m)
+        super().__init__(sites, reference_hz=reference_hz, gate_s=gate_s, reach_m=reach_m)
         self._tones = tones
-        self._reference_hz = reference_hz
-        self._gate_s = gate_s
         self._step_frames = step_frames
         self._frames: deque[_Frame] = deque(maxlen=window_frames)
         self._drift = PlateDrift(
@@ -81,9 +77,7 @@ class MultitoneProcessing:
             offset_std=OFFSET_STD,
             local_kelvin_std=LOCAL_KELVIN_STD,
         )
-        self._errors = SiteErrors(sites)
         self._spread = self._near = None
-        reach_m = 0.0
         if spread_width_m is not None:
             self._spread, self._near = (
                 SpreadFit(
@@ -95,38 +89,23 @@ class MultitoneProcessing:
                 )
                 for share_error in (SHARE_ERROR, UNLAWFUL_SHARE_ERROR)
             )
-            reach_m = REACH_PITCHES * _pitch_m(sites.positions_m)
-        self._positions_m: list[tuple[float, float]] = [(x, y) for x, y in sites.positions_m.tolist()]
-        self._covariance_m2 = [np.diag(std_m**2) for std_m in cell_std_m(sites.positions_m, sites.outline_m)]
         self._reach_m = reach_m
         self._touch_places_m: list[tuple[float, float]] = []  # places of the touches of the last reading
-        self._tracker = ContactTracker(round(UNKNOWN_CONTACT_S * reference_hz), reach_m)
-        self._last: tuple[int, int] | None = None  # sequence and ticks of the last frame
-        self._evaluated_ticks: int | None = None
         self._drifted: DriftReading | None = None  # these are of the last reading
         self._shifts: SiteShifts | None = None
         self._found: Touches | None = None
         self._rejections = 0
         self._touched = False
 
-    def end_contacts(self, reason: Reason) -> tuple[ContactEvent, ...]:
-        """Release every contact, as when frames have stopped coming; what is still touched then begins again."""
-        return self._tracker.close(self._last[1], reason) if self._last else ()
-
-    def restart(self) -> tuple[ContactEvent, ...]:
-        """Discard the drift and every contact: the board has booted or is configured again."""
-        events = self.end_contacts(BOARD_RESTARTED)
+    def _reset(self) -> None:
         self._frames.clear()
         self._drift.reset()
-        self._errors.reset()
-        self._last = self._evaluated_ticks = self._drifted = self._shifts = self._found = None
+        self._drifted = self._shifts = self._found = None
         self._touch_places_m = []
         self._rejections = 0
         self._touched = False
-        return events
 
     def tare(self) -> str | None:
-        """Set the zero to the present shifts; return why that cannot be done, None if it was done."""
         if self._shifts is None:
             return "no reading yet"
         if self._touched:
@@ -134,27 +113,16 @@ class MultitoneProcessing:
         self._drift.tare(self._shifts.shift, self._shifts.variance)
         return None
 
-    def set_window(self, window_frames: int, step_frames: int) -> None:
-        """Measure over another window from the next reading on; a longer one grows to its length, frame by frame.
-
-        Raises
-        ------
-        ValueError
-            A step of less than one frame, or of more than the window.
-        """
-        if not 1 <= step_frames <= window_frames:
-            raise ValueError(f"step of {step_frames} frames, 1 to the window's {window_frames}")
+    def _measure_over(self, window_frames: int, step_frames: int) -> None:
         self._step_frames = step_frames
         self._frames = deque(self._frames, maxlen=window_frames)
 
     @property
     def compensation(self) -> Compensation:
-        """What is taken out now."""
         unknown = Compensation((math.nan,) * CORNERS, math.nan, "unknown", math.nan, math.nan, self._response)
         return self._compensation(self._drifted) if self._drifted is not None else unknown
 
     def process(self, frames: Sequence[Frame]) -> list[ForceReading]:
-        """Return the readings that end with one of these adjacent frames."""
         readings = [
             self.push(
                 frame.index, frame.board_ticks, frame.phase_turn32, frame.offset_hz16, frame.sigma_code, frame.known
@@ -353,10 +321,6 @@ class MultitoneProcessing:
             drift.theta_std_kelvin,
             self._response,
         )
-
-    @property
-    def _response(self) -> Literal["on", "off"]:
-        return "off" if self._sites.response is None else "on"
 
 
 def _status(detected: NDArray[np.bool_], noise_newton: Floats) -> tuple[SensorStatus, Reason | None]:

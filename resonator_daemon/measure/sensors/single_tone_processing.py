@@ -11,18 +11,15 @@ import numpy as np
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.session.frames import Frame, SingleToneFrame
 from resonator_daemon.estimate.forces.baseline import CommonMode
-from resonator_daemon.estimate.forces.force_sites import ForceSites, cell_std_m, hidden_fraction
+from resonator_daemon.estimate.forces.force_sites import ForceSites, hidden_fraction
 from resonator_daemon.estimate.forces.readings import (
     Compensation,
-    ContactEvent,
-    ContactTracker,
     CornerTone,
     ForceReading,
     SensorStatus,
     Touch,
     touch_of,
 )
-from resonator_daemon.estimate.forces.site_errors import SiteErrors
 from resonator_daemon.estimate.forces.site_identification import Match, Matcher, OverloadLatch, SiteForce
 from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
 from resonator_daemon.estimate.tones.record_checks import CAPTURE_SWITCH, FAULTS_IN_WORDS
@@ -30,11 +27,11 @@ from resonator_daemon.estimate.tones.tone_count import NO_TONE, ToneCount, count
 from resonator_daemon.estimate.tones.tone_detector import PILOT_TOLERANCE, capture_band_hz
 from resonator_daemon.estimate.tones.tone_windows import GateBlock, ToneWindows, Window
 from resonator_daemon.measure.sensors.corner_tones import CornerTones
-from resonator_daemon.measure.sensors.output import BOARD_RESTARTED, COMMON_MODE_PENDING
+from resonator_daemon.measure.sensors.force_sensor import ForceProcessing
+from resonator_daemon.measure.sensors.output import COMMON_MODE_PENDING
 
 _SITE: Final = attrgetter("site")
 BASELINE_READINGS: Final = 20  # untouched readings before the common mode counts as known
-UNKNOWN_CONTACT_S: Final = 0.5
 ONSET_FRAMES: Final = 2  # window of the fast path
 CROWDED_FRAMES: Final = 3
 
@@ -44,7 +41,7 @@ _OTHER_SITE: Final = Reason(ReasonCode.OTHER_SITE, "another site is detected ins
 _ONE_CHANNEL: Final = Reason(ReasonCode.TOO_FEW_CHANNELS, "detected on 1 channel, at least 2 needed")
 
 
-class SingleToneProcessing:
+class SingleToneProcessing(ForceProcessing):
     """Frames of a single-tone board in, readings out."""
 
     def __init__(
@@ -63,14 +60,12 @@ class SingleToneProcessing:
 
         Readings have the tones of the corners once in `tones_period_frames`; None: never.
         """
+        super().__init__(sites, reference_hz=reference_hz, gate_s=gate_s)
         channels = sites.f0_hz.shape[1]
         hidden = None
         if load_sharing_exponent is not None:
             hidden = hidden_fraction(sites.positions_m, sites.outline_m, load_sharing_exponent)
-        self._sites = sites
         self._pilot_hz = pilot_hz
-        self._reference_hz = reference_hz
-        self._gate_s = gate_s
         self._windows = ToneWindows(channels, window_frames, reference_hz, capture_band_hz(pilot_hz, sites.f0_hz))
         reading_std = oscillator_std(window_frames * gate_s)
         self._common_mode = CommonMode(channels, needed=BASELINE_READINGS, reading_std=reading_std)
@@ -88,59 +83,31 @@ class SingleToneProcessing:
         self._apart_hz: list[float] = (apart_hz - shifted_hz).tolist()
         self._latch = OverloadLatch()
         self._corner_tones = CornerTones(sites, tones_period_frames)
-        self._errors = SiteErrors(sites)
-        self._positions_m: list[tuple[float, float]] = [(x, y) for x, y in sites.positions_m.tolist()]
-        self._covariance_m2 = [np.diag(std_m**2) for std_m in cell_std_m(sites.positions_m, sites.outline_m)]
-        self._tracker = ContactTracker(round(UNKNOWN_CONTACT_S * reference_hz))
         self._no_pilot = (math.nan,) * channels
         self._pilot_attenuation_db = [math.nan] * channels
         self._touch_sites: set[int] = set()  # by the last reading
         self._quiet = [0] * channels
         self._crowded = self._quiet  # frames in a row in which no tone was the strongest
-        self._last: tuple[int, int] | None = None  # sequence and ticks of the last frame
-        self._evaluated_ticks: int | None = None
         self._pilot: tuple[float, ...] = self._no_pilot  # g by the pilot in the last reading
         self.unusable: Counter[str] = Counter()  # records that gave no frequency, by cause
         self._measure_over(window_frames, step_frames)
 
-    def end_contacts(self, reason: Reason) -> tuple[ContactEvent, ...]:
-        """Release every contact, as when frames have stopped coming; what is still touched then begins again."""
-        return self._tracker.close(self._last[1], reason) if self._last else ()
-
-    def restart(self) -> tuple[ContactEvent, ...]:
-        """Discard the baseline and every contact: the board has booted or is configured again."""
-        events = self.end_contacts(BOARD_RESTARTED)
+    def _reset(self) -> None:
         self._windows.restart()
         self._common_mode.reset()
-        self._errors.reset()
         self._latch.release()
         self._crowded = self._quiet
-        self._last = self._evaluated_ticks = None
         self._pilot = self._no_pilot
-        return events
 
     def tare(self) -> str | None:
-        """Set the common mode to the present pilot; return why that cannot be done, None if it was done."""
         if any(map(math.isnan, self._pilot)):
             return "the pilot is not detected on all channels: the plate is touched, or channels are silent"
         self._common_mode.tare(self._pilot)
         return None
 
-    def set_window(self, window_frames: int, step_frames: int) -> None:
-        """Measure over another window from the next reading on; a longer one grows to its length, frame by frame.
-
-        Raises
-        ------
-        ValueError
-            A step of less than one frame, or of more than the window.
-        """
-        if not 1 <= step_frames <= window_frames:
-            raise ValueError(f"step of {step_frames} frames, 1 to the window's {window_frames}")
+    def _measure_over(self, window_frames: int, step_frames: int) -> None:
         self._windows.resize(window_frames)
         self._common_mode.expect(oscillator_std(window_frames * self._gate_s))
-        self._measure_over(window_frames, step_frames)
-
-    def _measure_over(self, window_frames: int, step_frames: int) -> None:
         self._step_frames = step_frames
         self._window_frames = window_frames
         self._onset_frames = min(ONSET_FRAMES, window_frames)
@@ -149,11 +116,9 @@ class SingleToneProcessing:
 
     @property
     def compensation(self) -> Compensation:
-        """What is taken out now."""
         return self._compensation(untouched=not any(map(math.isnan, self._pilot)))
 
     def process(self, frames: Sequence[Frame]) -> list[ForceReading]:
-        """Return the readings that end with one of these adjacent frames."""
         ticks, payloads = [], []
         for frame in frames:
             if isinstance(frame, SingleToneFrame):
@@ -391,7 +356,7 @@ class SingleToneProcessing:
             ("followed" if untouched else "held") if common_mode.known else "unknown",
             math.nan,
             math.nan,
-            "off" if self._sites.response is None else "on",
+            self._response,
         )
 
     def _estimating(self, pilots: int, window: Window) -> tuple[SensorStatus, Reason | None]:
