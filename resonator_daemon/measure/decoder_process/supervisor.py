@@ -19,7 +19,7 @@ import psutil
 from resonator_daemon.base.errors import reason_of
 from resonator_daemon.base.host.load import ProcessUsage
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.measure.decoder_process.worker import LENGTH, packed
+from resonator_daemon.measure.decoder_process.worker import LENGTH
 from resonator_daemon.measure.sensors.surface_decoding import Origin, SurfaceClient, SurfaceDecoding
 from resonator_daemon.measure.sensors.surface_worker import Reply, Request, Results, SurfaceSettings
 from resonator_daemon.mqtt.pacing import Backoff
@@ -175,7 +175,8 @@ class DecoderSupervisor(SurfaceDecoding[Origin]):
     def _send(self, request: SurfaceSettings | Request, within_s: float) -> None:
         """Write a request without waiting; a reply has to come within a time."""
         if self._requests is not None:
-            self._requests.write(packed(request))
+            content = pickle.dumps(request, protocol=5)
+            self._requests.writelines((LENGTH.pack(len(content)), content))
             self._expect_reply(within_s)
 
     async def _read(self, replies: asyncio.StreamReader) -> None:
