@@ -132,25 +132,3 @@ async def test_what_happens_to_the_board(
         async with asyncio.timeout(30):  # after a reboot the sensor's state is still that of the boot before
             while situation(await seen_late(mosquitto)) != expected:
                 pass
-
-
-async def test_states_of_an_earlier_run_do_not_stay(bench: Bench, mosquitto: Mosquitto) -> None:
-    async with (
-        bench.emulated(scenario=bench.scenario(IDEAL)),
-        observe(mosquitto.url) as observer,
-        bench.running(bench.service()),
-    ):
-        await well(observer)
-    async with observe(mosquitto.url) as observer, bench.running(bench.service()) as service:
-        await observer.until(
-            lambda: (
-                {
-                    payload["daemon_boot_id"]
-                    for word in ("daemon", "link", "sensor")
-                    for payload in observer.payloads(f"{BASE}/{word}")[-1:]
-                }
-                == {service.daemon_boot_id}
-            )
-        )
-        states = await seen_late(mosquitto)
-    assert situation(states) == "cable out"

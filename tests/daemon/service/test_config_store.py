@@ -98,16 +98,6 @@ def test_another_file_of_the_same_name_has_a_copy_of_its_own(path: Path) -> None
     assert len(caught.value.messages) == 1  # nothing is said of a copy
 
 
-def test_the_newest_good_one_counts(path: Path) -> None:
-    keeper = store(path)
-    keeper.load()
-    path.write_text(GOOD.replace('"left"', '"right"'))
-    assert keeper.load().config.name == "right"
-    path.write_text("bad\n")
-    assert store(path).load().config.name == "right"
-    assert len(copies(path)) == 1
-
-
 @pytest.mark.parametrize("content", [b"", b"{}", b"\xff", b'{"format": 2}'])
 def test_a_damaged_copy_is_said_and_replaced(path: Path, content: bytes) -> None:
     store(path).load()
@@ -149,16 +139,6 @@ def test_a_full_disk_leaves_the_old_copy(
     assert len(copies(path)) == 1
     path.write_text("bad\n")
     assert store(path).load().config.name == "left"
-
-
-def test_a_plate_that_changes_alone_is_kept_anew(path: Path) -> None:
-    store(path).load()
-    plate = load_plate("quartz16")
-    changed = plate.model_copy(update={"force_max_newton": 0.5 * plate.force_max_newton})
-    (path.parent / "own.toml").write_text(plate_text(changed))
-    assert store(path).load().in_use == "file"
-    (path.parent / "own.toml").unlink()
-    assert store(path).load().config.plate.force_max_newton == changed.force_max_newton
 
 
 PLAIN = 'name = "left"\nplate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'

@@ -89,26 +89,6 @@ async def test_what_a_command_began_goes_on_where_the_configuration_stops_record
     assert (await commands.stop(StopRecording())).was_active
 
 
-async def test_what_the_configuration_began_ends_with_it_and_the_log_says_so(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    caplog.set_level(logging.INFO)
-    switch = RecordingSwitch()
-    commands = RecordingCommands(config(tmp_path), "left", switch)
-    await commands.start(StartRecording(label="mine"))
-    await commands.stop(StopRecording())
-    await commands.adopt(config(tmp_path, autostart=True), None)
-    assert switch.current is not None
-    path = switch.current.path
-    await commands.adopt(config(tmp_path), None)
-    assert switch.current is None
-    assert caplog.messages == [f"recording ended with {path}: [recording] was changed"]
-    await commands.adopt(config(tmp_path, autostart=True), None)
-    await commands.stop(StopRecording())
-    await commands.adopt(config(tmp_path), None)
-    assert len(caplog.messages) == 1
-
-
 async def test_a_replay_is_not_recorded(tmp_path: Path) -> None:
     switch = RecordingSwitch()
     replaying = config(tmp_path, autostart=True).model_copy(update={"link": RecordingTarget("run.mcap")})

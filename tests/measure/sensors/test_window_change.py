@@ -31,13 +31,6 @@ def test_a_held_touch_of_one_tone_goes_on_with_its_force_and_contact(before, aft
     assert readings[0].compensation.common_mode == last.compensation.common_mode
 
 
-def test_a_step_of_one_tone_can_change_alone():
-    bench = Bench(step_frames=5).untouched()
-    bench.chain.set_window(10, 2)
-    readings = bench.hold(UNTOUCHED, 20)
-    assert [reading.sequence % 2 for reading in readings] == [1] * 10
-
-
 def test_a_baseline_learns_as_well_from_another_window_as_from_the_first():
     changed, steady = Bench(window_frames=20, step_frames=5), Bench(window_frames=5, step_frames=5)
     changed.chain.set_window(5, 5)
