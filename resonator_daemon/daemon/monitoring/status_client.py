@@ -3,8 +3,6 @@
 import asyncio
 import grp
 import json
-import os
-import socket
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -14,7 +12,6 @@ from resonator_daemon.base.host.files import runtime_directories
 from resonator_daemon.daemon.monitoring.status_server import SOCKET_NAME
 
 ANSWER_S: Final = 2.0
-_QUEUE_S: Final = 0.01
 _BYTES_MAX: Final = 4 * 1024**2
 
 
@@ -48,7 +45,7 @@ async def _ask(path: Path) -> Answer | None:
     """Return None if no process listens: a daemon that was killed leaves its socket."""
     try:
         async with asyncio.timeout(ANSWER_S):
-            reader, writer = await asyncio.open_unix_connection(sock=await _connect(path))
+            reader, writer = await asyncio.open_unix_connection(path)
             try:
                 answer = await _read_all(reader)
             finally:
@@ -66,23 +63,6 @@ async def _ask(path: Path) -> Answer | None:
     except (ValueError, RecursionError):
         status = None
     return Answer(path, status, None) if isinstance(status, dict) else Answer(path, None, "its answer is no status")
-
-
-async def _connect(path: Path) -> socket.socket:
-    """Connect as soon as the daemon's queue has room; asyncio takes a full one for a connection."""
-    connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    try:
-        connection.setblocking(False)
-        while True:
-            try:
-                connection.connect(os.fspath(path))
-            except BlockingIOError:
-                await asyncio.sleep(_QUEUE_S)
-            else:
-                return connection
-    except BaseException:
-        connection.close()
-        raise
 
 
 async def _read_all(reader: asyncio.StreamReader) -> bytes:

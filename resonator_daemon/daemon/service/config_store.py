@@ -4,11 +4,10 @@ import asyncio
 import hashlib
 import logging
 import os
-import stat
 import time
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Final, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import BaseModel, Field, ValidationError
 
@@ -28,8 +27,6 @@ from resonator_daemon.board.config.values import (
 from resonator_daemon.daemon.monitoring.status import ConfigChange, ConfigStatus
 from resonator_daemon.daemon.service.recordings import as_json_text
 from resonator_daemon.measure.sensors.base import sensor_of
-
-_MAX_COPY_BYTES: Final = 64 << 20  # of two files that were read, one as it was and one with all its defaults
 
 log = logging.getLogger(__name__)
 
@@ -208,10 +205,7 @@ class ConfigStore:
             self._reported = None
 
     def _read(self) -> _Copy:
-        with open(self._copy, "rb", opener=_open_at_once) as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):  # a pipe gives nothing, or waits for ever
-                raise OSError(f"{self._copy} is no regular file; remove it")
-            return _Copy.model_validate_json(file.read(_MAX_COPY_BYTES))
+        return _Copy.model_validate_json(self._copy.read_bytes())
 
     def _kept(self, copy: _Copy) -> bool:
         try:
@@ -240,10 +234,6 @@ def _checked(config: Config, path: Path) -> Config:
 
 def _sha256(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _open_at_once(path: str, flags: int) -> int:
-    return os.open(path, flags | os.O_NONBLOCK)
 
 
 def _reason(error: OSError | ValidationError) -> str:
