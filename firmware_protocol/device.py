@@ -1,7 +1,9 @@
 """The board's side of a session: answers to requests and packing of frames (PROTOCOL.md, sections 4, 6 and 7)."""
 
 import re
+from functools import cache
 from itertools import count
+from zlib import crc32
 
 from firmware_protocol.layouts import (
     BLOCK_STRUCT,
@@ -34,7 +36,9 @@ from firmware_protocol.packets import (
     ForeignVersion,
     Packet,
     PacketDecoder,
+    encode_header,
     encode_packet,
+    packet_check,
 )
 from firmware_protocol.states import BOARD, BoardState, Reaction
 
@@ -139,28 +143,19 @@ class DeviceSession:
         """Return the packet of one single-tone frame."""
         return self._packet(MessageType.FRAME, sequence, board_ticks, records)
 
-    def frame_parts(self, sequence: int, board_ticks: int, channels: list[bytes]) -> list[bytes]:
+    def frame_parts(self, sequence: int, board_ticks: int, channels: list[bytes]) -> bytes:
         """Return the packets of one channelised frame from each channel's tone records."""
-        tones = len(channels[0]) // TONE_STRUCT.size
-        parts_per_channel = -(-tones // MAX_TONES_PER_PART)
-        step = -(-tones // parts_per_channel)
-        starts = range(0, tones, step)
-        packets = []
-        for channel, records in enumerate(channels):
-            for index, first in enumerate(starts):
-                size = min(step, tones - first)
-                block = Block(
-                    channel,
-                    BlockEncoding.TONE_12,
-                    first,
-                    size,
-                    channel * len(starts) + index,
-                    len(channels) * len(starts),
-                )
-                body = memoryview(records)[first * TONE_STRUCT.size : (first + size) * TONE_STRUCT.size]
-                payload = b"".join((BLOCK_STRUCT.pack(*block), body))
-                packets.append(self._packet(MessageType.FRAME_PART, sequence, board_ticks, payload))
-        return packets
+        pieces: list[bytes | memoryview] = []
+        heads: dict[int, tuple[bytes, int]] = {}  # by the length of the body, with CRC: those of equal length are alike
+        views = [memoryview(records) for records in channels]
+        for channel, start, end, block in _blocks(len(channels[0]) // TONE_STRUCT.size, len(channels)):
+            if (head := heads.get(end - start)) is None:
+                size = len(block) + end - start
+                encoded = encode_header(MessageType.FRAME_PART, sequence, size, board_ticks, self._boot_id)
+                head = heads[end - start] = encoded, crc32(encoded)
+            body = views[channel][start:end]
+            pieces += head[0], block, body, packet_check(crc32(body, crc32(block, head[1])))
+        return b"".join(pieces)
 
     def status(self, status: BoardStatus, board_ticks: int) -> bytes:
         return self._packet(MessageType.STATUS, next(self._notices), board_ticks, encode_message(status))
@@ -225,6 +220,20 @@ class DeviceSession:
         if gate_ticks % step:
             raise _RefusedError(RefusalCode.OUT_OF_RANGE, f"gate_ticks must be a multiple of {step}, got {gate_ticks}")
         return configuration
+
+
+@cache
+def _blocks(tones: int, channels: int) -> list[tuple[int, int, int, bytes]]:
+    """Return channel, start and end in its records, and encoded block of each part of a frame."""
+    parts_per_channel = -(-tones // MAX_TONES_PER_PART)
+    step = -(-tones // parts_per_channel)
+    starts = [(channel, first) for channel in range(channels) for first in range(0, tones, step)]
+    blocks = []
+    for part, (channel, first) in enumerate(starts):
+        size = min(step, tones - first)
+        block = BLOCK_STRUCT.pack(*Block(channel, BlockEncoding.TONE_12, first, size, part, len(starts)))
+        blocks.append((channel, first * TONE_STRUCT.size, (first + size) * TONE_STRUCT.size, block))
+    return blocks
 
 
 class _RefusedError(Exception):

@@ -92,6 +92,19 @@ def encode_packet(
     """
     if len(payload) > MAX_PAYLOAD_BYTES:
         raise ValueError(f"payload must have at most {MAX_PAYLOAD_BYTES} bytes, got {len(payload)}")
+    checked = encode_header(message_type, sequence, len(payload), board_ticks, boot_id, major) + payload
+    return checked + packet_check(crc32(checked))
+
+
+def encode_header(
+    message_type: int,
+    sequence: int,
+    payload_bytes: int,
+    board_ticks: int,
+    boot_id: int,
+    major: int = PROTOCOL_MAJOR,
+) -> bytes:
+    """Return what precedes the payload of a packet."""
     head = _CHECKED_HEADER.pack(
         _SYNC_NUMBER,
         major,
@@ -99,10 +112,12 @@ def encode_packet(
         sequence & 0xFFFFFFFF,
         board_ticks & 0xFFFFFFFFFFFFFFFF,
         boot_id,
-        len(payload),
+        payload_bytes,
     )
-    checked = head + _HEADER_CHECK.pack(crc_hqx(head, 0xFFFF)) + payload
-    return checked + _CRC.pack(crc32(checked))
+    return head + _HEADER_CHECK.pack(crc_hqx(head, 0xFFFF))
+
+
+packet_check = _CRC.pack  # what follows the payload, of the CRC-32 of all before
 
 
 class PacketDecoder:

@@ -232,7 +232,7 @@ class Board:
         if self.single_tone:
             data = self._session.frame(sequence, board_ticks, b"".join(counted.channels))
         else:
-            data = b"".join(self._session.frame_parts(sequence, board_ticks, counted.channels))
+            data = self._session.frame_parts(sequence, board_ticks, counted.channels)
         made = MadeFrame(sequence, board_ticks, end_ticks, counted.contacts, counted.plate_kelvin)
         return made, Outgoing(data, sequence)
 

@@ -27,10 +27,15 @@ def normal_noise(bits: np.random.BitGenerator, shape: tuple[int, ...]) -> Single
     size = int(np.prod(shape))
     if size % 2:
         raise ValueError(f"the size of shape must be even, got {shape}")
-    radius_draw, angle_draw = bits.random_raw(size // 2).view(np.uint32).astype(np.float32).reshape(2, -1)
-    radius = np.sqrt(-2.0 * np.log((radius_draw + _HALF) * _PER_STEP))
-    angle = angle_draw * _TURN
+    radius, angle = bits.random_raw(size // 2).view(np.uint32).astype(np.float32).reshape(2, -1)
+    radius += _HALF
+    radius *= _PER_STEP
+    np.log(radius, out=radius)
+    radius *= -2.0
+    np.sqrt(radius, out=radius)
+    angle *= _TURN
     noise: Singles = np.empty((2, size // 2), np.float32)
-    np.multiply(radius, np.cos(angle), out=noise[0])
-    np.multiply(radius, np.sin(angle), out=noise[1])
+    np.cos(angle, out=noise[0])
+    np.sin(angle, out=noise[1])
+    noise *= radius
     return noise.reshape(shape)

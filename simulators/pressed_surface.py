@@ -57,18 +57,18 @@ class PressedSurface:
         self._below = lru_cache(_PLACES_KEPT)(self._seen_from)
 
     def signals(self, centre_m: tuple[float, float], radii_m: Floats, forces_newton: Floats) -> Floats:
-        """Return the signals of the sites below one contact.
+        """Return the signals of the sites below one contact at m moments.
 
         Parameters
         ----------
         centre_m
             Its centre.
         radii_m, forces_newton
-            Of the Hertz loads that it consists of, (p,) and (p, 3), as from `hertz_parts`.
+            Of the Hertz loads that it consists of, (m, p) and (m, p, 3), as from `hertz_parts`.
 
         Returns
         -------
-        p_n in pascals, eps_xz and eps_yz, shape (3, n).
+        p_n in pascals, eps_xz and eps_yz, shape (m, 3, n).
 
         Raises
         ------
@@ -78,22 +78,28 @@ class PressedSurface:
         if not radii_m.max() <= self._ends_m[1] * (1.0 + 1e-9):
             raise ValueError(f"radius {radii_m.max():g} m, tabulated up to {self._ends_m[1]:g} m")
         (x, y), interpolation = self._below(centre_m)
-        force_newton, z = forces_newton.sum(axis=0), self._depth_m
-        shear_newton = float(np.hypot(force_newton[0], force_newton[1]))
-        along_x, along_y = force_newton[:2] / shear_newton if shear_newton else (1.0, 0.0)
-        shear_newtons = forces_newton[:, 0] * along_x + forces_newton[:, 1] * along_y  # all have the same direction
-        integrals = self._integrals(radii_m)
-        over_3, over_3_depth, over_5, _ = np.tensordot(shear_newtons, integrals, axes=1)
-        _, normal_3_depth, _, normal_5_depth = np.tensordot(forces_newton[:, 2], integrals, axes=1)
-        profiles = np.stack([over_3, normal_3_depth, over_5, normal_5_depth, over_3_depth - z * over_3])
-        shear_3, normal_3, shear_5, normal_5, isotropic = (interpolation @ profiles.T).T
-        along = along_x * x + along_y * y
-        outward = 3.0 * z * (along * shear_5 + normal_5)
-        signals = np.empty((3, len(x)))
-        signals[0] = -self._pressure_factor * (along * shear_3 + normal_3)
-        signals[1] = self._strain_factor * (x * outward + along_x * isotropic)
-        signals[2] = self._strain_factor * (y * outward + along_y * isotropic)
+        shear_newton, z = forces_newton[..., :2].sum(axis=1), self._depth_m
+        size_newton = np.hypot(*shear_newton.T)[:, np.newaxis]
+        along = np.divide(shear_newton, size_newton, out=np.full_like(shear_newton, [1.0, 0.0]), where=size_newton > 0)
+        shears_newton = (forces_newton[..., :2] * along[:, np.newaxis]).sum(axis=2)  # all have the same direction
+        integrals = self._integrals(radii_m.ravel()).reshape(*radii_m.shape, -1)
+        over_3, over_3_depth, over_5, _ = self._loaded(shears_newton, integrals)
+        _, normal_3_depth, _, normal_5_depth = self._loaded(forces_newton[..., 2], integrals)
+        profiles = np.concatenate([over_3, normal_3_depth, over_5, normal_5_depth, over_3_depth - z * over_3])
+        at_sites = np.ascontiguousarray((interpolation @ profiles.T).T)
+        shear_3, normal_3, shear_5, normal_5, isotropic = at_sites.reshape(5, len(along), -1)
+        along_x, along_y = along.T[..., np.newaxis]
+        distance_along = along_x * x + along_y * y
+        outward = 3.0 * z * (distance_along * shear_5 + normal_5)
+        signals = np.empty((len(along), 3, len(x)))
+        signals[:, 0] = -self._pressure_factor * (distance_along * shear_3 + normal_3)
+        signals[:, 1] = self._strain_factor * (x * outward + along_x * isotropic)
+        signals[:, 2] = self._strain_factor * (y * outward + along_y * isotropic)
         return signals
+
+    def _loaded(self, forces_newton: Floats, integrals: Floats) -> Floats:
+        """Return the integrals (4, m, 2 d) of m moments, each a sum of p loads (m, p) with integrals (m, p, 8 d)."""
+        return (forces_newton[:, np.newaxis] @ integrals).reshape(len(integrals), 4, -1).swapaxes(0, 1)
 
     def _integrals(self, radii_m: Floats) -> Floats:
         """Return the integrals (p, 4, 2 d) of loads of these radii: values at d distances, then slopes."""

@@ -67,6 +67,11 @@ class Scenario:
         directions = np.radians([touch.shear.direction_deg if touch.shear else 0.0 for touch in touches])
         self._shear_direction = np.stack([np.cos(directions), np.sin(directions)], axis=-1)
 
+    @property
+    def fixed(self) -> bool:
+        """Whether nothing but time decides what presses: there are no clients."""
+        return self._presses is None
+
     def at(self, times_s: Floats) -> Pressing:
         """Return what every touch does at times (n,)."""
         since_s = times_s[:, np.newaxis] - self._start_s

@@ -1,6 +1,7 @@
 """A plate under a soft skin: a partial-slip contact strains it, tones shift, a channelised counter measures them."""
 
 import math
+from collections import deque
 
 import numpy as np
 
@@ -29,6 +30,7 @@ SIGNAL_TO_NOISE_DB = 30.0  # at 1 N without shear, rms over array and signals, c
 GAIN_ERROR = 0.01
 
 _GATE_S = (4e-3, 100e-3)
+_PRESSED_AHEAD = 12  # gates: pressing twelve takes hardly longer than pressing four
 
 
 class SkinPlate:
@@ -66,7 +68,8 @@ class SkinPlate:
         self._tick_rate_hz = reference_hz * (1.0 + reference_error)
         self._random = np.random.default_rng(seed)
         self._noise_bits = self._random.spawn(1)[0].bit_generator
-        self._where = tones.signal_index, tones.site_index
+        self._sites = len(plate.site_ids)
+        self._signal_of_tone = tones.signal_index * self._sites + tones.site_index
         self._oscillator_hz = oscillator_hz
         self._half_spacing_hz = spacing_hz / 2.0
         # Counted against a fast reference, every frequency seems low.
@@ -79,9 +82,12 @@ class SkinPlate:
         self._own_gate_s = 1.0 / plate.counter.frame_rate_hz
         self._own_sigma_hz = self._noise_hz(plate, skin, level_db)
         self._attenuation = attenuation_db256(level_db)
-        self._gate_s = 0.0  # of the following
-        self._offset_std_hz: Singles
-        self._middle_std_turns: Singles
+        # Gates that follow: frequencies (1 or channels, tones) off the oscillators, and contacts; when they begin.
+        self._ahead: deque[tuple[Floats, list[Contact]]] = deque()
+        self._ahead_ticks = 0
+        self._gate_ticks = 0  # of the following
+        self._gate_s = 0.0
+        self._noise_std: Singles  # (2, channels, tones), of a gate's offset in Hz and of its middle in turns
         self._records: ToneRecords
         self.start()
 
@@ -89,20 +95,34 @@ class SkinPlate:
         self._turns = self._random.random(self._own_sigma_hz.shape)
 
     def count(self, board_ticks: int, scenario_ticks: int, gate_ticks: int, frames: int) -> list[CountedFrame]:
-        if (gate_s := gate_ticks / self._reference_hz) != self._gate_s:
-            self._set_gate(gate_s)
-        pressing = self._scenario.at(gate_middles_s(scenario_ticks, gate_ticks, frames, self._tick_rate_hz))
+        if gate_ticks != self._gate_ticks:
+            self._set_gate(gate_ticks)
+        if scenario_ticks != self._ahead_ticks or not self._scenario.fixed:
+            self._ahead.clear()
+        if len(self._ahead) < frames:
+            self._press_ahead(scenario_ticks + len(self._ahead) * gate_ticks, frames)
+        self._ahead_ticks = scenario_ticks + frames * gate_ticks
+        gates = [self._ahead.popleft() for _ in range(frames)]
+        return [CountedFrame(self._count_gate(true_hz), contacts) for true_hz, contacts in gates]
+
+    def _press_ahead(self, scenario_ticks: int, frames: int) -> None:
+        """Add so many gates, or more, to those whose frequencies are known."""
+        if self._scenario.fixed:
+            frames = max(frames, _PRESSED_AHEAD)
+        pressing = self._scenario.at(gate_middles_s(scenario_ticks, self._gate_ticks, frames, self._tick_rate_hz))
         radii_m, parts_newton = hertz_parts(
             pressing.force_newton, pressing.radius_m_at_1_newton, pressing.friction_coefficient
         )
-        signals: list[Floats | None] = [None] * frames
-        for frame, touch in np.argwhere(pressing.force_newton[..., 2] > 0.0).tolist():
-            x, y = pressing.position_m[frame, touch].tolist()
-            of_touch = self._surface.signals((x, y), radii_m[frame, touch], parts_newton[frame, touch])
-            before = signals[frame]
-            signals[frame] = of_touch if before is None else before + of_touch
-        contacts = self._contacts(pressing, radii_m)
-        return [CountedFrame(self._count_gate(signals[frame]), contacts[frame]) for frame in range(frames)]
+        true_hz = [self._still_hz] * frames
+        if (pressed := pressing.force_newton[..., 2] > 0.0).any():
+            signals = np.zeros((frames, 3, self._sites))
+            for touch in np.flatnonzero(pressed.any(axis=0)):
+                during = pressed[:, touch]
+                x, y = pressing.position_m[0, touch].tolist()  # throughout: nothing slides on a skin
+                signals[during] += self._surface.signals((x, y), radii_m[during, touch], parts_newton[during, touch])
+            of_tones = signals.reshape(frames, -1).take(self._signal_of_tone, axis=1)
+            true_hz = list(self._f0_hz / (1.0 - self._sensitivity * of_tones[:, np.newaxis]) - self._oscillator_hz)
+        self._ahead += zip(true_hz, self._contacts(pressing, radii_m), strict=True)
 
     def _contacts(self, pressing: Pressing, radii_m: Floats) -> list[list[Contact]]:
         """Return what touches at each moment, with radii (frames, touches, 2) of contact and stick."""
@@ -116,24 +136,23 @@ class SkinPlate:
             ]
         return contacts
 
-    def _set_gate(self, gate_s: float) -> None:
+    def _set_gate(self, gate_ticks: int) -> None:
         # White phase noise: the slope of a gate is off by length^(-3/2).
-        self._gate_s = gate_s
+        self._gate_ticks = gate_ticks
+        self._gate_s = gate_s = gate_ticks / self._reference_hz
+        self._ahead.clear()
         sigma_hz = self._own_sigma_hz * (self._own_gate_s / gate_s) ** 1.5
-        self._offset_std_hz = sigma_hz.astype(np.float32)
         # The middle of a gate is off by length/sqrt(12) times the deviation of its slope.
-        self._middle_std_turns = (sigma_hz * (gate_s / math.sqrt(12.0))).astype(np.float32)
+        self._noise_std = np.stack([sigma_hz, sigma_hz * (gate_s / math.sqrt(12.0))]).astype(np.float32)
         self._records = ToneRecords(sigma_hz, self._attenuation, self._half_spacing_hz)
 
-    def _count_gate(self, signals: Floats | None) -> list[bytes]:
-        """Return the records of each channel in the next gate, under signals (3, sites)."""
-        true_hz = self._still_hz  # (1 or channels, tones)
-        if signals is not None:
-            true_hz = self._f0_hz / (1.0 - self._sensitivity * signals[self._where]) - self._oscillator_hz
+    def _count_gate(self, true_hz: Floats) -> list[bytes]:
+        """Return the records of each channel in the next gate, of tones (1 or channels, tones) off their oscillators."""
         noise = normal_noise(self._noise_bits, (2, *self._turns.shape))
-        offset_hz = true_hz + self._offset_std_hz * noise[0]
+        noise *= self._noise_std
+        offset_hz = true_hz + noise[0]
         middle_turns = self._turns + true_hz * (self._gate_s / 2.0)
-        middle_turns += self._middle_std_turns * noise[1]
+        middle_turns += noise[1]
         self._turns += true_hz * self._gate_s
         self._turns -= np.floor(self._turns)
         return self._records.gate(offset_hz, middle_turns)
@@ -154,7 +173,7 @@ class SkinPlate:
         )
         triple = signals * to_triple[:, np.newaxis]
         triple_std = math.sqrt((triple**2).mean()) * 10.0 ** (-SIGNAL_TO_NOISE_DB / 20.0)
-        tone_std_hz = plate.tones.f0_hz.T * np.abs(plate.tones.sensitivity.T) * triple_std / to_triple[self._where[0]]
+        tone_std_hz = plate.tones.f0_hz.T * np.abs(plate.tones.sensitivity.T) * triple_std / to_triple[plate.tones.signal_index]
         power = 10.0 ** (level_db / 10.0)
         sigma_hz: Floats = tone_std_hz / np.sqrt(power / power.sum(axis=0))
         return sigma_hz

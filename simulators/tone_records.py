@@ -10,6 +10,9 @@ from simulators.plate import record_type
 
 _TONE = record_type(TONE_FIELDS)
 _OUT_OF_BAND = np.uint8(ToneFlag.OUT_OF_BAND)
+# The last of a double's 52 binary places is worth 2^-32 or 2^-16 in a sum with these: adding one rounds to the wire's
+# unit, half to even, and leaves the rounded number in the low 32 bits of the sum, modulo 2^32.
+_TO_TURN32, _TO_HZ16 = 1.5 * 2.0 ** (52 - 32), 1.5 * 2.0 ** (52 - 16)
 
 
 def even_oscillators(plate: Plate) -> tuple[Floats, float]:
@@ -42,6 +45,7 @@ class ToneRecords:
     def __init__(self, sigma_hz: Floats, attenuation_db256: npt.NDArray[np.uint16], half_spacing_hz: float) -> None:
         self._half_spacing_hz = half_spacing_hz
         self._records = np.zeros(sigma_hz.shape, dtype=_TONE)
+        self._rounded = np.empty(sigma_hz.shape)
         self._records["attenuation_db256"] = attenuation_db256
         self._records["sigma_code"] = np.clip(np.rint(128.0 + 8.0 * np.log2(sigma_hz)), 0, 255)
 
@@ -55,8 +59,11 @@ class ToneRecords:
         middle_turns
             Phase (channels, tones) against it in the middle of the gate; whole turns do not matter.
         """
-        records = self._records
-        records["phase_turn32"] = np.rint(middle_turns * 2.0**32).astype(np.int64)  # modulo a turn
-        records["offset_hz16"] = np.rint(offset_hz * 2.0**16).astype(np.int32)
-        records["flags"] = (np.abs(offset_hz) > self._half_spacing_hz) * _OUT_OF_BAND
+        records, rounded = self._records, self._rounded
+        np.add(middle_turns, _TO_TURN32, out=rounded)
+        records["phase_turn32"] = rounded.view(np.int64)  # modulo a turn
+        np.add(offset_hz, _TO_HZ16, out=rounded)
+        records["offset_hz16"] = rounded.view(np.int64)
+        beyond = np.abs(offset_hz, out=rounded) > self._half_spacing_hz
+        records["flags"] = beyond * _OUT_OF_BAND if beyond.any() else 0
         return [channel.tobytes() for channel in records]

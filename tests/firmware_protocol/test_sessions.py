@@ -101,4 +101,4 @@ def test_frames_arrive_as_they_were_sent() -> None:
         for channel, data in enumerate(channels)
         for half, (first, tones) in enumerate(((0, 373), (373, 372)))
     ]
-    assert host.receive(b"".join(device.frame_parts(8, 10, channels))) == expected
+    assert host.receive(device.frame_parts(8, 10, channels)) == expected
