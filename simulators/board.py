@@ -213,7 +213,7 @@ class Board:
 
     def next_output(self) -> Outgoing | None:
         """Remove and return what goes out next."""
-        return self._queue.take(self._board_ticks)
+        return self._queue.take(self._now_ticks - self._boot_ticks)
 
     @property
     def _board_ticks(self) -> int:

@@ -134,6 +134,7 @@ class Emulator:
         self._tick_rate_hz = plate.counter.reference_hz * (1.0 + scenario.physics.reference_error)
         self._ticks_per_ns = self._tick_rate_hz * options.speed * 1e-9
         self._truth_delay_ticks = _TRUTH_DELAY_NS * self._ticks_per_ns
+        self._late_ticks = LATE_MAX_S * self._tick_rate_hz
         self._frames_too_late = 0
         self._made: list[MadeFrame] = []  # whose truth has not been written
         self._newest: MadeFrame | None = None
@@ -159,7 +160,7 @@ class Emulator:
         # A second thread of the linear algebra would only spin.
         with self._resources, threadpool_limits(1):
             self._origin_ns = time.monotonic_ns()
-            board, readable = self._board, False
+            board, output, readable = self._board, self._output, False
             while not self._stopping:
                 if self._script.next_s is not None:
                     self._follow_script(self._now_ticks())
@@ -170,7 +171,7 @@ class Emulator:
                 made = board.advance(now_ticks)
                 if data:
                     self._receive(data, now_ticks)
-                self._output.send(now_ns, self._elapsed_s(now_ticks))
+                output.send(now_ns, 0.0 if output.faultless else self._elapsed_s(now_ticks))
                 if made:
                     self._made += made
                     self._newest = made[-1]
@@ -182,7 +183,7 @@ class Emulator:
     def _skip_late(self, now_ticks: int) -> None:
         """Drop the due frames if they are more than LATE_MAX_S late: computing them all would increase the delay."""
         due_ticks = self._board.next_frame_ticks
-        if due_ticks is not None and now_ticks - due_ticks > LATE_MAX_S * self._tick_rate_hz:
+        if due_ticks is not None and now_ticks - due_ticks > self._late_ticks:
             self._frames_too_late += self._board.skip_gates(now_ticks, dropped=True)
 
     def stop(self) -> None:
@@ -326,7 +327,8 @@ class Emulator:
     def _wait(self) -> bool:
         """Wait for what is due next, for the link or for `stop`; return whether the link has something to read."""
         link, output = self.link, self._output
-        writers = [link.write_fd] if link.write_fd is not None and output.waits_for_room else []
+        room_wanted, output_ns = output.waits_for()
+        writers = [link.write_fd] if room_wanted and link.write_fd is not None else []
         of_link = [] if output.held else link.read_fds
         readers = [self._wake_read_fd, *of_link]
         if self._control is not None:
@@ -335,15 +337,15 @@ class Emulator:
         due_ns = math.inf
         if (frame_ticks := self._board.next_frame_ticks) is not None:
             due_ns = frame_ticks / self._ticks_per_ns
-        if (step_ticks := self._next_step_ticks) is not None:
+        if self._script.next_s is not None and (step_ticks := self._next_step_ticks) is not None:
             due_ns = min(due_ns, step_ticks / self._ticks_per_ns)
-        if link.write_fd is not None and (output_ns := output.next_ns) is not None:
+        if output_ns is not None and link.write_fd is not None:
             due_ns = min(due_ns, output_ns)
         wait_s = (self._origin_ns + due_ns - time.monotonic_ns()) * 1e-9
         readable, writable, _ = select.select(readers, writers, [], None if wait_s == math.inf else max(wait_s, 0.0))
         if self._control is not None:
             self._control.serve({*readable, *writable})
-        return any(fd in of_link for fd in readable)
+        return bool(readable) and any(fd in of_link for fd in readable)
 
 
 def _draw_boot_id() -> int:

@@ -67,9 +67,10 @@ class OscillatorNoise:
 
         flicker = normal[:, :poles]
         flicker *= self._kick
-        before = self._poles
+        before, decayed, decay = self._poles, np.empty_like(self._poles), self._decay
         for now in flicker:
-            now += self._decay * before
+            np.multiply(decay, before, out=decayed)
+            np.add(now, decayed, out=now)
             before = now
         self._poles = before.copy()
 
@@ -91,6 +92,7 @@ class OscillatorNoise:
         pole_hz = highest_hz * 10.0 ** (-np.arange(poles)[:, np.newaxis] / _POLES_PER_DECADE)
         turn = 2.0 * np.pi * pole_hz * dt_s
         self._dt_s = dt_s
-        self._decay = np.exp(-turn)
-        self._kick = self._flicker_std * np.sqrt(-np.expm1(-2.0 * turn))
         self._poles = self._flicker_std * self._random.standard_normal((poles, self._walk.size))
+        # Repeated for each oscillator: what is contiguous is multiplied at once.
+        self._decay = np.exp(-turn).repeat(self._walk.size, axis=1)
+        self._kick = (self._flicker_std * np.sqrt(-np.expm1(-2.0 * turn))).repeat(self._walk.size, axis=1)

@@ -22,7 +22,7 @@ class Output:
         self._faults = ByteFaults(plan, seed)
         self._line = Line(plan, seed)
         self._splitter = Splitter(plan, seed)
-        self._faultless = self._faults.harmless and self._line.straight
+        self.faultless = self._faults.harmless and self._line.straight
         self._unlimited = self._splitter.unlimited
         self._lot: Lot | None = None  # is being written
         self._unsent: bytes | memoryview = b""  # of it
@@ -37,15 +37,14 @@ class Output:
         """Frames that left the board and not the link."""
         return self._line.frames + (self._lot.frames if self._lot is not None else 0)
 
-    @property
-    def waits_for_room(self) -> bool:
-        """Whether the next bytes go out as soon as the link can be written."""
-        return self._lot is not None and self._splitter.takes_more
+    def waits_for(self) -> tuple[bool, int | None]:
+        """Return whether the next bytes go out as soon as the link can be written, and when something is due.
 
-    @property
-    def next_ns(self) -> int | None:
-        """When something is due, or a slow reader takes more again; None where only others can move it."""
-        return self._line.next_due_ns if self._lot is None else self._splitter.next_ns
+        The latter is also when a slow reader takes more again; None where only others can move it.
+        """
+        if self._lot is not None:
+            return self._splitter.takes_more, self._splitter.next_ns
+        return False, None if self.faultless else self._line.next_due_ns
 
     def cut_next_frame(self, then: Callable[[], None]) -> None:
         """Write only the first half of the next frame, then call `then`, which ends the board; at once without host."""
@@ -54,6 +53,8 @@ class Output:
     def send(self, now_ns: int, elapsed_s: float) -> None:
         """Write what can be written now, `elapsed_s` after the first START."""
         link = self._link
+        if self.faultless and self._unlimited and self._lot is None and self._after_cut is None and not self.held:
+            self._send_whole()
         while link.write_fd is not None:
             if self._lot is None:
                 self._lot = self._next_lot(now_ns, elapsed_s)
@@ -63,6 +64,18 @@ class Output:
             if not self._write(self._lot, now_ns) and link.write_fd is not None:
                 return  # the host does not take more now
         self.lose()
+
+    def _send_whole(self) -> None:
+        """Write what the board has until the host takes no more: the short way of most frames."""
+        link, next_output = self._link, self._board.next_output
+        while link.write_fd is not None and (outgoing := next_output()) is not None:
+            data, is_frame = outgoing.data, outgoing.sequence is not None
+            written = link.write(data)
+            self.bytes_sent += written
+            if written < len(data):
+                self._lot, self._unsent = Lot(data, is_frame), memoryview(data)[written:]
+                return
+            self.frames_sent += is_frame
 
     def host_connects(self, now_ticks: int) -> bool:
         """Return whether to serve a new TCP connection; if so, discard the output for the former one."""
@@ -86,7 +99,7 @@ class Output:
         """Return the lot that is written next; None if none is due."""
         if self.held:
             return self._line.pop(now_ns)
-        if self._faultless and self._after_cut is None:
+        if self.faultless and self._after_cut is None:
             outgoing = self._board.next_output()
             return None if outgoing is None else Lot(outgoing.data, 0 if outgoing.sequence is None else 1)
         self._fill_line(now_ns, elapsed_s)

@@ -51,25 +51,27 @@ _ACTIONS = {
 
 
 class Script:
-    """Steps in the order of time, those at once in the order of the plan; random unplugs follow each other for ever."""
+    """Steps in the order of time, those at once in the order of the plan; random unplugs follow each other for ever.
+
+    `next_s` is when the next step is due, None after the last one.
+    """
 
     def __init__(self, plan: FaultPlan, seed: int) -> None:
         planned = sorted((step for event in plan.events for step in _steps(event)), key=_at_s)
         self._steps = heapq.merge(planned, _random_unplugs(plan, seed), key=_at_s)
-        self._next = next(self._steps, None)
-
-    @property
-    def next_s(self) -> float | None:
-        """When the next step is due; None after the last one."""
-        return None if self._next is None else self._next.at_s
+        self._advance()
 
     def pop(self) -> Step:
         """Remove and return the next step; there must be one."""
         step = self._next
         if step is None:
             raise LookupError("the script is at its end")
-        self._next = next(self._steps, None)
+        self._advance()
         return step
+
+    def _advance(self) -> None:
+        self._next = next(self._steps, None)
+        self.next_s = None if self._next is None else self._next.at_s
 
 
 def _at_s(step: Step) -> float:
