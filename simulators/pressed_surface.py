@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
 from scipy.sparse import csr_array
 
 from simulators.arrays import Floats
@@ -49,11 +48,10 @@ class PressedSurface:
         self._ends_m = distance_max_m, radius_max_m
         # All integrals are even in distance and radius, hence slopes of 0 at the lower ends.
         values = np.stack([potential_integrals(distances_m**2, depth_m, float(radius)) for radius in radii_m])
-        by_distance = CubicSpline(distances_m, values, axis=2, bc_type=("clamped", "not-a-knot"))
-        fields = np.concatenate([values, by_distance(distances_m, 1) * self._spacing_m[0]], axis=-1)
-        by_radius = CubicSpline(radii_m, fields, bc_type=("clamped", "not-a-knot"))
+        by_distance = _spline_slopes(distances_m, values.transpose(2, 0, 1)).transpose(1, 2, 0)
+        fields = np.concatenate([values, by_distance * self._spacing_m[0]], axis=-1)
         # Radius, value and slope over it, integral, values and then slopes over distance.
-        self._table = np.stack([fields, by_radius(radii_m, 1) * self._spacing_m[1]], axis=1)
+        self._table = np.stack([fields, _spline_slopes(radii_m, fields) * self._spacing_m[1]], axis=1)
         self._below = lru_cache(_PLACES_KEPT)(self._seen_from)
 
     def signals(self, centre_m: tuple[float, float], radii_m: Floats, forces_newton: Floats) -> Floats:
@@ -125,6 +123,29 @@ class PressedSurface:
 
 def _knots(end_m: float, depth_m: float) -> Floats:
     return np.linspace(0.0, end_m, 4 + math.ceil(_KNOTS_PER_DEPTH * end_m / depth_m))
+
+
+def _spline_slopes(knots: Floats, values: Floats) -> Floats:
+    """Return the slopes (n, ...) of a cubic spline at its knots, 0 at the first; the last knot but one is none.
+
+    The tridiagonal system of its continuous curvature; scipy.interpolate takes most of a second to import.
+    """
+    step = np.diff(knots).reshape(-1, *[1] * (values.ndim - 1))
+    secant, last = np.diff(values, axis=0) / step, float(knots[-1] - knots[-3])
+    below = np.append(step.ravel()[1:], last)
+    above = np.insert(step.ravel()[:-1], 0, 0.0)
+    diagonal = np.concatenate([[1.0], 2.0 * (step[:-1] + step[1:]).ravel(), step[-2].ravel()])
+    slopes = np.zeros_like(values)
+    slopes[1:-1] = 3.0 * (step[1:] * secant[:-1] + step[:-1] * secant[1:])
+    slopes[-1] = (step[-1] ** 2 * secant[-2] + (2.0 * last + step[-1]) * step[-2] * secant[-1]) / last
+    for row in range(len(below)):
+        share = below[row] / diagonal[row]
+        diagonal[row + 1] -= share * above[row]
+        slopes[row + 1] -= share * slopes[row]
+    slopes[-1] /= diagonal[-1]
+    for row in reversed(range(len(above))):
+        slopes[row] = (slopes[row] - above[row] * slopes[row + 1]) / diagonal[row]
+    return slopes
 
 
 def _hermite_weights(fraction: Floats) -> Floats:

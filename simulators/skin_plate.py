@@ -147,7 +147,7 @@ class SkinPlate:
         self._records = ToneRecords(sigma_hz, self._attenuation, self._half_spacing_hz)
 
     def _count_gate(self, true_hz: Floats) -> list[bytes]:
-        """Return the records of each channel in the next gate, of tones (1 or channels, tones) off their oscillators."""
+        """Return the records of each channel in the next gate, for offsets (1 or channels, tones) of its tones."""
         noise = normal_noise(self._noise_bits, (2, *self._turns.shape))
         noise *= self._noise_std
         offset_hz = true_hz + noise[0]
@@ -173,7 +173,8 @@ class SkinPlate:
         )
         triple = signals * to_triple[:, np.newaxis]
         triple_std = math.sqrt((triple**2).mean()) * 10.0 ** (-SIGNAL_TO_NOISE_DB / 20.0)
-        tone_std_hz = plate.tones.f0_hz.T * np.abs(plate.tones.sensitivity.T) * triple_std / to_triple[plate.tones.signal_index]
+        tones = plate.tones
+        tone_std_hz = tones.f0_hz.T * np.abs(tones.sensitivity.T) * triple_std / to_triple[tones.signal_index]
         power = 10.0 ** (level_db / 10.0)
         sigma_hz: Floats = tone_std_hz / np.sqrt(power / power.sum(axis=0))
         return sigma_hz

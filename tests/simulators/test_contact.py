@@ -80,7 +80,7 @@ def test_random_presses_are_as_by_the_closed_form(name: str, nu: float) -> None:
         angle, share = random.uniform(0.0, 2.0 * np.pi), random.choice([0.0, 1.0, random.uniform()])
         force = np.array([np.cos(angle), np.sin(angle), 0.0]) * share * friction * normal + [0.0, 0.0, normal]
         of_1_newton_m = radius_m / normal ** (1 / 3)
-        found = surface.signals((x, y), *hertz_parts(force, of_1_newton_m, friction))
+        (found,) = surface.signals((x, y), *hertz_parts([force], of_1_newton_m, friction))
         exact = pressed_signals(
             sites_m, skin.depth_m, skin.youngs_modulus_pascal, nu, (x, y), of_1_newton_m, friction, force
         )
@@ -92,6 +92,6 @@ def test_random_presses_are_as_by_the_closed_form(name: str, nu: float) -> None:
 def test_what_is_beyond_the_table_is_an_error() -> None:
     surface = PressedSurface([(0.0, 0.0), (1e-3, 0.0)], 1e-3, 2e5, 0.5, 3e-3, 2e-3)
     with pytest.raises(ValueError, match="radius"):
-        surface.signals((0.0, 0.0), *hertz_parts((0.0, 0.0, 1.0), 2.1e-3, 0.5))
+        surface.signals((0.0, 0.0), *hertz_parts([(0.0, 0.0, 1.0)], 2.1e-3, 0.5))
     with pytest.raises(ValueError, match="site"):
-        surface.signals((-2.1e-3, 0.0), *hertz_parts((0.0, 0.0, 1.0), 1e-3, 0.5))
+        surface.signals((-2.1e-3, 0.0), *hertz_parts([(0.0, 0.0, 1.0)], 1e-3, 0.5))
