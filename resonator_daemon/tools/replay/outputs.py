@@ -7,9 +7,7 @@ import sys
 import time
 from contextlib import aclosing
 from pathlib import Path
-from typing import Any, Final, Literal, Self, TextIO
-
-import numpy as np
+from typing import Final, Literal, Self, TextIO
 
 from resonator_daemon.base.errors import ExitCode, UserError, meaning_of
 from resonator_daemon.base.host.files import NoNewFileError, check_new, takes_a_stream
@@ -85,18 +83,12 @@ def payload_json(message: Message | Encoded) -> str:
     """Return what is published as JSON; for a message with arrays, the same keys with rows of numbers."""
     if isinstance(message, Encoded):
         return message.payload.decode()
-    return message.model_dump_json(fallback=_rows)
+    return message.model_dump_json(fallback=lambda array: array.tolist())
 
 
 def line(published: Published) -> str:
     """Return topic and payload as one JSON object."""
     return f'{{"topic":"{published.topic.path}","payload":{payload_json(published.message)}}}'
-
-
-def _rows(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} is nothing that messages have")
 
 
 LOOK_S: Final = 1.0  # for what the broker has retained

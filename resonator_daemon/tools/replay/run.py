@@ -132,7 +132,9 @@ async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[d
     if options.output is not None:
         output, boot_id, speed = FileOutput(options.output), None, options.speed or math.inf
     else:
-        name = _given(options.name) if options.name else _recorded(path, config)
+        name = _usable(
+            options.name or _recorded_name(path, config), "--name" if options.name else f"the name in {path}"
+        )
         output = BrokerOutput(_broker(options.url, config), name, path.name)
         boot_id, speed = output.daemon_boot_id, options.speed or 1.0
         summary["name"] = name
@@ -209,16 +211,8 @@ def _recorded_name(path: Path, config: Config | None) -> str:
     raise ConfigurationError(f"{path} has neither the name of a daemon nor the serial number of a board; give --name")
 
 
-def _recorded(path: Path, config: Config | None) -> str:
-    name = _recorded_name(path, config)
+def _usable(name: str, by: str) -> str:
     try:
         return plate_name(name)
     except ValueError as error:
-        raise ConfigurationError(f"name {name!r} {error}; give another by --name") from error
-
-
-def _given(name: str) -> str:
-    try:
-        return plate_name(name)
-    except ValueError as error:
-        raise UsageError(f"--name: {name!r} {error}") from error
+        raise UsageError(f"{by}: {name!r} {error}; give another by --name") from error

@@ -12,7 +12,7 @@ TOKEN = b"0123456789abcdef"
 BEARER = b"Authorization: Bearer " + TOKEN
 UPGRADE = (b"Upgrade: websocket", b"Connection: Upgrade", b"Sec-WebSocket-Version: 13")
 KEY = b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA=="
-FORM, PARTS = b"application/x-www-form-urlencoded", b"multipart/form-data; boundary=b"
+FORM = b"application/x-www-form-urlencoded"
 
 
 def get(*headers: bytes, path: bytes = b"/", host: bytes = b"127.0.0.1:8600") -> bytes:
@@ -64,20 +64,12 @@ REQUESTS = {
         get(BEARER, b"Origin: http://127.0.0.1:8600", b"Origin: http://evil.example"),
         *map(identified, (b"Bearer \xff", b"\xff", BEARER + b"\xff", b"Bearer \xed\xa0\x80", b"Bearer " + b"a" * 9000)),
         get(BEARER, BEARER),
-        *(get(BEARER, header) for header in (b"X", b"X\xff: 1", b"X: \0", b"Accept: \xff", b"X: " + b"a" * 20_000)),
-        get(b"Cookie: " + b"x" * 9000),
-        *map(at, (b"/\xff", b"x", b"http://[/", b"/" + b"a" * 9000)),
-        *(opening(*UPGRADE, b"Sec-WebSocket-Key: " + key) for key in (b"x", b"\xff", "é".encode())),
-        opening(*UPGRADE[:2], KEY, b"Sec-WebSocket-Version: \xff"),
-        opening(KEY, b"Upgrade: \xff", b"Connection: Upgrade"),
+        *map(at, (b"/\xff", b"x", b"http://[/")),
+        opening(*UPGRADE, b"Sec-WebSocket-Key: x"),
         opening(*UPGRADE, KEY, b"Origin: http://["),
         *(login(b"token=" + TOKEN, kind) for kind in (b"text/plain", b"\xff", b"", b"application/json", FORM + b"\0")),
-        *(login(body, PARTS) for body in (b"", b"x", b"--b\r\n\r\n", b"--b--\r\n")),
         login(b"--b\r\n", b"multipart/form-data"),
-        login(b"zz\r\n", FORM, b"Transfer-Encoding: chunked"),
-        login(b"", FORM + b"\r\nTransfer-Encoding: chunked").replace(b"Content-Length: 0\r\n", b"") + b"zz\r\n",
         b"\xff\r\n\r\n",
-        b"GET / HTTP/9.9\r\nHost: 127.0.0.1\r\n\r\n",
     ],
     401: [
         get(),

@@ -1,18 +1,16 @@
-"""The golden corpus: every scenario and fault replays as it did, and what counts as a difference."""
+"""The golden corpus: every scenario and fault replays as it did."""
 
 import json
 import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
-from corpus_cases import ABSENT, CORPUS, EXPECTED_FILE, Outcome, case_differences, read_expected, replay_case
+from corpus_cases import CORPUS, EXPECTED_FILE, case_differences, read_expected, replay_case
 
 from resonator_daemon.commands import main
 
-EXPECTED = {"a": 1, "b": "one", "f": [0.0, 2.0], "g": [{"x": 1e-9}, {"x": 4e-9}], "n": None, "t": True}
 CASES = sorted(path.parent for path in CORPUS.glob(f"*/{EXPECTED_FILE}"))
 
 
@@ -64,21 +62,3 @@ def test_replays_are_equal_to_the_byte_in_every_process(tmp_path: Path) -> None:
     subprocess.run(command, check=True, env=environment, capture_output=True, timeout=60)
     assert here.read_bytes() == there.read_bytes()
     assert here.read_bytes().count(b"\n") > 300
-
-
-@pytest.mark.parametrize(
-    ("change", "found"),
-    [
-        ({"f": [1.9e-6, 2.0 - 1.9e-6]}, {}),  # as other processors round
-        ({"g": [{"x": 1e-9 + 3.9e-15}, {"x": 4e-9}]}, {}),
-        ({"a": 1.0}, {"a": (1, 1.0)}),
-        ({"n": 0.0}, {"n": (None, 0.0)}),
-        ({"f": [2.1e-6, 2.0, 3.0]}, {"f[]": (2, 3), "f[0]": (0.0, 2.1e-6), "f[2]": (ABSENT, 3.0)}),
-        ({"g": [{"x": 1e-9 + 4.1e-15}, {}]}, {"g[0] x": (1e-9, 1e-9 + 4.1e-15), "g[1] x": (4e-9, ABSENT)}),
-        ({"more": 1}, {"more": (ABSENT, 1)}),
-    ],
-)
-def test_what_is_a_difference(change: dict[str, Any], found: dict[str, tuple[object, object]]) -> None:
-    line = {"topic": "forces", "number": 0, "now_ns": "1"}
-    expected, got = (Outcome({"messages": {}}, [line | {"payload": EXPECTED | other}]) for other in ({}, change))
-    assert case_differences(expected, got) == {f"forces 0 {key}": values for key, values in found.items()}

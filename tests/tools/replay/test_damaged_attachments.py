@@ -6,11 +6,8 @@ from pathlib import Path
 import pytest
 from command_line import exit_code
 
-from resonator_daemon.board.recording.reader import open_recording
-
 RECORDING = Path(__file__).parents[2] / "corpus" / "touches" / "recording.mcap"
 WHOLE = RECORDING.read_bytes()
-ATTACHMENT = 9  # its opcode
 FORCE_MAX = b"force_max_newton = "
 SETTING = WHOLE.index(b"window_ms = ") + 12
 
@@ -21,13 +18,6 @@ def flipped(path: Path, place: int, bit: int = 2) -> Path:
     bent[place] ^= bit
     path.write_bytes(bent)
     return path
-
-
-def content_of(name: bytes) -> range:
-    """Where the content of an attachment's record is."""
-    begin = WHOLE.index(name) - 4 - 16  # the length of its name, two times
-    assert WHOLE[begin - 9] == ATTACHMENT
-    return range(begin, begin + int.from_bytes(WHOLE[begin - 8 : begin], "little"))
 
 
 def in_plate() -> int:
@@ -45,16 +35,3 @@ def test_no_numbers_follow_from_it(tmp_path: Path, capsys: pytest.CaptureFixture
         error = json.loads(capsys.readouterr().out)["error"]
         assert (error["code"], f"attachment {name} " in error["message"]) == ("config", True)
         assert not output.exists()
-
-
-@pytest.mark.parametrize("name", [b"plate.toml", b"settings.toml"])
-def test_each_byte_counts(tmp_path: Path, name: bytes) -> None:
-    content = content_of(name)
-    for place in [*content[:60], *content[60:-40:97], *content[-40:]]:
-        path = flipped(tmp_path / "bent.mcap", place, 1 << place % 8)
-        with open_recording(str(path)) as recording:
-            assert len(recording.damaged_attachments) == 1
-            assert (recording.plate_text is None) == (name == b"plate.toml")
-            assert (recording.settings_text is None) == (name == b"settings.toml")
-            next(recording.events())
-            assert recording.damage is None
