@@ -15,9 +15,9 @@ def rows(text: str) -> dict[tuple[str, ...], list[float]]:
     found = {}
     for line in re.findall(r"^\|(.*)\|$", text, re.MULTILINE):
         cells = [cell.strip() for cell in line.split("|")]
-        numbers = [re.fullmatch(r"[\d.]+|(\d+) of \d+", cell) for cell in cells]
+        numbers = [re.fullmatch(r"\d+(\.\d+)?|(\d+) of \d+", cell) for cell in cells]
         key = tuple(cell for cell, number in zip(cells, numbers, strict=True) if not number)
-        found[*key, str(len(cells))] = [float(number[1] or number[0]) for number in numbers if number]
+        found[*key, str(len(cells))] = [float(number[2] or number[0]) for number in numbers if number]
     return found
 
 

@@ -152,7 +152,6 @@ class SiteErrors:
         response, count = self._sites.response, len(self._sites.positions_m)
         self._inverse = ResponseInverse(count, response, self._sites.force_max_newton) if response else None
         self._since_s = np.full(count, math.nan)
-        self._silent = np.zeros(count, dtype=bool)
         self._all_silent = False
         self._unproven = np.zeros(count, dtype=bool)
 
@@ -170,8 +169,8 @@ class SiteErrors:
         if self._all_silent:
             return
         if self._inverse is not None:
-            self._inverse.release(np.flatnonzero(~self._silent), time_s)
-        self._silent[:] = self._all_silent = True
+            self._inverse.release(np.arange(len(self._since_s)), time_s)
+        self._all_silent = True
         self._since_s[:] = math.nan
 
     def press(
@@ -191,7 +190,7 @@ class SiteErrors:
         """
         since_s = np.where(np.isnan(self._since_s[sites]), time_s, self._since_s[sites])
         self._since_s[sites] = np.where(touched, since_s, math.nan)
-        self._silent[sites] = self._all_silent = False
+        self._all_silent = False
         force, noise, of_response = felt_newton, noise_newton, np.zeros(len(sites))
         if self._inverse is None:
             unmodelled = self.unmodelled_newton(force)
