@@ -10,7 +10,6 @@ from resonator_daemon.mqtt.message_examples import (
     ANSWER_EXAMPLES,
     ARRAY_EXAMPLES,
     EXAMPLES,
-    FURTHER_EXAMPLES,
     REQUEST_EXAMPLES,
 )
 from resonator_daemon.mqtt.payloads import WITH_ARRAYS, Message
@@ -159,7 +158,6 @@ class _Document:
                     "messages": [_message_of(_REPLY, answer) for answer in answers],
                 },
                 "x-changes": verb.changes,
-                "x-idempotent": verb.idempotent,
             }
         )
         about = "Its answer, where no response topic was named."
@@ -204,16 +202,10 @@ def _messages() -> Object:
         kind.__name__: _versioned(kind.__name__, CBOR if kind in WITH_ARRAYS else JSON) for kind in _published()
     }
     messages[_DOCUMENT] = _versioned(_DOCUMENT, JSON)
-    requested, answered = (_PROPERTIES[name]["properties"] for name in ("RequestProperties", "AnswerProperties"))
-    of_requests = _BINDING | {
-        "responseTopic": requested["response_topic"],
-        "correlationData": requested["correlation_data"],
-    }
-    of_answers = _format(JSON) | {"correlationData": answered["correlation_data"]}
     for request, example in REQUEST_EXAMPLES.items():
-        messages[request] = _of_command(request, "RequestProperties", example) | {"bindings": {"mqtt": of_requests}}
+        messages[request] = _of_command(request, "RequestProperties", example)
     for answer, example in ANSWER_EXAMPLES.items():
-        messages[answer] = _of_command(answer, "AnswerProperties", example) | {"bindings": {"mqtt": of_answers}}
+        messages[answer] = _of_command(answer, "AnswerProperties", example) | {"bindings": {"mqtt": _format(JSON)}}
     return messages
 
 
@@ -223,11 +215,7 @@ def _versioned(name: str, content_type: str) -> Object:
         "headers": {"type": "object", "properties": {"schema_version": _VERSION}},
     }
     if example := EXAMPLES.get(name) or ARRAY_EXAMPLES.get(name):
-        further = FURTHER_EXAMPLES.get(name, {})
-        message["examples"] = [
-            {"payload": example},
-            *({"name": title, "payload": other} for title, other in further.items()),
-        ]
+        message["examples"] = [{"payload": example}]
     return message
 
 

@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 from resonator_daemon.mqtt.codec import encode, read_arrays
 from resonator_daemon.mqtt.payload_types import UNITS
-from resonator_daemon.mqtt.payloads import WITH_ARRAYS, ContactEvent, Contacts, Forces, Grid, Message
+from resonator_daemon.mqtt.payloads import WITH_ARRAYS, ContactEvent, Grid, Message
 from resonator_daemon.mqtt.topics import DECODER_HEALTH, DECODER_STATE, SCHEMA_VERSION, TOPICS
 from resonator_daemon.mqtt.verbs import VERBS, Refusal
 
@@ -173,20 +173,15 @@ _COMMAND_VALUES: Final[dict[str, Any]] = {
     "Problem.hint": "take everything off the plate and retry",
 }
 
+# The contact of the examples is on a force site.
+_OF_SKINS: Final = {"slip_margin", "slip_margin_std", "friction_coefficient", "friction_coefficient_std"}
+
 ModelT = TypeVar("ModelT", bound=BaseModel)
-
-
-_SLIP: Final = {  # keys of skins: the contact of the other examples is on a force site
-    "slip_margin": 0.42,
-    "slip_margin_std": 0.05,
-    "friction_coefficient": 0.51,
-    "friction_coefficient_std": 0.04,
-}
 
 
 def _example(kind: type[ModelT]) -> ModelT:
     """Return a message with a value for each key of a model."""
-    return kind.model_validate({key: _value(kind, key) for key in kind.model_fields if key not in _SLIP})
+    return kind.model_validate({key: _value(kind, key) for key in kind.model_fields if key not in _OF_SKINS})
 
 
 def _value(kind: type[BaseModel], key: str) -> Any:
@@ -217,23 +212,6 @@ def _with_rows(kind: type[Message]) -> dict[str, Any]:
     return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in fields.items()}
 
 
-def _unknown_force() -> dict[str, Any]:
-    """Return a message of `forces` with a force that is not known."""
-    forces = _example(Forces)
-    (site,) = forces.sites
-    unknown = {"force_newton": None, "noise_newton": None, "systematic_newton": None}
-    beyond = type(site).model_validate({**vars(site), **unknown, "status": "overload", "at_least_newton": 10.0})
-    return _json(forces, sites=(beyond,))
-
-
-def _on_skin() -> dict[str, Any]:
-    """Return a message of `contacts` with a contact on a skin."""
-    contacts = _example(Contacts)
-    (contact,) = contacts.contacts
-    forces = {"force_newton": (0.21, -0.06, 1.234), "noise_newton": (0.01, 0.01, 0.02), "systematic_newton": None}
-    return _json(contacts, contacts=(contact.model_copy(update={**forces, **_SLIP}),))
-
-
 _COMMAND_VALUES["EventsAnswer.events"] = (_example(ContactEvent).model_copy(update={"replayed": True}),)
 
 _KINDS: Final = [*(topic.payload for topic in TOPICS.values()), DECODER_STATE.payload, DECODER_HEALTH.payload]
@@ -242,10 +220,6 @@ _ANSWERS: Final[list[type[BaseModel]]] = [*(verb.answer for verb in VERBS.values
 Examples = dict[str, dict[str, Any]]
 EXAMPLES: Final[Examples] = {kind.__name__: _json(_example(kind)) for kind in _KINDS if kind not in WITH_ARRAYS}
 ARRAY_EXAMPLES: Final[Examples] = {kind.__name__: _with_rows(kind) for kind in WITH_ARRAYS}
-FURTHER_EXAMPLES: Final[dict[str, Examples]] = {
-    "Forces": {"overload": _unknown_force()},
-    "Contacts": {"skin": _on_skin()},
-}
 REQUEST_EXAMPLES: Final[Examples] = {
     verb.request.__name__: _json(_example(verb.request), exclude_none=True) for verb in VERBS.values()
 }

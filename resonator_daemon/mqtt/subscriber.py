@@ -177,7 +177,6 @@ async def subscribe(
     plate: str = EVERY_PLATE,
     full_rate: bool = True,
     wanted: Callable[[str, str], bool] = lambda plate, path: True,
-    on_cleared: Callable[[str, str], None] = lambda plate, path: None,
 ) -> AsyncGenerator[Received]:
     """Yield messages of plates below the broker's prefix as they come, the retained ones first, for ever.
 
@@ -185,8 +184,7 @@ async def subscribe(
     with 1000 packets waiting, as when its reader is behind with streams.
 
     Without `full_rate`, of topics with a decimated topic, that one. Messages that cannot be read are passed over and
-    logged; those of which `wanted` returns false, called with plate and path, are not decoded. `on_cleared` is called
-    likewise where a retained topic was cleared, in the order of the messages. If the consumer is slow,
+    logged; those of which `wanted` returns false, called with plate and path, are not decoded. If the consumer is slow,
     messages of streams (QoS 0) older than 250 ms are dropped where their topic has a newer one; states and events are
     all kept. To stop, close the iterator (contextlib.aclosing).
     """
@@ -217,11 +215,8 @@ async def subscribe(
             arrived.clear()
             while (arrival := waiting.pop()) is not None:
                 name, path = split_topic(broker.prefix, arrival.topic)
-                if not arrival.payload:
-                    on_cleared(name, path)
-                elif (
-                    wanted(name, _BY_PATH[path].path) and (message := read_message(broker.prefix, arrival)) is not None
-                ):
+                is_wanted = wanted(name, _BY_PATH[path].path)
+                if is_wanted and (message := read_message(broker.prefix, arrival)) is not None:
                     yield message
     finally:
         await receiver.close()

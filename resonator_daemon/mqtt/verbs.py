@@ -238,18 +238,11 @@ class IdentifyAnswer(Answer):
 
 @dataclass(frozen=True)
 class Verb:
-    """One command.
-
-    Attributes
-    ----------
-    idempotent
-        Whether it may be sent again without doing more.
-    """
+    """One command."""
 
     request: type[Request]
     answer: type[Answer]
     summary: str
-    idempotent: bool = True
 
     @property
     def name(self) -> str:
@@ -271,7 +264,7 @@ VERBS: Final[dict[str, Verb]] = {
         Verb(Tare, TareAnswer, "takes the present readings as those of the untouched plate"),
         Verb(StartRecording, StartRecordingAnswer, "records the link to a file"),
         Verb(StopRecording, StopRecordingAnswer, "ends the recording"),
-        Verb(Mark, MarkAnswer, "writes a remark into the recording", idempotent=False),
+        Verb(Mark, MarkAnswer, "writes a remark into the recording"),
         Verb(SetWindow, SetWindowAnswer, "sets window and step of the forces"),
         Verb(Identify, IdentifyAnswer, "makes the board blink"),
     )

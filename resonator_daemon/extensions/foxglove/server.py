@@ -20,7 +20,7 @@ from resonator_daemon.extensions.foxglove.messages import ChannelMessage, Foxglo
 from resonator_daemon.extensions.viewer_support import Geometry
 from resonator_daemon.mqtt.payloads import Condition, Info, Message, State
 from resonator_daemon.mqtt.subscriber import EVERY_PLATE, subscribe
-from resonator_daemon.mqtt.topics import INFO, TOPICS
+from resonator_daemon.mqtt.topics import TOPICS
 
 try:
     import foxglove
@@ -131,18 +131,6 @@ class FoxgloveServer:
         elif TOPICS[path].perishable:
             self._drawn[plate, path] = message
 
-    def cleared(self, plate: str, path: str) -> None:
-        """Close the channels of a plate whose `info` was cleared: it was removed."""
-        if path != INFO.path or plate not in self._plates:
-            return
-        del self._plates[plate]
-        for name in [name for name in self._channels if not self._prefixed or name.startswith(f"{plate}/")]:
-            self._channels.pop(name).close()
-            self._last.pop(name, None)
-        for table in (self._names, self._drawn):
-            for key in [key for key in table if key[0] == plate]:
-                del table[key]
-
     def _clear(self, plate: str, now_ns: int) -> None:
         """Replace drawings of a plate that measures nothing: viewers would show the last ones for ever."""
         for name, path in [key for key in self._drawn if key[0] == plate]:
@@ -186,9 +174,7 @@ async def _serve(
     server = FoxgloveServer(listen, prefixed=plate is None)
     server.start()
     on_ready(f"ws://{Listen(listen.host, server.port)}")
-    messages = subscribe(
-        broker, plate=plate or EVERY_PLATE, full_rate=full_rate, wanted=server.wants, on_cleared=server.cleared
-    )
+    messages = subscribe(broker, plate=plate or EVERY_PLATE, full_rate=full_rate, wanted=server.wants)
     try:
         async with aclosing(messages) as received:
             async for name, path, message in received:
