@@ -61,10 +61,10 @@ async def test_both_report_it_until_one_has_gone(
             )
             healths = observer.payloads("resonator/hand/health")  # neither displaces the other
             assert {health["messages"]["unknown_at_disconnect"] for health in healths} == {0}
-            await observer.until(lambda: commands_of(observer, ids[1]) == {"done": 1, "unanswered": 2})
-            await observer.until_count("resonator/hand/rsp/events", 3)
+            await observer.until(lambda: commands_of(observer, ids[1]) == {"done": 2, "storage_failed": 1})
+            await observer.until_count("resonator/hand/rsp/events", 5)
             answers = [answer.get("daemon_boot_id") for answer in observer.payloads("resonator/hand/rsp/events")]
-            assert sorted(answers, key=str) == sorted((*ids, None), key=str)
+            assert sorted(answers, key=str) == sorted((*ids, ids[1], None, None), key=str)
         await observer.until(lambda: said_by(observer, ids[0]) == "measuring")
         await observer.until_last(STATE, daemon_boot_id=ids[0], state="online")  # after a will of the other, too
         for topic in ("info", "state/link", "state/sensor", "state/daemon"):

@@ -18,7 +18,6 @@ RESTORE_S: Final = 30.0  # between restorations; those that something new causes
 _AT_ONCE: Final = 2
 
 _BOOT_ID_LENGTH_MAX: Final = 64
-_DIGITS_MAX: Final = 19  # of a time in ns
 _OTHERS_MAX: Final = 4  # daemons that are stored; any client may forge more
 
 _REMEDY: Final = "stop one of them, or, if they read different boards, give each a name of its own"
@@ -46,20 +45,13 @@ class DaemonSnapshot(NamedTuple):
         )
 
 
-class _Other(NamedTuple):
-    """Another daemon of this name; the values in its messages may be forged."""
-
-    connected_utc_ns: int | None
-    expiry: asyncio.TimerHandle
-
-
 class DaemonState:
     """Announces each change of the daemon's state; to be used from the event loop's thread only.
 
     A message of another sender on its topic, as a late last will or that of another daemon of this name, has all
     retained messages published again. That also shows this daemon to the other one. The conflict ends when the other
     is offline, or has sent nothing for 90 s. Messages that the broker had retained are ignored: their daemon may have
-    ended long ago. The daemon with the oldest connection owns the name.
+    ended long ago.
 
     Parameters
     ----------
@@ -82,26 +74,15 @@ class DaemonState:
         self._since_utc_ns = time.time_ns()
         self._connections = 0
         self._connected_utc_ns: int | None = None
-        self._others: dict[str, _Other] = {}  # by boot id
+        self._others: dict[str, asyncio.TimerHandle] = {}  # when each expires, by boot id
         self._at_once = TokenBucket(_AT_ONCE, 1 / RESTORE_S, time.monotonic)
         self._restored_s = -math.inf
         self._due: asyncio.TimerHandle | None = None  # of the next restoration
         self._ended = False
 
     def answers_for(self, boot_id: str | None) -> bool:
-        """Return whether this daemon answers requests for the run with this boot id; None: requests without one.
-
-        A running daemon answers for its own run. The daemon that owns the name answers all other requests.
-        """
-        others = self._others
-        if boot_id is not None and (boot_id == self._daemon_boot_id or boot_id in others):
-            return boot_id == self._daemon_boot_id
-        own_ns = self._connected_utc_ns
-        return not any(
-            own_ns is None or (other.connected_utc_ns, other_id) < (own_ns, self._daemon_boot_id)
-            for other_id, other in others.items()
-            if other.connected_utc_ns is not None
-        )
+        """Return whether this daemon answers requests for the run with this boot id: unless another one runs it."""
+        return boot_id not in self._others
 
     @property
     def snapshot(self) -> DaemonSnapshot:
@@ -131,15 +112,14 @@ class DaemonState:
         """Handle a message on this daemon's `state/daemon`, from any sender."""
         if message.retained or self._ended:
             return
-        boot_id, state, connected_utc_ns = _read(message.payload)
+        boot_id, state = _read(message.payload)
         if boot_id == self._daemon_boot_id and state != Condition.OFFLINE:
             return  # its own, which comes back
         is_new = boot_id not in self._others
-        if other := self._others.pop(boot_id, None):
-            other.expiry.cancel()
+        if expiry := self._others.pop(boot_id, None):
+            expiry.cancel()
         if boot_id and state != Condition.OFFLINE and len(self._others) < _OTHERS_MAX:
-            expiry = asyncio.get_running_loop().call_later(SILENT_S, self._expire, boot_id)
-            self._others[boot_id] = _Other(connected_utc_ns, expiry)
+            self._others[boot_id] = asyncio.get_running_loop().call_later(SILENT_S, self._expire, boot_id)
         if (is_new or state == Condition.OFFLINE) and self._at_once.try_acquire():
             self._restore()
         elif self._due is None:
@@ -163,24 +143,18 @@ class DaemonState:
 
     def _forget_others(self) -> None:
         self._cancel_restoration()
-        for other in self._others.values():
-            other.expiry.cancel()
+        for expiry in self._others.values():
+            expiry.cancel()
         self._others.clear()
 
 
-def _read(payload: bytes) -> tuple[str, object, int | None]:
-    """Return boot id, state and time of connection in a message of any sender; an empty boot id if it is none."""
+def _read(payload: bytes) -> tuple[str, object]:
+    """Return boot id and state in a message of any sender; an empty boot id if it is none."""
     try:
         content = json.loads(payload)
         boot_id, state = content["daemon_boot_id"], content["state"]
-        connected_utc_ns = _utc_ns(content.get("connected_t_ns"))
     except (ValueError, RecursionError, TypeError, KeyError):
-        return "", None, None
+        return "", None
     if not isinstance(boot_id, str) or not boot_id.isprintable() or len(boot_id) > _BOOT_ID_LENGTH_MAX:
-        return "", None, None
-    return boot_id, state, connected_utc_ns
-
-
-def _utc_ns(text: object) -> int | None:
-    """Return the time in a message of any sender; None if it is none."""
-    return int(text) if isinstance(text, str) and len(text) <= _DIGITS_MAX and text.isdecimal() else None
+        return "", None
+    return boot_id, state

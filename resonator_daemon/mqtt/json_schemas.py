@@ -77,19 +77,18 @@ def _generate(
     references, generated = models_json_schema(wanted, ref_template=REF, schema_generator=generator)
     classes = {reference["$ref"].rpartition("/")[2]: model for (model, _), reference in references.items()}
     schemas: dict[str, Schema] = {}
-    words: dict[str, Schema] = {}
     for name, schema in generated["$defs"].items():
         model = classes.get(name)
         included = _headers_of(model) if model is not None else ()
         published = name + header_suffix if model in headers else name
         inherited = included[0].model_fields.keys() if included else ()
-        component = _component(published, schema, inherited, words)
+        component = _component(published, schema, inherited)
         if included:
             about = {key: component.pop(key) for key in ("title", "description")}
             header = {"$ref": REF.format(model=included[0].__name__ + header_suffix)}
             component = about | {"allOf": [header, component]}
         schemas[published] = component
-    return schemas | words
+    return schemas
 
 
 def _headers_of(model: type[Any]) -> tuple[type[Header], ...]:
@@ -97,14 +96,14 @@ def _headers_of(model: type[Any]) -> tuple[type[Header], ...]:
     return tuple(base for base in model.__mro__[1:] if issubclass(base, Header))
 
 
-def _component(name: str, schema: Schema, inherited: Collection[str], words: dict[str, Schema]) -> Schema:
-    """Return the schema of a named type, without the keys that its header has; `words` takes its sets of words."""
+def _component(name: str, schema: Schema, inherited: Collection[str]) -> Schema:
+    """Return the schema of a named type, without the keys that its header has."""
     component: Schema = _as_draft_7(schema) | {"title": name}
     if "properties" not in component:
         return component
     keys, required = component["properties"], component.pop("required", [])
     certain = [key for key in required if not _may_be_null(keys[key])]
-    own = {key: _with_words_named(value, words) for key, value in keys.items() if key not in inherited}
+    own = {key: value for key, value in keys.items() if key not in inherited}
     referring = {key: value.pop("description") for key, value in own.items() if "$ref" in value and len(value) > 1}
     about = [component.get("description", ""), *(f"- `{key}`: {meaning}" for key, meaning in referring.items())]
     component |= {"description": "\n".join(about), "properties": own}
@@ -115,18 +114,6 @@ def _component(name: str, schema: Schema, inherited: Collection[str], words: dic
             raise ValueError(f"{name}: needs a key that is never null")
         component["dependencies"] = {certain[0]: uncertain}
     return component
-
-
-def _with_words_named(schema: Any, words: dict[str, Schema]) -> Any:
-    """Return a part of a schema with each set of words that has a title by reference."""
-    if isinstance(schema, list):
-        return [_with_words_named(part, words) for part in schema]
-    if not isinstance(schema, dict):
-        return schema
-    if schema.keys() >= {"enum", "title"}:
-        words[schema["title"]] = schema
-        return {"$ref": REF.format(model=schema["title"])}
-    return {key: _with_words_named(part, words) for key, part in schema.items()}
 
 
 def _as_draft_7(schema: Any) -> Any:

@@ -78,7 +78,7 @@ _VALUES: Final[dict[str, Any]] = {
     "frame_rate_hz": 1000.0,
     "rates_hz": {"forces": 200.0, "forces/20hz": 20.0, "contacts": 200.0, "contacts/20hz": 20.0, "tones": 20.0},
     "units": UNITS,
-    "Info.commands": ["ping", "health", "tare"],
+    "Info.commands": ["ping", "events", "tare"],
     "force_max_newton": 10.0,
     "codes": [
         {

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from resonator_daemon.base.reasons import ReasonCode, Word
 from resonator_daemon.board.config.tables import ChangingVerb
 from resonator_daemon.mqtt.payload_types import optional
-from resonator_daemon.mqtt.payloads import ContactEvent, Health, Int64, Message, PerChannel
+from resonator_daemon.mqtt.payloads import ContactEvent, Int64, Message, PerChannel
 
 LABEL_PATTERN: Final = "^[A-Za-z0-9_-]{1,64}$"
 ID_LENGTH_MAX: Final = 64
@@ -104,17 +104,6 @@ class Pong(Answer):
     t_ns: Int64 = Field(description="UTC, when the answer was made")
     daemon_boot_id: str
     uptime_s: float
-
-
-class HealthRequest(Request):
-    """Ask for a message of `health` at once; it is published, too."""
-
-
-class HealthAnswer(Answer):
-    """How the daemon fares now."""
-
-    verb: Literal["health"] = "health"
-    health: Health
 
 
 class Events(Request):
@@ -259,7 +248,6 @@ VERBS: Final[dict[str, Verb]] = {
     verb.name: verb
     for verb in (
         Verb(Ping, Pong, "confirms that the daemon runs"),
-        Verb(HealthRequest, HealthAnswer, "answers with the health of the daemon"),
         Verb(Events, EventsAnswer, "answers with stored events"),
         Verb(Tare, TareAnswer, "takes the present readings as those of the untouched plate"),
         Verb(StartRecording, StartRecordingAnswer, "records the link to a file"),

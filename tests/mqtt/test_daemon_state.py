@@ -14,8 +14,8 @@ from resonator_daemon.mqtt.payloads import Condition
 MEASURING = Reason(ReasonCode.MEASURING, "measuring")
 
 
-def incoming(boot_id: str, state: str = "online", *, retained: bool = False, connected: object = None) -> Incoming:
-    content = {"daemon_boot_id": boot_id, "state": state, "t_ns": "1", "connected_t_ns": connected}
+def incoming(boot_id: str, state: str = "online", *, retained: bool = False) -> Incoming:
+    content = {"daemon_boot_id": boot_id, "state": state, "t_ns": "1"}
     return Incoming("resonator/hand/state/daemon", json.dumps(content).encode(), retained, None, None)
 
 
@@ -75,24 +75,10 @@ async def test_thousands_of_forged_boot_ids_are_not_listed(state: DaemonState, s
     assert len(sent) == 2
 
 
-async def test_of_two_daemons_one_answers_for_a_run(state: DaemonState) -> None:
-    connected_ns = state.snapshot.connected_utc_ns or 0
-    for other, owns in (
-        (str(connected_ns + 1), True),
-        (str(connected_ns), True),  # of equal times the lower boot id
-        (str(connected_ns - 1), False),
-        ("9" * 100, True),
-        (None, True),
-        (-1, True),
-        ("-1", True),
-    ):
-        state.receive(incoming("bb", connected=other))
-        answers = [state.answers_for(run) for run in (None, "an earlier one", "aa", "bb")]
-        assert answers == [owns, owns, True, False], other
-    state.receive(incoming("bb", connected="0"))
-    assert not state.answers_for(None)
+async def test_a_daemon_answers_for_all_runs_but_those_of_others(state: DaemonState) -> None:
+    state.receive(incoming("bb"))
+    assert [state.answers_for(run) for run in (None, "an earlier one", "aa", "bb")] == [True, True, True, False]
     state.receive(incoming("bb", "offline"))
-    assert state.answers_for(None)
     assert state.answers_for("bb")
 
 

@@ -10,7 +10,6 @@ from resonator_daemon.mqtt.verbs import VERBS, Refusal
 
 EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "ping": [{}, {"id": None}, *({"id": id_} for id_ in ("a", "é" * 64))],
-    "health": [{}],
     "events": [{}, {"after_seq": -1}, {"after_seq": 2**53 - 1, "daemon_boot_id": "9f3c52d0"}],
     "tare": [{}],
     "start_recording": [{}, {"label": "drop-test_3"}],

@@ -8,6 +8,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from example_messages import example
+
 from resonator_daemon.base.errors import UserError
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.config.tables import Measurement
@@ -23,9 +25,8 @@ from resonator_daemon.measure.pipeline.control_requests import Control, Tare
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.event_file import EventFileError
 from resonator_daemon.mqtt.event_log import EventPage, UnknownRunError
-from resonator_daemon.mqtt.message_examples import EXAMPLES
-from resonator_daemon.mqtt.payloads import Condition, Health, Message
-from resonator_daemon.mqtt.topics import CONTACTS, FORCES, TOPICS, Topic
+from resonator_daemon.mqtt.payloads import Condition, ContactEvent
+from resonator_daemon.mqtt.topics import CONTACTS, FORCES, Topic
 
 BOOT_ID = "9f3c"
 RECORDING_NAME = re.compile(r"left-\d{8}T\d{6}\.\d{3}Z(-[A-Za-z0-9_-]{1,64})?\.mcap")
@@ -44,7 +45,6 @@ class StandIn:
         self.board_refuses: str | None = None
         self.disk_problem = ""
         self.streams: tuple[Topic[Any], ...] = (FORCES, CONTACTS)
-        self.last_message: Callable[[str], Message | None]
         self.current: SimpleNamespace | None = None
 
     @property
@@ -67,8 +67,8 @@ class StandIn:
             raise EventFileError("another process holds the file")
         if boot_id not in (None, BOOT_ID):
             raise UnknownRunError(boot_id)
-        example = messages()["contacts/event"]
-        events = (example.model_copy(update={"seq": seq}) for seq in range(max(after_seq + 1, 7), 10))
+        event = example(ContactEvent)
+        events = (event.model_copy(update={"seq": seq}) for seq in range(max(after_seq + 1, 7), 10))
         return EventPage(tuple(encode(event) for event in events), after_seq >= 6, 7, 9)
 
     async def apply(self, request: Control) -> str | None:
@@ -107,25 +107,11 @@ class StandIn:
         return 1789000000000000001
 
 
-def messages() -> dict[str, Message]:
-    """Return one message of each topic that carries JSON."""
-    return {
-        path: topic.payload.model_validate_json(topic.payload.model_validate(EXAMPLES[name]).model_dump_json())
-        for path, topic in TOPICS.items()
-        if (name := topic.payload.__name__) in EXAMPLES
-    }
-
-
 def handlers_on(stand_in: StandIn, config: Config) -> CommandHandlers:
     """Return the handlers of a daemon called "left"."""
-    last_messages = messages()
-    health = last_messages["health"]
-    if not isinstance(health, Health):
-        raise TypeError("health carries Health")
-    stand_in.last_message = last_messages.get
     parts = dict.fromkeys(("pipeline", "publisher", "daemon", "reader", "requests"), stand_in)
     recording = RecordingCommands(config, "left", stand_in)  # type: ignore[arg-type]
-    return CommandHandlers(config, BOOT_ID, recording, report_health=lambda: health, **parts)  # type: ignore[arg-type]
+    return CommandHandlers(config, BOOT_ID, recording, **parts)  # type: ignore[arg-type]
 
 
 def configured(directory: Path, link: str = "tcp://127.0.0.1:5000") -> Config:

@@ -52,7 +52,7 @@ ChangingVerb = Literal["tare", "start_recording", "stop_recording", "mark", "set
 
 
 class Commands(Table):
-    """Commands that subscribers may send; `ping`, `health` and `events` change nothing and are always allowed."""
+    """Commands that subscribers may send; `ping` and `events` change nothing and are always allowed."""
 
     allow: tuple[ChangingVerb, ...] = Field(
         default=(),

@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Final
 
 from resonator_daemon.board.config import Config, timing_problems
@@ -19,7 +19,7 @@ from resonator_daemon.mqtt.commands import CommandRefusedError, Handler, NotAddr
 from resonator_daemon.mqtt.daemon_state import DaemonState
 from resonator_daemon.mqtt.event_file import EventFileError
 from resonator_daemon.mqtt.event_log import EventPage, UnknownRunError
-from resonator_daemon.mqtt.payloads import Condition, ContactEvent, Health
+from resonator_daemon.mqtt.payloads import Condition, ContactEvent
 from resonator_daemon.mqtt.topics import CONTACTS
 
 EVENTS_BYTES_MAX: Final = 128 * 1024
@@ -37,8 +37,6 @@ class CommandHandlers:
         Executes the commands of recordings.
     pipeline, publisher, daemon, reader, requests
         Of the daemon.
-    report_health
-        Makes a message of `health`, publishes it and returns it.
     """
 
     def __init__(
@@ -52,7 +50,6 @@ class CommandHandlers:
         daemon: DaemonState,
         reader: BoardReader,
         requests: ControlRequests,
-        report_health: Callable[[], Health],
     ) -> None:
         self._plate = config.plate
         self._daemon_boot_id = daemon_boot_id
@@ -61,11 +58,9 @@ class CommandHandlers:
         self._daemon = daemon
         self._reader = reader
         self._requests = requests
-        self._report_health = report_health
         self._started_s = time.monotonic()
         self.by_verb: Mapping[str, Handler] = {
             "ping": self._ping,
-            "health": self._health,
             "events": self._events,
             "tare": self._tare,
             "start_recording": recording.start,
@@ -78,9 +73,6 @@ class CommandHandlers:
     def _ping(self, _request: verbs.Ping) -> verbs.Pong:
         uptime_s = time.monotonic() - self._started_s
         return verbs.Pong(t_ns=time.time_ns(), daemon_boot_id=self._daemon_boot_id, uptime_s=uptime_s)
-
-    def _health(self, _request: verbs.HealthRequest) -> verbs.HealthAnswer:
-        return verbs.HealthAnswer(health=self._report_health())
 
     async def _events(self, request: verbs.Events) -> verbs.EventsAnswer:
         if not self._daemon.answers_for(request.daemon_boot_id):

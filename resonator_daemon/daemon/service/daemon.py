@@ -213,7 +213,6 @@ class Service:
             daemon=self._daemon,
             reader=self._reader,
             requests=self._control_requests,
-            report_health=self._report_health,
         )
         self._plate_publisher.begin(name, handlers.by_verb, self._daemon)
         self._tasks.create_task(self._plate_publisher.run(), name="publishing")

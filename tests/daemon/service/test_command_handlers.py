@@ -5,11 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_stand_ins import StandIn, configured, handlers_on, messages
+from command_stand_ins import StandIn, configured, handlers_on
+from example_messages import example
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.daemon.service.command_handlers import CommandHandlers
 from resonator_daemon.mqtt.commands import CommandRefusedError
+from resonator_daemon.mqtt.payloads import ContactEvent
 from resonator_daemon.mqtt.topics import SIGNALS
 from resonator_daemon.mqtt.verbs import VERBS, Answer
 
@@ -45,7 +47,7 @@ async def test_stored_events(bench: Bench) -> None:
         said = await bench.ask("events", after_seq=7.0, **boot_id)
         events = said.pop("events")
         assert [event["seq"] for event in events] == [8, 9]
-        assert events[0] == json.loads(messages()["contacts/event"].model_dump_json()) | {"seq": 8}
+        assert events[0] == json.loads(example(ContactEvent).model_dump_json()) | {"seq": 8}
         assert said.pop("next_daemon_boot_id") is None
         assert said == {"daemon_boot_id": "9f3c", "complete": True, "oldest_seq": 7, "newest_seq": 9}
     assert not (await bench.ask("events"))["complete"]
