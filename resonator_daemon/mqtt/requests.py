@@ -13,6 +13,7 @@ from resonator_daemon.base.errors import ConfigurationError, ExitCode, UserError
 from resonator_daemon.board.config.clients import Client
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.links.carriers import parse_link
+from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, BrokerConnection, ConnectionTimes
 from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.connecting import BrokerError
@@ -171,7 +172,6 @@ async def request(
 
 
 LOOK_S: Final = 3.0
-OTHERS_S: Final = 0.5  # for another daemon of the same link, where one of them is offline
 
 
 class NoDaemonError(UserError):
@@ -207,14 +207,14 @@ async def find_online(broker: Mqtt, name: str) -> None:
     """Check that the daemon of a name is online. Raises NoDaemonError."""
     state = await find_plate(broker, name)
     if state.state is Condition.OFFLINE:
-        raise _offline(name, state.reason)
+        raise NoDaemonError(f"daemon {name} is offline ({state.reason}); start it: resonatord run")
 
 
 async def find_daemon(config: Client) -> str:
     """Return the name of a daemon that is not offline, by its configured name, else by its link.
 
-    Without a configured name a daemon has the serial number of its board. The broker retains `info` and the daemon's
-    state, so that both arrive at once.
+    Without a configured name a daemon has the serial number of its board. The broker retains `info`,
+    so that it arrives at once.
 
     Raises
     ------
@@ -228,32 +228,23 @@ async def find_daemon(config: Client) -> str:
         return config.name
     if config.link is None:
         raise ConfigurationError("name: missing; give the name that the daemon publishes under, or the link it reads")
-    names: set[str] = set()
-    offline: dict[str, str] = {}  # the reason, by name
-    online: set[str] = set()
-    topics = (TOPICS[INFO.path], TOPICS[STATE_DAEMON.path])
+    missing = NoDaemonError(f"no daemon publishes of this link below {config.mqtt.prefix}/; start it")
+    with suppress(TimeoutError):
+        async with asyncio.timeout(LOOK_S), aclosing(subscribe(config.mqtt, (TOPICS[INFO.path],))) as messages:
+            async for plate, _, message in messages:
+                if not isinstance(message, Info) or not _is_of(config.link, message.link):
+                    continue
+                try:
+                    await find_online(config.mqtt, plate)
+                except NoDaemonError as error:
+                    missing = error  # another one may read this link
+                else:
+                    return plate
+    raise missing
+
+
+def _is_of(link: LinkTarget, published: str) -> bool:
     try:
-        async with asyncio.timeout(LOOK_S) as limit, aclosing(subscribe(config.mqtt, topics)) as messages:
-            async for plate, path, message in messages:
-                if isinstance(message, Info):
-                    with suppress(ValueError):  # a later version's kind of link
-                        names |= {plate} if parse_link(message.link).same_board(config.link) else set()
-                elif isinstance(message, State) and path == STATE_DAEMON.path:
-                    if message.state is Condition.OFFLINE:
-                        offline[plate] = message.reason
-                    else:
-                        online.add(plate)
-                if found := names & online:
-                    return found.pop()
-                if names & offline.keys():
-                    others_s = asyncio.get_running_loop().time() + OTHERS_S
-                    limit.reschedule(min(limit.when() or others_s, others_s))
-    except TimeoutError:
-        pass
-    if gone := sorted(names & offline.keys()):
-        raise _offline(gone[0], offline[gone[0]])
-    raise NoDaemonError(f"no daemon publishes of this link below {config.mqtt.prefix}/; start it")
-
-
-def _offline(name: str, reason: str) -> NoDaemonError:
-    return NoDaemonError(f"daemon {name} is offline ({reason}); start it: resonatord run")
+        return parse_link(published).same_board(link)
+    except ValueError:  # a later version's kind of link
+        return False

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_stand_ins import configured, messages
+from command_stand_ins import configured
+from example_messages import example
 from jsonschema import validate
 
 from resonator_daemon.board.config import Config
@@ -18,7 +19,7 @@ from resonator_daemon.board.recording.switch import RecordingSwitch
 from resonator_daemon.board.recording.writer import Published
 from resonator_daemon.daemon.service.recordings import RecordedMessages, RecordingCommands, recording_info
 from resonator_daemon.mqtt.commands import CommandRefusedError
-from resonator_daemon.mqtt.topics import TOPICS
+from resonator_daemon.mqtt.topics import JSON, TOPICS
 from resonator_daemon.mqtt.verbs import StartRecording, StopRecording
 
 
@@ -134,7 +135,7 @@ async def test_counts_go_on_when_a_recording_ends_and_another_begins(tmp_path: P
 def test_states_are_recorded_and_what_is_measured_where_it_is_wanted(include_messages: bool) -> None:
     taken: list[Published] = []
     recorded = RecordedMessages(taken.append, include_messages=include_messages)
-    published = messages()
+    published = {path: example(topic.payload) for path, topic in TOPICS.items() if topic.content_type == JSON}
     for path, message in published.items():
         recorded.record(TOPICS[path], message)
     measured = {"forces", "contacts", "contacts/event", "tones", "decoded/summary", "health"}
