@@ -25,7 +25,9 @@ EXAMPLES = {
     for name, message in MESSAGES.items()
     if "examples" in message
 }
-OVERLOAD = EXAMPLES["Forces"][1]
+(FORCES,) = EXAMPLES["Forces"]
+UNKNOWN = dict.fromkeys(("force_newton", "noise_newton", "systematic_newton"))
+OVERLOAD = FORCES | {"sites": [FORCES["sites"][0] | UNKNOWN | {"status": "overload", "at_least_newton": 10.0}]}
 
 
 def run(*command: str | Path, folder: Path) -> str:
