@@ -53,8 +53,9 @@ class Output:
     def send(self, now_ns: int, elapsed_s: float) -> None:
         """Write what can be written now, `elapsed_s` after the first START."""
         link = self._link
-        if self.faultless and self._unlimited and self._lot is None and self._after_cut is None and not self.held:
-            self._send_whole()
+        simple = self.faultless and self._unlimited and self._lot is None and self._after_cut is None and not self.held
+        if simple and self._send_whole():
+            return
         while link.write_fd is not None:
             if self._lot is None:
                 self._lot = self._next_lot(now_ns, elapsed_s)
@@ -65,17 +66,20 @@ class Output:
                 return  # the host does not take more now
         self.lose()
 
-    def _send_whole(self) -> None:
-        """Write what the board has until the host takes no more: the short way of most frames."""
+    def _send_whole(self) -> bool:
+        """Write what the board has, the short way of most frames; return whether the host has taken all of it."""
         link, next_output = self._link, self._board.next_output
-        while link.write_fd is not None and (outgoing := next_output()) is not None:
+        while link.write_fd is not None:
+            if (outgoing := next_output()) is None:
+                return True
             data, is_frame = outgoing.data, outgoing.sequence is not None
             written = link.write(data)
             self.bytes_sent += written
             if written < len(data):
                 self._lot, self._unsent = Lot(data, is_frame), memoryview(data)[written:]
-                return
+                break
             self.frames_sent += is_frame
+        return False
 
     def host_connects(self, now_ticks: int) -> bool:
         """Return whether to serve a new TCP connection; if so, discard the output for the former one."""
