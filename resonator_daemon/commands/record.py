@@ -16,13 +16,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=positive, metavar="N", help="from the first frame on (default: until interrupted)"
     )
-    parser.add_argument(
-        "--max-mb",
-        type=positive,
-        metavar="N",
-        help="go from file to file, each of this size, in 10^6 bytes; their names are that of --output and the time",
-    )
-    parser.add_argument("--max-minutes", type=positive, metavar="N", help="likewise, each of this time")
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
 
 

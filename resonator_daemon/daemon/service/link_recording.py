@@ -1,4 +1,4 @@
-"""Recording of a board's link to files, without publishing."""
+"""Recording of a board's link to a file, without publishing."""
 
 import hashlib
 import secrets
@@ -20,7 +20,6 @@ from resonator_daemon.base.errors import (
 )
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.config import Config, load_config
-from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.board.recording.recorder import Recorder
 from resonator_daemon.board.session.board_reader import BlockingReader
 from resonator_daemon.board.session.frames import (
@@ -60,16 +59,14 @@ class RecordingEndedError(UserError):
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """What to record to which files; None is no bound.
+    """What to record to which file; None is no bound.
 
     Parameters
     ----------
     output
-        The file; with a bound of each file's size or time the first part of their names, which end with the time.
+        The file.
     seconds
         From the first frame on.
-    max_mb, max_minutes
-        After which the next file begins.
     open_s
         Time in which a board must count.
     progress_s
@@ -78,21 +75,8 @@ class RecordOptions:
 
     output: Path
     seconds: float | None = None
-    max_mb: float | None = None
-    max_minutes: float | None = None
     open_s: float = 10.0
     progress_s: float = 1.0
-
-    @property
-    def place(self) -> Path | Series:
-        if self.max_mb is None and self.max_minutes is None:
-            return self.output
-        return Series(
-            self.output.parent,
-            self.output.stem,
-            file_max_bytes=None if self.max_mb is None else round(self.max_mb * 1e6),
-            file_max_ns=None if self.max_minutes is None else round(self.max_minutes * 60e9),
-        )
 
 
 def record(config_path: Path, options: RecordOptions) -> dict[str, Any]:
@@ -120,7 +104,7 @@ class _LinkRecording:
 
     def __init__(self, config: Config, config_sha256: str, options: RecordOptions) -> None:
         boot_id = secrets.token_hex(4)
-        self._recorder = Recorder(options.place, origin(config, config.name, boot_id, config_sha256), needs_frame=True)
+        self._recorder = Recorder(options.output, origin(config, config.name, boot_id, config_sha256), needs_frame=True)
         self._loop = BlockingReader(config.link, config.plate, step_frames=(64,), on_event=self._put)
         self._frames_counted = 0
         self._board: BoardOnline | None = None
@@ -185,7 +169,6 @@ class _LinkRecording:
         return {
             "file": str(self._recorder.path),
             "file_bytes": counts.file_bytes,
-            "files": counts.files,
             "board": self._board.identity.serial_number if self._board is not None else None,
             "seconds": 0.0 if self._first_frame_s is None else round(self._ended_s - self._first_frame_s, 3),
             "bytes_received": counters.bytes_received,
@@ -232,6 +215,4 @@ class _LinkRecording:
 def _progress(lost: int, recorder: Recorder) -> str:
     counts = recorder.counts
     line = f"{recorder.path}: {recorder.written.frames} frames, {lost} lost, {counts.file_bytes / 1e6:.1f} MB"
-    if counts.files > 1:
-        line += f", file {counts.files}"
     return line + (f", {counts.events_missing} events too many for the disk" if counts.events_missing else "")
