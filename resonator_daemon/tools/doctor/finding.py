@@ -165,7 +165,7 @@ def not_checked(checks: Iterable[Check], reason: str) -> list[Finding]:
 
 FINE: Final = "fine"  # the verdict without a fault
 WIDTH: Final = 80
-_MARKS: Final = {Outcome.OK: "ok", Outcome.WARNING: "WARNING", Outcome.FAULT: "FAULT", Outcome.NOT_CHECKED: "-"}
+_MARKS: Final = {Outcome.OK: "ok", Outcome.WARNING: "WARNING", Outcome.FAULT: "FAULT"}
 _MARK_WIDTH: Final = 9
 _OUTCOME: Final = re.compile(r"(?<=^  )(ok|WARNING|FAULT)|(?<=^verdict: )\w+", re.MULTILINE)
 _COLOURS: Final[Mapping[str, Colour]] = {"ok": "green", FINE: "green", "WARNING": "yellow"}  # others red
@@ -229,9 +229,8 @@ class Report:
         stream.write(_OUTCOME.sub(paint, self.as_text(whole=whole)))
 
     def _lines(self) -> Iterator[str]:
-        shared = {reason: found for reason, found in self._omitted().items() if len(found) > 1}
         for stage in Stage:
-            own = [f for f in self.findings if f.stage is stage and f not in shared.get(f.evidence, ())]
+            own = [f for f in self.findings if f.stage is stage and f.outcome is not Outcome.NOT_CHECKED]
             if own:
                 yield stage.value
             for finding in own:
@@ -240,12 +239,15 @@ class Report:
                     yield from _wrapped(" " * (_MARK_WIDTH + 2), f"-> {finding.remedy}")
             if own:
                 yield ""
-        if shared:
+        omitted: dict[str, list[str]] = {}
+        for finding in self.findings:
+            if finding.outcome is Outcome.NOT_CHECKED:
+                omitted.setdefault(finding.evidence, []).append(finding.id)
+        if omitted:
             yield "not checked"
-        for reason, found in shared.items():
-            ids = ", ".join(finding.id for finding in found)
-            yield from _wrapped(f"  {_MARKS[Outcome.NOT_CHECKED]:<{_MARK_WIDTH}}", f"{reason}: {ids}")
-        if shared:
+        for reason, ids in omitted.items():
+            yield from _wrapped(" " * (_MARK_WIDTH + 2), f"{reason}: {', '.join(ids)}")
+        if omitted:
             yield ""
 
     def _ending(self) -> Iterator[str]:
@@ -254,18 +256,7 @@ class Report:
             f"{len(self.findings)} checks: {counts[Outcome.FAULT]} faults, {counts[Outcome.WARNING]} warnings, "
             f"{counts[Outcome.OK]} ok, {counts[Outcome.NOT_CHECKED]} not checked"
         )
-        for reason, omitted in self._omitted().items():
-            stages = ", ".join(dict.fromkeys(finding.stage.value for finding in omitted))
-            yield from _wrapped("not checked: ", f"{len(omitted)} of {stages}: {reason}")
         yield from _wrapped("verdict: ", self.verdict_text)
-
-    def _omitted(self) -> dict[str, list[Finding]]:
-        """Return what was not checked, by the reason."""
-        omitted: dict[str, list[Finding]] = {}
-        for finding in self.findings:
-            if finding.outcome is Outcome.NOT_CHECKED:
-                omitted.setdefault(finding.evidence, []).append(finding)
-        return omitted
 
 
 def _wrapped(head: str, text: str) -> Iterable[str]:

@@ -1,4 +1,4 @@
-"""The computer that is checked: its load, its clock, the space on its disk, the systemd unit that starts the daemon."""
+"""The computer that is checked: its load, its clock, the space on its disk."""
 
 import ctypes
 import errno
@@ -8,46 +8,27 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, Self
 
 from resonator_daemon.base.errors import meaning_of
 from resonator_daemon.base.host.load import BUSY_PERCENT, LoadMeter, busy_reason
 from resonator_daemon.board.config.tables import Recording
-from resonator_daemon.board.recording.file_series import Series
 from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding
 
-_FIX_SOURCE: Final = (
-    "look into `dmesg | grep -i -e tsc -e clocksource` for why the processor's own counter was given up"
-)
-_FIX_DATE: Final = "set the clock (sudo timedatectl set-ntp true, or date -s), and see to the battery of the clock"
 _FIX_SYNCHRONISED: Final = "sudo timedatectl set-ntp true, or install chrony; without a network nothing is to be done"
 
-_SOURCE: Final = Check("clock.source", Area.SOFTWARE, "clock source", _FIX_SOURCE)
-_DATE: Final = Check("clock.date", Area.SOFTWARE, "date", _FIX_DATE)
 _SYNCHRONISED: Final = Check("clock.synchronised", Area.SOFTWARE, "time synchronisation", _FIX_SYNCHRONISED)
 _STATE: Final = Check("disk.state", Area.SOFTWARE, "space for state")
 _RECORDINGS: Final = Check("disk.recordings", Area.SOFTWARE, "space for recordings")
-_BUDGET: Final = Check(
-    "disk.budget", Area.SOFTWARE, "budget of recordings", "lower recording.max_total_mb, or name a larger disk"
-)
-_UNIT: Final = Check("service.unit", Area.SOFTWARE, "systemd unit", "sudo resonatord install")
-_RULES: Final = Check("service.rules", Area.SOFTWARE, "udev rules", "sudo resonatord install")
 
 _PULSE_S: Final = 0.005
 _HALT_S: Final = 0.03  # a program that runs at once is late by a few ms; boards count as silent after some 50 ms
-_SLOW_SOURCES: Final = ("hpet", "acpi_pm", "jiffies", "refined-jiffies", "pit")
-_CURRENT_SOURCE: Final = "/sys/devices/system/clocksource/clocksource0/current_clocksource"
-_OLDEST_UTC_S: Final = datetime(2025, 1, 1, tzinfo=UTC).timestamp()  # no computer that runs this is older
 _TIMEX_BYTES: Final = 208  # struct timex of 64-bit Linux; this much is enough for all others
 _TIME_ERROR: Final = 5  # what adjtimex returns of a clock that is not synchronised
 _STATE_MB: Final = 50.0
 _MB: Final = 1e6
-_UNIT_FILE: Final = "resonatord@.service"
-_UNIT_PLACES: Final = ("/etc/systemd/system", "/usr/lib/systemd/system", "/lib/systemd/system")
-RULE_PLACES: Final = ("/etc/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.d")
-_CONFIGURATIONS: Final = Path("/etc/resonatord")
+_RULE_PLACES: Final = ("/etc/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.d")
 
 
 def _may_use(path: Path) -> bool:
@@ -78,7 +59,7 @@ class Host:
 
     def rules(self, word: str) -> list[Path]:
         """Return the files of udev rules with this word in their names."""
-        return [file for place in RULE_PLACES for file in self.at(place).glob(f"*{word}*.rules")]
+        return [file for place in _RULE_PLACES for file in self.at(place).glob(f"*{word}*.rules")]
 
 
 class BusyCheck:
@@ -120,27 +101,11 @@ class BusyCheck:
             self._halted_s = max(self._halted_s, time.monotonic() - due_s)
 
 
-def check_disk(state_directory: Path, recording: Recording | None, name: str | None) -> Iterator[Finding]:
-    """Yield whether there is space where a daemon writes.
-
-    Parameters
-    ----------
-    state_directory
-        Of the daemon.
-    recording
-        None: without a configuration nothing is recorded.
-    name
-        Of the daemon, which its recordings have; None where only the board has it: then none of them are known.
-    """
+def check_disk(state_directory: Path, recording: Recording | None) -> Iterator[Finding]:
+    """Yield whether there is space where a daemon writes; without a configuration (None) nothing is recorded."""
     yield _space(_STATE, state_directory, _STATE_MB, "what waits for a broker is kept in memory alone")
-    if recording is None:
-        return
-    found = _space(_RECORDINGS, recording.directory, float(recording.min_free_mb), "nothing is recorded")
-    yield found
-    if found.value is None:
-        yield _BUDGET.not_checked("the directory cannot be written")
-    else:
-        yield _budget(recording, found.value, name)
+    if recording is not None:
+        yield _space(_RECORDINGS, recording.directory, float(recording.min_free_mb), "nothing is recorded")
 
 
 def _space(check: Check, directory: Path, needed_mb: float, consequence: str) -> Finding:
@@ -158,19 +123,6 @@ def _space(check: Check, directory: Path, needed_mb: float, consequence: str) ->
     return check.fault(f"{figures}: {consequence}", "free space on it, or choose another disk", amount)
 
 
-def _budget(recording: Recording, free_mb: float, name: str | None) -> Finding:
-    taken_mb = _taken_mb(recording.directory, name) if name is not None else 0.0
-    attainable_mb = free_mb + taken_mb - recording.min_free_mb
-    evidence = (
-        f"recordings may take {recording.max_total_mb:g} MB; with the {taken_mb:.0f} MB they take now, the disk has "
-        f"{max(attainable_mb, 0.0):.0f} MB for them"
-    )
-    amount = Amount(float(recording.max_total_mb), attainable_mb, "MB")
-    if attainable_mb >= recording.max_total_mb:
-        return _BUDGET.ok(evidence, amount)
-    return _BUDGET.warning(f"{evidence}: it is full before the oldest recordings are removed", "", amount)
-
-
 def _free_mb(directory: Path) -> float:
     """Return the space in a directory, or in the nearest one above that exists; OSError if it cannot be written."""
     place = directory
@@ -179,17 +131,6 @@ def _free_mb(directory: Path) -> float:
     with tempfile.TemporaryFile(dir=place):  # permissions do not show a read-only file system
         system = os.statvfs(place)
     return system.f_bavail * system.f_frsize / _MB
-
-
-def _taken_mb(directory: Path, name: str) -> float:
-    """Return what a daemon's own recordings take: those of others are not removed for it."""
-    sizes = []
-    for file in Series(directory, name).files() if directory.is_dir() else ():
-        try:
-            sizes.append(file.stat().st_size)
-        except OSError:
-            continue  # it was removed meanwhile
-    return sum(sizes) / _MB
 
 
 def is_synchronised() -> bool | None:
@@ -201,25 +142,8 @@ def is_synchronised() -> bool | None:
     return None if state < 0 else state != _TIME_ERROR
 
 
-def check_clock(
-    host: Host, now_s: Callable[[], float] = time.time, synchronised: Callable[[], bool | None] = is_synchronised
-) -> Iterator[Finding]:
-    """Yield the findings on the computer's clock."""
-    source = host.text(_CURRENT_SOURCE)
-    if source is None:
-        yield _SOURCE.not_checked("the kernel does not report it")
-    elif source in _SLOW_SOURCES:
-        yield _SOURCE.warning(
-            f"{source}: reading the time takes microseconds, so ticks of the board are timed less well"
-        )
-    else:
-        yield _SOURCE.ok(source)
-    utc_s = now_s()
-    date = datetime.fromtimestamp(utc_s, UTC).strftime("%Y-%m-%d")
-    if utc_s < _OLDEST_UTC_S:
-        yield _DATE.fault(f"{date}, which is past: messages have that time, and certificates count as not valid yet")
-    else:
-        yield _DATE.ok(date)
+def check_clock(synchronised: Callable[[], bool | None] = is_synchronised) -> Iterator[Finding]:
+    """Yield the finding on the computer's clock."""
     match synchronised():
         case None:
             yield _SYNCHRONISED.not_checked("the kernel does not report it")
@@ -229,22 +153,3 @@ def check_clock(
             yield _SYNCHRONISED.warning(
                 "the clock is not synchronised: times do not agree with those of other computers"
             )
-
-
-def check_service(config_path: Path | None, host: Host) -> Iterator[Finding]:
-    """Yield whether unit and rules are installed; a configuration that is run by hand needs neither."""
-    if not host.at("/run/systemd/system").is_dir():
-        yield _UNIT.not_checked("no systemd runs here")
-        return
-    if config_path is None or config_path.absolute().parent != _CONFIGURATIONS:
-        yield _UNIT.not_checked(f"the configuration is not in {_CONFIGURATIONS}: it is run by hand")
-        return
-    unit = next((place for place in _UNIT_PLACES if host.at(f"{place}/{_UNIT_FILE}").exists()), None)
-    if unit is None:
-        yield _UNIT.warning(f"{_UNIT_FILE} is not installed: nothing starts the daemon")
-        return
-    yield _UNIT.ok(f"{unit}/{_UNIT_FILE}")
-    if rules := host.rules("resonator"):
-        yield _RULES.ok(", ".join(file.name for file in rules))
-    else:
-        yield _RULES.warning("none is installed: the board starts no daemon")

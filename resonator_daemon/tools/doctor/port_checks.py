@@ -10,7 +10,7 @@ from typing import Final
 from resonator_daemon.base.host.text import page
 from resonator_daemon.board.links.port_holders import Holder, Holders, is_pseudo_terminal
 from resonator_daemon.board.links.target import UsbId
-from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, not_checked
+from resonator_daemon.tools.doctor.finding import Area, Check, Finding, not_checked
 from resonator_daemon.tools.doctor.host_checks import Host
 
 _RULES_FILE: Final = f"the rules of {page('how-to/connect.md')}, or: resonatord install"
@@ -20,27 +20,19 @@ HOLDER: Final = Check(
     "port.holder", Area.WIRING, "who else has the port open", "end that program, or have it use another port"
 )
 _FIX_MODEM_MANAGER: Final = f"{_RULES_FILE}; or, where there is no modem: sudo systemctl disable --now ModemManager"
-_FIX_BRLTTY: Final = "sudo apt-get remove brltty, or take the line with these ids out of its rules"
 _FIX_LATENCY_TIMER: Final = 'a udev rule: ACTION=="add", SUBSYSTEM=="usb-serial", ATTR{latency_timer}="1"'
 _FIX_AUTOSUSPEND: Final = (
     f'a udev rule: TEST=="power/control", ATTR{{power/control}}="on" ({page("how-to/connect.md")}, or: resonatord '
     "install)"
 )
-_FIX_HUBS: Final = "connect it nearer to the computer: each hub adds delay, and shares its power and bandwidth"
-
 MODEM_MANAGER: Final = Check("port.modem_manager", Area.SOFTWARE, "ModemManager", _FIX_MODEM_MANAGER)
-BRLTTY: Final = Check("port.brltty", Area.SOFTWARE, "brltty", _FIX_BRLTTY)
 LATENCY_TIMER: Final = Check(
     "port.latency_timer", Area.SOFTWARE, "latency timer of the adapter", _FIX_LATENCY_TIMER, "ms", warning_above=1.0
 )
 DEVICE: Final = Check("usb.device", Area.WIRING, "USB device")
 AUTOSUSPEND: Final = Check("usb.autosuspend", Area.SOFTWARE, "USB autosuspend", _FIX_AUTOSUSPEND)
-SPEED: Final = Check("usb.speed", Area.WIRING, "USB speed")
-HUBS: Final = Check("usb.hubs", Area.WIRING, "USB path", _FIX_HUBS, "hubs", warning_above=2.0)
 
 _IGNORED: Final = re.compile(r"^E:ID_MM_(PORT|DEVICE)_IGNORE=1$", re.MULTILINE)
-_FULL_SPEED_MBIT: Final = 12
-_FULL_SPEED_USABLE: Final = 0.6  # of the bits; the rest are frames, polls and other devices
 _DEVICES: Final = "/sys/bus/usb/devices"
 
 
@@ -50,7 +42,7 @@ def check_port(port: str, host: Host, holders: Holders) -> Iterator[Finding]:
     absent = _absent(path, port, host)
     if absent is not None:
         yield absent
-        yield from not_checked((PERMISSION, HOLDER, MODEM_MANAGER, BRLTTY, LATENCY_TIMER), "the port is not there")
+        yield from not_checked((PERMISSION, HOLDER, MODEM_MANAGER, LATENCY_TIMER), "the port is not there")
         return
     device = os.path.realpath(path)
     pseudo = is_pseudo_terminal(device)
@@ -58,11 +50,10 @@ def check_port(port: str, host: Host, holders: Holders) -> Iterator[Finding]:
     yield _permission(path, port, host)
     yield check_holder(holders, port, pseudo=pseudo)
     if pseudo:
-        yield from not_checked((MODEM_MANAGER, BRLTTY, LATENCY_TIMER), "a pseudo-terminal has no adapter")
+        yield from not_checked((MODEM_MANAGER, LATENCY_TIMER), "a pseudo-terminal has no adapter")
         return
     name = os.path.basename(device)
     yield _modem_manager(device, name, host)
-    yield _brltty(name, host)
     yield _latency_timer(name, host)
 
 
@@ -75,7 +66,7 @@ def _absent(path: Path, name: str, host: Host) -> Finding | None:
         instead = (
             f"present below /dev/serial/by-id: {', '.join(present)}" if present else "no USB serial port is present"
         )
-        stolen = "; brltty is installed, and takes some adapters away" if _brltty_rules(host) else ""
+        stolen = "; brltty is installed, and takes some adapters away" if host.rules("brltty") else ""
         return EXISTS.fault(
             f"there is no {name}; {instead}{stolen}",
             "plug the board in, check cable and power, or correct `link` (resonatord ports lists them)",
@@ -119,24 +110,6 @@ def _modem_manager(device: str, name: str, host: Host) -> Finding:
     if _IGNORED.search(known):
         return MODEM_MANAGER.ok("it runs, and a udev rule keeps it away from this port")
     return MODEM_MANAGER.warning("it runs, and no udev rule excludes this port: it sends to a new board for seconds")
-
-
-def _brltty(name: str, host: Host) -> Finding:
-    rules = _brltty_rules(host)
-    if not rules and not host.running("brltty"):
-        return BRLTTY.ok("it is not installed")
-    device = usb_device_of(name, host)
-    ids = "" if device is None else f"{host.text(device / 'idVendor')}/{host.text(device / 'idProduct')}"
-    # Rules name ids without leading zeros, as PRODUCT=="1a86/7523/*".
-    claimed = "/".join(part.lstrip("0").lower() for part in ids.split("/"))
-    if ids and f"{claimed}/" in rules.lower():
-        return BRLTTY.warning(f"its udev rules take adapters {ids} for braille displays, and the port away with them")
-    return BRLTTY.ok("it is installed, and its rules do not name this adapter")
-
-
-def _brltty_rules(host: Host) -> str:
-    lines = [line for file in host.rules("brltty") for line in file.read_text(errors="replace").splitlines()]
-    return "\n".join(line for line in lines if not line.lstrip().startswith("#"))
 
 
 def _latency_timer(name: str, host: Host) -> Finding:
@@ -184,7 +157,7 @@ def _named(link: UsbId, host: Host) -> Iterator[Path]:
             yield device
 
 
-def check_usb_link(link: UsbId, host: Host, load_bit_per_s: float | None) -> Iterator[Finding]:
+def check_usb_link(link: UsbId, host: Host) -> Iterator[Finding]:
     """Yield the findings on the device that a USB link names."""
     found = list(_named(link, host))
     wanted = f"{link.vendor_id:04x}:{link.product_id:04x}" + (
@@ -196,26 +169,18 @@ def check_usb_link(link: UsbId, host: Host, load_bit_per_s: float | None) -> Ite
         else:
             remedy = "plug the board in, check cable and power, or correct `link`"
             yield DEVICE.fault(f"no USB device {wanted} is present", remedy)
-        yield from not_checked((AUTOSUSPEND, SPEED, HUBS), "the device of the link is not known")
+        yield AUTOSUSPEND.not_checked("the device of the link is not known")
         return
     node = _node(found[0], host)
     if host.may_use(host.at(node)):
         yield DEVICE.ok(f"{wanted} is there, and this user may open it")
     else:
         yield DEVICE.fault(f"{wanted} is there, and this user may not open {node}", f"udev rules: {_RULES_FILE}")
-    yield from check_usb_device(found[0], host, load_bit_per_s)
+    yield check_usb_device(found[0], host)
 
 
-def check_usb_device(device: Path, host: Host, load_bit_per_s: float | None) -> Iterator[Finding]:
-    """Yield how a device is connected; `load_bit_per_s` is what the plate's frames need, None where it is not known."""
-    yield _autosuspend(device, host)
-    yield _speed(device, host, load_bit_per_s)
-    hubs = device.name.count(".")
-    way = "straight to the computer" if not hubs else f"through {hubs} hub(s), at most {HUBS.warning_above:g} are meant"
-    yield HUBS.judged(hubs, f"{device.name}: {way}")
-
-
-def _autosuspend(device: Path, host: Host) -> Finding:
+def check_usb_device(device: Path, host: Host) -> Finding:
+    """Return whether the kernel may put a device to sleep."""
     control = host.text(device / "power/control")
     if control is None:
         return AUTOSUSPEND.not_checked("the kernel does not report it")
@@ -224,21 +189,3 @@ def _autosuspend(device: Path, host: Host) -> Finding:
         return AUTOSUSPEND.ok("off")
     delay = f"the device may be put to sleep after {delay_ms or '?'} ms without traffic"
     return AUTOSUSPEND.warning(f"on (power/control = {control}): {delay}")
-
-
-def _speed(device: Path, host: Host, load_bit_per_s: float | None) -> Finding:
-    try:
-        speed_mbit = float(host.text(device / "speed") or "")
-    except ValueError:
-        return SPEED.not_checked("the kernel does not report it")
-    usable_mbit = _FULL_SPEED_USABLE * speed_mbit
-    if load_bit_per_s is None:
-        return SPEED.ok(f"{speed_mbit:g} Mbit/s", Amount(speed_mbit, None, "Mbit/s"))
-    needed_mbit = load_bit_per_s * 1e-6
-    evidence = f"{speed_mbit:g} Mbit/s, of which {usable_mbit:g} can be counted on; the frames need {needed_mbit:.2g}"
-    amount = Amount(needed_mbit, usable_mbit, "Mbit/s")
-    if needed_mbit <= usable_mbit:
-        return SPEED.ok(evidence, amount)
-    faster = "connect it to a port, and by a cable, of a higher speed"
-    slower = "lower counter.frame_rate_hz of the plate"
-    return SPEED.fault(evidence, slower if speed_mbit > _FULL_SPEED_MBIT else faster, amount)

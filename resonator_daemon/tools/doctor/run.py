@@ -24,15 +24,9 @@ from resonator_daemon.board.session.probe import NoBoardError, ProbeResult, prob
 from resonator_daemon.tools.doctor import link_checks, sensor_checks
 from resonator_daemon.tools.doctor.broker_checks import check_broker
 from resonator_daemon.tools.doctor.capture import Capture, capture_board
-from resonator_daemon.tools.doctor.daemon_checks import (
-    check_daemon,
-    check_status,
-    config_used_by,
-    find_daemon,
-    published_status,
-)
+from resonator_daemon.tools.doctor.daemon_checks import check_daemon, find_daemon
 from resonator_daemon.tools.doctor.finding import Area, Check, Finding, Outcome, Report, not_checked
-from resonator_daemon.tools.doctor.host_checks import BusyCheck, Host, check_clock, check_disk, check_service
+from resonator_daemon.tools.doctor.host_checks import BusyCheck, Host, check_clock, check_disk
 from resonator_daemon.tools.doctor.port_checks import (
     HOLDER,
     check_holder,
@@ -43,15 +37,8 @@ from resonator_daemon.tools.doctor.port_checks import (
     usb_node,
 )
 
-_BITS_PER_BYTE: Final = 8
 _DAEMON_HAS_IT: Final = "a daemon has the link; stop it to have the board itself looked at"
 _AFTER_OPENING: Final = (*link_checks.OF_A_PROBE, *link_checks.OF_A_CAPTURE, *sensor_checks.OF_THE_PLATE)
-
-
-class UnusableConfigError(ConfigurationError):
-    """The configuration cannot be used."""
-
-    hint = "resonatord check"
 
 
 @dataclass(frozen=True)
@@ -73,15 +60,15 @@ def doctor(options: DoctorOptions) -> ExitCode:
     ------
     UserError
         Something is at fault, and the report is to be a JSON object.
-    UnusableConfigError
+    ConfigurationError
         The configuration cannot be used: there is nothing to hold the board against.
     InterruptedCommandError
         Ctrl-C came before all was looked at; what was found by then is printed.
     """
-    config = None if options.config_path is None else _load_config(options.config_path)
+    config = None if options.config_path is None else load_config(options.config_path)
     link = options.link or (config.link if config else None)
     if link is not None and link.recording_path is not None:
-        raise UnusableConfigError(f"link: {link} is a recording, which has no wiring; name the link of a board")
+        raise ConfigurationError(f"link: {link} is a recording, which has no wiring; name the link of a board")
     found: list[Finding] = []
     try:
         with interruptible(""):
@@ -100,14 +87,6 @@ def doctor(options: DoctorOptions) -> ExitCode:
         raise UserError(report.verdict_text, partial_result=report.as_json(), code="fault", exit_code=ExitCode.FAILED)
     sys.stdout.write(json.dumps(report.as_json()) + "\n")
     return ExitCode.DONE
-
-
-def _load_config(path: Path) -> Config:
-    try:
-        return load_config(path)
-    except ConfigurationError as error:
-        runs = asyncio.run(config_used_by(path))
-        raise UnusableConfigError(*error.messages, *filter(None, [runs])) from error
 
 
 class _Diagnosis:
@@ -131,10 +110,9 @@ class _Diagnosis:
             yield from self._board(self._link)
         if config is not None:
             yield _calibration(config.plate)
-        self._show("clock, disk, service")
-        yield from check_clock(self._host)
-        yield from check_disk(state_directory(), config.recording if config else None, config.name if config else None)
-        yield from check_service(self._options.config_path, self._host)
+        self._show("clock, disk")
+        yield from check_clock()
+        yield from check_disk(state_directory(), config.recording if config else None)
         for broker in self._brokers():
             self._show(f"broker {broker.host}:{broker.port}")
             yield from asyncio.run(check_broker(broker, self._host))
@@ -153,7 +131,7 @@ class _Diagnosis:
         node = self._node(link)
         holders = Holders((), True) if node is None else port_holders(str(node))
         of_port = list(self._port(link, holders))
-        of_daemon = self._daemon(link, holders, of_port)
+        of_daemon = self._daemon(link, holders)
         if of_daemon:
             yield from (finding for finding in of_port if finding.id != HOLDER.id)
             yield from of_daemon
@@ -166,20 +144,11 @@ class _Diagnosis:
             return
         yield from self._probe(link)
 
-    def _daemon(self, link: LinkTarget, holders: Holders, of_port: list[Finding]) -> list[Finding]:
+    def _daemon(self, link: LinkTarget, holders: Holders) -> list[Finding]:
         """Return the findings on the daemon that has the link; empty where none has it."""
         own_link = self._config is not None and self._config.link == link
         path = self._options.config_path if own_link else None
         answer = asyncio.run(find_daemon(link, path, {holder.pid for holder in holders.processes}))
-        if answer is not None and answer.status is not None:
-            return list(check_daemon(answer))
-        held = any(finding.id == HOLDER.id and finding.outcome is Outcome.FAULT for finding in of_port)
-        if held or answer is not None or link.is_remote:
-            for broker in self._brokers():
-                self._show(f"what a daemon publishes at {broker.host}:{broker.port}")
-                name = self._config.name if own_link and self._config is not None else None
-                if (status := asyncio.run(published_status(broker, name, link))) is not None:
-                    return list(check_status(status, "MQTT"))
         return [] if answer is None else list(check_daemon(answer))
 
     def _brokers(self) -> tuple[Mqtt, ...]:
@@ -192,15 +161,13 @@ class _Diagnosis:
         return usb_node(link.usb_id, self._host) if link.usb_id is not None else None
 
     def _port(self, link: LinkTarget, holders: Holders) -> Iterator[Finding]:
-        plate = self._config.plate if self._config else None
-        load = None if plate is None else plate.frame_bytes * _BITS_PER_BYTE * plate.counter.frame_rate_hz
         if link.serial_port is not None:
             yield from check_port(link.serial_port, self._host, holders)
             name = self._host.at(link.serial_port).resolve().name
             if (device := usb_device_of(name, self._host)) is not None:
-                yield from check_usb_device(device, self._host, load)
+                yield check_usb_device(device, self._host)
         elif link.usb_id is not None:
-            yield from check_usb_link(link.usb_id, self._host, load)
+            yield from check_usb_link(link.usb_id, self._host)
             if usb_node(link.usb_id, self._host) is not None:
                 yield check_holder(holders, str(link))
 

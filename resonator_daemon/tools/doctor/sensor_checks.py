@@ -12,7 +12,7 @@ from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import SKIN_SIGNALS
 from resonator_daemon.measure.sensors.expected_tones import ExpectedTones
-from resonator_daemon.tools.doctor.capture import PAIRS, Capture, PlateReading, known_mean
+from resonator_daemon.tools.doctor.capture import Capture, PlateReading
 from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, Outcome, not_checked
 
 CALIBRATE: Final = "resonatord calibrate, with known masses"
@@ -26,9 +26,6 @@ _FIX_STAMPS: Final = (
 )
 _FIX_NOISE: Final = "look for vibration, a loose plate or plug, a supply that hums, a neighbouring motor"
 _FIX_SCATTER: Final = "the signal drowns: look at transducer, amplifier, shield and supply of that channel"
-_FIX_CROSS_TALK: Final = "one of them receives the other's signal: check plugs and shields of both transducers"
-_FIX_DRIFT: Final = "let plate and board warm up, keep draughts and hands away, and retry"
-_FIX_TEMPERATURE: Final = "cool or warm the board; a value that no board can have means a broken thermometer"
 
 CHANNELS: Final = Check("sensor.channels", Area.SENSOR, "channels", _FIX_CHANNELS)
 STAMPS: Final = Check("board.stamps", Area.SENSOR, "stamps from gate to gate", _FIX_STAMPS)
@@ -42,30 +39,14 @@ NOISE: Final = Check(
 _SCATTER: Final = Check(
     NOISE.id, Area.SENSOR, NOISE.title, _FIX_SCATTER, "rad", warning_above=1.0 / 3.0, fault_above=1.0
 )
-# less than two channels of their own could differ
-CROSS_TALK: Final = Check(
-    "sensor.cross_talk",
-    Area.SENSOR,
-    "cross-talk between channels",
-    _FIX_CROSS_TALK,
-    "times",
-    warning_above=2.0,
-    fault_above=8.0,
-)
-# that of 10 mK/s at a usual site, and 3 mN/s
-DRIFT: Final = Check("sensor.drift", Area.SENSOR, "drift", _FIX_DRIFT, "ppb/s", warning_above=20.0)
-TEMPERATURE: Final = Check("board.temperature", Area.SENSOR, "temperature of the board", _FIX_TEMPERATURE)
 CALIBRATION: Final = Check("sensor.calibration", Area.SENSOR, "calibration record", CALIBRATE)
-_OF_TONES: Final = (CHANNELS, TONES, NOISE, CROSS_TALK, DRIFT)
-OF_THE_PLATE: Final = (AT_REST, *_OF_TONES, TEMPERATURE)
+_OF_TONES: Final = (CHANNELS, TONES, NOISE)
+OF_THE_PLATE: Final = (AT_REST, *_OF_TONES)
 
 _COUNTED_SHARE: Final = 0.5  # of the readings, in which a tone that is alive is counted
 _GATES_SHARE: Final = 0.9  # of the gates with a steady tone, of a board whose stamps do not run on
-_DRIFT_SIGMAS: Final = 6.0
 _PRESSED_SHARE: Final = 0.05  # of the plate's largest force
 _READINGS_MIN: Final = 5
-_BOARD_KELVIN: Final = (233.0, 358.0)  # -40 to 85 degrees Celsius, for which parts are made
-_STEP_KELVIN: Final = 5.0  # in some seconds: a sensor that is loose
 
 
 def check_plate(capture: Capture, plate: Plate) -> Iterator[Finding]:
@@ -88,11 +69,8 @@ def check_plate(capture: Capture, plate: Plate) -> Iterator[Finding]:
         shift, std = quiet["shift"], quiet["std"]  # (r, t, 4)
         yield _channels(shift, quiet["strange_hz"], every["gates_counted"].mean(axis=0))
         yield _tones(shift, quiet["strange_hz"], expected)
-        noise, scatter = _noise(shift, std, plate), _scatter(quiet["scatter_radian"])
+        noise, scatter = _noise(shift, std), _scatter(quiet["scatter_radian"])
         yield scatter if list(Outcome).index(scatter.outcome) > list(Outcome).index(noise.outcome) else noise
-        yield _cross_talk(quiet["pair_noise"])
-        yield _drift(quiet["time_s"], shift)
-    yield _temperature(capture.temperatures_kelvin)
 
 
 def check_calibration(plate: Plate, expiry_note: str | None) -> Finding:
@@ -163,7 +141,7 @@ def _tones(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Findin
     alive = np.isfinite(shift).mean(axis=(0, 1)) >= _COUNTED_SHARE  # dead channels have a finding of their own
     counted = np.isfinite(shift).mean(axis=0)[:, alive]  # (t, channels that are alive)
     uncounted = np.flatnonzero((counted < _COUNTED_SHARE).any(axis=1))
-    off = np.nanmax(np.abs(known_mean(shift, axis=0)), axis=1, initial=0.0)  # (t,)
+    off = np.nanmax(np.abs(_known_mean(shift, axis=0)), axis=1, initial=0.0)  # (t,)
     outside = np.flatnonzero(off > expected.band)
     worst = int(np.argmax(off / expected.band))
     off_ppm, band_ppm = 1e6 * float(off[worst]), 1e6 * float(expected.band[worst])
@@ -197,7 +175,7 @@ def _tones(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Findin
     return TONES.ok(evidence, Amount(off_ppm, band_ppm, "ppm"))
 
 
-def _noise(shift: Floats, std: Floats, plate: Plate) -> Finding:
+def _noise(shift: Floats, std: Floats) -> Finding:
     """Compare how readings bend with what counter and oscillator give, tone by tone; drift hardly bends them."""
     steps = np.diff(shift, 2, axis=0)
     usable = np.isfinite(steps)
@@ -213,13 +191,6 @@ def _noise(shift: Floats, std: Floats, plate: Plate) -> Finding:
     worst = float(by_channel[channel])
     limit = f"(limit {NOISE.warning_above:g})"
     evidence = f"{worst:.1f} times what counter and oscillator give, on channel {channel} {limit}"
-    residuals = plate.calibration.residuals
-    if residuals and plate.signals != SKIN_SIGNALS:
-        rms = np.sqrt(seen.sum() / (6 * count.sum()))
-        newton = float(rms / np.abs(plate.tones.sensitivity).mean())
-        evidence += f"; {1e3 * newton:.2g} mN, the calibration record left {1e3 * max(residuals):.2g} mN"
-        finding = NOISE.judged(worst, evidence)
-        return finding if finding.bad or newton <= max(residuals) else NOISE.warning(evidence, "", worst)
     return NOISE.judged(worst, evidence)
 
 
@@ -227,60 +198,14 @@ def _scatter(scatter_radian: Floats) -> Finding:
     """Compare the noise of single edges, which readings average out, with what a usable signal leaves; (r, 4)."""
     if not np.isfinite(scatter_radian).any():
         return _SCATTER.not_checked("no edges are counted")
-    by_channel = known_mean(scatter_radian, axis=0)
+    by_channel = _known_mean(scatter_radian, axis=0)
     channel = int(np.nanargmax(by_channel))
     worst = float(by_channel[channel])
     limit = f"(limit {_SCATTER.warning_above:.2f})"
     return _SCATTER.judged(worst, f"edges scatter by {worst:.2f} rad of the tone on channel {channel} {limit}")
 
 
-def _cross_talk(pair_noise: Floats) -> Finding:
-    """Two channels that count by themselves differ by their noise; one that receives the other's tone does not."""
-    if not np.isfinite(pair_noise).any():
-        return CROSS_TALK.not_checked("no two channels detect the same tone")
-    mean, least = known_mean(pair_noise, axis=0), 1.0 / float(CROSS_TALK.warning_above or 1.0)
-    if np.nanmax(mean) < least:
-        return CROSS_TALK.not_checked(
-            "all channels differ by less than the noise that the counter states: they count a signal without jitter, "
-            "as of a generator"
-        )
-    pair = int(np.nanargmin(mean))
-    alike = 1.0 / max(float(mean[pair]), 1e-6)
-    first, second = PAIRS[pair]
-    evidence = (
-        f"channels {first} and {second} are the most alike: their difference has {100 / max(alike, 1.0):.0f} % "
-        f"of the variance that noise of their own would give (limit {100 * least:.0f} %)"
-    )
-    return CROSS_TALK.judged(alike, evidence)
-
-
-def _drift(times_s: Floats, shift: Floats) -> Finding:
-    """Fit a line to each tone's mean over the channels, and judge the fastest that is no noise."""
-    values = 1e9 * known_mean(shift, axis=2)  # (r, t), ppb
-    values = values[:, np.isfinite(values).all(axis=0)]
-    if not values.size:
-        return DRIFT.not_checked("no tone is counted all the time")
-    lever = times_s - times_s.mean()
-    line = lever / (lever @ lever)
-    slope = line @ values
-    rest = values - values.mean(axis=0) - np.outer(lever, slope)
-    slope_std = np.sqrt((rest**2).sum(axis=0) / max(1, len(lever) - 2) * (line @ line))
-    sure = np.maximum(np.abs(slope) - _DRIFT_SIGMAS * slope_std, 0.0)
-    worst = int(sure.argmax())
-    of_worst = f"{abs(slope[worst]):.1f} ppb/s, give or take {slope_std[worst]:.1f}"
-    return DRIFT.judged(float(sure[worst]), f"{of_worst} (limit {DRIFT.warning_above:g} beyond that)")
-
-
-def _temperature(kelvin: list[float]) -> Finding:
-    if not kelvin:
-        return TEMPERATURE.not_checked("the board does not report it, or has not reported it in this time")
-    low, high = min(kelvin), max(kelvin)
-    evidence = f"{low:.1f} to {high:.1f} K"
-    least, most = _BOARD_KELVIN
-    if low < least or high > most:
-        amount = Amount(low, least, "K") if low < least else Amount(high, most, "K")
-        return TEMPERATURE.fault(f"{evidence}, {least:g} to {most:g} K are plausible", "", amount)
-    if high - low > _STEP_KELVIN:
-        within = f"{evidence} within seconds, at most {_STEP_KELVIN:g} K is plausible"
-        return TEMPERATURE.warning(within, "", Amount(high - low, _STEP_KELVIN, "K"))
-    return TEMPERATURE.ok(evidence, Amount(high, most, "K"))
+def _known_mean(values: Floats, axis: int) -> Floats:
+    """Return the mean of the finite values along an axis, NaN where there is none."""
+    mean: Floats = np.ma.masked_invalid(values).mean(axis=axis).filled(np.nan)
+    return mean

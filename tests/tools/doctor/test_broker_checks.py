@@ -45,7 +45,6 @@ async def test_a_broker_without_nodelay_shows_spikes(tmp_path: Path) -> None:
     finally:
         await broker.kill()
     assert finding.outcome is Outcome.WARNING
-    assert "Nagle" in finding.evidence
 
 
 async def test_a_broker_that_refuses_says_whom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,12 +60,10 @@ async def test_a_broker_that_refuses_says_whom(tmp_path: Path, monkeypatch: pyte
     assert "a client without a name" in findings["broker.accepts"].evidence
 
 
-@pytest.mark.parametrize(
-    ("url", "id"), [("mqtt://127.0.0.1:9", "broker.listens"), ("mqtt://no-such-host.invalid:1883", "broker.name")]
-)
-async def test_a_broker_that_is_not_there_is_a_fault(url: str, id: str) -> None:
+@pytest.mark.parametrize("url", ["mqtt://127.0.0.1:9", "mqtt://no-such-host.invalid:1883"])
+async def test_a_broker_that_is_not_there_is_a_fault(url: str) -> None:
     findings = await found(url)
-    assert [name for name, finding in findings.items() if finding.outcome is Outcome.FAULT] == [id]
+    assert [name for name, finding in findings.items() if finding.outcome is Outcome.FAULT] == ["broker.listens"]
     assert findings["broker.round_trip"].outcome is Outcome.NOT_CHECKED
 
 
@@ -76,7 +73,6 @@ async def test_a_way_that_is_too_narrow_is_told(mosquitto: Mosquitto, monkeypatc
         narrow.bytes_per_s = 1000.0
         finding = (await found(narrow.url))["broker.round_trip"]
     assert finding.outcome in (Outcome.FAULT, Outcome.WARNING)
-    assert "Nagle" not in finding.evidence
 
 
 async def test_who_takes_connections_and_says_nothing_is_no_matter_of_accounts(monkeypatch: pytest.MonkeyPatch) -> None:
