@@ -6,7 +6,7 @@ import json
 import logging
 import os
 import stat
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from itertools import chain, dropwhile
@@ -191,8 +191,6 @@ class Recording:
     ----------
     damage : str or None
         Why the events ended before the end, once they have; None where the file is whole.
-    receivers : dict of str to callable
-        By topic, receivers of the payload and UTC of each published message that is recorded on it.
     """
 
     path: str
@@ -202,7 +200,6 @@ class Recording:
     _file: IO[bytes]
     _records: Iterator[McapRecord]
     damage: str | None = None
-    receivers: dict[str, Callable[[bytes, int], None]] = field(default_factory=dict)
     _channels: Mapping[int, str] = field(default_factory=dict)  # those that were declared before `_records`
     _resumed: bool = False
 
@@ -253,11 +250,7 @@ class Recording:
 
     def _all_entries(self) -> Iterator[WireEvent | Mark]:
         try:
-            topics = (TOPIC, MARKS, *self.receivers)
-            for topic, data, publish_ns, log_ns in messages(self._intact(), topics, self._channels):
-                if topic in self.receivers:
-                    self.receivers[topic](data, log_ns)
-                    continue
+            for topic, data, publish_ns, log_ns in messages(self._intact(), (TOPIC, MARKS), self._channels):
                 yield decode(data, publish_ns, log_ns) if topic == TOPIC else decode_mark(data, publish_ns, log_ns)
         except READ_ERRORS as error:
             self._end(self._file.tell(), error)

@@ -10,18 +10,11 @@ import argparse
 import logging
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from resonator_daemon.base.errors import ConfigurationError, DifferenceError, ExitCode, UsageError
 from resonator_daemon.base.host.text import print_note
 from resonator_daemon.tools.command_line import number, print_json, whole_number
-
-_NO_MAPS: Final = "; force plates have no maps: name forces or contacts"
-_NO_ROWS: Final = {
-    "decoded": _NO_MAPS,
-    "decoded/summary": _NO_MAPS,
-    "forces": "; skins have no force sites: name contacts or decoded",
-}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -101,14 +94,4 @@ def _print(result: dict[str, Any], named_topics: Sequence[str]) -> None:
     print_note(f"{result['output']}: {result['files']} files, {result['file_bytes'] / 1e6:.1f} MB")
     for topic in named_topics:
         if not result["rows"][topic]:
-            print_note(f"{topic}: no rows{_NO_ROWS.get(topic, '')}")
-    changes = result["changes"]
-    if changes is None:
-        print_note("changes: the recordings store no contacts; to compare, record with include_messages")
-        return
-    rms = changes["force_difference_newton_rms"]
-    force = "" if rms is None else f", net force {1e3 * rms:.3g} mN rms"
-    print_note(f"changes: {changes['compared']} messages of contacts compared{force}")
-    for kind, counts in changes["events"].items():
-        if counts["stored"] or counts["decoded"]:
-            print_note(f"  {kind}: {counts['stored']} stored, {counts['gained']} gained, {counts['lost']} lost")
+            print_note(f"{topic}: no rows")

@@ -13,7 +13,6 @@ from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -22,13 +21,11 @@ from resonator_daemon.base.errors import ExitCode, UserError, meaning_of
 from resonator_daemon.base.host.files import replace_file
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.recording.reader import STILL_WRITTEN, Recording, open_recording
-from resonator_daemon.extensions.fleet.changes import STORED_TOPICS, Changes
 from resonator_daemon.extensions.fleet.chunks import Chunk, Job, Span, span_of
 from resonator_daemon.measure.sensors.output import utc_day
 from resonator_daemon.measure.sensors.surface_decoding import SequentialDecoding, SurfaceClient, SurfaceDecoding
 from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings
 from resonator_daemon.mqtt.codec import decoded
-from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.topics import DECODED, FORCES
 from resonator_daemon.tools.export.output import Recorded
 from resonator_daemon.tools.export.parquet import ParquetFormat
@@ -91,14 +88,13 @@ class ChunkFiles:
         self._days: dict[str, ParquetFormat] = {}
         self.rows: Counter[str] = Counter()
 
-    def add(self, moment: Moment) -> list[Message]:
-        """Write the messages of a moment, each to the files of its UTC day; return all of them."""
-        made = [(topic, decoded(topic.payload, message)) for topic, message in moment.messages]
-        for topic, message in made:
+    def add(self, moment: Moment) -> None:
+        """Write the messages of a moment, each to the files of its UTC day."""
+        for topic, encoded in moment.messages:
             if topic.path in self.topics:
+                message = decoded(topic.payload, encoded)
                 self._day(utc_day(message.t_ns).isoformat()).put(topic, message, moment.now.utc_ns)
             self.rows[topic.path] += 1
-        return [message for _, message in made]
 
     def _day(self, day: str) -> ParquetFormat:
         if day not in self._days:
@@ -192,8 +188,7 @@ def decode_chunk(chunk: Chunk, job: Job) -> dict[str, Any]:
                 if span.is_empty:
                     report |= _NO_FRAMES | {"damage": span.damage}
                 else:
-                    changes = Changes(span.begin and span.begin.utc_ns, span.end and span.end.utc_ns)
-                    report |= _decode(chunk, recording, config, files, changes, span)
+                    report |= _decode(chunk, recording, config, files, span)
                 if report["damage"] is not None:
                     report["changed_ns"] = chunk.changed_ns
                 return files.close(report)
@@ -218,17 +213,13 @@ def report_of(chunk: Chunk, job: Job) -> dict[str, Any] | None:
     return report if is_done else None
 
 
-_NO_FRAMES: dict[str, Any] = {"frames": 0, "rows": {}, "differences": 0, "damage": None, "refused": [], "changes": {}}
+_NO_FRAMES: dict[str, Any] = {"frames": 0, "rows": {}, "differences": 0, "damage": None, "refused": []}
 
 
-def _decode(
-    chunk: Chunk, recording: Recording, config: Config, files: ChunkFiles, changes: Changes, span: Span
-) -> dict[str, Any]:
+def _decode(chunk: Chunk, recording: Recording, config: Config, files: ChunkFiles, span: Span) -> dict[str, Any]:
     begin, end = span.begin, span.end
     if begin is not None:
         recording.resume_at(chunk.starts[chunk.number].begin_bytes, chunk.channels)
-    for topic in STORED_TOPICS:
-        recording.receivers[topic] = partial(changes.add_stored, topic)
     boot_id = recording.header.get("daemon_boot_id", UNKNOWN_BOOT_ID)
     last_contact_id = chunk.begin_ns // _ID_STEP_NS
 
@@ -240,13 +231,11 @@ def _decode(
         if end is not None and moment.now.monotonic_ns >= end.monotonic_ns:
             break
         if begin is None or moment.now.monotonic_ns >= begin.monotonic_ns:
-            for message in files.add(moment):
-                changes.add_decoded(message)
+            files.add(moment)
     return {
         "frames": files.rows[DECODED.path] + files.rows[FORCES.path],
         "rows": {topic: rows for topic, rows in files.rows.items() if topic in files.topics},
         "differences": replaying.differences,
         "damage": replaying.damage,
         "refused": list(replaying.refused),
-        "changes": changes.numbers(),
     }

@@ -16,7 +16,6 @@ from resonator_daemon.base.errors import NoRecordingError, UsageError
 from resonator_daemon.base.host.files import replace_file
 from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.recording.reader import damage_in_words
-from resonator_daemon.extensions.fleet import changes
 from resonator_daemon.extensions.fleet.chunk_decoding import REPORTS, cannot_write, decode_chunk, has_results, report_of
 from resonator_daemon.extensions.fleet.chunks import Chunk, Job, plan
 from resonator_daemon.mqtt.topics import SIGNALS, STATE_LINK, STATE_SENSOR
@@ -111,11 +110,9 @@ def _bar(shown: bool) -> Progress:
 def _summary(
     reports: list[dict[str, Any]], skipped: int, refused: dict[str, str], job: Job
 ) -> tuple[dict[str, Any], list[str]]:
-    numbers: Counter[str] = Counter()
     rows = Counter(dict.fromkeys(job.topics, 0))
     wrong = list(refused.values())
     for report in reports:
-        numbers.update(report["changes"])
         rows.update(report["rows"])
         name = report["recording"]
         if report["damage"] is not None:
@@ -134,6 +131,5 @@ def _summary(
         "rows": dict(sorted(rows.items())),
         "files": sum(len(report["files"]) for report in reports),
         "file_bytes": sum(sum(report["files"].values()) for report in reports),
-        "changes": changes.summary(numbers),
     }
     return summary, list(dict.fromkeys(wrong))

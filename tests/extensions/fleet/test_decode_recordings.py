@@ -98,24 +98,18 @@ def test_results_do_not_depend_on_the_chunks_and_lie_by_plate_and_day(
         assert set((times // 10**9).astype("datetime64[s]").astype("datetime64[D]").astype(str)) == {day}
 
 
-def test_what_changes_is_compared_with_what_is_stored(
-    skin: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_plate_file_gives_other_forces(skin: Path, reference: Path, tmp_path: Path) -> None:
     with open_replay(skin) as replaying:
         plate = replaying.config.plate
     weaker = tmp_path / "weaker.toml"
     grid = plate.grid.model_copy(update={"sensitivity": tuple(2 * part for part in plate.grid.sensitivity)})
     weaker.write_text(plate_text(plate.model_copy(update={"grid": grid})))
-    assert decode(skin, "--output", tmp_path / "same", "--json") == 0
-    same = json.loads(capsys.readouterr().out)
-    assert same["changes"]["compared"] == same["frames"] == same["changes"]["contacts_stored"]
-    assert same["changes"]["events"]["onset"] == {"stored": PRESSES, "decoded": PRESSES, "gained": 0, "lost": 0}
-    assert same["changes"]["force_difference_newton_rms"] < 0.003
-    assert decode(skin, "--output", tmp_path / "half", "--plate", weaker, "--json") == 0
-    half = json.loads(capsys.readouterr().out)["changes"]["force_difference_newton_rms"]
-    pressed = [force for force in columns(tmp_path / "same", "contacts")["contact_force_z_newton"] if force]
-    normal = (sum(force**2 for force in pressed) / same["frames"]) ** 0.5
-    assert half == pytest.approx(0.5 * normal, rel=0.3)  # twice the sensitivity: half the force; shear adds to it
+    assert decode(skin, "--output", tmp_path / "half", "--plate", weaker) == 0
+    usual, half = (
+        [force for force in columns(output, "contacts")["contact_force_z_newton"] if force]
+        for output in (reference, tmp_path / "half")
+    )
+    assert np.median(half) == pytest.approx(0.5 * np.median(usual), rel=0.3)
 
 
 def workers() -> list[psutil.Process]:
@@ -241,7 +235,7 @@ def test_force_plates_are_decoded_as_replayed_and_damage_is_reported(
     assert printed["error"]["code"] == "differs"
     assert "no.mcap is no recording" in printed["error"]["message"]
     assert "the file is cut off" in printed["error"]["message"]
-    assert (printed["recordings"], printed["changes"]) == (2, None)
+    assert printed["recordings"] == 2
     assert printed["rows"]["forces"] > forces
     for done_before in (2, 1):  # a damaged recording is decoded again once its file has changed
         assert decode(tmp_path / "runs" / "*.mcap", "--output", tmp_path / "out", "--json", "--chunk-seconds", 1) == 1
@@ -250,7 +244,7 @@ def test_force_plates_are_decoded_as_replayed_and_damage_is_reported(
         assert "the file is cut off" in repeated["error"]["message"]
         (tmp_path / "runs" / f"{CASES[1].parent.name}.mcap").touch()
     assert decode(CASES[0], "--output", tmp_path / "maps", "--topics", "decoded") == 0
-    assert "decoded: no rows; force plates have no maps" in capsys.readouterr().err
+    assert "decoded: no rows" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
