@@ -12,7 +12,6 @@ missing until the directory itself was synchronised. The order of changes is not
 """
 
 import argparse
-import hashlib
 import json
 import logging
 import os
@@ -24,7 +23,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from parts import COMMAND, child, emulated_board
 
@@ -32,8 +31,7 @@ from resonator_daemon.base.plate import load_plate
 from resonator_daemon.board.config.values import plate_text
 from resonator_daemon.board.recording.reader import RecordingUnusableError, open_recording
 from resonator_daemon.mqtt.event_file import FILE, EventFile, Span
-from resonator_daemon.tools.calibration.plate_file import Session, write_plate_file
-from resonator_daemon.tools.calibration.run import abort_staged, accept_staged
+from resonator_daemon.tools.calibration.plate_file import write_plate_file
 
 LOSS_AT_MOST_S: Final = 1.0
 PLATE_TEXT: Final = plate_text(load_plate("quartz16"))
@@ -318,45 +316,17 @@ def _recorded_ns(disk: Path, wrong: list[str]) -> Iterator[int]:
 # A calibration, written by a process of its own.
 
 
-def staged(plate: Path, text: str, calibration_id: str) -> dict[str, Any]:
-    """Return a calibration that waits to be accepted, with `text` as the new plate file."""
-    digest = hashlib.sha256(plate.read_bytes()).hexdigest()
-    place = str(plate.resolve())
-    result = {"id": calibration_id, "source": place, "sha256": digest, "output": place, "record": {}, "notes": []}
-    return result | {"plate_file": text}
-
-
 def write_calibration(root: Path) -> None:
-    os.environ["XDG_STATE_HOME"] = str(root / "state")
-    path = root.with_name("left.toml")
-    plate, session = root / "own.toml", Session(path)
-    write_plate_file(PLATE_TEXT, plate)
-    _promise(root, "begun")
-    for result, text in (("accepted", NEW_PLATE_TEXT), ("aborted", PLATE_TEXT)):
-        with session.recording():
-            session.write("loading", list(range(3000)))
-            session.write("staged", staged(plate, text, result))
-        _promise(root, "staged")
-        if result == "accepted":
-            accept_staged(path, as_json=True)
-        else:
-            abort_staged(path, as_json=True)
-        _promise(root, result)
+    plate = root / "own.toml"
+    for text in (PLATE_TEXT, NEW_PLATE_TEXT):
+        write_plate_file(text, plate)
+        _promise(root, "written")
 
 
-def read_calibration(disk: Path, folder: Path, promised: tuple[str, ...]) -> bool:
-    os.environ["XDG_STATE_HOME"] = str(disk / "state")
+def read_calibration(disk: Path, promised: tuple[str, ...]) -> bool:
     plate = disk / "own.toml"
-    found = plate.read_text() if plate.exists() else None, (Session(folder / "left.toml").staged() or {}).get("id")
-    possible = {
-        (): {(None, None), (PLATE_TEXT, None)},
-        ("begun",): {(PLATE_TEXT, None), (PLATE_TEXT, "accepted")},
-        ("begun", "staged"): {(PLATE_TEXT, "accepted"), (NEW_PLATE_TEXT, "accepted"), (NEW_PLATE_TEXT, None)},
-        ("begun", "staged", "accepted"): {(NEW_PLATE_TEXT, None), (NEW_PLATE_TEXT, "aborted")},
-        ("begun", "staged", "accepted", "staged"): {(NEW_PLATE_TEXT, "aborted"), (NEW_PLATE_TEXT, None)},
-        ("begun", "staged", "accepted", "staged", "aborted"): {(NEW_PLATE_TEXT, None)},
-    }
-    return found in possible[promised]
+    versions = [None, PLATE_TEXT, NEW_PLATE_TEXT]
+    return (plate.read_text() if plate.exists() else None) in versions[len(promised) : len(promised) + 2]
 
 
 def _promise(root: Path, text: str) -> None:
@@ -378,7 +348,7 @@ def fail_while_calibrating(moments: int, seed: int, folder: Path) -> list[str]:
     for count, failure in enumerate(failures(log, root, others=moments, seed=seed), 1):
         with tempfile.TemporaryDirectory() as place:
             failure.put(Path(place))
-            if not read_calibration(Path(place), folder, failure.acknowledged):
+            if not read_calibration(Path(place), failure.acknowledged):
                 wrong.append(f"outcome {count}, after {failure.acknowledged[-1:]}")
     print(f"{count} outcomes while a calibration is written, {len(wrong)} with a broken promise")
     return wrong

@@ -68,13 +68,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--valid-days", type=whole_number(1, 36_500), metavar="N", help="until the calibration expires (default: 365)"
     )
     result.add_argument("--output", type=Path, metavar="FILE", help="new plate file (default: change the plate's own)")
-    result.add_argument(
-        "--apply", action="store_true", help="accept, and have the configuration name the plate file of --output"
-    )
-    ends = result.add_mutually_exclusive_group()
-    ends.add_argument("--accept", action="store_true", help="accept a result without asking")
-    ends.add_argument("--accept-staged", action="store_true", help="accept the result of an earlier calibration")
-    ends.add_argument("--abort", action="store_true", help="discard the result of an earlier calibration")
+    result.add_argument("--apply", action="store_true", help="have the configuration name the plate file of --output")
+    result.add_argument("--accept", action="store_true", help="change the plate's own file without asking")
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
@@ -88,15 +83,9 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         from resonator_daemon.tools.calibration.skin import calibrate_skin
 
         return calibrate_skin(config, getattr(arguments, "seconds", 20.0), as_json=as_json)
-    from resonator_daemon.tools.calibration.run import Ending, abort_staged, accept_staged, calibrate
+    from resonator_daemon.tools.calibration.run import Ending, calibrate
     from resonator_daemon.tools.calibration.steps import LoadRequest
 
-    if "accept_staged" in arguments:
-        return accept_staged(config, as_json=as_json, apply="apply" in arguments)
-    if "abort" in arguments and "apply" in arguments:
-        raise UsageError("--apply does not go with --abort")
-    if "abort" in arguments:
-        return abort_staged(config, as_json=as_json)
     masses = {"masses_kg": tuple(gram * 1e-3 for gram in arguments.masses_grams)} if "masses_grams" in arguments else {}
     request = options_of(LoadRequest, arguments, **masses)
     return calibrate(config, request, options_of(Ending, arguments, as_json=as_json))

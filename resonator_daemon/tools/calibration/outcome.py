@@ -236,17 +236,10 @@ def refuse_unknown_sensitivity(outcome: Outcome) -> None:
     worst = int(np.argmax(outcome.sensitivity_std))
     if outcome.sensitivity_std[worst] <= SENSITIVITY_STD_MAX:
         return
-    masses = float(np.max(fit.sensitivity_mass_std[worst] / np.abs(fit.sensitivity[worst])))
-    remedies = {
-        "load it again with masses further apart, or more often (--repeats)": math.sqrt(
-            max(outcome.loads_std[worst] ** 2 - masses**2, 0.0)
-        ),
-        "hold loads longer (--hold-s)": outcome.creep_std,
-        "take masses that are known better (--mass-std)": masses,
-    }
     raise CalibrationRefusedError(
         f"site {outcome.plate.site_ids[fit.site[worst]]}: K is known to {100 * outcome.sensitivity_std[worst]:.2g} %, "
-        f"must be {100 * SENSITIVITY_STD_MAX:g} % or better; {max(remedies, key=lambda name: remedies[name])}"
+        f"must be {100 * SENSITIVITY_STD_MAX:g} % or better; hold loads longer (--hold-s), load each site more often "
+        "(--repeats), with masses further apart, or take masses that are known better (--mass-std)"
     )
 
 

@@ -1,11 +1,7 @@
-"""Files of a calibration: the session until it is accepted, and the plate file, whole at any instant."""
+"""The plate file that a calibration changes: whole at any instant."""
 
-import hashlib
-import json
 import os
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.resources import files
 from itertools import groupby
@@ -14,16 +10,8 @@ from typing import Any
 
 import tomlkit
 
-from resonator_daemon.base.errors import UsageError, UserError, meaning_of
-from resonator_daemon.base.host.files import (
-    NoNewFileError,
-    check_new,
-    fresh_name,
-    make_directory,
-    replace_file,
-    state_directory,
-    sync_directory,
-)
+from resonator_daemon.base.errors import UsageError, meaning_of
+from resonator_daemon.base.host.files import NoNewFileError, check_new, replace_file
 from resonator_daemon.base.plate import load_plate, shipped_plates
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
 from resonator_daemon.base.toml import read_toml
@@ -66,9 +54,9 @@ class PlateFile:
         return cls(source, target)
 
     @property
-    def digest(self) -> str:
-        """Hash of the source, by which a change is detected."""
-        return hashlib.sha256(self.source.read_bytes()).hexdigest()
+    def is_new(self) -> bool:
+        """Whether the result goes into another file than the plate's own."""
+        return not (self.output.exists() and self.source.samefile(self.output))
 
 
 def with_record(text: str, record: Record) -> str:
@@ -155,67 +143,3 @@ def name_plate(config_path: Path, plate: Path) -> None:
         raise CalibrationRefusedError(
             f'{path}: cannot be written ({meaning_of(error)}); the calibration is in {plate}; set plate = "{plate}"'
         ) from None
-
-
-def remove_remains(target: Path) -> None:
-    """Remove what a write that was killed has left next to the plate file."""
-    fresh_name(target.resolve()).unlink(missing_ok=True)
-
-
-class Session:
-    """One calibration of one configuration: a line of JSON for each thing captured, the staged result last."""
-
-    def __init__(self, config_path: Path) -> None:
-        """Name the session after the configuration, which has one at a time; nothing is read or written yet."""
-        resolved = config_path.resolve()
-        digest = hashlib.sha256(str(resolved).encode()).hexdigest()[:8]
-        self.path = state_directory() / "calibrations" / f"{resolved.stem}-{digest}.jsonl"
-
-    @contextmanager
-    def recording(self) -> Iterator[None]:
-        """Begin again, over what an interrupted calibration left; `write` works within the context."""
-        try:
-            make_directory(self.path.parent)
-            self._stream = self.path.open("w", encoding="utf-8", buffering=1)
-            sync_directory(self.path.parent)
-        except OSError as error:
-            raise UserError(f"{self.path}: cannot be written ({meaning_of(error)}); set XDG_STATE_HOME") from None
-        with self._stream:
-            yield
-
-    def write(self, kind: str, content: Any) -> None:
-        """Append one line; on the disk when this returns."""
-        self._stream.write(json.dumps({kind: content}) + "\n")
-        self._stream.flush()
-        os.fsync(self._stream.fileno())
-
-    def staged(self) -> dict[str, Any] | None:
-        """Return the result that waits to be accepted, None where there is none."""
-        try:
-            last = self.path.read_text(encoding="utf-8").rstrip("\n").rpartition("\n")[2]
-        except FileNotFoundError:
-            return None
-        try:
-            result = json.loads(last).get("staged")
-        except (ValueError, AttributeError):  # the end of an interrupted one
-            return None
-        return result if isinstance(result, dict) else None
-
-    def staged_or_refuse(self) -> dict[str, Any]:
-        """Return the result that waits; CalibrationRefusedError where there is none."""
-        if (result := self.staged()) is None:
-            raise CalibrationRefusedError(f"no calibration of this configuration is staged ({self.path})")
-        return result
-
-    def archive(self, calibration_id: str) -> Path:
-        """Keep what was captured under the calibration's id."""
-        kept = self.path.with_name(f"{calibration_id}.jsonl")
-        os.replace(self.path, kept)
-        sync_directory(kept.parent)
-        return kept
-
-    def discard(self) -> None:
-        """Remove the file; it stays removed after a power failure."""
-        with suppress(FileNotFoundError):
-            self.path.unlink()
-            sync_directory(self.path.parent)

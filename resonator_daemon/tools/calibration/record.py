@@ -1,16 +1,14 @@
 """Record of a calibration for the plate file, with coupling and temperature, and sentences about it."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from datetime import date, timedelta
 from typing import Any, Final
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import Calibration, Coupling, Response, Validity
 from resonator_daemon.estimate.forces.calibration_fit import fit_temperature
 from resonator_daemon.estimate.forces.force_sites import SiteResponse
@@ -26,7 +24,6 @@ _USUAL_CUT: Final = np.array([0.0, -0.5e-9, 1.08e-10])  # of AT quartz: a depend
 _USUAL_CUT_STD: Final = np.array([1e-6, 1e-9, 1e-11])
 _COUPLING_SIGMAS: Final = 3.0
 _OSCILLATOR_STD: Final = 1e-9  # of the mean of a hold against the untouched plate some seconds before
-_WIDTH_TOLERANCE: Final = 0.05  # relative, to which a width in the plate file should agree
 
 
 @dataclass(frozen=True)
@@ -202,31 +199,6 @@ def _moved(procedure: LoadProcedure, loading: Loading) -> Floats:
     return moved
 
 
-def _compare_with_width(plate: Plate, coupling: Sequence[Coupling]) -> str:
-    """Return a sentence that sets coupling against the plate file's spread_width_mm; "" where it has none."""
-    if plate.spread_width_m is None or not coupling:
-        return ""
-    index = {int(site_id): row for row, site_id in enumerate(plate.site_ids)}
-    pairs = np.array([(index[pair.pressed], index[pair.measured]) for pair in coupling])
-    distance_m = np.linalg.norm(np.diff(plate.site_positions_m[pairs], axis=1)[:, 0], axis=1)
-    ratio = np.array([pair.ratio for pair in coupling])
-
-    def off(width_m: float) -> Floats:
-        difference: Floats = ratio - (1 + (distance_m / width_m) ** 2) ** -1.5
-        return difference
-
-    limits = np.log(distance_m.min() / 30.0), np.log(distance_m.max())
-    best = minimize_scalar(lambda log_width: np.sum(off(np.exp(log_width)) ** 2), bounds=limits, method="bounded")
-    found_m, off_file = float(np.exp(best.x)), np.abs(off(plate.spread_width_m))
-    agrees = abs(found_m / plate.spread_width_m - 1) <= _WIDTH_TOLERANCE
-    worst = coupling[int(off_file.argmax())]
-    return (
-        f"coupling fits a spread of {1e3 * found_m:.3g} mm, spread_width_mm = {1e3 * plate.spread_width_m:g} "
-        f"{'agrees' if agrees else 'differs'}; the largest departure from the file's is {off_file.max():.2g} of the "
-        f"force, of site {worst.measured} with site {worst.pressed} pressed"
-    )
-
-
 def summary(outcome: Outcome, record: Record) -> Iterator[str]:
     """Yield lines on the sites, the whole, and the response."""
     calibration, fit = record.calibration, outcome.fit
@@ -271,8 +243,6 @@ def notes(outcome: Outcome, record: Record) -> list[str]:
             f"{100 * outcome.creep_share:.2g} % more, which is in sensitivity_std and residuals; loads from zero do "
             "not show hysteresis, and no error of this result includes it"
         )
-    if sentence := _compare_with_width(plate, calibration.coupling):
-        found.append(sentence)
     if request.kelvin is None:
         found.append(f"temperature not given (--kelvin): taken as {calibration.temperature_kelvin:g} K")
     return found

@@ -48,7 +48,7 @@ def true_ratio(felt: Coupling) -> float:
 
 
 def test_all_sites_of_an_ideal_plate(tmp_path: Path) -> None:
-    _, record, printed = calibrated(replace(WANTED, sites=(), hold_s=0.7), tmp_path)
+    _, record, _ = calibrated(replace(WANTED, sites=(), hold_s=0.7), tmp_path)
     assert list(record.calibration.sites) == IDS
     assert np.abs(sensitivity_errors(record)).max() < 3e-4
     assert len(record.tones) == 16
@@ -56,16 +56,6 @@ def test_all_sites_of_an_ideal_plate(tmp_path: Path) -> None:
     assert np.abs(f0_hz * (1 + REFERENCE_ERROR) / COMB_TRUE.tones.f0_hz - 1).max() < 4e-9  # the file was 20e-6 off
     assert len(record.calibration.coupling) == 240  # even the farthest feels 0.2 %
     assert max(abs(felt.ratio - true_ratio(felt)) for felt in record.calibration.coupling) < 3e-4
-    assert "coupling fits a spread of 2.5 mm, spread_width_mm = 2.5 agrees" in " ".join(printed)
-
-
-def test_f0_is_the_mean_of_the_first_second(tmp_path: Path) -> None:
-    loads, begun_s = Loads(COMB_NOMINAL, COMB_TRUE), 0.0
-    frames = comb_frames(COMB_TRUE, Touches(physics=IDEAL), tmp_path)
-    while (reading := loads.push(*next(frames))) is None:
-        begun_s += 1 / COMB_NOMINAL.counter.frame_rate_hz
-    assert begun_s == pytest.approx(1.1, abs=0.05)  # ten readings make f0, the eleventh is compared with it
-    assert reading.untouched
 
 
 def test_sites_that_were_not_loaded_get_their_f0_and_keep_their_sensitivity(tmp_path: Path) -> None:

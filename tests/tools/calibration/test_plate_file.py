@@ -11,7 +11,7 @@ from resonator_daemon.base.errors import ConfigurationError, UsageError
 from resonator_daemon.base.host.files import NoNewFileError
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.base.plate_tables import Calibration, Response, Validity
-from resonator_daemon.tools.calibration.plate_file import PlateFile, remove_remains, with_record, write_plate_file
+from resonator_daemon.tools.calibration.plate_file import PlateFile, with_record, write_plate_file
 from resonator_daemon.tools.calibration.record import Record, ToneChange
 
 RECORD = Record(
@@ -78,14 +78,6 @@ def test_mode_and_symbolic_links_stay(tmp_path: Path) -> None:
     assert link.is_symlink()
     assert path.read_text() == SHIPPED.read_text()
     assert path.stat().st_mode & 0o777 == 0o640
-
-
-def test_remains_of_a_write_that_was_killed_are_removed(tmp_path: Path) -> None:
-    path = tmp_path / "plate.toml"
-    path.write_text("before")
-    (tmp_path / ".plate.toml.new").write_text("half")
-    remove_remains(path)
-    assert os.listdir(tmp_path) == ["plate.toml"]
 
 
 def config_of(folder: Path, plate: str) -> Path:
