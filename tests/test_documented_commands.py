@@ -20,7 +20,6 @@ GUIDES = ROOT / "docs" / "how-to"
 # Commands of guides that need what a test has not, by a part of them, and what that is.
 ELSEWHERE = {
     "mqtt://robot:1883": "another computer",
-    "status --watch": "somebody who ends it",
     "decode-recordings": "recordings of a fleet",
     "tcp://192.168.7.2": "a board in a network",
 }

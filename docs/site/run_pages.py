@@ -38,7 +38,6 @@ LASTING = {
     r"resonatord run\b": (r"sensor online|link (?:waiting|refused)", False),
     r"resonatord decode\s": (r"online", False),
     r"resonatord watch\b": (r": daemon online|^\{", True),
-    r"resonatord status .*--watch": (r"daemon +online", True),
     r"resonatord (?:view|bridge)\b": (r"://|connected", True),
     r"examples/python/forces\.py": (r".", True),
     r"examples/c/decoded": (r"", True),

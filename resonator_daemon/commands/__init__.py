@@ -46,7 +46,7 @@ def main(words: "Sequence[str] | None" = None) -> int:
 
 def _interrupted(words: "Sequence[str]") -> int:
     """Print that the command was interrupted; return the exit code."""
-    if (words[:1] and words[0] in _UNTIL_STOPPED) or (words[:1] == ["status"] and "--watch" in words):
+    if words[:1] and words[0] in _UNTIL_STOPPED:
         return 0
     error = '"error": {"code": "interrupted", "message": "interrupted", "hint": ""}'
     try:

@@ -7,7 +7,7 @@ import argparse
 import logging
 from typing import Final
 
-from resonator_daemon.base.errors import ExitCode, UsageError, UserError
+from resonator_daemon.base.errors import ExitCode, UsageError
 from resonator_daemon.tools.command_line import add_link, positive, separate_config
 
 _SECONDS: Final = 10.0
@@ -22,32 +22,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"how long to listen to the board, from its first frame on (default: {_SECONDS:g})",
     )
-    parser.add_argument(
-        "--broker",
-        action="append",
-        default=[],
-        type=_broker,
-        metavar="URL",
-        help="look at this broker, too: mqtt://host:port; repeat it for several",
-    )
     parser.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     separate_config(arguments)
-    if arguments.link is None and arguments.config is None and not arguments.broker:
-        raise UsageError("name a --config FILE, a LINK (see: resonatord ports) or a --broker URL")
+    if arguments.link is None and arguments.config is None:
+        raise UsageError("name a --config FILE or a LINK (see: resonatord ports)")
     from resonator_daemon.tools.doctor.run import DoctorOptions, doctor
 
     logging.getLogger().setLevel(logging.ERROR)  # the report has the rest
-    brokers = tuple(arguments.broker)
-    return doctor(DoctorOptions(arguments.config, arguments.link, arguments.seconds, brokers, arguments.json))
-
-
-def _broker(url: str) -> object:
-    from resonator_daemon.tools.command_line import broker_at
-
-    try:
-        return broker_at(url, "resonator", named_by="--broker")
-    except UserError as error:
-        raise argparse.ArgumentTypeError(str(error).removeprefix("--url: ")) from None
+    return doctor(DoctorOptions(arguments.config, arguments.link, arguments.seconds, arguments.json))

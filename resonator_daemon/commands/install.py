@@ -1,10 +1,9 @@
-"""Put units, udev rules and user of the services, completion and manual pages into their places.
+"""Put units, udev rules and user of the services, and completion into their places.
 
 Example: sudo /opt/resonatord/bin/resonatord install
 """
 
 import argparse
-import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +14,7 @@ from resonator_daemon.base.host.text import print_note, with_pages
 from resonator_daemon.tools.command_line import finish
 
 if TYPE_CHECKING:
-    from resonator_daemon.base.host.install import Action, Installation
+    from resonator_daemon.base.host.install import Installation
 
 SHARE: Final = "/usr/local/share"
 COMPLETION_FILES: Final = {
@@ -23,7 +22,6 @@ COMPLETION_FILES: Final = {
     "zsh": f"{SHARE}/zsh/site-functions/_resonatord",
     "fish": f"{SHARE}/fish/vendor_completions.d/resonatord.fish",
 }
-MANUAL_DIRECTORY: Final = f"{SHARE}/man/man1"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +36,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.board.config import example_config
 
     verb, prefix, dry_run = arguments.command, arguments.prefix, arguments.dry_run
-    made_here = {EXAMPLE: with_pages(example_config()), **dict(completions()), **dict(manual())}
+    made_here = {EXAMPLE: with_pages(example_config()), **dict(completions())}
     done = (install if verb == "install" else uninstall)(prefix, made_here, dry_run=dry_run)
     result = {
         "program": str(done.program),
@@ -71,21 +69,10 @@ def _lines(verb: str, done: "Installation") -> Iterator[str]:
         Action.READ_ONLY: "left out: this file system is read-only",
         Action.KEPT: f"kept: it was changed here{elsewhere}",
     }
-    for place, action in _places(done):
-        yield f"{place}: {more.get(action) or action.replace('_', ' ')}"
+    for file in done.placed:
+        yield f"{file.path}: {more.get(file.action) or file.action.replace('_', ' ')}"
     for command, error in done.commands:
         yield f"{' '.join(command)}: {error or ('done' if done.run else 'would be run')}"
-
-
-def _places(done: "Installation") -> "Iterator[tuple[str, Action]]":
-    """Yield each file with what is done with it; pages of the manual as one where they fare alike."""
-    pages = [file for file in done.placed if file.path.parent.name == "man1"]
-    alike = len({file.action for file in pages}) == 1
-    for file in done.placed:
-        if not alike or file not in pages:
-            yield str(file.path), file.action
-    if alike:
-        yield f"{pages[0].path.parent}, {len(pages)} pages", pages[0].action
 
 
 def completions() -> Iterator[tuple[str, str]]:
@@ -127,52 +114,3 @@ def _kind(action: argparse.Action) -> str | None:
     if "DIR" in name:
         return "DIRECTORY"
     return "FILE" if "FILE" in name or name in ("OUT", "LINKPATH") else None
-
-
-def manual() -> Iterator[tuple[str, str]]:
-    """Yield path and text of a manual page for `resonatord`, for each command, and for each group of commands."""
-    from importlib.metadata import version
-
-    from resonator_daemon.commands._command_line import make_parser, parsers
-
-    release = version("resonatord")
-    for words, parser in parsers(make_parser()):
-        vars(parser)["color"] = False  # of Python 3.14, on a terminal
-        name = words.replace(" ", "-")
-        yield f"{MANUAL_DIRECTORY}/{name}.1", "\n".join(_page(name, parser, release)) + "\n"
-
-
-def _page(name: str, parser: argparse.ArgumentParser, release: str) -> Iterator[str]:
-    description = parser.description or ""
-    usage = " ".join(parser.format_usage().removeprefix("usage: ").split())
-    yield f'.TH {_text(name.upper())} 1 "" "resonatord {release}" "resonatord"'
-    yield from (".SH NAME", f"{_text(name)} \\- {_text(re.split(r'[.:] ', description)[0].removesuffix('.'))}")
-    yield from (".SH SYNOPSIS", f".B {_text(usage)}")
-    yield from (".SH DESCRIPTION", _text(description))
-    for group in parser._action_groups:  # noqa: SLF001 - argparse has no other way to list arguments
-        actions = [action for action in group._group_actions if action.help is not argparse.SUPPRESS]  # noqa: SLF001
-        if actions:
-            yield f".SH {_text((group.title or 'arguments').upper())}"
-        for action in actions:
-            yield from _entries(parser, action)
-    if parser.epilog:
-        yield from (".SH NOTES", _text(parser.epilog))
-    if " " in parser.prog:
-        yield from (".SH SEE ALSO", r".BR resonatord (1)")
-
-
-def _entries(parser: argparse.ArgumentParser, action: argparse.Action) -> Iterator[str]:
-    if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001
-        for choice in action._choices_actions:  # noqa: SLF001 - the help of commands is nowhere else
-            page = f"{parser.prog} {choice.dest}".replace(" ", "-")
-            yield from (".TP", f".BR {_text(page)} (1)", _text(choice.help or ""))
-        return
-    formatter = parser._get_formatter()  # noqa: SLF001
-    yield from (".TP", f".B {_text(formatter._format_action_invocation(action))}")  # noqa: SLF001
-    yield _text(formatter._expand_help(action)) if action.help else ""  # noqa: SLF001 - with its defaults
-
-
-def _text(text: str) -> str:
-    """Return a line of text with the signs escaped that roff takes as commands."""
-    escaped = with_pages(text).replace("\\", "\\e").replace("-", "\\-").replace('"', "\\(dq").replace("`", "\\(ga")
-    return f"\\&{escaped}" if escaped.startswith((".", "'")) else escaped

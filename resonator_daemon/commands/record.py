@@ -25,20 +25,6 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     try:
         result = record(arguments.config, options_of(RecordOptions, arguments))
     except PortInUseError as error:
-        raise PortInUseError(f"{error}{_of_the_daemon(arguments.config)}") from None
+        hint = "a daemon records it by: resonatord command NAME start_recording"
+        raise PortInUseError(f"{error}; {hint}") from None
     return finish(arguments, result)
-
-
-def _of_the_daemon(config_path: Path) -> str:
-    """Return how the daemon that has the link records it itself; empty where none is found."""
-    import asyncio
-
-    from resonator_daemon.board.config import load_config
-    from resonator_daemon.tools.doctor.daemon_checks import find_daemon
-
-    answer = asyncio.run(find_daemon(load_config(config_path).link, config_path, ()))
-    if answer is None or answer.status is None:
-        return ""
-    name = answer.status.get("name") or "NAME"
-    command = f"resonatord command {name} start_recording --config {config_path}"
-    return f"; the daemon {name} reads it and can record it: {command}"

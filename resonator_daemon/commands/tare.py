@@ -9,9 +9,8 @@ Example: resonatord tare left-index
 import argparse
 import logging
 from collections.abc import Mapping
-from pathlib import Path
 
-from resonator_daemon.base.errors import ConfigurationError, ExitCode
+from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.base.host.text import print_note
 from resonator_daemon.tools.command_line import add_broker, add_daemon, client_of, number, print_answer, send_command
 
@@ -30,21 +29,9 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     import asyncio
 
     def waiting(refusal: Mapping[str, object]) -> None:
-        needed = "" if arguments.config is None else _needed(arguments.config)
-        print_note(f"{refusal.get('message')}; waiting up to {arguments.wait:g} s for an untouched reading{needed}")
+        print_note(f"{refusal.get('message')}; waiting up to {arguments.wait:g} s for an untouched reading")
 
     logging.getLogger().setLevel(logging.WARNING)  # connections are not logged here
     client = client_of(arguments)
     answer = asyncio.run(send_command(client, "tare", {}, wait_s=arguments.wait, on_wait=waiting))
     return print_answer(answer, "not tared", as_json=arguments.json, only="message")
-
-
-def _needed(config_path: Path) -> str:
-    """Return how long a reading takes, by the daemon's configuration; empty for a file of the client alone."""
-    from resonator_daemon.board.config import load_config
-
-    try:
-        window_ms = load_config(config_path).measurement.window_ms
-    except ConfigurationError:
-        return ""
-    return f", which takes {window_ms:g} ms once frames come"

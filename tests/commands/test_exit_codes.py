@@ -123,18 +123,6 @@ def test_an_output_that_is_there_is_not_overwritten(
     assert (tmp_path / "there").read_bytes() == b"mine"
 
 
-@pytest.mark.parametrize("line", ["check gone.toml", "tare --wrong"])
-@pytest.mark.parametrize(("terminal", "no_color"), [(True, ""), (True, "1"), (False, "")])
-def test_errors_have_colour_on_a_terminal(
-    line: str, terminal: bool, no_color: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("NO_COLOR", no_color)
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
-    assert exit_code(*shlex.split(line)) in (2, 78)
-    assert ("\x1b[1;31m" in capsys.readouterr().err) == (terminal and not no_color)
-
-
 @pytest.mark.parametrize("line", [f"replay {RECORDING} --to -", "schema"])
 def test_a_reader_that_leaves_ends_it_well(line: str) -> None:
     """As `| head -c 1` does; the rest is more than a pipe holds."""

@@ -10,7 +10,6 @@ import pytest
 from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.base.host import install as module
 from resonator_daemon.commands import main
-from resonator_daemon.commands._command_line import command_names
 
 ROOT = Path(__file__).parents[2]
 PROGRAM = Path(sys.executable).with_name("resonatord")
@@ -22,9 +21,7 @@ SERVICES = {
 SHARE = "usr/local/share"
 BASH = f"{SHARE}/bash-completion/completions/resonatord"
 COMPLETIONS = {BASH, f"{SHARE}/zsh/site-functions/_resonatord", f"{SHARE}/fish/vendor_completions.d/resonatord.fish"}
-COMMANDS = {name for command in command_names() for name in (command, command.split()[0])}
-PAGES = {f"{SHARE}/man/man1/{'-'.join(['resonatord', *name.split()])}.1" for name in COMMANDS | {""}}
-PLACES = SERVICES | COMPLETIONS | PAGES
+PLACES = SERVICES | COMPLETIONS
 UNIT, RULES = "etc/systemd/system/resonatord@.service", "etc/udev/rules.d/70-resonatord.rules"
 HIDDEN = module.HIDDEN_FROM_SERVICES
 
@@ -77,15 +74,13 @@ def test_uninstall_removes_what_was_installed_and_nothing_else(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     installed(tmp_path, capsys)
-    own, older = tmp_path / "etc/resonatord/left.toml", tmp_path / SHARE / "man/man1/resonatord-fly.1"
-    own.write_text("mine")
-    older.write_text(module.sealed(".TH RESONATORD-FLY 1\n"))
+    (tmp_path / "etc/resonatord/left.toml").write_text("mine")
     (tmp_path / UNIT).write_text("changed")
     for dry, action in ((["--dry-run"], "would_remove"), ([], "removed"), ([], None)):
         assert main(["uninstall", "--prefix", str(tmp_path), "--json", *dry]) == ExitCode.DONE
         reported = json.loads(capsys.readouterr().out)
         actions = {str(Path(file["path"]).relative_to(tmp_path)): file["action"] for file in reported["files"]}
-        expected = dict.fromkeys((PLACES | {str(older.relative_to(tmp_path))}) - {UNIT}, action) if action else {}
+        expected = dict.fromkeys(PLACES - {UNIT}, action) if action else {}
         assert (reported["verb"], reported["commands"], actions) == ("uninstall", [], expected | {UNIT: "kept"})
     assert files_in(tmp_path) == {UNIT, "etc/resonatord/left.toml"}
 
@@ -116,20 +111,6 @@ def test_bash_completes_commands_options_and_files(tmp_path: Path, capsys: pytes
         )
         done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
         assert (done.stdout, done.stderr) == (f"{offered}\n", "")
-
-
-def test_the_manual_has_what_the_help_has(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    installed(tmp_path, capsys)
-    page = (tmp_path / f"{SHARE}/man/man1/resonatord-plan-codes.1").read_text()
-    with pytest.raises(SystemExit):
-        main(["plan", "codes", "--help"])
-    helped = capsys.readouterr().out.split()
-    words = page.replace("\\-", "-").replace("\\(dq", '"').replace("\\(ga", "`").split()
-    assert {word for word in helped if word.startswith("--")} <= set(words)
-    assert page.startswith('.TH RESONATORD\\-PLAN\\-CODES 1 ""')
-    assert all(
-        line.split()[0] in {".TH", ".SH", ".TP", ".B", ".BR", '.\\"'} for line in page.splitlines() if line[0] == "."
-    )
 
 
 def test_a_dry_run_for_this_system_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:

@@ -65,7 +65,6 @@ sys.exit(main())
 LOST: Final = """
 0 pydantic run --config hand.toml
 0 numpy emulate --plate quartz16 --pty board
-0 resonator_daemon.daemon.monitoring.status_client status --watch --json
 1 argparse schema --help
 1 pydantic config explain --json
 1 resonator_daemon.board.session.probe identify tcp://127.0.0.1:9 --json

@@ -78,22 +78,6 @@ def test_a_port_in_use_is_reported_at_once(tmp_path: Path) -> None:
             record(path, options)
         assert (raised.value.exit_code, raised.value.code) == (69, "port_in_use")
         assert f"(pid {os.getpid()})" in str(raised.value)
-        environment = os.environ | {"XDG_RUNTIME_DIR": str(tmp_path)}
-        path.write_text(f'name = "hand"\n{path.read_text()}[mqtt]\nurl = "mqtt://127.0.0.1:9"\n')
-        command = [*COMMAND[:-1], "run", str(path)]
-        daemon = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
-        assert daemon.stderr is not None
-        try:
-            for line in daemon.stderr:
-                if "online" in line:
-                    break
-            held = [*COMMAND, str(path), "--output", str(options.output)]
-            made = subprocess.run(held, capture_output=True, text=True, timeout=60, check=False, env=environment)
-        finally:
-            daemon.terminate()
-            daemon.communicate()
-    assert made.returncode == 69
-    assert made.stderr.rstrip().endswith(f"resonatord command hand start_recording --config {path}")
     assert not options.output.exists()
 
 

@@ -2,12 +2,7 @@
 
 import asyncio
 import json
-import os
-import pty
-import signal
 import socket
-import subprocess
-import sys
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
@@ -156,39 +151,3 @@ async def test_what_is_not_well_is_in_the_block(capsys: pytest.CaptureFixture[st
         assert words in page
     assert str(status_samples.NOW_NS)[:10] not in page
     assert "\x1b" not in page
-
-
-@pytest.mark.parametrize("form", [["--json"], []])
-async def test_watching_goes_on_when_the_daemon_goes_and_ends_well(form: list[str], home: Path) -> None:
-    environment = os.environ | {"XDG_RUNTIME_DIR": str(home.parent), "PYTHONUNBUFFERED": "1"}
-    command = [sys.executable, "-m", "resonator_daemon.commands", "status", "hand", "--watch", *form]
-    watch = await asyncio.create_subprocess_exec(*command, env=environment, stdout=subprocess.PIPE)
-    assert watch.stdout is not None
-    async with daemons(status_samples.status()):
-        line = b""
-        while b"left-index" not in line:
-            line = await watch.stdout.readline()
-    async with asyncio.timeout(DEADLINE_S):
-        while not (b'"daemons": []' in line or b"no daemon called hand runs" in line):
-            line = await watch.stdout.readline()
-        watch.send_signal(signal.SIGINT)
-        assert await watch.wait() == 0
-
-
-async def test_watching_in_a_terminal_shows_the_page(home: Path) -> None:
-    terminal, slave = pty.openpty()
-    environment = os.environ | {"XDG_RUNTIME_DIR": str(home.parent), "TERM": "xterm"}
-    command = [sys.executable, "-m", "resonator_daemon.commands", "status", "hand", "--watch"]
-    try:
-        async with daemons(status_samples.status()):
-            watch = await asyncio.create_subprocess_exec(*command, env=environment, stdout=slave)
-            os.close(slave)
-            shown = b""
-            try:
-                while b"left-index" not in shown:
-                    shown += await asyncio.to_thread(os.read, terminal, 65536)
-            finally:
-                watch.kill()  # also ends a read that waits
-                await watch.wait()
-    finally:
-        os.close(terminal)

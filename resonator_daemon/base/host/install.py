@@ -113,7 +113,7 @@ def install(prefix: Path | None, made: Mapping[str, str], *, dry_run: bool) -> I
     prefix
         Below it everything is put, and no command is run: for a package or an image.
     made
-        Text of each file that the program makes itself, by its place: example configuration, completion, manual.
+        Text of each file that the program makes itself, by its place: example configuration, completion.
     dry_run
         Change nothing, and return what would be done.
 
@@ -152,10 +152,8 @@ def uninstall(prefix: Path | None, made: Mapping[str, str], *, dry_run: bool) ->
     """
     run = _may_run_commands(prefix, dry_run, "uninstall")
     places = [_below(prefix, place) for place in (*_PLACES.values(), *made)]
-    manuals = {place.parent for place in places if place.parent.name == "man1"}
-    older = {page for folder in manuals for page in folder.glob("resonatord*.1")}
     commands = _done(_commands_that_stop() if prefix is None else (), run)
-    placed = [_remove(path, dry_run) for path in dict.fromkeys((*places, *sorted(older))) if os.path.lexists(path)]
+    placed = [_remove(path, dry_run) for path in places if os.path.lexists(path)]
     commands += _done(_RELOADS if prefix is None else (), run)
     return Installation(Path(sys.executable).with_name("resonatord"), None, placed, commands, run)
 
@@ -244,8 +242,7 @@ def started_by(text: str, program: Path) -> str:
 
 def sealed(text: str) -> str:
     """Return the text with a last line by which `_is_intact` detects whether it was changed."""
-    comment = '.\\"' if text.startswith(".") else "#"  # of roff, or of units, rules and shells
-    return f"{text}{comment} resonatord install {hashlib.sha256(text.encode()).hexdigest()}\n"
+    return f"{text}# resonatord install {hashlib.sha256(text.encode()).hexdigest()}\n"
 
 
 def _is_intact(text: str) -> bool:

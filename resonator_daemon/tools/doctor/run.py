@@ -16,7 +16,6 @@ from resonator_daemon.base.host.signals import interruptible
 from resonator_daemon.base.plate import Plate, load_plate, shipped_plates
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.config import Config, load_config
-from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.links.port_holders import Holders, port_holders
 from resonator_daemon.board.links.target import LinkTarget
@@ -48,7 +47,6 @@ class DoctorOptions:
     config_path: Path | None
     link: LinkTarget | None
     seconds: float
-    brokers: tuple[Mqtt, ...] = ()  # in addition to the configuration's
     json: bool = False
     host: Host = field(default_factory=Host)
 
@@ -113,9 +111,9 @@ class _Diagnosis:
         self._show("clock, disk")
         yield from check_clock()
         yield from check_disk(state_directory(), config.recording if config else None)
-        for broker in self._brokers():
-            self._show(f"broker {broker.host}:{broker.port}")
-            yield from asyncio.run(check_broker(broker, self._host))
+        if config is not None:
+            self._show(f"broker {config.mqtt.host}:{config.mqtt.port}")
+            yield from asyncio.run(check_broker(config.mqtt, self._host))
         for name, check in load_entries("findings", callable):
             self._show(f"extension {name}")
             try:
@@ -150,9 +148,6 @@ class _Diagnosis:
         path = self._options.config_path if own_link else None
         answer = asyncio.run(find_daemon(link, path, {holder.pid for holder in holders.processes}))
         return [] if answer is None else list(check_daemon(answer))
-
-    def _brokers(self) -> tuple[Mqtt, ...]:
-        return (*((self._config.mqtt,) if self._config else ()), *self._options.brokers)
 
     def _node(self, link: LinkTarget) -> Path | None:
         """Return the device file of a link."""

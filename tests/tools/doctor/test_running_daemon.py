@@ -21,7 +21,6 @@ from resonator_daemon.commands import main
 from resonator_daemon.daemon.monitoring.status_client import Answer, ask_all
 from resonator_daemon.tools.doctor import daemon_checks, run
 from resonator_daemon.tools.doctor.daemon_checks import (
-    SENSOR,
     check_daemon,
     find_daemon,
 )
@@ -189,16 +188,6 @@ def test_a_daemon_that_is_well_has_nothing_wrong() -> None:
 )
 def test_what_a_daemon_says_is_judged(change: dict[str, object], id: str, outcome: Outcome) -> None:
     assert judged(**change)[id] is outcome
-
-
-@pytest.mark.parametrize(
-    ("state", "by_itself"), [("pressed_at_start", True), ("uncalibrated", True), ("drifting", True), ("stalled", False)]
-)
-def test_what_the_state_explains_needs_no_second_look(state: str, by_itself: bool) -> None:
-    answer = Answer(Path("/none"), STATUS | {"sensor": {"state": state}}, None)
-    (found,) = (each for each in check_daemon(answer) if each.id == SENSOR.id)
-    assert found.remedy
-    assert ("stop the daemon" not in found.remedy) is by_itself
 
 
 def test_a_daemon_that_does_not_answer_is_a_fault_unless_this_user_may_not_ask(
