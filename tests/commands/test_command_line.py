@@ -71,7 +71,7 @@ def test_its_version_is_that_of_the_project(resonatord: Resonatord) -> None:
         ("plan code", " plan", "codes"),
         ("run", " run", "FILE or --config"),
         ("run --conifg x.toml", " run", "--config"),
-        ("watch --ful", " watch", "--full-rate"),
+        ("watch --pref", " watch", "--prefix"),
         ("doctor --secnds 3", " doctor", "--seconds"),
         ("plan codes --grid 4x4 --pitchmm=5", " plan codes", "--pitch-mm"),
         ("calibrate skni --config x.toml", " calibrate", "skin"),
