@@ -161,8 +161,6 @@ class ReasonCode(Word):
     SUPPORT_ENLARGED = "support_enlarged", "load was found outside the contact that the linear map shows"
     FRICTION_CONTRADICTED = "friction_contradicted", "the signals contradict the friction coefficient; it is not used"
     PHYSICS_CONTRADICTED = "physics_contradicted", "the signals contradict contact physics; the linear map is shown"
-    CONTACT_FITTED = "contact_fitted", "one contact is fitted: too few or too distant sites for a map"
-    PLACE_AMBIGUOUS = "place_ambiguous", "several places of the contact explain the signals about as well"
     SLIPS_TOO_LITTLE = "slips_too_little", "the contact slips too little to show; shear it more"
     FRICTION_UNKNOWN = "friction_unknown", "the friction coefficient is known to worse than a quarter"
     NOT_FITTED = "not_fitted", "the contact was not fitted"

@@ -7,9 +7,11 @@ import numpy as np
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.estimate.elastic.half_space import HalfSpace
-from resonator_daemon.estimate.surface.layout import as_grid, diagonal_m, refuse_duplicates
+from resonator_daemon.estimate.surface.layout import as_grid, diagonal_m, gap_m, refuse_duplicates
 
-_SITES_MIN: Final = 3  # with three signals each, more than the six unknowns of a contact
+# With fewer sites, or others further apart, a map peaks at the nearest site and shows almost nothing in between.
+_SITES_MIN: Final = 40
+_WIDEST_SPACING_DEPTHS: Final = 3.0
 
 
 @dataclass(frozen=True)
@@ -89,9 +91,15 @@ def refuse_undecodable(skin: Skin, options: DecodingOptions) -> None:
     sites_m = skin.site_positions_m
     depths_m = np.full(len(sites_m), skin.depth_m)
     if len(sites_m) < _SITES_MIN:
-        raise ValueError(f"{len(sites_m)} sites under a skin; at least {_SITES_MIN} are needed to decode a contact")
+        raise ValueError(f"{len(sites_m)} sites under a skin; at least {_SITES_MIN} are needed for a map")
     refuse_duplicates(sites_m, depths_m)
     diagonal_m(sites_m, depths_m)
+    spacing_m, widest_m = gap_m(sites_m), _WIDEST_SPACING_DEPTHS * skin.depth_m
+    if spacing_m > widest_m:
+        raise ValueError(
+            f"sites are {1e3 * spacing_m:.3g} mm apart; at a depth of {1e3 * skin.depth_m:.3g} mm a map needs "
+            f"at most {1e3 * widest_m:.3g} mm"
+        )
     grid = as_grid(sites_m)
     if options.method == "fourier" and (grid is None or not np.isclose(grid.pitch_x_m, grid.pitch_y_m)):
         raise ValueError(

@@ -9,7 +9,6 @@ from resonator_daemon.base.arrays import Bools, Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDecoder
 from resonator_daemon.estimate.surface.decoded import Decoded
-from resonator_daemon.estimate.surface.fitting.parametric_decoder import ParametricDecoder, sparse_reason
 from resonator_daemon.estimate.surface.fourier.decoder import FourierDecoder
 from resonator_daemon.estimate.surface.layout import as_grid, cell_areas_m2
 from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder
@@ -119,40 +118,6 @@ def _widened(patch: Patch, biases: tuple[float, float]) -> Patch:
     )
 
 
-class ParametricEstimator:
-    """Parametric fit of the one contact that explains a frame best; methods and attributes as of `MapEstimator`."""
-
-    name = "template"
-    physics: ContactDecoder | None = None
-
-    def __init__(
-        self, skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
-    ) -> None:
-        self._displacement = options.displacement
-        self._patch: Patch | None = None
-        self.shape: tuple[int, ...] = (len(skin.site_positions_m),)
-        progress(f"parametric contact fit of {self.shape[0]} sites")
-        self._decoder = ParametricDecoder(
-            skin.half_space, skin.site_positions_m, skin.depth_m, noise_std, gain_std=skin.gain_std
-        )
-
-    def read(self, frame: Floats) -> Decoded:
-        decoded, self._patch = self._decoder.decode(frame, displacement=self._displacement)
-        return decoded
-
-    def patches(self, _decoded: Decoded) -> list[Patch]:
-        return [] if self._patch is None else [self._patch]
-
-
-def surface_estimator(
-    skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
-) -> MapEstimator | ParametricEstimator:
-    """Return the estimator for the layout of the sites; ValueError for a skin or a method that cannot be decoded."""
-    if options.method == "open-plane" and sparse_reason(skin.site_positions_m, skin.depth_m):
-        return ParametricEstimator(skin, options, noise_std, progress)
-    return MapEstimator(skin, options, noise_std, progress)
-
-
 @dataclass(frozen=True)
 class SurfaceReading:
     """One frame, read."""
@@ -179,7 +144,7 @@ class SkinDecoder:
     Attributes
     ----------
     name
-        What decodes: the method, "+contact" with contact physics, or "template".
+        What decodes: the method, "+contact" with contact physics.
     shape
         Of the places of the map, (ny, nx) or (n,).
     contacts
@@ -191,7 +156,8 @@ class SkinDecoder:
     ) -> None:
         refuse_undecodable(skin, options)
         self._noise_std = noise_std
-        self._estimator = surface_estimator(skin, options, noise_std, progress)
+        self._noisy = _NOISY * noise_std
+        self._estimator = MapEstimator(skin, options, noise_std, progress)
         progress("contact shapes")
         self.contacts = SkinContacts(skin, noise_std, options.friction_coefficient)
         self._frame = np.full(noise_std.shape, np.nan)
@@ -200,12 +166,9 @@ class SkinDecoder:
 
     def fits(self, noise_std: Floats) -> bool:
         """Return whether the decoder still serves signals of such noise, (3, n); silent channels are ignored."""
-        ratios, known = noise_std / self._noise_std, _known(noise_std)
-        # A median is below a bound where at least half of the values are: no median has to be computed.
-        half = 0.5 * np.count_nonzero(known, axis=1)
-        below = np.count_nonzero(known & (ratios < _NOISE_CHANGE), axis=1)
-        above = np.count_nonzero(known & (ratios > 1.0 / _NOISE_CHANGE), axis=1)
-        return bool(((below >= half) & (above >= half)).all())
+        ratios = noise_std / self._noise_std
+        alike = np.count_nonzero((ratios < _NOISE_CHANGE) & (ratios > 1.0 / _NOISE_CHANGE), axis=1)
+        return bool((2 * alike >= np.count_nonzero(_known(noise_std), axis=1)).all())
 
     def reset(self, reason: Reason) -> tuple[SkinEvent, ...]:
         """Discard the frames before; return the releases of their contacts, for this reason."""
@@ -252,7 +215,8 @@ class SkinDecoder:
         return reading
 
     def _sound(self, signals: Floats, noise_std: Floats) -> Floats:
-        return np.where(noise_std < _NOISY * self._noise_std, signals, np.nan)
+        sound = noise_std < self._noisy
+        return signals if sound.all() else np.where(sound, signals, np.nan)
 
     def rebuild(self) -> bool:
         """Update matrices if a contact has moved, and return whether; it may run in another thread than `decode`."""

@@ -11,7 +11,6 @@ from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.contact_physics import decoder as decoder_module
 from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDecoder
 from resonator_daemon.estimate.surface.contact_physics.support_search import SupportSearch
-from resonator_daemon.estimate.surface.fitting.parametric_decoder import hertz_displacement
 from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder
 
 SKIN = HalfSpace(E, 0.5)
@@ -240,7 +239,11 @@ def test_displacement_is_that_of_the_traction_shown(linear, told):
     contact = scene(centre_m)
     signals, truth = frame_of(contact, 40)
     scale = truth[2].max() / contact.traction[2].max()
-    expected = scale * hertz_displacement(SKIN, grid_positions() - centre_m, 2.5e-3)[2, 2]
+    # Johnson, Contact Mechanics, 1985: equations (3.41) and (3.42)
+    a, r = 2.5e-3, np.hypot(*(grid_positions() - centre_m).T)
+    sine = a / np.maximum(r, a)
+    even = (2.0 * a**2 - r**2) * np.arcsin(sine) + a * r * np.sqrt(1.0 - sine**2)
+    expected = scale * 3.0 * (1.0 - SKIN.poisson_ratio) / (8.0 * np.pi * a**3 * SKIN.shear_modulus_pascal) * even
     decoded = told.decode(signals, displacement=True)
     assert decoded.displacement_m.shape == (3, 32, 32)
     assert error(decoded.displacement_m[2].ravel(), expected) < 0.005

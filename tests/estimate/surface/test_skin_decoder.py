@@ -184,23 +184,11 @@ def test_a_successor_goes_on_counting_and_reports_how_contacts_end(linear: SkinD
     assert [contact.id for contact in contacts] == [last.id + 1]
 
 
-def test_too_few_sites_for_a_map_are_fitted_by_one_contact() -> None:
-    sites_m = 2.5 * grid((4, 4)) + np.random.default_rng(1).uniform(-2e-4, 2e-4, (16, 2))
-    noise = np.full((3, 16), 2.0**-12)
-    decoder = SkinDecoder(replace(SKIN, site_positions_m=sites_m), PHYSICS, noise, [].append)
-    assert (decoder.name, decoder.shape) == ("template", (16,))
-    random, events, contacts = np.random.default_rng(2), [], ()
-    for force_newton in (0.0, 0.8, 0.8, 0.8):
-        signals = press(force_newton, (5e-4, -3e-4), sites_m=sites_m) if force_newton else np.zeros((3, 16))
-        reading = decoder.decode(noisy(signals, random, noise), noise)
-        assert reading.decoded.status == "ok"
-        contacts = reading.contacts
-        events += [event.event for event in reading.events]
-    assert events == ["onset"]
-    (contact,) = contacts
-    np.testing.assert_allclose(contact.patch.centroid_m, [5e-4, -3e-4], atol=5e-5)
-    assert contact.patch.force_newton[2] == pytest.approx(0.8, rel=0.05)
-    assert not decoder.rebuild()
+@pytest.mark.parametrize(("side", "pitch", "said"), [(6, 1.0, "36 sites"), (7, 8.0, "3.2 mm apart")])
+def test_sites_too_few_or_too_far_apart_for_a_map_are_refused(side: int, pitch: float, said: str) -> None:
+    skin = replace(SKIN, site_positions_m=pitch * grid((side, side)))
+    with pytest.raises(ValueError, match=said):
+        SkinDecoder(skin, PHYSICS, np.full((3, side * side), 2.0**-12), [].append)
 
 
 def settled(decoder: SkinDecoder, signals: Floats) -> SurfaceReading:

@@ -169,7 +169,6 @@ class ContactDecoder:
         if request is None:
             return False
         located = self._search.locate(request.frame, request.hypothesis.missed, request.hypothesis.located)
-        located.problem.prepare()
         renewed = replace(request.hypothesis, located=located)
         solved: Solved | None = None
         if request.suspect:

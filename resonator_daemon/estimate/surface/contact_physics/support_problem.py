@@ -6,8 +6,6 @@ shear. If prior and noise stay as they were, the inverse of H + shift is updated
 came.
 """
 
-from functools import cached_property
-
 import numpy as np
 from scipy.linalg import blas, lapack
 
@@ -26,7 +24,6 @@ _RELAXATION = np.float32(1.6)
 _SOLVED = 1e-3  # relative residual at which the solution without bounds is good enough
 _MOST_STEPS = 60
 _TINY = 1e-30
-_SMALL = 64  # rows of a matrix that is not worth halving
 
 
 def project_on_cone(traction: Singles, friction_coefficient: float) -> Singles:
@@ -60,6 +57,8 @@ class SupportProblem:
     ----------
     pixels
         Flat indices into the lattice, in any order, (n,).
+    inverse
+        Of H + shift, (3 n, 3 n).
     updates
         Of the inverse, since it was made from nothing.
     """
@@ -75,36 +74,26 @@ class SupportProblem:
         self.rows: SupportRows = SupportRows.of(model, support, newest_rows if before is None else before.rows)
         self.pixels: Indices = self.rows.pixels
         self.updates = 0
-        self._inverse: Singles | None = None
         self._unit = np.float32(model.std_pascal)
         self._noise_variance = np.float32(model.noise_std**2)
         if before is not None and before.model.is_that_of(model) and before.updates < _MOST_UPDATES:
-            self._update_inverse(before, support)
+            change = Change.between(before.pixels, support)
+            if change.kept.size >= (1.0 - CHANGED) * max(self.pixels.size, before.pixels.size):
+                self.inverse, self.updates = self._updated(before, change), before.updates + 1
+                return
+        self.inverse = symmetric_inverse(self._hessian(model.shift))
 
-    def _update_inverse(self, before: "SupportProblem", support: Bools) -> None:
-        """Adopt the inverse of another problem, if most of its pixels are the same."""
-        change = Change.between(before.pixels, support)
+    def _updated(self, before: "SupportProblem", change: Change) -> Singles:
+        """Return the inverse of H + shift out of that of another problem, most of whose pixels are the same."""
         old, k, n = before.pixels.size, change.kept.size, self.pixels.size
-        if k < (1.0 - CHANGED) * max(n, old):
-            return
-        inverse = before.prepare()
-        if k == n == old:
-            self._inverse, self.updates = inverse, before.updates
-            return
         first, last = of_components(np.arange(k), n), of_components(np.arange(k, n), n)
         across, precision = self.rows.gram[:, last], self.rows.precision
         blocks = with_rows(
-            without_rows(inverse, of_components(change.kept, old), of_components(change.removed, old)),
+            without_rows(before.inverse, of_components(change.kept, old), of_components(change.removed, old)),
             self.model.hessian(across[first], precision[:k, k:], 0.0),
             self.model.hessian(across[last], precision[k:, k:], self.model.shift),
         )
-        self._inverse, self.updates = joined(*blocks), before.updates + 1
-
-    def prepare(self) -> Singles:
-        """Return the inverse of H + shift, (3 n, 3 n): worth its making where many frames are solved."""
-        if self._inverse is None:
-            self._inverse = self._factor.T @ self._factor
-        return self._inverse
+        return joined(*blocks)
 
     def right_side(self, rows: Singles) -> Singles:
         """Return b of whitened rows of signals, (3 n,)."""
@@ -142,7 +131,8 @@ class SupportProblem:
         traction, multiplier = traction / self._unit, multiplier / self._unit
         shift, keep = np.float32(self.model.shift), inside.astype(np.float32)
         for _ in range(iterations):
-            free = self._shifted_solution(right_side + shift * (traction - multiplier).ravel()).reshape(traction.shape)
+            shifted = right_side + shift * (traction - multiplier).ravel()
+            free = symmetric_product(self.inverse, shifted).reshape(traction.shape)
             free *= _RELAXATION
             free += multiplier - (_RELAXATION - 1) * traction
             traction = project_on_cone(free, friction_coefficient) * keep
@@ -159,7 +149,7 @@ class SupportProblem:
         for _ in range(_MOST_STEPS):
             if np.linalg.norm(left) <= wanted:
                 break
-            preconditioned = self._shifted_solution(left) * keep
+            preconditioned = symmetric_product(self.inverse, left) * keep
             previous, product = product, float(left @ preconditioned)
             direction = np.asarray(preconditioned + product / max(previous, _TINY) * direction, np.float32)
             curved = symmetric_product(hessian, direction) * keep
@@ -170,7 +160,7 @@ class SupportProblem:
 
     def solutions(self, right_sides: Floats) -> Floats:
         """Return the tractions in Pa without bounds on all pixels, (k, 3 n), of right sides (k, 3 n)."""
-        found = lapack.spotrs(self._cholesky.T, right_sides.T.astype(np.float32), lower=0)[0]
+        found = lapack.spotrs(cholesky_factor(self._hessian(0.0)).T, right_sides.T.astype(np.float32), lower=0)[0]
         return np.asarray(self.model.std_pascal * found.T.astype(np.float64), np.float64)
 
     def chi2(self, rows: Singles, right_side: Singles, traction: Singles) -> float:
@@ -186,29 +176,10 @@ class SupportProblem:
 
     def std(self) -> Singles:
         """Return the standard deviation in Pa, (3, n), with the iteration's quadratic term as information, too."""
-        if self._inverse is not None:
-            variance = np.diag(self._inverse)
-        else:
-            variance = np.einsum("ij,ij->j", self._factor, self._factor)
-        return np.asarray(self._unit * np.sqrt(variance).reshape(3, -1), np.float32)
-
-    @cached_property
-    def _factor(self) -> Singles:
-        """Inverse of the lower Cholesky factor of H + shift."""
-        return inverse_factor(self._hessian(self.model.shift))
-
-    @cached_property
-    def _cholesky(self) -> Singles:
-        return cholesky_factor(self._hessian(0.0))
+        return np.asarray(self._unit * np.sqrt(self.inverse.diagonal()).reshape(3, -1), np.float32)
 
     def _hessian(self, shift: float) -> Singles:
         return self.model.hessian(self.rows.gram, self.rows.precision, shift)
-
-    def _shifted_solution(self, right_side: Singles) -> Singles:
-        """Return (H + shift)^-1 times a right side (3 n,)."""
-        if self._inverse is not None:
-            return symmetric_product(self._inverse, right_side)
-        return np.asarray(self._factor.T @ (self._factor @ right_side), np.float32)
 
 
 def cholesky_factor(matrix: Singles) -> Singles:
@@ -232,12 +203,11 @@ def symmetric_product(matrix: Singles, right_sides: Singles) -> Singles:
 def without_rows(inverse_matrix: Singles, kept: Indices, removed: Indices) -> Singles:
     """Return the inverse of the matrix without some of its rows and columns, from that of the whole one."""
     rows = inverse_matrix.take(kept, axis=0)
+    across = rows.take(removed, axis=1)
+    factor = inverse_factor(inverse_matrix.take(removed, axis=0).take(removed, axis=1))
+    half = across @ factor.T  # M_kr M_rr^-1 M_rk = half half'
     remaining: Singles = rows.take(kept, axis=1)
-    if removed.size:
-        across = rows.take(removed, axis=1)
-        factor = inverse_factor(inverse_matrix.take(removed, axis=0).take(removed, axis=1))
-        half = across @ factor.T  # M_kr M_rr^-1 M_rk = half half'
-        remaining -= half @ half.T
+    remaining -= half @ half.T
     return remaining
 
 
@@ -262,19 +232,15 @@ def with_rows(inverse_matrix: Singles, across: Singles, corner: Singles) -> tupl
 
 
 def inverse_factor(matrix: Singles) -> Singles:
-    """Return the inverse of the lower Cholesky factor of a symmetric positive definite matrix."""
-    return _triangle_inverse(cholesky_factor(matrix))
+    """Return the inverse of the lower Cholesky factor of a symmetric positive definite matrix, which may be empty."""
+    if not matrix.size:
+        return matrix
+    return np.asarray(np.tril(lapack.strtri(cholesky_factor(matrix).T)[0].T), np.float32)
 
 
-def _triangle_inverse(lower: Singles) -> Singles:
-    """Return the inverse of a lower triangle, by halves, so that nearly all of it is products of matrices."""
-    count = len(lower)
-    if count <= _SMALL:
-        smallest: Singles = np.tril(lapack.strtri(lower.T)[0].T)
-        return smallest
-    half = count // 2
-    found = np.zeros((count, count), np.float32)
-    first = found[:half, :half] = _triangle_inverse(lower[:half, :half])
-    last = found[half:, half:] = _triangle_inverse(lower[half:, half:])
-    found[half:, :half] = -(last @ (lower[half:, :half] @ first))
-    return found
+def symmetric_inverse(matrix: Singles) -> Singles:
+    """Return the inverse of a symmetric positive definite matrix."""
+    lower = lapack.spotri(cholesky_factor(matrix).T)[0].T
+    inverse: Singles = np.tril(lower)
+    inverse += np.tril(lower, -1).T
+    return inverse
