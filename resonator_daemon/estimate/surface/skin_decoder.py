@@ -25,66 +25,6 @@ _CUT_BIAS = 0.07, 0.15  # over a map cut to its support
 _SUM_BIAS = 0.0, 0.03  # of the traction without bounds: beyond the border nothing determines the load well
 
 
-class MapEstimator:
-    """Linear map, with contact physics if asked for; its net loads have no bias.
-
-    Attributes
-    ----------
-    name
-        Of the decoder.
-    shape
-        Of the places of its maps, (ny, nx) or (n,).
-    physics
-        None without contact physics.
-    """
-
-    def __init__(
-        self, skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
-    ) -> None:
-        sites_m = skin.site_positions_m
-        grid = as_grid(sites_m)
-        self.name: str = options.method
-        self.shape: tuple[int, ...] = grid.shape if grid else (len(sites_m),)
-        self.physics: ContactDecoder | None = None
-        self._linear: OpenPlaneDecoder | FourierDecoder
-        progress(f"{options.method} decoder of {len(sites_m)} sites")
-        if grid and options.method == "fourier":
-            self._linear = FourierDecoder(
-                skin.half_space,
-                grid.shape,
-                grid.pitch_x_m,
-                skin.depth_m,
-                noise_std.reshape(3, *grid.shape),
-                prior=skin.prior,
-            )
-        else:
-            self._linear = OpenPlaneDecoder(
-                skin.half_space,
-                sites_m,
-                skin.depth_m,
-                noise_std,
-                gain_std=skin.gain_std,
-                prior=skin.prior,
-            )
-            if options.contact_physics:
-                progress("contact physics")
-                self.physics = ContactDecoder(self._linear, options.friction_coefficient, background=options.background)
-                self.name += "+contact"
-        self._displacement = options.displacement
-        self._finder = PatchFinder(sites_m, cell_areas_m2(sites_m), skin.depth_m)
-
-    def read(self, frame: Floats) -> Decoded:
-        """Return the map of a frame (3, n); frames are in the order of time."""
-        decoder = self.physics or self._linear
-        return decoder.decode(frame.reshape(3, *self.shape), displacement=self._displacement)
-
-    def patches(self, decoded: Decoded) -> list[Patch]:
-        """Return the patches on the map that was read last."""
-        if self.physics is None:
-            return self._finder.find(decoded.traction_pascal, decoded.traction_std_pascal)
-        return net_patches(self._finder, self.physics, decoded)
-
-
 def net_patches(finder: PatchFinder, physics: ContactDecoder, decoded: Decoded) -> list[Patch]:
     """Return the patches on the map that contact physics decoded last, with its net loads.
 
@@ -155,14 +95,30 @@ class SkinDecoder:
         self, skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
     ) -> None:
         refuse_undecodable(skin, options)
+        sites_m, grid = skin.site_positions_m, as_grid(skin.site_positions_m)
         self._noise_std = noise_std
         self._noisy = _NOISY * noise_std
-        self._estimator = MapEstimator(skin, options, noise_std, progress)
+        self.name: str = options.method
+        self.shape: tuple[int, ...] = grid.shape if grid else (len(sites_m),)
+        self._physics: ContactDecoder | None = None
+        self._linear: OpenPlaneDecoder | FourierDecoder
+        progress(f"{options.method} decoder of {len(sites_m)} sites")
+        body, depth_m, prior = skin.half_space, skin.depth_m, skin.prior
+        if grid and options.method == "fourier":
+            noise = noise_std.reshape(3, *grid.shape)
+            self._linear = FourierDecoder(body, grid.shape, grid.pitch_x_m, depth_m, noise, prior=prior)
+        else:
+            self._linear = OpenPlaneDecoder(body, sites_m, depth_m, noise_std, gain_std=skin.gain_std, prior=prior)
+            if options.contact_physics:
+                progress("contact physics")
+                coefficient = options.friction_coefficient
+                self._physics = ContactDecoder(self._linear, coefficient, background=options.background)
+                self.name += "+contact"
+        self._displacement = options.displacement
+        self._finder = PatchFinder(sites_m, cell_areas_m2(sites_m), depth_m)
         progress("contact shapes")
         self.contacts = SkinContacts(skin, noise_std, options.friction_coefficient)
         self._frame = np.full(noise_std.shape, np.nan)
-        self.name = self._estimator.name
-        self.shape = self._estimator.shape
 
     def fits(self, noise_std: Floats) -> bool:
         """Return whether the decoder still serves signals of such noise, (3, n); silent channels are ignored."""
@@ -172,17 +128,17 @@ class SkinDecoder:
 
     def reset(self, reason: Reason) -> tuple[SkinEvent, ...]:
         """Discard the frames before; return the releases of their contacts, for this reason."""
-        if self._estimator.physics is not None:
-            self._estimator.physics.reset()
+        if self._physics is not None:
+            self._physics.reset()
         return self.contacts.reset(reason)
 
     def start_cold(self) -> None:
         """Discard the frames before, and the friction that was estimated, unless a contact is followed."""
         if self.contacts.tracker.ids:
             return
-        if self._estimator.physics is not None:
-            self._estimator.physics.reset()
-            self._estimator.physics.friction_estimate = None
+        if self._physics is not None:
+            self._physics.reset()
+            self._physics.friction_estimate = None
         self.contacts.friction_estimate = None
 
     def number_from(self, last_contact_id: int) -> None:
@@ -203,24 +159,25 @@ class SkinDecoder:
 
         What is far noisier than usual, or of unknown noise, counts as lost.
         """
-        self._frame = self._sound(signals, noise_std)
-        return self._estimator.read(self._frame)
+        sound = noise_std < self._noisy
+        self._frame = signals if sound.all() else np.where(sound, signals, np.nan)
+        decoder = self._physics or self._linear
+        return decoder.decode(self._frame.reshape(3, *self.shape), displacement=self._displacement)
 
     def read_contacts(self, decoded: Decoded) -> SurfaceReading:
         """Read the contacts of the frame whose map was decoded last."""
-        patches = self._estimator.patches(decoded)
+        if self._physics is None:
+            patches = self._finder.find(decoded.traction_pascal, decoded.traction_std_pascal)
+        else:
+            patches = net_patches(self._finder, self._physics, decoded)
         reading = SurfaceReading(self.name, decoded, *self.contacts.update(self._frame, patches))
-        if self._estimator.physics is not None:
-            self._estimator.physics.friction_estimate = self.contacts.friction_estimate
+        if self._physics is not None:
+            self._physics.friction_estimate = self.contacts.friction_estimate
         return reading
-
-    def _sound(self, signals: Floats, noise_std: Floats) -> Floats:
-        sound = noise_std < self._noisy
-        return signals if sound.all() else np.where(sound, signals, np.nan)
 
     def rebuild(self) -> bool:
         """Update matrices if a contact has moved, and return whether; it may run in another thread than `decode`."""
-        return self._estimator.physics is not None and self._estimator.physics.rebuild()
+        return self._physics is not None and self._physics.rebuild()
 
 
 def rounded_noise(skin: Skin, noise_std: Floats) -> Floats | None:
