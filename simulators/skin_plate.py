@@ -30,6 +30,7 @@ SIGNAL_TO_NOISE_DB = 30.0  # at 1 N without shear, rms over array and signals, c
 GAIN_ERROR = 0.01
 
 _GATE_S = (4e-3, 100e-3)
+_KEPT_BYTES = 16 * 1024 * 1024
 _PRESSED_AHEAD = 12  # gates: pressing twelve takes hardly longer than pressing four
 
 
@@ -78,6 +79,8 @@ class SkinPlate:
         self._sensitivity = _alike(tones.sensitivity.T * gain)
         self._still_hz = self._f0_hz - self._oscillator_hz
         self._surface = _surface(plate, skin, scenario)
+        # glibc keeps freed memory up to twice the largest block freed so far; else each frame faults its pages in anew.
+        np.empty(_KEPT_BYTES, dtype=np.uint8)
         level_db = corner_levels_db(plate.site_positions_m[tones.site_index], plate.transducers_m, self._random).T
         self._own_gate_s = 1.0 / plate.counter.frame_rate_hz
         self._own_sigma_hz = self._noise_hz(plate, skin, level_db)
