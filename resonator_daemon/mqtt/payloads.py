@@ -254,8 +254,7 @@ class DecodedSummary(Measured):
     """What the map shows, in few numbers, and how well the decoder's model explains the frame."""
 
     decoder: str = Field(
-        description="what made the map: `open-plane` or `fourier`, with `+contact` where contact physics is on; "
-        "`template` where sites are too few for a map"
+        description="what made the map: `open-plane` or `fourier`, with `+contact` where contact physics is on"
     )
     chi2: Float = Field(description="about 1 if model and declared noise explain the signals")
     border_contact: bool = Field(description="the load reaches the border, where errors are larger")
