@@ -51,6 +51,7 @@ FAILURES: Final = {
     "denied": "the access rules of the broker, or of this computer, do not allow it",
     "name_taken": "another process publishes under this name",
     "already_running": "another daemon runs with the same configuration file",
+    "cannot_share": "the broker does not share messages among several decoders",
     "not_calibrated": "the calibration has no result; the plate file is as before",
     "no_plan": "the codes cannot be planned as wanted; no plate file was written",
     "fault": "the doctor found a fault: `cause` and `findings`",

@@ -61,6 +61,7 @@ class ReasonCode(Word):
     NO_INFO = "no_info", "no daemon has published under this name"
     INFO_UNUSABLE = "info_unusable", "the published plate cannot be used, or has no skin"
     DECODED_BY_DAEMON = "decoded_by_daemon", "the daemon decodes this plate itself"
+    CANNOT_SHARE = "cannot_share", "the broker does not share messages among several decoders"
     DECODER_CRASHED = "decoder_crashed", "the decoder process ended, and is restarted"
     DECODER_HUNG = "decoder_hung", "the decoder process did not answer, and is restarted"
     UNDECODABLE = "undecodable", "no decoder is possible for these sites and options"

@@ -241,7 +241,9 @@ class Patch(Message):
     What only a fit of the contact yields is null where the fit does not hold, or the contact slips too little to show.
     """
 
-    id: int = Field(description="as in `contacts`, whose order is the same")
+    id: int | None = Field(
+        description="as in `contacts`, whose order is the same; null if decoders of a group share the skin"
+    )
     area_m2: Float = Field(description="of the pressed part of the map")
     at_border: bool = Field(description="part of the contact may lie beyond the sites")
     radius_of_curvature_m: Float = Field(description="of the object, taken as a paraboloid")
@@ -496,7 +498,7 @@ class Health(BoardHeader):
 
 
 class DecoderState(Message):
-    """State of a decoder process."""
+    """State of a decoder process, which may decode several plates."""
 
     decoder_id: str = Field(description="that of the topic, and of the messages it publishes")
     state: Condition = Field(description="one word")
@@ -515,7 +517,7 @@ class DecoderPlateHealth(Message):
     skipped: int = Field(description="a newer frame existed, or the decoder was not ready")
     unusable: int = Field(description="not a message, another shape than in `info`, or the noise is not known yet")
     waiting: int = Field(description="being decoded, or next")
-    missed: int = Field(description="gaps in `seq`")
+    missed: int = Field(description="gaps in `seq`; in a group also frames that others received")
 
 
 class DecoderHealth(Message):
@@ -528,7 +530,8 @@ class DecoderHealth(Message):
     cpu_percent: Float = Field(description=_CPU + ", with its child process")
     rss_mb: Float = Field(description="memory of the decoder, with its child process")
     latency: dict[str, LatencyInfo] = Field(
-        description="of `decoded`, from the window to the hand-over, by UTC: clocks of two computers must agree"
+        description="of `decoded`, of all plates, from the window to the hand-over, by UTC: clocks of two "
+        "computers must agree"
     )
     messages: MessageAccount = Field(description=_MESSAGES)
 

@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 
 class Subscription(NamedTuple):
-    """Topic filter and handler of its messages."""
+    """Topic filter and handler of its messages; of a shared one, `$share/group/filter`, the filter alone is matched."""
 
     topic_filter: str
     qos: int
@@ -38,7 +38,8 @@ class Subscription(NamedTuple):
     retain_as_published: bool = False  # with MQTT 5: `Incoming.retained` is that of the sender
 
     def matches(self, topic: str) -> bool:
-        return topic_matches_sub(self.topic_filter, topic)
+        shared = self.topic_filter.startswith("$share/")
+        return topic_matches_sub(self.topic_filter.split("/", 2)[2] if shared else self.topic_filter, topic)
 
 
 def ignore(*_: object) -> None:

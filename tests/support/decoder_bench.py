@@ -99,14 +99,16 @@ async def daemon(url: str) -> AsyncIterator[Daemon]:
         yield Daemon(client)
 
 
-def config_file(folder: Path, url: str) -> Path:
+def config_file(folder: Path, url: str, decoding: str = "") -> Path:
+    """Write a decoder's configuration: of the plate `hand`, or of those in `decoding`."""
     path = folder / "decoder.toml"
-    path.write_text(f'name = "hand"\n[mqtt]\nurl = "{url}"\n[decoding]\ncontact_physics = false\n')
+    name = "" if decoding else 'name = "hand"\n'
+    path.write_text(f'{name}[mqtt]\nurl = "{url}"\n[decoding]\ncontact_physics = false\n{decoding}')
     return path
 
 
-def process(folder: Path, url: str, decoder_id: str = "host-1") -> DecoderProcess:
-    return DecoderProcess(load_decoder_config(config_file(folder, url)), decoder_id)
+def process(folder: Path, url: str, decoder_id: str = "host-1", *, decoding: str = "") -> DecoderProcess:
+    return DecoderProcess(load_decoder_config(config_file(folder, url, decoding)), decoder_id)
 
 
 @asynccontextmanager

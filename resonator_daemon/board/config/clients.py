@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
-from pydantic import AfterValidator, Field, PlainValidator, field_validator
+from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo, field_validator
 
 from resonator_daemon.base.toml import Table, load_model, read_toml
 from resonator_daemon.board.config import Config, config_from
@@ -58,7 +58,9 @@ class DecoderConfig(Table):
 
     mqtt: Mqtt = Mqtt()
     decoding: Decoding = Decoding()
-    name: Annotated[str, Field(max_length=100), AfterValidator(plate_name)]
+    name: Annotated[str, Field(max_length=100), AfterValidator(plate_name)] | None = Field(
+        default=None, validate_default=True
+    )
 
     @field_validator("decoding")
     @classmethod
@@ -66,6 +68,18 @@ class DecoderConfig(Table):
         if decoding.method == "off":
             raise ValueError('method = "off" leaves a decoder nothing to do; use "open-plane" or "fourier"')
         return decoding
+
+    @field_validator("name")
+    @classmethod
+    def _names_a_plate(cls, name: str | None, info: ValidationInfo) -> str | None:
+        if name is None and "decoding" in info.data and not info.data["decoding"].plates:
+            raise ValueError("missing; give the name of the plate, or decoding.plates")
+        return name
+
+    @property
+    def plates(self) -> tuple[str, ...]:
+        """Return the names of the plates to decode, each once."""
+        return tuple(dict.fromkeys(self.decoding.plates)) or ((self.name,) if self.name is not None else ())
 
     @property
     def method(self) -> Literal["open-plane", "fourier"]:

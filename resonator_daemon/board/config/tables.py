@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Final, Literal
 
 from pydantic import (
+    AfterValidator,
     BeforeValidator,
     Field,
     PlainValidator,
@@ -202,4 +203,14 @@ class Decoding(Table):
     displacement: StrictBool = Field(default=True, description="publish the displacement of the surface in `decoded`")
     external: StrictBool = Field(
         default=False, description="publish signals only; `resonatord decode` decodes them in a process of its own"
+    )
+    plates: tuple[Annotated[str, Field(max_length=100), AfterValidator(plate_name)], ...] = Field(
+        default=(),
+        description="plates that one `resonatord decode` follows; default: `name`",
+        examples=[["left-index", "left-thumb"]],
+    )
+    group: Annotated[str, AfterValidator(topic_level)] | None = Field(
+        default=None,
+        description="decoders of one group share the plates: one of them receives each frame",
+        examples=["touch"],
     )

@@ -36,8 +36,10 @@ from resonator_daemon.mqtt.publisher import Subscription
 from resonator_daemon.mqtt.topics import (
     CONTACT_EVENT,
     DECODED,
+    DECODED_SUMMARY,
     INFO,
     SIGNALS,
+    TOPICS,
     HeaderFields,
     MessageT,
     Topic,
@@ -62,22 +64,28 @@ class RemotePlate:
     Parameters
     ----------
     config
-        With the name of the plate.
+    name
+        Of the plate.
     decoder_id
         Id of this process, in each result.
     publish
-        Called with a topic and a message.
+        Called with a topic and a message. In a group, only maps and their summaries are published: no decoder receives
+        all frames, so that contacts have no beginning, number or end.
+    latency
+        Receives the age of each `decoded` when it is published.
 
     Attributes
     ----------
+    topic_filter
+        Topic of its signals.
     subscriptions
     settings
         Of a decoder, by the last `info`; None where that is missing, unreadable, or of a plate that cannot be decoded.
-    latency
-        Histogram of the age of `decoded` when it is published.
     """
 
-    def __init__(self, config: DecoderConfig, decoder_id: str, publish: Publish) -> None:
+    def __init__(
+        self, config: DecoderConfig, name: str, decoder_id: str, publish: Publish, latency: LatencyHistogram
+    ) -> None:
         decoding = config.decoding
         options = DecodingOptions(
             config.method,
@@ -87,16 +95,23 @@ class RemotePlate:
             background=True,
         )
         self._make_settings = partial(
-            SurfaceSettings, options=options, decoder_id=decoder_id, uncertainty=decoding.uncertainty
+            SurfaceSettings,
+            options=options,
+            decoder_id=decoder_id,
+            uncertainty=decoding.uncertainty,
+            numbered=decoding.group is None,
         )
-        self._name = config.name
+        self._name = name
+        self._topics = (DECODED, DECODED_SUMMARY) if decoding.group else (*TOPICS.values(),)
         self._publish = publish
+        share = f"$share/{decoding.group}/" if decoding.group else ""
+        self.topic_filter = share + full_topic(config.mqtt.prefix, name, SIGNALS.path)
         self.subscriptions: Sequence[Subscription] = (
-            Subscription(full_topic(config.mqtt.prefix, config.name, INFO.path), INFO.qos, self._receive_info),
-            Subscription(full_topic(config.mqtt.prefix, config.name, SIGNALS.path), 0, self._receive_signals),
+            Subscription(full_topic(config.mqtt.prefix, name, INFO.path), INFO.qos, self._receive_info),
+            Subscription(self.topic_filter, 0, self._receive_signals),
         )
         self.settings: SurfaceSettings | None = None
-        self.latency = LatencyHistogram()
+        self._latency = latency
         self._problem: Reason | None = NO_INFO  # why there are no settings
         self._note: Reason | None = None  # what is being set up, or why the skin is refused
         self._is_refused = self._is_decoded = False
@@ -243,8 +258,9 @@ class RemotePlate:
         if topic is DECODED:
             self._decoded += 1
             # From the end of the frame's gate until now, as far as this computer's clock and its agree.
-            self.latency.add((time.time_ns() - origin.t_ns) / _NS - self._gate_s / 2)
-        self._publish(topic, message)
+            self._latency.add((time.time_ns() - origin.t_ns) / _NS - self._gate_s / 2)
+        if topic in self._topics:
+            self._publish(topic, message)
 
     def deliver_event(self, origin: Signals, event: ContactEvent) -> None:
         """Publish an event of a contact."""

@@ -9,9 +9,12 @@ import secrets
 import socket
 import sys
 import time
+from functools import partial
+from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
+from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.base.host.files import state_directory
 from resonator_daemon.base.host.load import ProcessUsage
 from resonator_daemon.base.host.signals import on_signals
@@ -21,6 +24,7 @@ from resonator_daemon.board.config.clients import DecoderConfig
 from resonator_daemon.board.config.tables import DECODER
 from resonator_daemon.daemon.monitoring.liveness import LivenessMonitor
 from resonator_daemon.extensions.remote_decoding.plate import LOOK_S, RemotePlate
+from resonator_daemon.measure.sensors.output import LatencyHistogram
 from resonator_daemon.mqtt.codec import Encoded, Outgoing, encode
 from resonator_daemon.mqtt.payloads import Condition, DecoderHealth, DecoderState
 from resonator_daemon.mqtt.publisher import FRESH_S, Publisher
@@ -29,7 +33,6 @@ from resonator_daemon.mqtt.topics import (
     DECODER_EXPIRY_S,
     DECODER_HEALTH,
     DECODER_STATE,
-    SIGNALS,
     MessageT,
     Topic,
     full_topic,
@@ -42,12 +45,27 @@ _HEALTH_S = 1.0
 STATE_AGAIN_S = DECODER_EXPIRY_S / 3  # with MQTT 5 a retained state expires
 _LAST_FRAME_S = 0.1  # to end a frame that is being decoded; a set-up takes longer, and nobody waits for it
 _HOST_LENGTH_MAX: Final = 80
-_ID_LENGTH_MAX: Final = 120
-_NAMED_MAX: Final = 4  # other decoders: any client can publish states of more
+_NAMED_MAX: Final = 4  # plates in the reason of a state
+
+
+# The condition of the process is the first of these that a plate has.
+_CONDITIONS: Final = (Condition.ONLINE, Condition.STARTING, Condition.WAITING, Condition.REFUSED)
+
+
+class CannotShareError(UserError):
+    """The broker does not deliver each frame to one of many decoders."""
+
+    exit_code = ExitCode.UNAVAILABLE
+    code = "cannot_share"
 
 
 async def serve(config: DecoderConfig) -> None:
-    """Decode until SIGINT, SIGTERM or SIGHUP."""
+    """Decode until SIGINT, SIGTERM or SIGHUP.
+
+    Raises
+    ------
+    CannotShareError
+    """
     process = DecoderProcess(config)
     sys.setswitchinterval(_SWITCH_S)
     with on_signals(lambda _: process.stop()):
@@ -77,33 +95,38 @@ class DecoderProcess:
         self._config = config
         self.decoder_id = decoder_id or own_id()
         self._base = full_topic(config.mqtt.prefix, DECODER, self.decoder_id)
-        self._plate_base = f"{config.mqtt.prefix}/{config.name}"
-        self._topic_filter = full_topic(config.mqtt.prefix, config.name, SIGNALS.path)
-        self._plate = RemotePlate(config, self.decoder_id, self._publish)
+        self._latency = LatencyHistogram()
+        self._plates = {
+            name: RemotePlate(config, name, self.decoder_id, partial(self._publish, name), self._latency)
+            for name in config.plates
+        }
+        self._topic_filter = " ".join(plate.topic_filter for plate in self._plates.values())
         self._publisher = Publisher(
             config.mqtt,
             identifier=f"resonatord-decoder-{self.decoder_id}-{secrets.token_hex(4)}",
             make_will=self._make_will,
-            subscriptions=self._plate.subscriptions,
-            spool_directory=state_directory() / "spool" / quote(config.mqtt.prefix, safe="") / DECODER / config.name,
+            subscriptions=tuple(each for plate in self._plates.values() for each in plate.subscriptions),
+            spool_directory=self._spool_directory(),
+            on_connected=self._check_broker,
             stream_wait_max_s=FRESH_S,
         )
         self._manager = ServiceManager()
         self._liveness = LivenessMonitor()
         self._ending = asyncio.Event()
+        self._fatal: CannotShareError | None = None
         self._state = (Condition.STARTING, Reason(ReasonCode.STARTED, "started"))
         self._since_utc_ns = time.time_ns()
         self._started_s = self._published_s = time.monotonic()
         self._process = ProcessUsage()
 
     async def run(self) -> None:
-        """Run until `stop`."""
+        """Run until `stop`, or raise CannotShareError."""
         gc.freeze()  # what was imported stays: a look through all of it would cost tens of milliseconds
         log.info("decoder %s takes %s", self.decoder_id, self._topic_filter)
         self._publish_state(*self._state)
         async with asyncio.TaskGroup() as tasks:
             helpers = (
-                tasks.create_task(self._plate.run(), name="decoding"),
+                *(tasks.create_task(plate.run(), name="decoding") for plate in self._plates.values()),
                 tasks.create_task(self._watch(), name="watch"),
                 tasks.create_task(self._report_health(), name="health"),
             )
@@ -114,9 +137,13 @@ class DecoderProcess:
                 helper.cancel()
             await asyncio.wait(helpers, timeout=_LAST_FRAME_S)
             self._publish_health()  # the last counters
-            stopped = Reason(ReasonCode.STOPPED, "stopped")
-            offline = self._make_state(Condition.OFFLINE, stopped, self._since_utc_ns)
+            reason = Reason(ReasonCode.STOPPED, "stopped")
+            if self._fatal is not None:
+                reason = Reason(ReasonCode.CANNOT_SHARE, str(self._fatal))
+            offline = self._make_state(Condition.OFFLINE, reason, self._since_utc_ns)
             await self._publisher.close((self._base, DECODER_STATE, offline))  # after the releases of contacts
+        if self._fatal is not None:
+            raise self._fatal
 
     def stop(self) -> None:
         """End `run`; from the event loop."""
@@ -124,20 +151,49 @@ class DecoderProcess:
 
     def health(self) -> DecoderHealth:
         """Return the counters and loads of this process."""
-        use, child = self._process.measure(), self._plate.process_info()
+        use = self._process.measure()
+        children = [child for plate in self._plates.values() if (child := plate.process_info()) is not None]
         return DecoderHealth(
             decoder_id=self.decoder_id,
             t_ns=time.time_ns(),
             uptime_s=time.monotonic() - self._started_s,
-            plates={self._config.name: self._plate.health()},
-            cpu_percent=use.cpu_percent + (child.cpu_percent if child is not None else 0.0),
-            rss_mb=use.rss_mb + (child.rss_mb if child is not None else 0.0),
-            latency={DECODED.path: self._plate.latency.info()},
+            plates={name: plate.health() for name, plate in self._plates.items()},
+            cpu_percent=use.cpu_percent + sum(child.cpu_percent for child in children),
+            rss_mb=use.rss_mb + sum(child.rss_mb for child in children),
+            latency={DECODED.path: self._latency.info()},
             messages=self._publisher.account,
         )
 
-    def _publish(self, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
-        self._publisher.publish(self._plate_base, topic, message)
+    def _spool_directory(self) -> Path | None:
+        """Return where events wait, by the first plate; a group has none."""
+        if self._config.decoding.group is not None:
+            return None
+        prefix = quote(self._config.mqtt.prefix, safe="")
+        return state_directory() / "spool" / prefix / DECODER / self._config.plates[0]
+
+    def _publish(self, plate: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
+        self._publisher.publish(f"{self._config.mqtt.prefix}/{plate}", topic, message)
+
+    def _check_broker(self, _connection: int) -> None:
+        if self._config.decoding.group is not None and self._publisher.protocol != "5":
+            broker = self._config.mqtt
+            self._fatal = CannotShareError(
+                f"broker {broker.host}:{broker.port} supports MQTT 3.1.1 only, which has no shared subscriptions; "
+                "use a broker of MQTT 5, or leave out decoding.group"
+            )
+            self._ending.set()
+
+    def _condition(self) -> tuple[Condition, Reason]:
+        """Return the best condition among the plates, and the reasons of the others."""
+        found = {name: plate.condition() for name, plate in self._plates.items()}
+        if len(found) == 1:
+            return next(iter(found.values()))
+        best = min((condition for condition, _ in found.values()), key=_CONDITIONS.index)
+        code = next(reason.code for condition, reason in found.values() if condition is best)
+        texts = [f"{name}: {reason.text}" for name, (_, reason) in found.items()]
+        if len(texts) > _NAMED_MAX:
+            texts[_NAMED_MAX:] = [f"and {len(texts) - _NAMED_MAX} more"]
+        return best, Reason(code, "; ".join(texts))
 
     async def _watch(self) -> None:
         self._manager.ready(self._sentence())  # whatever it waits for may come later
@@ -145,9 +201,8 @@ class DecoderProcess:
         while True:
             await asyncio.sleep(LOOK_S)
             turns += 1
-            condition, reason = self._plate.condition()
-            state = condition, reason
-            decoded = self._plate.health().decoded
+            state = condition, _ = self._condition()
+            decoded = sum(plate.health().decoded for plate in self._plates.values())
             online = condition is Condition.ONLINE
             if self._liveness.healthy(decoded, Condition.ONLINE if online else Condition.WAITING, turns):
                 self._manager.alive()

@@ -49,6 +49,8 @@ class SurfaceMessages:
         Of the process that decodes; None for the daemon itself.
     uncertainty
         Whether `decoded` has the traction's standard deviation.
+    numbered
+        Whether patches have the ids of `contacts`.
 
     Attributes
     ----------
@@ -64,6 +66,7 @@ class SurfaceMessages:
         decoder_id: str | None = None,
         *,
         uncertainty: bool = True,
+        numbered: bool = True,
     ) -> None:
         self._site_ids = site_ids
         self._site_positions_m = site_positions_m
@@ -71,6 +74,7 @@ class SurfaceMessages:
         self._grid = Grid(origin_m=(float(x), float(y)), pitch_m=pitch_m) if pitch_m is not None else None
         self._decoder_id = decoder_id
         self._uncertainty = uncertainty
+        self._numbered = numbered
         self.present: dict[int, EventContact] = {}
 
     def decoded(self, header: HeaderFields, frame: "DecodedFrame") -> Decoded:
@@ -93,7 +97,7 @@ class SurfaceMessages:
             status=Status(str(frame.status)),
             reason_code=_code(frame),
             reason=str(frame.reason) or None,
-            patches=tuple(_patch(contact) for contact in surface.contacts),
+            patches=tuple(self._patch(contact) for contact in surface.contacts),
             decoder_id=self._decoder_id,
         )
 
@@ -156,21 +160,20 @@ class SurfaceMessages:
             "status": Status.OK,
         }
 
+    def _patch(self, contact: "SkinContact") -> Patch:
+        patch, slip = contact.patch, contact.slip
+        stick_ratio = rounded(slip.stick_ratio, slip.stick_ratio_std) if slip is not None else math.nan
+        return Patch(
+            id=contact.id if self._numbered else None,
+            area_m2=rounded_std(patch.area_m2),
+            at_border=patch.at_border,
+            radius_of_curvature_m=rounded_std(contact.radius_of_curvature_m),
+            stick_ratio=stick_ratio,
+        )
+
 
 def _code(frame: "DecodedFrame") -> ReasonCode | None:
     return ReasonCode(str(frame.reason_code)) if frame.reason_code else None
-
-
-def _patch(contact: "SkinContact") -> Patch:
-    patch, slip = contact.patch, contact.slip
-    stick_ratio = rounded(slip.stick_ratio, slip.stick_ratio_std) if slip is not None else math.nan
-    return Patch(
-        id=contact.id,
-        area_m2=rounded_std(patch.area_m2),
-        at_border=patch.at_border,
-        radius_of_curvature_m=rounded_std(contact.radius_of_curvature_m),
-        stick_ratio=stick_ratio,
-    )
 
 
 def _slip(contact: "SkinContact") -> dict[str, Any]:

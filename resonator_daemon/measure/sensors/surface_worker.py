@@ -41,6 +41,8 @@ class SurfaceSettings:
         Number of the last contact so far; numbers go on from there.
     cold_at_rest
         Whether the decoder starts cold at each frame at rest. What follows then does not depend on what was before.
+    numbered
+        As of `SurfaceMessages`.
     """
 
     skin: Skin
@@ -51,11 +53,17 @@ class SurfaceSettings:
     uncertainty: bool = True
     last_contact_id: int = 0
     cold_at_rest: bool = False
+    numbered: bool = True
 
     def messages(self) -> SurfaceMessages:
         """Return the maker of this skin's messages."""
         return SurfaceMessages(
-            self.site_ids, self.skin.site_positions_m, self.pitch_m, self.decoder_id, uncertainty=self.uncertainty
+            self.site_ids,
+            self.skin.site_positions_m,
+            self.pitch_m,
+            self.decoder_id,
+            uncertainty=self.uncertainty,
+            numbered=self.numbered,
         )
 
 

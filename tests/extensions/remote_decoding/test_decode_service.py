@@ -16,9 +16,10 @@ from brokers import Amqtt, Mosquitto
 from decoder_bench import Daemon, assert_exact, config_file, daemon, info, process, running, signals, until
 from observer import Observer, observe
 
+from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.extensions.remote_decoding import plate
 from resonator_daemon.extensions.remote_decoding import service as decode_service
-from resonator_daemon.extensions.remote_decoding.service import own_id
+from resonator_daemon.extensions.remote_decoding.service import CannotShareError, own_id
 from resonator_daemon.mqtt.topics import DECODER_STATE
 
 RESONATORD = Path(sys.executable).with_name("resonatord")
@@ -72,6 +73,54 @@ async def test_a_followed_plate_is_decoded_and_its_states_and_account_are_report
     assert sorted(set(seqs(observer, "hand"))) == [0, 1, 2, 3, 4]
     summaries = observer.payloads("resonator/hand/decoded/summary")
     assert {summary["decoder_id"] for summary in summaries} == {"host-1"}
+
+
+async def test_one_process_follows_several_plates(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    async with observe(mosquitto.url) as observer, daemon(mosquitto.url) as hand:
+        decoder = process(tmp_path, mosquitto.url, decoding='plates = ["left", "right"]')
+        async with running(decoder):
+            for name in ("left", "right"):
+                await hand.send_info(name, info())
+            for name, seq in (("left", 1), ("right", 2)):
+                while seq not in seqs(observer, name):  # its decoder is being set up
+                    await hand.send(name, signals(seq))
+                    await asyncio.sleep(0.05)
+            await observer.until_last(STATE, state="online", reason_code="decoding")
+            assert_exact(decoder)
+    assert (set(seqs(observer, "left")), set(seqs(observer, "right"))) == ({1}, {2})
+
+
+async def test_frames_are_shared_by_a_group_and_none_is_decoded_twice(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    sharing = 'plates = ["hand"]\ngroup = "touch"'
+    async with observe(mosquitto.url) as observer, daemon(mosquitto.url) as hand:
+        await hand.send_info("hand", info())
+        decoders = [process(tmp_path, mosquitto.url, f"host-{number}", decoding=sharing) for number in (1, 2)]
+        async with running(decoders[0]), running(decoders[1]):
+            for number in (1, 2):
+                state = f"resonator/decoder/host-{number}/state"
+                await observer.until_last(state, reason_code="no_signals")
+            accounts = [lambda it=it: it.health().plates["hand"] for it in decoders]
+            seq = 0
+            while not all(account().decoded for account in accounts):
+                await hand.send("hand", signals(seq := seq + 1))
+                await until(lambda seq=seq: sum(account().received for account in accounts) == seq)
+                await until(lambda: not any(account().waiting for account in accounts))
+            for decoder in decoders:
+                assert_exact(decoder)
+            decoded = sum(account().decoded for account in accounts)
+            await observer.until(lambda: len(seqs(observer, "hand")) == decoded)
+    assert len(set(seqs(observer, "hand"))) == decoded
+    summaries = observer.payloads("resonator/hand/decoded/summary")
+    assert {summary["decoder_id"] for summary in summaries} == {"host-1", "host-2"}
+    assert {patch["id"] for summary in summaries for patch in summary["patches"]} <= {None}
+    assert not observer.raw("resonator/hand/contacts") + observer.raw("resonator/hand/contacts/event")
+
+
+async def test_a_broker_that_cannot_share_is_refused(tmp_path: Path, amqtt: Amqtt) -> None:
+    decoder = process(tmp_path, amqtt.url, decoding='plates = ["hand"]\ngroup = "touch"')
+    with pytest.raises(CannotShareError) as raised:
+        await asyncio.wait_for(decoder.run(), 30)
+    assert raised.value.exit_code is ExitCode.UNAVAILABLE
 
 
 async def test_the_will_of_a_decoder_that_is_killed_is_its_state(tmp_path: Path, mosquitto: Mosquitto) -> None:

@@ -17,6 +17,7 @@ from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.extensions.remote_decoding import plate
 from resonator_daemon.extensions.remote_decoding.plate import RemotePlate, frame_of
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
+from resonator_daemon.measure.sensors.output import LatencyHistogram
 from resonator_daemon.measure.sensors.surface_worker import (
     Reply,
     Results,
@@ -59,7 +60,7 @@ class Followed:
     def __init__(self, **options: Any) -> None:
         self.published: list[tuple[str, Message]] = []
         config = DecoderConfig(name="hand", decoding=Decoding(**({"contact_physics": False} | options)))
-        self.plate = RemotePlate(config, "host-1", self._publish)
+        self.plate = RemotePlate(config, "hand", "host-1", self._publish, LatencyHistogram())
         self._info, self._signals = self.plate.subscriptions
 
     def _publish(self, topic: Topic[Any], message: Message | Encoded) -> None:

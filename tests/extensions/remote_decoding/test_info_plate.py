@@ -13,6 +13,7 @@ from decoder_bench import incoming, info, signals
 from resonator_daemon.board.config.clients import DecoderConfig
 from resonator_daemon.extensions.remote_decoding import info as info_module
 from resonator_daemon.extensions.remote_decoding.plate import RemotePlate
+from resonator_daemon.measure.sensors.output import LatencyHistogram
 from resonator_daemon.mqtt.codec import encode
 from resonator_daemon.mqtt.payloads import SiteInfo
 
@@ -24,7 +25,9 @@ class Plate(RemotePlate):
     """A plate that nothing decodes."""
 
     def __init__(self) -> None:
-        super().__init__(DecoderConfig(name="hand"), "host-1", lambda _topic, _message: None)
+        super().__init__(
+            DecoderConfig(name="hand"), "hand", "host-1", lambda _topic, _message: None, LatencyHistogram()
+        )
         self._info, self._signals = self.subscriptions
 
     def read_info(self, payload: bytes) -> bool:
