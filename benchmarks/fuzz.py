@@ -40,7 +40,7 @@ from firmware_protocol.messages import (
 )
 from firmware_protocol.packets import MAX_PACKET_BYTES, SYNC, Packet, PacketDecoder, encode_packet
 from firmware_protocol.states import HostState
-from resonator_daemon.daemon.service.command_handlers import SNAPSHOT_BYTES_MAX
+from resonator_daemon.daemon.service.command_handlers import EVENTS_BYTES_MAX
 from resonator_daemon.mqtt.codec import Incoming, Outgoing
 from resonator_daemon.mqtt.commands import (
     AT_ONCE,
@@ -329,7 +329,7 @@ class Judge:
             self.problems.append(f"an answer goes to {topic!a}, a daemon's own")
         if len(topic.encode()) > RESPONSE_TOPIC_BYTES_MAX or len(answer.correlation or b"") > CORRELATION_BYTES_MAX:
             self.problems.append("topic or correlation data are too long")
-        if len(answer.payload) > 2 * SNAPSHOT_BYTES_MAX:
+        if len(answer.payload) > 2 * EVENTS_BYTES_MAX:
             self.problems.append(f"an answer has {len(answer.payload)} bytes")
         said = json.loads(answer.payload)
         if not isinstance(said["id"], str | None) or len(said["id"] or "") > ID_LENGTH_MAX:

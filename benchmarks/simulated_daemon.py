@@ -277,7 +277,7 @@ class SimulatedDaemon:
 
     def connect(self) -> None:
         self.outbox.connected(RecordingBroker(self.outbox, self._seen))  # type: ignore[arg-type]
-        self.outbox.retained.republish(self.outbox.retained.topics)
+        self.outbox.republish()
 
     def clock_set(self, step_ns: int) -> None:
         """Allow each topic one step back."""
@@ -310,7 +310,7 @@ class SimulatedDaemon:
         if isinstance(message, Message):
             self._account.enqueued += 1
             if topic.retained:
-                self.outbox.retained.put(Packet(f"resonator/{topic.path}", encode(message), properties_of(topic)))
+                self.outbox.put_retained(Packet(f"resonator/{topic.path}", encode(message), properties_of(topic)))
             elif topic is CONTACT_EVENT:
                 self.outbox.put_event(f"resonator/{topic.path}", message)
                 self._seen.events_published += 1
@@ -334,7 +334,6 @@ class SimulatedDaemon:
     async def end(self) -> None:
         """Stop the daemon; check that each account balances."""
         self.outbox.disconnected()
-        self.outbox.retained.close()
         await asyncio.wait_for(self.outbox.events.close(), _CLOSE_S)
         truth, counters = self._board.truth, self.link.machine.counters()
         # Frames of the run before a reopening are stale; those between a suspend and the next ping have no time.
