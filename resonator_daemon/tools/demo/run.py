@@ -40,7 +40,7 @@ from resonator_daemon.tools.demo.processes import (
     start_live_page,
 )
 from resonator_daemon.tools.demo.results import cause, delays, failures, in_words, plate_result
-from resonator_daemon.tools.demo.score import SCORED, PlateScore
+from resonator_daemon.tools.demo.score import SCORED_OF_FORCES, SCORED_OF_SKIN, PlateScore
 from resonator_daemon.tools.demo.truth import TruthTable
 from resonator_daemon.tools.view.plate_view import PlateView
 from resonator_daemon.tools.view.terminal import render
@@ -52,7 +52,7 @@ _TURN_S: Final = 1 / 5  # period of scoring and drawing; decimated maps are publ
 _BEGIN_S: Final = 0.01  # period of looking for the messages that begin the measurement
 _SWITCH_S: Final = 0.5e-3  # the longest that scoring and drawing keep the receiving thread from the interpreter
 _SHOWN: Final = tuple(topic for topic in TOPICS.values() if topic != SIGNALS)
-_SCORED_PATHS: Final = frozenset(topic.path for topic in SCORED)
+_SCORED_PATHS: Final = frozenset(topic.path for topic in (*SCORED_OF_FORCES, *SCORED_OF_SKIN))
 _SHOWN_PATHS: Final = frozenset(topic.slow_path if topic.slow_hz else topic.path for topic in _SHOWN)
 _OWN_PART: Final = "view and score"
 
@@ -147,7 +147,10 @@ class _Demo:
 
     def _filters(self) -> dict[str, int]:
         """Return the topics that are scored at their full rate, and for the page the decimated topics."""
-        filters = topic_filters(self._prefix, SCORED, full_rate=True)
+        filters: dict[str, int] = {}
+        for name, plate in self._plates.items():
+            scored = SCORED_OF_SKIN if plate.decodable else SCORED_OF_FORCES
+            filters |= topic_filters(self._prefix, scored, plate=name, full_rate=True)
         if not self._options.headless:
             filters |= topic_filters(self._prefix, _SHOWN, full_rate=False)
         return filters

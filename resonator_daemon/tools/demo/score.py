@@ -28,7 +28,9 @@ FOUND_WITHIN_NS = 50_000_000
 COUNTED_SHARE = 0.05  # errors count where a force exceeds this share of its peak
 _AFTER_HAND_NS: Final = 200_000_000  # after a press by hand: its contact is released, its window has passed
 
-SCORED: Final = tuple(TOPICS[topic.path] for topic in (FORCES, DECODED, CONTACTS, CONTACT_EVENT, HEALTH, STATE_DAEMON))
+_ALWAYS: Final = (CONTACT_EVENT, HEALTH, STATE_DAEMON)
+SCORED_OF_FORCES: Final = tuple(TOPICS[topic.path] for topic in (FORCES, *_ALWAYS))
+SCORED_OF_SKIN: Final = tuple(TOPICS[topic.path] for topic in (DECODED, CONTACTS, *_ALWAYS))
 
 
 @dataclass(slots=True)
@@ -152,8 +154,6 @@ class PlateScore:
 
     def add(self, path: str, payload: bytes, arrived_ns: int) -> None:
         """Add a message of the topic with this path and its time of arrival (UTC)."""
-        if path == CONTACTS.path and not self._touched_anywhere:
-            return  # force sites are compared by `forces`
         if path == DECODED.path:
             self.decoded_frames += 1
             message = read_arrays(payload)
