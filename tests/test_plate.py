@@ -127,29 +127,19 @@ def test_a_grid_is_numbered_by_its_order(tmp_path: Path) -> None:
         ("force_max_newton = 10", "force_max_newton = 1e-320", "5: force_max_newton"),
         ("pilot_hz = 10010000.0", "pilot_hz = 9992001.0", "10: counter.pilot_hz"),
         ("frame_rate_hz = 1000", "frame_rate_hz = 1000\ndepth_mm = 1", "10: counter.depth_mm: unknown key"),
-    ],
-)
-def test_one_mistake_in_a_force_plate(tmp_path: Path, before: str, after: str, expected: str) -> None:
-    messages = [m for m in refusals(tmp_path, FORCE_PLATE.replace(before, after, 1)) if "did you mean pos" not in m]
-    assert len(messages) == 1, messages
-    assert messages[0].startswith(expected)
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "expected"),
-    [
         ("[1, 3, 6]", "[1, 3, 5]", "20: grid.order"),
         ('"eps_yz"]', '"p_n"]', "17: grid.signals"),
         ('"eps_yz"]', '"force"]', "17: grid.signals[2]"),
         ("poisson_ratio = 0.5", "poisson_ratio = 0.6", "12: skin.poisson_ratio"),
-        ("frame_rate_hz = 100", "frame_rate_hz = 100\npilot_hz = 1e6", "10: counter.pilot_hz"),
+        ("frame_rate_hz = 100\n", "frame_rate_hz = 100\npilot_hz = 1e6\n", "10: counter.pilot_hz"),
         ('"channelised"', '"single-tone"\npilot_hz = 1e6', "7: counter.kind"),
     ],
 )
-def test_one_mistake_in_a_grid_plate(tmp_path: Path, before: str, after: str, expected: str) -> None:
-    messages = refusals(tmp_path, GRID_PLATE.replace(before, after, 1))
+def test_one_mistake_in_a_plate(tmp_path: Path, before: str, after: str, expected: str) -> None:
+    plate = FORCE_PLATE if before in FORCE_PLATE else GRID_PLATE
+    messages = [m for m in refusals(tmp_path, plate.replace(before, after, 1)) if "did you mean pos" not in m]
     assert any(message.startswith(expected) for message in messages), messages
-    assert len([message for message in messages if "missing" not in message]) == 1, messages
+    assert len(messages) == 1 or len([message for message in messages if "missing" not in message]) == 1, messages
 
 
 def test_tones_that_do_not_go_together(tmp_path: Path) -> None:
@@ -183,19 +173,10 @@ def test_corners_of_one_sign_where_a_channelised_counter_combines_them(tmp_path:
     """Where one tone is captured at a time, each corner is a reading of its own, with K of either sign."""
     text = FORCE_PLATE.replace('"single-tone"', '"channelised"').replace(PILOT, "")
     tone = text[text.rindex("[[sites.tones]]") :].replace('"force"', '"temperature"')
-    for written_text, lines in (
-        (text, ("16: sites[0]", "23: sites[1]")),
-        (one_sign(text), ()),
-        (one_sign(text) + tone, ("27: sites[1]",)),
-    ):
-        try:
-            load_plate(written(tmp_path, written_text))
-            found = []
-        except ConfigurationError as error:
-            found = [message.partition("plate.toml:")[2] for message in error.messages]
-        assert len(found) == len(lines), found
-        for message, line in zip(found, lines, strict=True):
-            assert message.startswith(line)
+    load_plate(written(tmp_path, one_sign(text)))
+    for wrong, places in ((text, ("16: sites[0]", "23: sites[1]")), (one_sign(text) + tone, ("27: sites[1]",))):
+        for message, place in zip(refusals(tmp_path, wrong), places, strict=True):
+            assert message.startswith(place)
             assert "sensitivity" in message
 
 

@@ -75,26 +75,21 @@ def test_what_is_no_toml(tmp_path: Path, data: bytes, expected: str) -> None:
     assert message.startswith(expected)
 
 
-def test_a_missing_file_a_directory_and_an_impossible_path(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"gone\.toml: no such file"):
-        read_toml(tmp_path / "gone.toml")
-    with pytest.raises(ConfigurationError, match="not a regular file"):
-        read_toml(tmp_path)
-    with pytest.raises(ConfigurationError, match="cannot be read"):
-        read_toml(Path("a\0b"))
-    with pytest.raises(ConfigurationError, match="cannot be read"):
-        read_toml(tmp_path / ("x" * 5000))
-
-
-def test_what_is_no_file_of_settings_is_not_read_to_its_end(tmp_path: Path) -> None:
+def test_what_is_no_file_of_settings_is_refused_and_not_read_to_its_end(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
-    for place in (tmp_path / "pipe", Path("/dev/zero")):
-        with pytest.raises(ConfigurationError, match="not a regular file; name a TOML file"):
-            read_toml(place)
     with (tmp_path / "huge.toml").open("wb") as file:
         file.truncate(100 << 20)
-    with pytest.raises(ConfigurationError, match=r"huge\.toml: longer than 10000000 bytes"):
-        read_toml(tmp_path / "huge.toml")
+    for place, said in (
+        (tmp_path / "gone.toml", "no such file"),
+        (Path("a\0b"), "cannot be read"),
+        (tmp_path / ("x" * 5000), "cannot be read"),
+        (tmp_path, "not a regular file"),
+        (tmp_path / "pipe", "not a regular file"),
+        (Path("/dev/zero"), "not a regular file"),
+        (tmp_path / "huge.toml", "longer than 10000000 bytes"),
+    ):
+        with pytest.raises(ConfigurationError, match=said):
+            read_toml(place)
     (tmp_path / "long.toml").write_bytes(b"#" * MAX_BYTES)
     assert read_toml(tmp_path / "long.toml").content == {}
 

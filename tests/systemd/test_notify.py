@@ -140,11 +140,3 @@ def drain(manager: Manager) -> None:
             manager.hear()
         except BlockingIOError:
             return
-
-
-def test_a_bad_configuration_is_never_ready(manager: Manager, start: Callable[..., subprocess.Popen[str]]) -> None:
-    process = start(plate="quarz16")
-    assert process.wait(30) == ExitCode.CONFIG
-    manager.socket.setblocking(False)
-    drain(manager)
-    assert "READY=1" not in manager.said

@@ -45,17 +45,13 @@ BROKEN = [
     ("table of tables", TOP + "[[mqtt]]\n", ":3: mqtt: got [a table]", "must be a table"),
     # Names.
     ("name with a slash", TOP + 'name = "left/index"\n', ":3: name: got 'left/index'", "no space, /, +, #"),
-    ("name with a wildcard", TOP + 'name = "left-+"\n', ":3: name: got 'left-+'", "no space, /, +, #"),
     ("name of decoders", TOP + 'name = "decoder"\n', ":3: name: got 'decoder'", "choose another"),
     ("name too long", TOP + f'name = "{"a" * 101}"\n', ":3: name: got 'aaa", "at most 100 characters"),
     # Plates.
     ("plate misspelt", TOP.replace("quartz16", "quarz16"), ":1: plate: got 'quarz16'", "did you mean quartz16?"),
     ("plate not there", TOP.replace("quartz16", "gone.toml"), ":1: plate: got 'gone.toml'", "allowed: comb16"),
     ("plate is a directory", TOP.replace("quartz16", "folder"), ":1: plate: got 'folder'", "name a TOML file"),
-    ("plate is the file itself", TOP.replace("quartz16", "board.toml"), ":1: plate: got 'board.toml'",
-     "format: missing"),
     ("plate is damaged", TOP.replace("quartz16", "damaged.toml"), ":1: plate: got", "damaged.toml:1: not TOML"),
-    ("plate with a bad key", TOP.replace("quartz16", "misspelt.toml"), "plate:", "did you mean force_max_newton?"),
     ("plate of the future", TOP.replace("quartz16", "format2.toml"), "format: got 2", "must be 1"),
     ("codes that overlap", TOP.replace("quartz16", "twins.toml"), "board.toml: plate:", "counter.codes_may_overlap"),
     # Links.
@@ -72,7 +68,6 @@ BROKEN = [
     ("no scheme", TOP + '[mqtt]\nurl = "127.0.0.1:1883"\n', ":4: mqtt.url: got '127.0.0.1:1883'", "mqtt://host:port"),
     ("name of no host", TOP + '[mqtt]\nurl = "mqtt://a..b"\n', ":4: mqtt.url: got 'mqtt://a..b'", "1 to 63"),
     ("hash in a password", TOP + '[mqtt]\nurl = "mqtt://me:pass#1@a"\n', ":4: mqtt.url:", "as %23"),
-    ("host for url", TOP + '[mqtt]\nhost = "a"\n', ":4: mqtt.host: unknown key", "allowed: url, prefix"),
     ("password in the file", TOP + '[mqtt]\npassword = "x"\n', ":4: mqtt.password: unknown",
      "did you mean password_file?"),
     # Times, sizes, words.
@@ -80,19 +75,11 @@ BROKEN = [
      "near: 1 or 2"),
     ("unit in quotes", TOP + '[measurement]\nwindow_ms = "10 ms"\n', ":4: measurement.window_ms",
      "give it alone, as 10"),
-    ("decoder misspelt", SKIN + '[decoding]\nmethod = "openplane"\n', ":4: decoding.method",
-     "did you mean open-plane?"),
     ("on for true", SKIN + '[decoding]\ncontact_physics = "on"\n', ":4: decoding.contact_physics: got 'on'",
      "true or false, without quotes"),
-    ("a command misspelt", TOP + '[commands]\nallow = ["tear"]\n', ":4: commands.allow[0]: got 'tear'",
-     "did you mean tare?"),
     ("a command alone", TOP + '[commands]\nallow = "tare"\n', ":4: commands.allow: got 'tare'", "as ['tare']"),
     ("budget below a file", TOP + "[recording]\nmax_total_mb = 100\n", ":4: recording.max_total_mb: got 100",
      "lower file_max_mb"),
-    ("files of no time", TOP + "[recording]\nfile_max_minutes = 1e-300\n", ":4: recording.file_max_minutes: got 1e-300",
-     "greater than or equal to 0.001"),
-    ("a port alone", TOP + "[metrics]\nlisten = 9464\n", ":4: metrics.listen: got 9464", 'as "127.0.0.1:9464"'),
-    ("metrics switched on", TOP + "[metrics]\nenabled = true\n", ":4: metrics.enabled: unknown key", "allowed: listen"),
 ]  # fmt: skip
 
 
@@ -103,11 +90,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     good = plate_text(plate)
     first, second, *others = plate.sites
     twins = plate.model_copy(update={"sites": (first, second.model_copy(update={"tones": first.tones}), *others)})
-    (folder / "pw").write_text("secret\n")
     (folder / "folder").mkdir()
-    (folder / "own.toml").write_text(good)
     (folder / "damaged.toml").write_text("format 1\n")
-    (folder / "misspelt.toml").write_text(good.replace("force_max_newton", "force_max_newtons"))
     (folder / "format2.toml").write_text(good.replace("format = 1", "format = 2"))
     (folder / "twins.toml").write_text(plate_text(twins))
     return folder

@@ -15,12 +15,6 @@ def loaded(tmp_path: Path, text: str) -> DecoderConfig:
     return load_decoder_config(path)
 
 
-def refused(tmp_path: Path, text: str) -> tuple[str, ...]:
-    with pytest.raises(ConfigurationError) as raised:
-        loaded(tmp_path, text)
-    return tuple(message.partition("decoder.toml:")[2] for message in raised.value.messages)
-
-
 def test_the_daemons_file_will_do(tmp_path: Path) -> None:
     config = loaded(tmp_path, example_config())
     assert (config.name, config.mqtt.prefix, config.method) == ("left-index", "resonator", "open-plane")
@@ -34,16 +28,16 @@ def test_what_only_the_daemon_needs_is_passed_over_whatever_it_states(tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("text", "sentences"),
+    ("text", "place"),
     [
-        ("", (" name: missing",)),
-        ('name = "decoder"', ("1: name: got 'decoder'; is the topic of decoder processes; choose another",)),
-        ('name = "a"\n[mqtt]\nurll = ""', ("3: mqtt.urll: unknown key; did you mean url?",)),
-        ('name = "a"\n[decoding]\nmethod = "off"', ('2: decoding: got a table; method = "off" leaves a decoder',)),
+        ("", " name: missing"),
+        ('name = "decoder"', "1: name: got 'decoder'"),
+        ('name = "a"\n[mqtt]\nurll = ""', "3: mqtt.urll: unknown key"),
+        ('name = "a"\n[decoding]\nmethod = "off"', "2: decoding: got a table"),
     ],
 )
-def test_each_finding_is_one_sentence_with_its_line(tmp_path: Path, text: str, sentences: tuple[str, ...]) -> None:
-    found = refused(tmp_path, text)
-    assert len(found) == len(sentences)
-    for message, sentence in zip(found, sentences, strict=True):
-        assert message.startswith(sentence)
+def test_a_finding_has_its_line_and_key(tmp_path: Path, text: str, place: str) -> None:
+    with pytest.raises(ConfigurationError) as raised:
+        loaded(tmp_path, text)
+    (message,) = raised.value.messages
+    assert message.partition("decoder.toml:")[2].startswith(place)

@@ -12,6 +12,7 @@ from resonator_daemon.board.config.broker_files import BrokerFile, UnusableFileE
 
 BOARD = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n[mqtt]\n'
 FIRST = 4  # line of the first key
+TLS = 'url = "mqtts://h"\n'
 
 
 @pytest.fixture
@@ -71,13 +72,9 @@ def test_systemd_passes_files_by_name(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_a_credential_cannot_be_looked_at_from_a_shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("CREDENTIALS_DIRECTORY", raising=False)
     config = loaded(tmp_path, 'username = "robot"\npassword_file = "credential:password"\n')
-    assert config.notes == (
-        "mqtt.password_file = 'credential:password' is not looked at: only systemd passes credentials, "
-        "by LoadCredential=",
-    )
-    with pytest.raises(
-        UnusableFileError, match="no credentials were passed; put LoadCredential=password:PATH into the unit"
-    ):
+    (note,) = config.notes
+    assert note.startswith("mqtt.password_file = 'credential:password' is not looked at")
+    with pytest.raises(UnusableFileError, match="LoadCredential=password:PATH"):
         _ = config.mqtt.password
 
 
@@ -85,25 +82,13 @@ def test_a_credential_cannot_be_looked_at_from_a_shell(tmp_path: Path, monkeypat
 @pytest.mark.parametrize(
     ("table", "expected"),
     [
-        (
-            'url = "mqtt://a:b@h"\npassword_file = "password"',
-            "1: mqtt.url: got 'mqtt://***@h'; names a user, as username or password_file do; leave the user out",
-        ),
-        ('username = ""', "1: mqtt.username: got ''; must be a name: printable characters, not empty"),
-        ('password_file = "password"', "1: mqtt.password_file: got 'password'; needs a username as well"),
-        (
-            'ca_file = "ca.crt"\nurl = "mqtt://h"',
-            "1: mqtt.ca_file: got 'ca.crt'; has a meaning with TLS only; use mqtts:// in mqtt.url",
-        ),
-        (
-            'url = "mqtts://h"\ncertificate_file = "left.crt"\nkey_file = "other.key"',
-            "3: mqtt.key_file: got 'other.key'; other.key: is not the key of left.crt; name both of a pair",
-        ),
-        (
-            'url = "mqtts://h"\nca_file = "credential:../x"',
-            "2: mqtt.ca_file: got 'credential:../x'; must be credential:NAME, the name that LoadCredential= has",
-        ),
-        ('url = "mqtts://h"\ninsecure = true', "2: mqtt.insecure: unknown key; allowed: url, prefix, username"),
+        ('url = "mqtt://a:b@h"\npassword_file = "password"', "1: mqtt.url: got 'mqtt://***@h'; names a user"),
+        ('username = ""', "1: mqtt.username: got ''"),
+        ('password_file = "password"', "1: mqtt.password_file: got 'password'; needs a username"),
+        ('ca_file = "ca.crt"\nurl = "mqtt://h"', "1: mqtt.ca_file: got 'ca.crt'"),
+        (f'{TLS}certificate_file = "left.crt"\nkey_file = "other.key"', "3: mqtt.key_file: got 'other.key'"),
+        (f'{TLS}ca_file = "credential:../x"', "2: mqtt.ca_file: got 'credential:../x'; must be credential:NAME"),
+        (f"{TLS}insecure = true", "2: mqtt.insecure: unknown key"),
     ],
 )
 def test_one_mistake(tmp_path: Path, table: str, expected: str) -> None:

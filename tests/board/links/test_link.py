@@ -39,21 +39,6 @@ def pair() -> Iterator[Pair]:
     pair.close()
 
 
-@pytest.fixture
-def terminal() -> Iterator[tuple[int, int]]:
-    """Master and slave of a raw pseudo-terminal, both non-blocking; a test may close either."""
-    ends = pty.openpty()
-    for descriptor in ends:
-        tty.setraw(descriptor)
-        os.set_blocking(descriptor, False)
-    yield ends
-    for descriptor in ends:
-        try:
-            os.close(descriptor)
-        except OSError:
-            continue  # the test did
-
-
 def test_the_last_bytes_come_before_the_end_of_the_stream(pair: Pair) -> None:
     pair.far.sendall(b"last words")
     pair.far.close()
@@ -105,8 +90,11 @@ def test_write_ends_where_a_descriptor_claims_to_be_writable_and_never_is(
         pair.link.write(b"ping")
 
 
-def test_what_a_terminal_gives_in_pieces_comes_in_one_read(terminal: tuple[int, int]) -> None:
-    master, slave = terminal
+def test_what_a_terminal_gives_in_pieces_comes_in_one_read() -> None:
+    master, slave = pty.openpty()
+    for descriptor in (master, slave):
+        tty.setraw(descriptor)
+        os.set_blocking(descriptor, False)
     data = bytes(range(251)) * 36  # 9 kB, of which a terminal gives 4 kB a call
     link = FileDescriptorLink(slave, lambda: os.close(slave))
     most_bytes = 0
@@ -117,6 +105,8 @@ def test_what_a_terminal_gives_in_pieces_comes_in_one_read(terminal: tuple[int, 
         while len(received) < len(data):
             received += link.read(AMPLE_S)
         assert received == data
+    link.close()
+    os.close(master)
     assert most_bytes > 8192
 
 

@@ -114,9 +114,7 @@ def test_the_next_address_of_a_host_is_tried(listener: socket.socket, monkeypatc
     monkeypatch.setattr(tcp_link, "resolve_host", lambda _host, _port, _timeout_s: addresses)
     open_tcp(TcpTarget("board.local", port)).close()
     monkeypatch.setattr(tcp_link, "resolve_host", lambda _host, _port, _timeout_s: addresses[:1] * 2)
-    with pytest.raises(
-        LinkUnavailableError, match=r"127\.0\.0\.2: Connection refused; 127\.0\.0\.2: Connection"
-    ) as caught:
+    with pytest.raises(LinkUnavailableError) as caught:
         open_tcp(TcpTarget("board.local", port))
     assert caught.value.reason.code == "connection_refused"
 
@@ -146,31 +144,21 @@ def resolver(monkeypatch: pytest.MonkeyPatch) -> Iterator[Resolver]:
     resolver.go_on.set()
 
 
-def test_families_and_addresses_are_returned(resolver: Resolver) -> None:
-    resolver.go_on.set()
-    assert resolve_host("board.local", 5000, AMPLE_S) == [(socket.AF_INET6, ("fe80::1", 5000, 0, 3))]
-
-
 def test_an_answer_that_is_late_serves_the_next_question(resolver: Resolver) -> None:
     for _ in range(3):
         with pytest.raises(TimeoutError, match=r"its name was not found within 0\.01 s"):
             resolve_host("slow.local", 5000, 0.01)
     resolver.go_on.set()
-    assert resolve_host("slow.local", 5000, AMPLE_S)[0][1][0] == "fe80::1"
+    assert resolve_host("slow.local", 5000, AMPLE_S) == [(socket.AF_INET6, ("fe80::1", 5000, 0, 3))]
     assert resolver.asked == ["slow.local"]
     resolve_host("slow.local", 5000, AMPLE_S)  # answers are not kept: an address may change
     assert resolver.asked == ["slow.local"] * 2
 
 
-@pytest.mark.parametrize(
-    "error",
-    [socket.gaierror(-2, "Name or service not known"), TimeoutError("resolver"), ValueError("embedded null character")],
-)
-def test_an_error_is_told_once_and_the_name_asked_anew(resolver: Resolver, error: Exception) -> None:
+def test_an_error_is_told_once_and_the_name_asked_anew(resolver: Resolver) -> None:
     resolver.go_on.set()
-    resolver.error = error
-    with pytest.raises(type(error)) as raised:
+    resolver.error = ValueError("embedded null character")
+    with pytest.raises(ValueError, match="embedded"):
         resolve_host("none.local", 5000, AMPLE_S)
-    assert raised.value is error
     resolver.error = None
     resolve_host("none.local", 5000, AMPLE_S)

@@ -64,16 +64,12 @@ def test_a_board_with_faults_is_replayed_to_the_bit(tmp_path: Path) -> None:
 FIRST = Reason(ReasonCode.UNPLUGGED, "first")
 
 
-def replaying(path: str, woken: threading.Event) -> BoardReader:
-    target = RecordingTarget(path)
-    return BoardReader(target, PLATE, woken.set, replay=replay_of(target, PLATE))
-
-
 def test_a_replay_can_be_stopped_in_a_long_silence(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     record(path, [Opened(at(0)), StateAnnounced(at(0), Condition.STALLED, FIRST), TimersRun(at(3_600_000), idle=True)])
     woken = threading.Event()
-    reader = replaying(str(path), woken)
+    target = RecordingTarget(str(path))
+    reader = BoardReader(target, PLATE, woken.set, replay=replay_of(target, PLATE))
     reader.start()
     assert woken.wait(DEADLINE_S)
     reader.stop()
@@ -85,12 +81,7 @@ def last_reason(arrivals: list[Arrival]) -> str:
     return arrivals[-1].reason.text
 
 
-def identify() -> bytes:
-    """What goes out as soon as a link is open."""
-    return HostSession().data_to_send()
-
-
-BEGUN = [Opened(at(0)), Sent(at(0), identify())]
+BEGUN = [Opened(at(0)), Sent(at(0), HostSession().data_to_send())]  # which asks who it is
 NO_ANSWER = TimersRun(at(4000), idle=False)  # after which the connection gives up
 
 

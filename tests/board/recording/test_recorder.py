@@ -117,10 +117,8 @@ def test_whatever_else_goes_wrong_ends_the_recording_and_is_said(
     recorder = record(path, [Opened(at(0)), Sent(at(1), b"x")])
     said = "RuntimeError('LZ4 has no memory'): nothing more is recorded; the file has no event and is removed"
     assert recorder.failure == Reason(ReasonCode.WRITE_FAILED, f"{path}: {said}")
-    assert (recorder.written.events, recorder.counts.events_missing) == (
-        0,
-        2,
-    )  # the other waited for its chunk to be full
+    assert recorder.written.events == 0
+    assert recorder.counts.events_missing == 2  # the other waited for its chunk to be full
     recorder.put(Closed(at(2)))
     assert recorder.counts.events_missing == 3
 
@@ -162,7 +160,6 @@ def test_damage_ends_a_recording_where_it_is_found(tmp_path: Path) -> None:
     assert events == written[: len(events)]
     assert damage is not None
     assert damage.startswith("damaged before byte ")
-    assert damage.endswith(f"of {len(whole)} ({damage[damage.index('(') + 1 : -1]})")
 
 
 def test_no_bit_that_flips_is_taken_for_an_event(tmp_path: Path) -> None:
@@ -183,13 +180,11 @@ def test_no_bit_that_flips_is_taken_for_an_event(tmp_path: Path) -> None:
 
 def test_what_is_no_recording_is_said(tmp_path: Path) -> None:
     path = tmp_path / "file"
-    said = "is no recording, or nothing of it was written; name a file that `resonatord record` has written"
     for content in (b"", Random(5).randbytes(5000)):
         path.write_bytes(content)
-        with pytest.raises(LinkUnavailableError, match=said):
-            open_recording(str(path), PLATE)
-    with pytest.raises(LinkUnavailableError, match="is no regular file"):
-        open_recording(str(tmp_path), PLATE)
+        for place, said in ((path, "is no recording"), (tmp_path, "is no regular file")):
+            with pytest.raises(LinkUnavailableError, match=said):
+                open_recording(str(place), PLATE)
     for profile, name, metadata, said in (
         ("ros2", "recording", {"format": "1"}, "is an MCAP file, but not of this program"),
         ("resonatord", "other", {"format": "1"}, "does not contain the description"),

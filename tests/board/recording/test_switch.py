@@ -27,7 +27,7 @@ from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.recorder import Recorder
 from resonator_daemon.board.recording.switch import NothingRecordedError, RecordingRunningError, RecordingSwitch
 from resonator_daemon.board.recording.writer import Published
-from resonator_daemon.board.session.frames import Arrival, BoardOnline, LinkChange
+from resonator_daemon.board.session.frames import BoardOnline, LinkChange
 from resonator_daemon.board.session.link_events import (
     Opened,
     Received,
@@ -57,10 +57,6 @@ def pseudo_terminal(port: Path, faults: str = "") -> tuple[EmulatorOptions, Seri
     return options, SerialTarget(str(port), 4000000)
 
 
-def wait_for_frames(it: Listener, more: int) -> None:
-    it.wait_for_frames(len(frames(it.arrivals)) + more)
-
-
 def running_snapshot(folder: Path) -> SnapshotTaken:
     """How the link to a board stood while it was open."""
     snapshots: list[SnapshotTaken] = []
@@ -75,21 +71,6 @@ def running_snapshot(folder: Path) -> SnapshotTaken:
     return snapshots[-1]
 
 
-def check_replay(live: list[Arrival], path: Path, plate: Plate = PLATE) -> list[Arrival]:
-    """Check that a replay gives the frames and gaps of the live run to the bit, from its first frame to its last."""
-    arrivals, counters, differences = replayed(path, plate)
-    assert differences == 0, arrivals[-1].reason  # type: ignore[union-attr]
-    again = frames(arrivals)
-    by_index = {frame.index: frame for frame in frames(live)}
-    first, last = again[0].index, again[-1].index
-    assert [frame.index for frame in again] == [index for index in by_index if first <= index <= last]
-    assert all(same(frame, by_index[frame.index]) for frame in again)
-    assert gaps(arrivals) == [gap for gap in gaps(live) if first < gap.first_index < last]
-    assert counters.frames == len(again)
-    assert counters.lost.total == sum(gap.loss.total for gap in gaps(arrivals))
-    return arrivals
-
-
 def test_a_recording_begun_while_frames_come_is_replayed_with_their_numbers(tmp_path: Path) -> None:
     options, link = pseudo_terminal(tmp_path / "board")
     path = tmp_path / "run.mcap"
@@ -97,11 +78,15 @@ def test_a_recording_begun_while_frames_come_is_replayed_with_their_numbers(tmp_
         it.wait_for_frames(700)
         switch.start(path, Origin(PLATE, str(link)))
         began_with = frames(it.arrivals)[-1].index
-        wait_for_frames(it, 1500)
+        it.wait_for_frames(len(frames(it.arrivals)) + 1500)
         summary = switch.stop()
         it.take_the_rest()
-    arrivals = check_replay(it.arrivals, path)
+    arrivals, counters, differences = replayed(path)
     again = frames(arrivals)
+    by_index = {frame.index: frame for frame in frames(it.arrivals)}
+    assert (differences, counters.frames, counters.lost.total) == (0, len(again), 0)
+    assert [frame.index for frame in again] == [i for i in by_index if again[0].index <= i <= again[-1].index]
+    assert all(same(frame, by_index[frame.index]) for frame in again)
     assert 300 < again[0].index <= began_with + 200  # what was kept begins about 100 ms before
     assert len(again) > 1200
     assert gaps(arrivals) == []
@@ -122,12 +107,12 @@ def test_a_recording_begun_while_frames_come_is_replayed_with_their_numbers(tmp_
 
 def test_one_recording_runs_at_a_time_and_no_file_is_overwritten(tmp_path: Path) -> None:
     switch = RecordingSwitch()
-    with pytest.raises(NothingRecordedError, match="nothing is being recorded; start a recording first"):
+    with pytest.raises(NothingRecordedError):
         switch.mark("before")
     assert switch.current is None
     before_ns = time.time_ns()
     switch.start(tmp_path / "one.mcap", ORIGIN)
-    with pytest.raises(RecordingRunningError, match=r"one\.mcap is being recorded; stop that first"):
+    with pytest.raises(RecordingRunningError):
         switch.start(tmp_path / "two.mcap", ORIGIN)
     assert not (tmp_path / "two.mcap").exists()
     now = switch.current
@@ -244,7 +229,7 @@ def test_a_recording_goes_from_file_to_file_without_a_frame_twice_or_missing(tmp
         it.wait_for_frames(100)
         switch.start(series, Origin(PLATE, str(link)))
         it.wait_for(lambda arrivals: bool(gaps(arrivals)))
-        wait_for_frames(it, 700)
+        it.wait_for_frames(len(frames(it.arrivals)) + 700)
         switch.stop()
         it.take_the_rest()
     by_index = {frame.index: frame for frame in frames(it.arrivals)}

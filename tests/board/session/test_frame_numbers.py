@@ -150,12 +150,6 @@ def test_a_boot_id_that_came_twice_does_not_make_the_ticks_go_on() -> None:
     assert it.accept(1, 0, GATE_TICKS, at(700)) == Accepted(700, at(700), Gap(1, FrameLoss(link_gap=699)), at(0))
 
 
-def test_ticks_that_jumped_during_an_outage_do_not_determine_its_length() -> None:
-    it = begun()
-    it.started(0)
-    assert it.accept(1, 0, 10**9, at(700)) == Accepted(700, at(700), Gap(1, FrameLoss(link_gap=699)), at(0))
-
-
 @pytest.mark.parametrize(("boot_id", "ticks"), [(1, 3_600_100 * GATE_TICKS), (2, 17)], ids=["same boot", "rebooted"])
 def test_a_host_that_slept_knows_how_long(boot_id: int, ticks: int) -> None:
     it = begun()

@@ -19,20 +19,22 @@ def frame(index: int) -> SingleToneFrame:
 
 
 def test_takes_in_order_and_wakes_for_news_and_whole_steps() -> None:
-    wakes = []
-    queue = FrameQueue(10 * FRAME_BYTES, lambda: wakes.append(1), step_frames=(3,))
-    for index in range(2):
+    wakes: list[int] = []
+    index = 0
+    queue = FrameQueue(100 * FRAME_BYTES, lambda: wakes.append(index + 1), step_frames=(2, 5))
+    for index in range(10):
         queue.put_frames([frame(index)], NOW)
-    assert wakes == []
-    queue.put_frames([frame(2)], NOW)
-    assert len(wakes) == 1
-    assert queue.pop_all() == [frame(0), frame(1), frame(2)]
+    assert wakes == [2, 4, 5, 6, 8, 10]
+    queue.step_frames = (7,)
+    for index in range(10, 30):
+        queue.put_frames([frame(index)], NOW)
+    assert wakes[6:] == [14, 21, 28]
+    assert queue.pop_all() == [frame(index) for index in range(30)]
     assert queue.pop_all() == []
     queue.put(BoardLogLine(20, "news"))
-    assert len(wakes) == 2
-    queue.put_frames([frame(3)], NOW)
-    assert len(wakes) == 2
-    assert queue.pop_all() == [BoardLogLine(20, "news"), frame(3)]
+    assert wakes[9:] == [30]
+    queue.put_frames([frame(30)], NOW)
+    assert queue.pop_all() == [BoardLogLine(20, "news"), frame(30)]
 
 
 def test_when_full_the_oldest_frames_give_way_to_a_gap_and_news_stays() -> None:
@@ -85,15 +87,3 @@ def test_the_bound_is_one_of_memory(fresh: object) -> None:
         tracemalloc.stop()
     assert queue.loss.total > 0
     assert 0.7 * limit_bytes < after - before <= 1.05 * limit_bytes
-
-
-def test_ends_of_several_steps_wake_and_may_be_replaced() -> None:
-    wakes: list[int] = []
-    queue = FrameQueue(100 * FRAME_BYTES, lambda: wakes.append(index + 1), step_frames=(2, 5))
-    for index in range(10):
-        queue.put_frames([frame(index)], NOW)
-    assert wakes == [2, 4, 5, 6, 8, 10]
-    queue.step_frames = (7,)
-    for index in range(10, 30):
-        queue.put_frames([frame(index)], NOW)
-    assert wakes[6:] == [14, 21, 28]

@@ -16,24 +16,17 @@ IDENTITY = Identity("board", "0042", "1.0", 0)
 FRAME = encode_packet(0x90, 7, bytes(176), boot_id=5)
 
 
-class LossyLink:
-    """A board that hears only some of what it is sent: those writes are lost whose numbers are given, from 0."""
+class Answering:
+    """A link that answers each request with the same bytes, or with the request itself."""
 
-    def __init__(self, lost: set[int], capabilities: int = Capability.LOCATE) -> None:
-        description = Description(CounterKind.SINGLE_TONE, 4, 1, 10**12, 1, 2, "quartz16", capabilities=capabilities)
-        self.board = DeviceSession(IDENTITY, description, boot_id=7)
-        self._lost = lost
-        self._writes = 0
+    overruns = 0
+
+    def __init__(self, says: bytes | None = None) -> None:
+        self._says = says
         self._answers = b""
 
-    @property
-    def overruns(self) -> int:
-        return 0
-
     def write(self, data: bytes) -> None:
-        if self._writes not in self._lost:
-            self._answers += self.board.receive(data, 0)
-        self._writes += 1
+        self._answers += data if self._says is None else self._says
 
     def read(self, timeout_s: float) -> bytes:
         if not self._answers:
@@ -44,6 +37,22 @@ class LossyLink:
     def reset(self) -> None: ...
 
     def close(self) -> None: ...
+
+
+class LossyLink(Answering):
+    """A board that hears only some of what it is sent: those writes are lost whose numbers are given, from 0."""
+
+    def __init__(self, lost: set[int], capabilities: int = Capability.LOCATE) -> None:
+        super().__init__()
+        description = Description(CounterKind.SINGLE_TONE, 4, 1, 10**12, 1, 2, "quartz16", capabilities=capabilities)
+        self.board = DeviceSession(IDENTITY, description, boot_id=7)
+        self._lost = lost
+        self._writes = 0
+
+    def write(self, data: bytes) -> None:
+        if self._writes not in self._lost:
+            self._answers += self.board.receive(data, 0)
+        self._writes += 1
 
 
 @pytest.mark.parametrize("lost", [set(), {0}, {1}, {2}, {3, 4}])
@@ -68,28 +77,6 @@ def test_the_rate_is_that_between_the_quickest_exchanges_of_both_halves() -> Non
     elapsed_ns = 101_000_700 - 1_000_500
     assert rate.deviation_ppm == pytest.approx((101_010_700 - 1_000_600) / elapsed_ns * 1e6 - 1e6)
     assert rate.uncertainty_ppm == pytest.approx((1_000 + 1_400) / 2 / elapsed_ns * 1e6)
-
-
-class Answering:
-    """A link that answers each request with the same bytes, or with the request itself."""
-
-    overruns = 0
-
-    def __init__(self, says: bytes | None) -> None:
-        self._says = says
-        self._answers = b""
-
-    def write(self, data: bytes) -> None:
-        self._answers += data if self._says is None else self._says
-
-    def read(self, timeout_s: float) -> bytes:
-        threading.Event().wait(0.0 if self._answers else timeout_s)
-        answers, self._answers = self._answers, b""
-        return answers
-
-    def reset(self) -> None: ...
-
-    def close(self) -> None: ...
 
 
 @pytest.mark.parametrize(
