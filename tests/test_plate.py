@@ -213,12 +213,8 @@ def test_what_a_calibration_states(tmp_path: Path) -> None:
     assert (plate.response.hysteresis_newton, plate.thermal.contact_std_kelvin) == (0.1, 4.0)
     assert plate.calibration.validity.force_newton == (0.5, 5.0)
     assert (plate.calibration.id, str(plate.calibration.date), plate.calibration.expiry) == ("c1", "2026-11-01", None)
-    for before, after, key in (
-        ("[0.5, 5.0]", "[5.0, 0.5]", "validity.force_newton"),
-        ("2026-11-01", "20261101", "date"),
-    ):
-        (message,) = refusals(tmp_path, text.replace(before, after))
-        assert f"calibration.{key}: got" in message
+    (message,) = refusals(tmp_path, text.replace("[0.5, 5.0]", "[5.0, 0.5]"))
+    assert "calibration.validity.force_newton: got" in message
 
 
 def test_a_concave_outline_has_its_notch_outside(tmp_path: Path) -> None:

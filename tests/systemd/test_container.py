@@ -132,11 +132,12 @@ def test_its_directories_are_its_own(found: dict[str, str]) -> None:
     ]
 
 
-def test_a_reload_and_a_wait_for_the_board_are_no_restarts(found: dict[str, str]) -> None:
+def test_a_reload_and_a_wait_for_the_board_are_no_restarts_and_a_stop_no_failure(found: dict[str, str]) -> None:
     started = shown(found["started"])
     for moment in ("reloaded", "waiting"):
         assert shown(found[moment])["MainPID"] == started["MainPID"]
         assert shown(found[moment])["ActiveState"] == "active"
+    assert shown(found["stopped"])["Result"] == "success"
 
 
 def test_one_that_hangs_is_restarted_by_the_watchdog(found: dict[str, str]) -> None:
@@ -157,10 +158,6 @@ def test_a_decoder_waits_for_its_plate(found: dict[str, str]) -> None:
     decoder = shown(found["decoder"])
     assert (decoder["ActiveState"], decoder["NRestarts"]) == ("active", "0")
     assert decoder["StatusText"]
-
-
-def test_a_stop_is_no_failure(found: dict[str, str]) -> None:
-    assert shown(found["stopped"])["Result"] == "success"
 
 
 def test_the_journal_has_the_fields(found: dict[str, str]) -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.estimate.surface.decoder_setup import cached
 
 DIRECTORY = Path(__file__).parents[2] / "systemd"
 UNITS = {path.name: path.read_text() for path in DIRECTORY.glob("*.service")}
@@ -75,15 +74,6 @@ def test_the_user_is_one_that_sysusers_makes(name: str) -> None:
     groups = re.findall(r"^g (\S+)", (DIRECTORY / "resonatord.sysusers").read_text(), re.MULTILINE)
     assert [setting(name, "User")] == [setting(name, "Group")] == made
     assert [group for value in settings(name, "SupplementaryGroups") for group in value.split()] in ([], groups)
-
-
-def test_a_user_without_a_home_keeps_its_set_ups_where_systemd_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    directory = tmp_path / setting("resonatord@.service", "CacheDirectory")
-    monkeypatch.setenv("CACHE_DIRECTORY", str(directory))
-    assert cached("anything", lambda: 5) == 5
-    assert len(list(directory.iterdir())) == 1
 
 
 @each_unit

@@ -24,7 +24,7 @@ SLOW_PLATE = plate_head("slow", (-1, -1), (1, 1), 1, reference_hz=1e9, frame_rat
 )
 
 
-def test_the_example_passes_and_means_what_it_says(tmp_path: Path) -> None:
+def test_the_example_passes_and_means_what_is_meant_without_it(tmp_path: Path) -> None:
     config = loaded(tmp_path, example_config())
     assert config.name == "left-index"
     assert config.plate.name == "quartz16"
@@ -35,13 +35,9 @@ def test_the_example_passes_and_means_what_it_says(tmp_path: Path) -> None:
     assert config.measurement.step_s == pytest.approx(0.005)
     assert (config.decoding.method, config.decoding.contact_physics) == ("open-plane", True)
     assert config.decoding.friction_coefficient is None
-
-
-def test_what_is_left_out_has_the_values_of_the_example(tmp_path: Path) -> None:
-    short, example = loaded(tmp_path, MINIMAL), loaded(tmp_path, example_config())
-    assert short.name is None
-    assert short.link == TcpTarget("127.0.0.1", 5000)
-    assert (short.mqtt, short.measurement, short.decoding) == (example.mqtt, example.measurement, example.decoding)
+    short = loaded(tmp_path, MINIMAL)
+    assert (short.name, short.link) == (None, TcpTarget("127.0.0.1", 5000))
+    assert (short.mqtt, short.measurement, short.decoding) == (config.mqtt, config.measurement, config.decoding)
 
 
 FOURIER = MINIMAL + '[decoding]\nmethod = "fourier"\n'
@@ -83,10 +79,9 @@ def test_every_mistake_comes_at_once(tmp_path: Path) -> None:
     mine = tmp_path / "mine.toml"
     expected = [
         "1: name: got 'a b'",
-        f"2: plate: got 'mine.toml'; {mine}:12: sites[0].id: got 0; must be greater than or equal to 1",
-        f"2: plate: got 'mine.toml'; {mine}:16: sites[0].tones[0].f0_hz[2]: got -9000000.0; must be greater than or "
-        "equal to 1",
-        "3: link: got 'usb:1'; must be usb:VID:PID?serial=S",
+        f"2: plate: got 'mine.toml'; {mine}:12: sites[0].id: got 0",
+        f"2: plate: got 'mine.toml'; {mine}:16: sites[0].tones[0].f0_hz[2]: got -9000000.0",
+        "3: link: got 'usb:1'",
         "5: measurement.window_mz: unknown key",
         "7: measurement.step_ms: got 4; must be at most window_ms = 3",
         "9: decoding.method: got 'of'; allowed: open-plane, fourier, off; did you mean off?",
@@ -99,10 +94,9 @@ def test_windows_follow_the_plates_frames(tmp_path: Path) -> None:
     (tmp_path / "slow.toml").write_text(SLOW_PLATE)
     slow = MINIMAL.replace("quartz16", "slow.toml")
     step, window = refusals(tmp_path, slow + "[measurement]\nwindow_ms = 10\n")
-    assert window.startswith("4: measurement.window_ms: got 10; must be a whole number of frame periods of 4 ms")
-    assert window.endswith("near: 8 or 12")
-    assert step.startswith("3: measurement.step_ms: got 5.0; must be a whole number of frame periods of 4 ms")
-    assert step.endswith("near: 4 or 8")
+    for message, place, near in ((window, "4: measurement.window_ms: got 10;", "8 or 12"), (step, "3: ", "4 or 8")):
+        assert message.startswith(place)
+        assert message.endswith(f"near: {near}")
     assert loaded(tmp_path, slow + "[measurement]\nwindow_ms = 12\nstep_ms = 4\n").measurement.window_ms == 12
     # the defaults are checked as well
     assert len(refusals(tmp_path, slow)) == 2

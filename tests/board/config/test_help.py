@@ -52,12 +52,6 @@ def test_it_refuses_what_the_models_refuse(change: dict[str, Any], where: str) -
     assert says(MINIMAL | change) == [where]
 
 
-def test_what_a_reload_takes() -> None:
-    live = {key.path for key in config_keys() if key.live}
-    assert {"measurement.step_ms", "commands.allow", "recording.include_messages"} <= live
-    assert live.isdisjoint({"name", "plate", "link", "mqtt.url", "decoding.method", "metrics.listen"})
-
-
 def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     assert main(["config", *arguments]) == ExitCode.DONE
     out, err = capsys.readouterr()

@@ -130,8 +130,6 @@ def test_a_recording_ends_before_the_disk_is_full_and_resumes_where_it_may(
         assert contents(tmp_path)[1:] == [[snapshot(at(4)), Received(at(4), b"y")]]
         assert recorder.counts.events_missing == 3
         assert [level for level, _ in said] == [logging.WARNING, logging.INFO]
-        assert said[0][1].endswith(": it is tried again every 0 s; what was written stays")
-        assert said[1][1] == f"recording goes on in {recorder.path}"
     else:
         assert len(contents(tmp_path)) == 1
         assert recorder.counts.events_missing == 4
@@ -201,8 +199,8 @@ def test_a_file_that_nobody_finds_any_more_is_said_once_and_another_begun(tmp_pa
         assert read(tmp_path / "elsewhere" / first.name) == ([snapshot(at(0))], None)
     if how == "replaced":
         assert first.read_bytes() == b"theirs"
-    gone = f"{first} was removed, moved or replaced: a new file is begun as soon as that can be"
-    assert said == [(logging.WARNING, gone), (logging.INFO, f"recording goes on in {second}")]
+    assert [level for level, _ in said] == [logging.WARNING, logging.INFO]
+    assert [str(path) in text for path, (_, text) in zip((first, second), said, strict=True)] == [True, True]
 
 
 def test_names_stay_in_order_where_the_clock_is_set_back(tmp_path: Path) -> None:

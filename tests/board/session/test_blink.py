@@ -23,29 +23,18 @@ def bench() -> Bench:
     return online(capabilities=int(Capability.LOCATE))
 
 
-def answers_of(it: Listener, count: int) -> list[str | None]:
-    """Return the answers in this thread to so many requests from others."""
-    answers: list[str | None] = []
-    threads: list[int] = []
-
-    def done(refused: str | None) -> None:
-        answers.append(refused)
-        threads.append(threading.get_ident())
-
-    for _ in range(count):
-        asking = threading.Thread(target=it.reader.blink, args=(done,))
-        asking.start()
-        asking.join()
-    it.wait_for(lambda _: len(answers) >= count)
-    assert set(threads) == {threading.get_ident()}
-    return answers
-
-
 def test_a_board_blinks_and_counts_on(tmp_path: Path) -> None:
     port = tmp_path / "board"
     with emulated(EmulatorOptions("quartz16", pty=port)) as emulator, Listener(SerialTarget(str(port), 4000000)) as it:
         it.wait_for_frames(100)
-        assert answers_of(it, 3) == [None] * 3
+        answers: list[tuple[str | None, int]] = []
+        for _ in range(3):
+            done = (lambda refused: answers.append((refused, threading.get_ident())),)
+            asking = threading.Thread(target=it.reader.blink, args=done)
+            asking.start()
+            asking.join()
+        it.wait_for(lambda _: len(answers) >= 3)
+        assert answers == [(None, threading.get_ident())] * 3  # in this thread, whoever asked
         it.wait_for_frames(len(frames(it.arrivals)) + 200)
         counters = it.reader.counters()
     assert emulator._board.times_located >= 1

@@ -208,26 +208,3 @@ def test_a_reboot_is_told_with_its_cause_and_the_host_measures_it() -> None:
     assert sum(boot.frames for boot in boots) == bench.counters.frames
     assert boots[1].lost == boots[1].lost_in_outages == gap.loss
     assert not [arrival for arrival in bench.arrivals if isinstance(arrival, BoardOnline)][-1].continues
-
-
-@pytest.mark.parametrize("lost", ["IDENTITY", "DESCRIPTION", "CONFIGURED", "STARTED"])
-def test_a_lost_answer_is_asked_for_again_while_pings_are_answered(lost: str) -> None:
-    bench = Bench(SimulatedBoard())
-    session, seen = bench.board.session, []
-    answer = session.receive
-
-    def lossy(data: bytes, board_ticks: int) -> bytes:
-        packets = [
-            answer(packet, board_ticks) for packet in data.split(b"\xa5\x5a")[1:] for packet in (b"\xa5\x5a" + packet,)
-        ]
-        if not seen:
-            hit = [packet for packet in packets if packet and packet[3] == MessageType[lost]]
-            seen.extend(hit)
-            packets = [packet for packet in packets if packet not in hit]
-        return b"".join(packets)
-
-    session.receive = lossy  # type: ignore[method-assign]
-    bench.run(900)
-    assert seen
-    assert bench.states[-1][0] == "online"
-    assert session.started == 1

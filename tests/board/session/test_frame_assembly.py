@@ -50,21 +50,15 @@ def test_a_lost_part_leaves_its_tones_unknown_and_keeps_the_frame() -> None:
     assert (len(first.seen), first.parts) == (7, 8)
 
 
-def test_flagged_tones_are_unknown() -> None:
+def test_flagged_tones_are_unknown_and_parts_beyond_the_plate_are_counted() -> None:
     assembler = FrameAssembler(TONES)
     for flag in ToneFlag:
         assembler.add([part(flag, 0, 0, flags=flag)])
         (frame,) = assembler.flush()
         assert not known_tones(frame.tones).any()
         assert np.isinf(variance_of(frame.tones)).all()
-
-
-def test_parts_beyond_the_plate_are_counted() -> None:
-    assembler = FrameAssembler(TONES)
     assembler.add([part(1, 0, 0, first=4)])
     assert assembler.unplaced_parts == 1
-    (frame,) = assembler.flush()
-    assert not known_tones(frame.tones).any()
 
 
 def test_a_repeated_part_does_not_complete_a_frame() -> None:

@@ -13,13 +13,19 @@ COUNTS = Reason(ReasonCode.BOARD_COUNTS, "it counts")
 UNPLUGGED = Reason(ReasonCode.UNPLUGGED, "unplugged")
 
 
-@pytest.mark.parametrize("set_s", [0, 7200, -7200, 1_700_000_000])
-@pytest.mark.parametrize("slept_s", [0, 600])
-def test_an_outage_is_as_long_as_it_was_though_the_clock_was_set_meanwhile(set_s: int, slept_s: int) -> None:
+def lost() -> tuple[list[Arrival], LinkState]:
+    """Return what was said, and the link that counted and is lost."""
     said: list[Arrival] = []
     link = LinkState(said.append)
     link.announce(Condition.ONLINE, COUNTS, BEGUN_NS)
     link.announce(Condition.LOST, UNPLUGGED, BEGUN_NS + S)
+    return said, link
+
+
+@pytest.mark.parametrize("set_s", [0, 7200, -7200, 1_700_000_000])
+@pytest.mark.parametrize("slept_s", [0, 600])
+def test_an_outage_is_as_long_as_it_was_though_the_clock_was_set_meanwhile(set_s: int, slept_s: int) -> None:
+    said, link = lost()
     before = Instant(BEGUN_NS, 100, 5 * S, 5 * S)
     end_ns = BEGUN_NS + (4 + slept_s + set_s) * S
     link.frame_received(before, Instant(end_ns, 100, 9 * S, (9 + slept_s) * S), 4000)
@@ -28,10 +34,7 @@ def test_an_outage_is_as_long_as_it_was_though_the_clock_was_set_meanwhile(set_s
 
 @pytest.mark.parametrize(("previous", "frames_lost"), [(Instant(BEGUN_NS, 100, 5 * S, 5 * S), 0), (None, 4000)])
 def test_an_outage_without_a_loss_is_not_announced(previous: Instant | None, frames_lost: int) -> None:
-    said: list[Arrival] = []
-    link = LinkState(said.append)
-    link.announce(Condition.ONLINE, COUNTS, BEGUN_NS)
-    link.announce(Condition.LOST, UNPLUGGED, BEGUN_NS + S)
+    said, link = lost()
     link.frame_received(previous, Instant(BEGUN_NS + 4 * S, 100, 9 * S, 9 * S), frames_lost)
     assert len(said) == 2
     assert link.snapshot().outage_reasons == ()
