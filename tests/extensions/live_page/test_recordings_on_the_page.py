@@ -87,17 +87,22 @@ async def test_recordings_of_a_directory_are_opened_compared_and_closed(tmp_path
 
 
 async def test_a_process_that_decodes_may_be_killed_and_ends_with_the_page() -> None:
+    others = set(psutil.Process().children())  # of earlier tests in this process
+
+    def decoding() -> list[psutil.Process]:
+        return [child for child in psutil.Process().children() if child not in others]
+
     library = Library(None, lambda: None)
     (killed,) = library.exchange([], [WHOLE])
-    await until(lambda: bool(psutil.Process().children()))
-    psutil.Process().children()[0].kill()
+    await until(lambda: bool(decoding()))
+    decoding()[0].kill()
     await until(lambda: killed.complete)
     assert killed.failure or killed.truncated
     library.exchange([], [CUT_OFF])
-    await until(lambda: bool(psutil.Process().children()))
+    await until(lambda: bool(decoding()))
     library.exchange([WHOLE, CUT_OFF], [])
     await library.close()
-    assert not psutil.Process().children()
+    assert not decoding()
 
 
 async def test_messages_of_the_first_moment_are_sent_once_they_are_decoded() -> None:
