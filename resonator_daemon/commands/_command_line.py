@@ -171,22 +171,24 @@ class _Parser(argparse.ArgumentParser):
                 self._check_option(option.partition("=")[0])
         namespace, unknown = super().parse_known_args(args, namespace)
         for last in self._get_positional_actions()[-1:]:
-            if unknown and last.nargs == "*" and not any(word.startswith("-") for word in unknown):
+            before = getattr(namespace, last.dest, None)
+            is_list, is_free = last.nargs == "*", last.nargs == "?" and before == last.default and len(unknown) == 1
+            if unknown and (is_list or is_free) and not any(word.startswith("-") for word in unknown):
                 try:  # argparse takes none of them after an option
                     late = self._get_values(last, unknown)
                 except argparse.ArgumentError as error:
                     self.error(str(error))
-                setattr(namespace, last.dest, [*getattr(namespace, last.dest), *late])
+                setattr(namespace, last.dest, [*(before or ()), *late] if is_list else late)
                 unknown = []
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
         return namespace, unknown
 
     def _check_option(self, option: str) -> None:
-        known = list(self._option_string_actions)
-        if option.startswith("--") and " " not in option and option not in known:
+        if option.startswith("--") and " " not in option and option not in self._option_string_actions:
             from difflib import get_close_matches
 
+            known = [name for name in self._option_string_actions if name != "--help"]
             near = [name for name in known if name.startswith(option)] or get_close_matches(option, known, n=1)
             self.error(f"no such option: {option}{f'; did you mean {near[0]}?' if near else ''}")
 

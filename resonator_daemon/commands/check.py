@@ -23,7 +23,8 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     notes: tuple[str, ...] = ()
     try:
         if is_decoders_own(arguments.config):
-            notes = load_decoder_config(arguments.config).mqtt.notes
+            own = "this file is for `resonatord decode`; `resonatord run` also needs plate and link"
+            notes = (own, *load_decoder_config(arguments.config).mqtt.notes)
         else:
             notes = load_checked(arguments.config).notes
     except UserError as error:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_daemon(parser)
-    parser.add_argument("verb", metavar="VERB", help="as ping, health, tare or start_recording")
+    parser.add_argument("verb", metavar="VERB", help="as ping, events, tare or start_recording")
     parser.add_argument("fields", nargs="*", type=_field, metavar="KEY=VALUE", help="fields of the command")
     add_broker(parser)
     parser.add_argument("--json", action="store_true", help="print the daemon's answer as one JSON object")

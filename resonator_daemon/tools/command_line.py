@@ -238,6 +238,21 @@ def client_of(arguments: argparse.Namespace) -> "Client":
     return Client.model_construct(name=name, link=None, mqtt=broker_of(arguments))
 
 
+def add_published_plate(parser: argparse.ArgumentParser) -> None:
+    """Add `--plate`: the name that one plate is published under, instead of every plate."""
+    meaning = "only this one, as it is published (default: every plate)"
+    parser.add_argument("--plate", type=_published_name, metavar="NAME", help=meaning)
+
+
+def _published_name(text: str) -> str:
+    from resonator_daemon.board.config.tables import plate_name
+
+    try:
+        return plate_name(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"got {text!r}; {error}") from None
+
+
 def print_json(value: object) -> None:
     """Print a value as one line of JSON."""
     sys.stdout.write(json.dumps(value) + "\n")

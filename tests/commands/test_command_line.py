@@ -77,6 +77,7 @@ def test_its_version_is_that_of_the_project(resonatord: Resonatord) -> None:
         ("calibrate skni --config x.toml", " calibrate", "skin"),
         ("emulate --plate quartz16", " emulate", "--pty or --tcp or --usb"),
         ("demo --seconds -1", " demo", ""),
+        ("bridge home-assistant --plate a/#", " bridge home-assistant", ""),
     ],
 )
 def test_usage_errors_exit_with_2_and_the_usage_of_their_command(

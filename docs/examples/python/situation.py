@@ -51,4 +51,6 @@ async def main(host="127.0.0.1", port="1883", name="+"):
 
 
 if __name__ == "__main__":
+    if len(sys.argv) > 4 or not all(port.isdecimal() for port in sys.argv[2:3]):
+        sys.exit(__doc__)
     asyncio.run(main(*sys.argv[1:]))

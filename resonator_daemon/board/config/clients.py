@@ -4,9 +4,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
-from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo, field_validator
+from pydantic import AfterValidator, Field, PlainValidator, ValidationError, ValidationInfo, field_validator
 
-from resonator_daemon.base.toml import Table, load_model, read_toml
+from resonator_daemon.base.toml import Table, finding, load_model, read_toml
 from resonator_daemon.board.config import Config, config_from
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.config.tables import Decoding, plate_name
@@ -66,7 +66,8 @@ class DecoderConfig(Table):
     @classmethod
     def _decodes(cls, decoding: Decoding) -> Decoding:
         if decoding.method == "off":
-            raise ValueError('method = "off" leaves a decoder nothing to do; use "open-plane" or "fourier"')
+            off = finding(("method",), "off", 'leaves a decoder nothing to do; use "open-plane" or "fourier"')
+            raise ValidationError.from_exception_data("decoding", [off])
         return decoding
 
     @field_validator("name")

@@ -318,7 +318,7 @@ def read_header(path: str, records: Iterator[McapRecord]) -> dict[str, str]:
     if not isinstance(first, Header) or isinstance(second, Damage):
         raise no_recording(path, "; if it is damaged, resonatord repair FILE copies what is intact")
     if first.profile != PROFILE:
-        raise RecordingUnusableError(f"{path} is an MCAP file, but not of this program")
+        raise RecordingUnusableError(f"{path} is an MCAP file, but no recording, as an export is none")
     if not isinstance(second, Metadata) or second.name != RECORDING:
         raise RecordingUnusableError(f"{path} does not contain the description of its plate or board")
     return dict(second.metadata)

@@ -13,12 +13,12 @@ import argparse
 import sys
 
 from resonator_daemon.base.errors import ExitCode, UsageError
-from resonator_daemon.tools.command_line import add_broker, broker_of, host_and_port, print_json
+from resonator_daemon.tools.command_line import add_broker, add_published_plate, broker_of, host_and_port, print_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_broker(parser, config_is_argument=True)
-    parser.add_argument("--plate", metavar="NAME", help="only this one, as it is published (default: every plate)")
+    add_published_plate(parser)
     parser.add_argument(
         "--listen",
         type=host_and_port,
@@ -35,14 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> ExitCode:
     import asyncio
 
-    from resonator_daemon.board.config.tables import Listen, plate_name
+    from resonator_daemon.board.config.tables import Listen
     from resonator_daemon.extensions.foxglove.server import serve
 
-    if arguments.plate is not None:
-        try:
-            plate_name(arguments.plate)
-        except ValueError as error:
-            raise UsageError(f"--plate: got {arguments.plate!r}; {error}") from None
     listen = Listen(*arguments.listen)
     if not listen.loopback:
         raise UsageError(

@@ -10,12 +10,12 @@ Example: resonatord bridge home-assistant --url mqtt://127.0.0.1:1883
 import argparse
 
 from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.tools.command_line import add_broker, broker_of
+from resonator_daemon.tools.command_line import add_broker, add_published_plate, broker_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_broker(parser, config_is_argument=True)
-    parser.add_argument("--plate", metavar="NAME", help="only this one, as it is published (default: every plate)")
+    add_published_plate(parser)
     parser.add_argument(
         "--discovery-prefix",
         type=_topic,

@@ -13,14 +13,14 @@ import os
 import re
 
 from resonator_daemon.base.errors import ExitCode, UsageError
-from resonator_daemon.tools.command_line import add_broker, broker_of, whole_number
+from resonator_daemon.tools.command_line import add_broker, add_published_plate, broker_of, whole_number
 
 _DOMAIN_MAX = 232  # beyond it, DDS has no ports
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_broker(parser, config_is_argument=True)
-    parser.add_argument("--plate", metavar="NAME", help="only this one, as it is published (default: every plate)")
+    add_published_plate(parser)
     parser.add_argument(
         "--domain-id",
         type=whole_number(0, _DOMAIN_MAX),

@@ -106,7 +106,7 @@ class DecoderSupervisor(SurfaceDecoding[Origin]):
                 if time.monotonic() - started_s > SOUND_S:
                     backoff.reset()
                 pause_s = backoff.next_s(RESTART_LONGEST_S)
-                log.error("decoder %s (%s): it is restarted in %.1f s", ending, how, pause_s)
+                log.error("decoder of %s %s (%s): it is restarted in %.1f s", self._name, ending, how, pause_s)
                 self._client.announce(Reason(_ENDINGS[ending], f"decoder {ending} ({how}) and is restarted"))
                 await asyncio.sleep(pause_s)
                 self.restarts[ending] += 1

@@ -89,7 +89,7 @@ async def command(
     plate
         Its name.
     verb
-        `ping`, `health`, `snapshot`, `events`, `tare`, `start_recording`, `stop_recording`, `mark`, `set_window`
+        `ping`, `events`, `tare`, `start_recording`, `stop_recording`, `mark`, `set_window`
         or `identify`; `docs/reference/mqtt-commands.md` lists arguments and answers.
     timeout_s
         How long to wait for the answer.

@@ -33,7 +33,7 @@ def test_what_only_the_daemon_needs_is_passed_over_whatever_it_states(tmp_path: 
         ("", " name: missing"),
         ('name = "decoder"', "1: name: got 'decoder'"),
         ('name = "a"\n[mqtt]\nurll = ""', "3: mqtt.urll: unknown key"),
-        ('name = "a"\n[decoding]\nmethod = "off"', "2: decoding: got a table"),
+        ('name = "a"\n[decoding]\nmethod = "off"', "3: decoding.method: got 'off'"),
     ],
 )
 def test_a_finding_has_its_line_and_key(tmp_path: Path, text: str, place: str) -> None:

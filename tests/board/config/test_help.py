@@ -66,7 +66,7 @@ def test_the_verbs_print_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert words == ["measurement.window_ms:", "type", "default", "range", "example", "reload"]
     assert "restart the daemon" in run(capsys, "explain", "plate")
     assert [line.split()[0] for line in run(capsys, "explain").splitlines()] == [key.path for key in config_keys()]
-    said = json.loads(run(capsys, "explain", "mqtt.prefix", "--json"))
+    said = json.loads(run(capsys, "explain", "--json", "mqtt.prefix"))
     assert said["verb"] == "config explain"
     (key,) = said["keys"]
     assert (key["path"], key["limits"], key["live"]) == ("mqtt.prefix", "at most 200 characters", False)

@@ -186,7 +186,7 @@ def test_what_is_no_recording_is_said(tmp_path: Path) -> None:
             with pytest.raises(LinkUnavailableError, match=said):
                 open_recording(str(place), PLATE)
     for profile, name, metadata, said in (
-        ("ros2", "recording", {"format": "1"}, "is an MCAP file, but not of this program"),
+        ("ros2", "recording", {"format": "1"}, "is an MCAP file, but no recording"),
         ("resonatord", "other", {"format": "1"}, "does not contain the description"),
         ("resonatord", "recording", {"format": "9"}, "has format 9, this version reads format 2"),
         ("resonatord", "recording", {"format": "1"}, "has format 1, this version reads format 2"),
