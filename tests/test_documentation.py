@@ -80,30 +80,6 @@ def test_the_page_of_the_command_line_is_that_of_the_parser() -> None:
 
 WORDS_PER_SENTENCE = 32
 ABBREVIATION = r"(?<!\beq\.)(?<!\beqs\.)(?<!\bFig\.)(?<!\bProc\.)(?<!\bTrans\.)"
-REPLACED = {  # pattern -> the word to write; inline code and links are left out
-    r"anew": "again",
-    r"beside": "next to, besides",
-    r"whoever": "any client that",
-    r"(?:a|the|no|each|this|any|which|that) board counts(?! (?:edges|ticks))": "acquires, sends frames",
-    r"lies of (?:a|the) board": "protocol violations",
-    r"cop(?:y|ies) for people": "decimated topic",
-    r"in the middle": "median, middle",
-    r"ever (?:more|longer|less)": "increasingly",
-    r"(?:replay|save|check|compare|golden|corpus) (?:a |the )?cases?|cases? (?:checked|differs?)": "regression fixture",
-    r"misfits?|strangers?": "incompatible, unknown; residual or outlier of a fit",
-    r"obey(?:s|ed|ing)?": "apply",
-    r"hears?|heard|hearing|overhears?": "receive, detect",
-    r"tells?|told|says?|said|speaks?|spoken": "report, publish",
-    r"learn(?:s|t|ed)|taught|teach(?:es)?": "estimate",
-    r"forgets?|forgot(?:ten)?": "discard",
-    r"mends?|mended|salvag(?:e|ed|es)": "repair, recovery",
-    r"hasten(?:s|ed)?": "set low latency",
-    r"untold|warm contact|playback|intake|port inquiry": "unmodelled, contact thermal, replay, receiver, probe",
-    r"without a word|is none of its business|has news": "without notice",
-    r"befall?s?|befell": "happen to",
-    r"(?:is|are|was) there already": "exists already",
-    r"in place of": "instead of",
-}
 
 
 def sentences(page: Path) -> list[tuple[int, str]]:
@@ -132,29 +108,6 @@ def test_no_sentence_of_a_page_is_too_long() -> None:
     ]
     worst = sorted((row for row in lengths if row[0] > WORDS_PER_SENTENCE), reverse=True)[:10]
     assert worst == [], "\n".join(f"{words} words, {place}: {text}" for words, place, text in worst)
-
-
-def texts_of(name: str) -> list[tuple[int, str]]:
-    """Return line and text of what a reader of pages, or a user of the daemon, reads in this file."""
-    path = ROOT / name
-    if name.endswith(".md"):
-        text = re.sub(r"\]\([^)]*\)", "]", prose(path))
-        return [*enumerate(re.sub(r"^ {4,}.*", "", text, flags=re.M).splitlines(), 1), *sentences(path)]
-    nodes = ast.walk(ast.parse(path.read_text()))
-    strings = [node for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)]
-    return [(node.lineno, node.value) for node in strings if " " in node.value and not node.value.count("\n")]
-
-
-def test_replaced_words_are_gone() -> None:
-    names = [name for name in FILES if re.match(r"README\.md|docs/.*\.md$|resonator_daemon/.*\.py$", name)]
-    assert [
-        f"{name}:{line}: {found[0]!r}; write: {word}"
-        for name in names
-        if (ROOT / name).exists()
-        for line, text in texts_of(name)
-        for pattern, word in REPLACED.items()
-        if (found := re.search(rf"(?<![\w-])(?:{pattern})(?![\w-])", re.sub(r"`[^`]*`", "", text), re.IGNORECASE))
-    ] == []
 
 
 def test_pages_that_hints_name_are_in_the_wheel(tmp_path: Path) -> None:
