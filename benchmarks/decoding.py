@@ -264,8 +264,8 @@ def shipped(name: str) -> Skin:
     plate = load_plate(name)
     skin = plate.skin
     assert skin is not None  # noqa: S101 - of a plate with one
-    prior = Prior(skin.correlation_length_m, skin.tangential_ratio)
     body = HalfSpace(skin.youngs_modulus_pascal, skin.poisson_ratio)
+    prior = Prior(skin.correlation_length_m, skin.tangential_ratio)
     return Skin(body, plate.site_positions_m, skin.depth_m, skin.gain_std, prior)
 
 

@@ -95,8 +95,6 @@ def test_a_grid_is_numbered_by_its_order(tmp_path: Path) -> None:
     assert plate.skin
     assert plate.skin.depth_m == pytest.approx(1.5e-3)
     assert plate.skin.gain_std == 0
-    assert plate.skin.correlation_length_m == pytest.approx(1e-3)
-    assert plate.skin.tangential_ratio == 0.3
     assert plate.grid
     assert plate.grid.pitch_m == pytest.approx(4e-4)
     np.testing.assert_array_equal(plate.site_ids, [1, 2, 3, 4, 5, 6])

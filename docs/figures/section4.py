@@ -29,8 +29,9 @@ from scene import (
     tractions,
 )
 
+from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
 from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart
-from resonator_daemon.estimate.surface.fitting.shape import ShapeFitter
+from resonator_daemon.estimate.surface.fitting.slip_fitter import fit_partial_slip
 
 Floats = NDArray[np.float64]
 Fields = dict[str, tuple[Floats, Floats]]  # traction and displacement by the name of the decoder
@@ -79,10 +80,12 @@ def shape(fields: Fields, noisy: Floats, noise_std: float) -> None:
         *_, bend = np.linalg.lstsq(columns, displacement[2].ravel()[inside], rcond=None)[0]
         share = PITCH_M**2 * traction.sum(axis=(1, 2))[[0, 2]] / true_newton
         print(f"| {name} | {-500.0 / bend:.1f} | {share[0]:.3f} | {share[1]:.3f} |")
-    fitter = ShapeFitter(BODY, SITES_M, DEPTH_M, 2.0 * RADIUS_M)
-    found = fitter.fit(noisy.reshape(3, -1), noise_std, ContactStart((0.0, 0.0), RADIUS_M))
+    model, start = DiscModel(BODY, SITES_M, DEPTH_M, 2.0 * RADIUS_M), ContactStart((0.0, 0.0), RADIUS_M)
+    (found,) = fit_partial_slip(model, noisy.reshape(3, -1), noise_std, [start])
+    stiffness_pascal = 4.0 / 3.0 * BODY.youngs_modulus_pascal / (1.0 - BODY.poisson_ratio**2)
+    bend_m = stiffness_pascal * found.radius_m**3 / found.force_newton[2]  # by Hertz
     share = found.force_newton[[0, 2]] / true_newton
-    print(f"| contact model, fitted | {found.radius_of_curvature_m * 1e3:.1f} | {share[0]:.3f} | {share[1]:.3f} |")
+    print(f"| contact model, fitted | {bend_m * 1e3:.1f} | {share[0]:.3f} | {share[1]:.3f} |")
 
 
 def profiles(folder: Path, fields: Fields, std_pascal: Floats) -> None:

@@ -115,9 +115,13 @@ class Skin(Table):
     poisson_ratio: Annotated[Number, Field(ge=0, le=0.5)]
     depth_mm: Annotated[Number, Field(ge=0.001, le=1000)]
     gain_std: Annotated[Number, Field(ge=0, lt=1)] = 0.0
-    # Of the decoder's prior, as `resonatord calibrate skin` finds them.
-    correlation_length_mm: Annotated[Number, Field(ge=0.01, le=100)] = 1.0
-    tangential_ratio: Annotated[Number, Field(ge=0.001, le=100)] = 0.3
+    correlation_length_mm: Annotated[Number, Field(ge=0.01, le=100)] = 1.0  # of the decoder's prior, ...
+    tangential_ratio: Annotated[Number, Field(ge=0.001, le=100)] = 0.3  # ... likewise
+    # Standard deviations of what the file states; of the gain, of all signals together.
+    depth_std_mm: Annotated[Number, Field(ge=0, le=1000)] = 0.0
+    modulus_std_pascal: Annotated[Number, Field(ge=0, le=1e13)] = 0.0
+    gain_std_common: Annotated[Number, Field(ge=0, lt=1)] = 0.0
+    position_std_mm: Annotated[Number, Field(ge=0, le=1000)] = 0.0
 
     @property
     def depth_m(self) -> float:
@@ -126,6 +130,21 @@ class Skin(Table):
     @property
     def correlation_length_m(self) -> float:
         return self.correlation_length_mm * 1e-3
+
+    @property
+    def depth_std_m(self) -> float:
+        return self.depth_std_mm * 1e-3
+
+    @property
+    def position_std_m(self) -> float:
+        return self.position_std_mm * 1e-3
+
+    @property
+    def exact_note(self) -> str | None:
+        """Return a sentence if some of the skin is stated without an error, else None."""
+        keys = ("depth_std_mm", "modulus_std_pascal", "gain_std_common", "position_std_mm")
+        missing = ", ".join(key for key in keys if not getattr(self, key))
+        return f"[skin] of the plate file does not state {missing}: contacts state no error for it" if missing else None
 
 
 class Grid(Table):

@@ -167,6 +167,10 @@ class ReasonCode(Word):
     NOT_FITTED = "not_fitted", "the contact was not fitted"
     FIT_UNDETERMINED = "fit_undetermined", "the signals do not determine the contact"
     FIT_REJECTED = "fit_rejected", "no single contact explains the signals"
+    FIT_CONTRADICTED = (
+        "fit_contradicted",
+        "the signals contradict the model of the contact: errors are larger than stated; see `resonatord doctor`",
+    )
     FORCE_INSIGNIFICANT = "force_insignificant", "the normal force is too small against its error"
     CONTACT_TOO_LARGE = "contact_too_large", "the contact is too large for its rim to show"
 

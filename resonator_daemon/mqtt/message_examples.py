@@ -62,8 +62,11 @@ _VALUES: Final[dict[str, Any]] = {
     "DecodedSummary.decoder": "open-plane+contact",
     "chi2": 1.02,
     "area_m2": 1.9e-05,
+    "area_std_m2": 4e-08,
     "radius_of_curvature_m": 0.0056,
+    "radius_of_curvature_std_m": 1.3e-05,
     "stick_ratio": 0.58,
+    "stick_ratio_std": 0.01,
     "State.state": "waiting",
     "State.reason_code": "no_such_port",
     "State.reason": "no port /dev/ttyACM0; no serial port is present",
@@ -174,7 +177,10 @@ _COMMAND_VALUES: Final[dict[str, Any]] = {
 }
 
 # The contact of the examples is on a force site.
-_OF_SKINS: Final = {"slip_margin", "slip_margin_std", "friction_coefficient", "friction_coefficient_std"}
+_OF_SKINS: Final = {
+    *("slip_margin", "slip_margin_std", "slip_margin_systematic", "friction_coefficient"),
+    *("friction_coefficient_std", "friction_coefficient_systematic"),
+}
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 

@@ -46,11 +46,13 @@ UNITS: Final[dict[str, str]] = {
 DIMENSIONLESS: Final = frozenset(
     {
         "chi2",
+        "degrees_of_freedom",
         "common_mode",
         "friction_coefficient",
         "gain",
         "model_error",
         "noise",
+        "p",
         "poisson_ratio",
         "position_correlation",
         "residual",
@@ -61,15 +63,15 @@ DIMENSIONLESS: Final = frozenset(
         "tangential_ratio",
     }
 )
-"""Keys of numbers without a unit, without the `_std` that a standard deviation has at its end."""
+"""Keys of numbers without a unit, without the `_std` or `_systematic` that a standard deviation has at its end."""
 
 NO_UNIT: Final = "1"
 AXES: Final = "xyz"
 
 
 def unit_of(key: str) -> str | None:
-    """Return the unit of a key's numbers: that of the longest ending in `UNITS`, `_std` left off; None for others."""
-    bare = key.removesuffix("_std")
+    """Return the unit of a key's numbers: that of the longest ending in `UNITS`, without `_std`; None for others."""
+    bare = key.removesuffix("_std").removesuffix("_systematic")
     if bare in DIMENSIONLESS:
         return NO_UNIT
     parts = bare.split("_")
@@ -84,6 +86,11 @@ def with_axis(name: str, axis: str) -> str:
         if "_".join(parts[start:]) in UNITS:
             return "_".join((*parts[:start], axis, *parts[start:]))
     return f"{name}_{axis}"
+
+
+def normal_error(error: float | tuple[float, ...]) -> float:
+    """Return the error of the normal force, of a `ForceError`."""
+    return error[-1] if isinstance(error, tuple) else error
 
 
 _DECIMAL: Final = {"type": "string", "pattern": "^[0-9]{1,20}$"}
@@ -127,6 +134,12 @@ OptionalFloat = Annotated[
 """A number that may be unknown, of a key that may be left out: then None."""
 Vector2 = tuple[Float, Float]
 Vector3 = tuple[Float, Float, Float]
+ForceError = Annotated[
+    float | Vector3 | None,
+    BeforeValidator(lambda value: math.nan if value is None else value),
+    WithJsonSchema({"type": ["number", "array", "null"]}, mode="serialization"),
+]
+"""Error of the force of a contact: x, y and z under a skin; of a force site the normal one alone, in few bytes."""
 PerChannel = Annotated[tuple[Float, ...], Field(min_length=CHANNEL_COUNT, max_length=CHANNEL_COUNT)]
 Float32Array = Annotated[NDArray[np.float32], PlainValidator(_float32), WithJsonSchema(_MAP_ROWS)]
 SignalArray = Annotated[Float32Array, WithJsonSchema(_SIGNAL_ROWS)]
@@ -141,6 +154,7 @@ class Status(Word):
         "the window is not full yet, as after the start and when the captured tone has changed",
     )
     CONSTRAINT_DROPPED = "constraint_dropped", "contact physics given up for this frame, the linear map is shown"
+    CONTRADICTED = "contradicted", "the signals contradict the model of the contact: errors exceed what is stated"
     AMBIGUOUS = "ambiguous", "two sites explain the readings about equally well"
     REJECTED = "rejected", "no load explains the readings"
     POSSIBLY_MORE = "possibly_more", "a second touch cannot be excluded"

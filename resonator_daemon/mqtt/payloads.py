@@ -14,6 +14,7 @@ from resonator_daemon.mqtt.payload_types import (
     CounterType,
     Float,
     Float32Array,
+    ForceError,
     Header,
     Int64,
     Lost,
@@ -118,10 +119,18 @@ class Tones(Measured):
     )
 
 
+class FitQuality(Message):
+    """How well the model of a contact explains the signals of one frame; contacts fitted together share it."""
+
+    chi2: float = Field(description="per degree of freedom: about 1 if the model holds, at every noise")
+    degrees_of_freedom: int = Field(description="signals less parameters of the contacts")
+    p: float = Field(description="chance of a `chi2` this large or larger if the model holds")
+
+
 class Contact(Message):
     """One touch, from its onset to its release under one id; components x, y, z.
 
-    Moments and slip are keys of skins alone, `systematic_newton` of force sites.
+    Moments, slip and fit are keys of skins alone.
     """
 
     id: int = Field(description="the same from onset to release")
@@ -136,10 +145,12 @@ class Contact(Message):
         "is unknown, with the cause in `status`"
     )
     noise_newton: Vector3 = Field(description="one standard deviation of what averages out, from the counts themselves")
-    systematic_newton: OptionalFloat = optional(
-        "of the normal force: one standard deviation of what does not average out: calibration, drift, warm touches, "
-        "the site's response"
+    systematic_newton: ForceError = optional(
+        "one standard deviation of what does not average out. Of the normal force of a force site: calibration, drift, "
+        "warm touches and the site's response. Under a skin, of x, y and z: depth, modulus, gains and places of the "
+        "sites as the plate file states them; null where the contact was not fitted"
     )
+    position_systematic_m: Vector2 | None = optional("likewise, of x and y under a skin")
     at_least_newton: float | None = optional(_AT_LEAST)
     moment_newton_m: Vector3 | None = optional("about the origin of the plate's coordinates")
     moment_std_newton_m: Vector3 | None = optional("standard deviation of each")
@@ -150,6 +161,9 @@ class Contact(Message):
         "code in `slip_reason_code`"
     )
     friction_coefficient_std: OptionalFloat = optional("its standard deviation")
+    slip_margin_systematic: OptionalFloat = optional("of the slip margin, as `systematic_newton`")
+    friction_coefficient_systematic: OptionalFloat = optional("of the friction coefficient, as `systematic_newton`")
+    fit: FitQuality | None = optional("under a skin; left out where the contact was not fitted")
     slip_reason_code: ReasonCode | None = optional("why the slip margin or the friction coefficient is null")
     status: Status = Field(description="whether this contact's numbers are valid")
     reason_code: ReasonCode | None = optional(_REASON_CODE)
@@ -244,12 +258,15 @@ class Patch(Message):
     id: int | None = Field(
         description="as in `contacts`, whose order is the same; null if decoders of a group share the skin"
     )
-    area_m2: Float = Field(description="of the pressed part of the map")
+    area_m2: Float = Field(description="of contact, from a fit to the signals; else of the pressed part of the map")
+    area_std_m2: Float = Field(description="its standard deviation; null without a fit")
     at_border: bool = Field(description="part of the contact may lie beyond the sites")
     radius_of_curvature_m: Float = Field(description="of the object, taken as a paraboloid")
+    radius_of_curvature_std_m: Float = Field(description="its standard deviation")
     stick_ratio: Float = Field(
         description="radius of the part that sticks over the radius of contact, from a fit to the signals"
     )
+    stick_ratio_std: Float = Field(description="its standard deviation")
 
 
 class DecodedSummary(Measured):
@@ -343,6 +360,10 @@ class SkinInfo(Message):
     poisson_ratio: float = Field(description="of the skin")
     depth_m: float = Field(description="of the sites below the surface")
     gain_std: float = Field(description="relative, one standard deviation: of a channel's sensitivity")
+    depth_std_m: float = Field(0.0, description="standard deviation of the depth")
+    modulus_std_pascal: float = Field(0.0, description="standard deviation of Young's modulus")
+    gain_std_common: float = Field(0.0, description="relative, one standard deviation: of all sensitivities together")
+    position_std_m: float = Field(0.0, description="standard deviation of the place of each site, in x and in y")
     correlation_length_m: float = Field(description="of loads that are expected")
     tangential_ratio: float = Field(description="of the shear of expected loads to their pressure")
 

@@ -128,6 +128,8 @@ class Config(Table):
     def notes(self) -> tuple[str, ...]:
         """Warnings about keys without effect and keys that are obsolete."""
         notes = [self.plate.calibration.expiry_note(datetime.now(UTC).date())]
+        if self.plate.skin is not None:
+            notes.append(self.plate.skin.exact_note)
         if self.decoding.method == "fourier" and self.decoding.contact_physics and self.plate.decodable:
             notes.append(
                 'decoding.contact_physics = true has no effect with method = "fourier": it rests on "open-plane"; '

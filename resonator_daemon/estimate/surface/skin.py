@@ -1,6 +1,6 @@
 """Skin, the prior of the traction on it, and options of its decoder."""
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Final, Literal
 
 import numpy as np
@@ -61,13 +61,23 @@ DEFAULT_PRIOR = Prior()
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """Sites under an elastic half-space, with the prior of its loads."""
+    """Sites under an elastic half-space, with the prior of its loads, and standard deviations of what it states."""
 
     half_space: HalfSpace
     site_positions_m: Floats  # (n, 2); those of a grid row by row, x running first
     depth_m: float
-    gain_std: float = 0.0
+    gain_std: float = 0.0  # of each signal by itself
     prior: Prior = DEFAULT_PRIOR
+    _: KW_ONLY
+    depth_std_m: float = 0.0
+    modulus_std_pascal: float = 0.0
+    gain_std_common: float = 0.0  # of all signals together
+    position_std_m: float = 0.0  # of each site, in x and in y
+
+    @property
+    def modulus_std(self) -> float:
+        """Relative standard deviation of Young's modulus."""
+        return self.modulus_std_pascal / self.half_space.youngs_modulus_pascal
 
     def geometry(self) -> tuple[object, ...]:
         """Return a key; one decoder serves all skins with equal keys."""

@@ -1,8 +1,9 @@
 """Contacts on a skin over time: which patch is which, its forces, onset and release, margin to slip."""
 
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -12,8 +13,10 @@ from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.surface.decoded import SIGNAL_LIMIT
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
+from resonator_daemon.estimate.surface.fitting.fit_check import FRAMES, FitQuality, RestScatter, contradicts
 from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart, Friction, PartialSlip
 from resonator_daemon.estimate.surface.fitting.slip_fitter import SlipWatch
+from resonator_daemon.estimate.surface.fitting.slip_signals import FORCE_X, FORCE_Z, MARGIN, RADIUS
 from resonator_daemon.estimate.surface.patches import Patch
 from resonator_daemon.estimate.surface.skin import Skin
 
@@ -22,7 +25,7 @@ _LEAST_REACH_M = 1e-3  # that a patch may move between frames; else its radius
 
 _ONSET_FRAMES = 2  # in a row: a patch of one frame may be noise
 _SIGNIFICANCE = 6.0  # standard deviations of the normal force at onset
-_RADIUS_SHARE = 0.5  # of the sites' extent: contacts are no larger
+RADIUS_SHARE = 0.5  # of the sites' extent: contacts are no larger
 _FRICTION_STD = 0.03  # relative, of a coefficient that is given: friction changes, and models are wrong
 _FRICTION_KNOWN = 0.1  # relative standard deviation at which an estimate begins to bound shear
 
@@ -90,14 +93,50 @@ def _match(moves_m: list[list[float]], reach_m: list[float]) -> dict[int, int]:
 
 
 @dataclass(frozen=True)
+class Systematic:
+    """Standard deviations of what the uncertainty of the skin changes and time does not average out; NaN: not known."""
+
+    force_newton: Floats  # (3,)
+    position_m: Floats  # (2,)
+    radius_m: float
+    slip_margin: float
+    friction_coefficient: float
+
+    @classmethod
+    def of(cls, slip: PartialSlip) -> "Systematic":
+        std = np.sqrt(slip.systematic.diagonal())
+        margin = float(std[MARGIN]) if math.isfinite(slip.slip_margin) else math.nan
+        return cls(std[FORCE_X:MARGIN], std[:RADIUS], float(std[RADIUS]), margin, slip.friction_coefficient_systematic)
+
+
+UNKNOWN_SYSTEMATIC = Systematic(np.full(3, np.nan), np.full(2, np.nan), np.nan, np.nan, np.nan)
+
+
+@dataclass(frozen=True)
 class SkinContact:
     """One contact in one frame."""
 
     id: int
     patch: Patch
-    slip: PartialSlip | None  # None: nothing was fitted
-    radius_of_curvature_m: float  # NaN where it is not known
-    peak_newton: float  # of the normal force so far
+    slip: PartialSlip | None = None  # None: nothing was fitted
+    fit: FitQuality | None = None  # likewise
+    systematic: Systematic = UNKNOWN_SYSTEMATIC
+    radius_of_curvature_m: float = np.nan
+    radius_of_curvature_std_m: float = np.nan
+    peak_newton: float = 0.0  # of the normal force so far
+    status: Literal["ok", "contradicted"] = "ok"
+    reason: ReasonCode | None = None
+
+    @property
+    def area_m2(self) -> float:
+        """Of contact where a fit gives its radius, else of the patch."""
+        radius_m = self.slip.radius_m if self.slip is not None else math.nan
+        return math.pi * radius_m**2 if math.isfinite(radius_m) else self.patch.area_m2
+
+    @property
+    def area_std_m2(self) -> float:
+        """NaN where no fit gives a radius."""
+        return 2.0 * math.pi * self.slip.radius_m * self.slip.radius_std_m if self.slip is not None else math.nan
 
 
 @dataclass(frozen=True)
@@ -114,6 +153,7 @@ class _Track:
     last: SkinContact
     frames: int = 0  # in a row in which it was significant
     announced: bool = False
+    fits: deque[FitQuality] = field(default_factory=lambda: deque(maxlen=FRAMES))
 
 
 class SkinContacts:
@@ -137,10 +177,11 @@ class SkinContacts:
 
     def __init__(self, skin: Skin, noise_std: Floats, friction_coefficient: float | None) -> None:
         sites_m = skin.site_positions_m
+        self._skin = skin
         self._noise_std = noise_std
         self._gain_std = skin.gain_std
         self._curvature = 4.0 / 3.0 * skin.half_space.youngs_modulus_pascal / (1.0 - skin.half_space.poisson_ratio**2)
-        radius_max_m = _RADIUS_SHARE * float(np.ptp(sites_m, axis=0).max())
+        radius_max_m = RADIUS_SHARE * float(np.ptp(sites_m, axis=0).max())
         self._model = DiscModel(skin.half_space, sites_m, skin.depth_m, radius_max_m)
         _ = self._model.slip  # made now rather than at the first contact
         known = friction_coefficient
@@ -148,15 +189,21 @@ class SkinContacts:
         self.tracker = PatchTracker()
         self.friction_estimate: float | None = None
         self._tracks: dict[int, _Track] = {}
-        self._watch = SlipWatch(self._model, self._friction)
+        self._rest = RestScatter()
+        self._watch = SlipWatch(self._model, self._friction, skin)
 
     def reset(self, reason: Reason) -> tuple[SkinEvent, ...]:
         """End all contacts for this reason: what follows has nothing in common with what was."""
         ended = tuple(SkinEvent("release", track.last, reason) for track in self._tracks.values() if track.announced)
         self.tracker.clear()
         self._tracks = {}
-        self._watch = SlipWatch(self._model, self._friction)
+        self._watch = SlipWatch(self._model, self._friction, self._skin)
         return ended
+
+    def start_cold(self) -> None:
+        """Discard what was estimated from the frames before: friction, and the scatter at rest."""
+        self.friction_estimate = None
+        self._rest = RestScatter()
 
     def update(
         self, signals: Floats, patches: Sequence[Patch]
@@ -166,9 +213,13 @@ class SkinContacts:
         for missing in self._tracks.keys() - found.keys():
             self._tracks[missing].frames = 0
         real = {i: patch for i, patch in found.items() if self._is_real(i, patch)}
-        slips, slip_events = self._watch.update(signals, self._noise_of(signals), _starts(real))
+        if not self._tracks:
+            self._rest.add(signals, self._noise_std)
+        noise_std = self._noise_of(signals)
+        slips, slip_events = self._watch.update(signals, noise_std, _starts(real))
         self.friction_estimate = _estimated_friction(slips) or self.friction_estimate
-        contacts = {i: self._contact(i, patch, slips.get(i)) for i, patch in real.items()}
+        shares = (self._noise_std / noise_std) ** 2 if real and self._gain_std else np.ones(1)
+        contacts = {i: self._contact(i, patch, slips.get(i), shares) for i, patch in real.items()}
         events = self._follow(contacts)
         events += [SkinEvent(event.event, contacts[event.contact]) for event in slip_events]
         return tuple(contacts.values()), tuple(events)
@@ -176,21 +227,32 @@ class SkinContacts:
     def _is_real(self, contact: int, patch: Patch) -> bool:
         """Return whether a patch is a contact: significant in some frames in a row, then while it is tracked."""
         if contact not in self._tracks:
-            self._tracks[contact] = _Track(SkinContact(contact, patch, None, np.nan, 0.0))
+            self._tracks[contact] = _Track(SkinContact(contact, patch))
         track = self._tracks[contact]
         track.frames = track.frames + 1 if _is_significant(patch) else 0
         return track.announced or track.frames >= _ONSET_FRAMES
 
-    def _contact(self, contact: int, patch: Patch, slip: PartialSlip | None) -> SkinContact:
-        force = float(patch.force_newton[2])
-        peak_newton = max(self._tracks[contact].last.peak_newton, force)
-        return SkinContact(contact, patch, slip, self._curvature_m(slip), peak_newton)
+    def _contact(self, contact: int, patch: Patch, slip: PartialSlip | None, noise_shares: Floats) -> SkinContact:
+        track = self._tracks[contact]
+        peak_newton = max(track.last.peak_newton, float(patch.force_newton[2]))
+        if slip is None or math.isnan(slip.chi2):
+            return SkinContact(contact, patch, slip, peak_newton=peak_newton)
+        fit = self._rest.quality(slip.chi2, slip.degrees_of_freedom, float(noise_shares.mean()))
+        track.fits.append(fit)
+        found = SkinContact(
+            contact, patch, slip, fit, Systematic.of(slip), *self._curvature_m(slip), peak_newton=peak_newton
+        )
+        if not contradicts(track.fits, float(np.mean((1.0 - noise_shares) ** 2))):
+            return found
+        return replace(found, status="contradicted", reason=ReasonCode.FIT_CONTRADICTED)
 
-    def _curvature_m(self, slip: PartialSlip | None) -> float:
-        if slip is None or not np.isfinite(slip.radius_m):
-            return np.nan
-        # a^3 = 3 F R (1 - nu^2) / (4 E) of a paraboloid (Johnson, Contact Mechanics, section 4.2)
-        return self._curvature * slip.radius_m**3 / float(slip.force_newton[2])
+    def _curvature_m(self, slip: PartialSlip) -> tuple[float, float]:
+        """Return radius and standard deviation: a^3 = 3 F R (1 - nu^2) / (4 E) (Johnson, Contact Mechanics, 4.2)."""
+        force, radius_m = float(slip.force_newton[2]), slip.radius_m
+        curvature_m = self._curvature * radius_m**3 / force
+        relative = np.array([3.0 / radius_m, -1.0 / force])
+        places = [RADIUS, FORCE_Z]
+        return curvature_m, curvature_m * math.sqrt(relative @ slip.covariance[np.ix_(places, places)] @ relative)
 
     def _noise_of(self, signals: Floats) -> Floats:
         """Noise and gain errors of a frame, (3, n)."""

@@ -139,7 +139,7 @@ class SkinDecoder:
         if self._physics is not None:
             self._physics.reset()
             self._physics.friction_estimate = None
-        self.contacts.friction_estimate = None
+        self.contacts.start_cold()
 
     def number_from(self, last_contact_id: int) -> None:
         """Continue the numbers of contacts after those of an earlier decoder."""

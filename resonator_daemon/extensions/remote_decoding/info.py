@@ -8,9 +8,8 @@ from typing import Final
 import numpy as np
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.estimate.elastic.half_space import HalfSpace
-from resonator_daemon.estimate.surface.skin import Prior, Skin
-from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings
+from resonator_daemon.estimate.surface.skin import Skin
+from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings, stated_skin
 from resonator_daemon.mqtt.codec import decode
 from resonator_daemon.mqtt.payloads import Info
 from resonator_daemon.mqtt.topics import DECODED, SCHEMA_VERSION
@@ -54,11 +53,9 @@ def read_info(payload: bytes, make_settings: MakeSettings) -> tuple[SurfaceSetti
         raise UnusableInfoError("has no skin to decode; waits for another plate of this name")
     positions_m = np.array([site.position_m for site in info.sites], np.float64).reshape(-1, 2)
     try:
-        half_space = HalfSpace(info.skin.youngs_modulus_pascal, info.skin.poisson_ratio)
-        prior = Prior(info.skin.correlation_length_m, info.skin.tangential_ratio)
+        skin = stated_skin(info.skin, positions_m)
     except ValueError as error:
         raise UnusableInfoError(f"skin in info: {error}") from error
-    skin = Skin(half_space, positions_m, info.skin.depth_m, info.skin.gain_std, prior)
     if problem := _problem(info, skin):
         raise UnusableInfoError(f"info: {problem}")
     site_ids = np.array([site.site for site in info.sites], np.intp)

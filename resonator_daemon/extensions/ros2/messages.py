@@ -274,7 +274,10 @@ def _converter(field: Any) -> Callable[[Any], Any]:
     node, what = field
     if node is Nodetype.ARRAY:
         count = what[1]
-        return lambda value: np.full(count, np.nan) if value is None else np.array(value, float)
+        # A number is the normal component: the last.
+        return lambda value: (
+            np.full(count, np.nan) if value is None else np.append(np.full(count, np.nan), value)[-count:]
+        )
     if what[0] == "string":
         return lambda value: "" if value is None else str(value)
     if what[0] == "float64":

@@ -8,16 +8,15 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.board.session.compatibility import oscillator_hz
 from resonator_daemon.board.session.frames import BoardOnline, ChannelisedFrame, Frame, variance_of
-from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.forces.readings import SkinReading
-from resonator_daemon.estimate.surface.skin import DecodingOptions, Prior, Skin, refuse_undecodable
+from resonator_daemon.estimate.surface.skin import DecodingOptions, refuse_undecodable
 from resonator_daemon.estimate.tones.tone_detector import MultitoneDetector, ToneDetector
 from resonator_daemon.measure.sensors.base import Sensor
 from resonator_daemon.measure.sensors.expected_tones import ExpectedTones, all_tones
 from resonator_daemon.measure.sensors.output import BOARD_RESTARTED, MessageOutput
 from resonator_daemon.measure.sensors.skin_processing import SkinProcessing, ToneArray
 from resonator_daemon.measure.sensors.surface_decoding import MakeSurfaceDecoding, SequentialDecoding, SurfaceDecoding
-from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame, SurfaceSettings
+from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame, SurfaceSettings, stated_skin
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.payloads import Condition, ContactEvent, Lost, Message, Signals, Status
 from resonator_daemon.mqtt.topics import (
@@ -110,13 +109,7 @@ class SkinSensor(Sensor[SkinReading]):
         if decoding.method == "off" or decoding.external:
             return None
         return SurfaceSettings(
-            Skin(
-                HalfSpace(skin.youngs_modulus_pascal, skin.poisson_ratio),
-                plate.site_positions_m,
-                skin.depth_m,
-                skin.gain_std,
-                Prior(skin.correlation_length_m, skin.tangential_ratio),
-            ),
+            stated_skin(skin, plate.site_positions_m),
             DecodingOptions(
                 decoding.method, decoding.contact_physics, decoding.friction_coefficient, decoding.displacement
             ),

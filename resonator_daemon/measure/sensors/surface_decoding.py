@@ -4,7 +4,7 @@ import logging
 import time
 from abc import ABC, abstractmethod
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Final, Generic, Literal, Protocol, TypeVar
 
@@ -28,6 +28,7 @@ from resonator_daemon.mqtt.topics import CONTACTS, DECODED, TOPICS, HeaderFields
 WAIT_MAX_NS: Final = 30_000_000  # of a frame while newer ones are there: a rebuild lasts some 10 ms
 AGE_MAX_NS: Final = 100_000_000  # of a frame that is decoded, since it was offered
 _NO_LIMIT_NS: Final = 1 << 62
+_FITS_S: Final = 0.2  # for which a contact lasts whose fit shows that the model holds again
 
 Skipped = Literal["newer_frame", "too_old", "measured_late", "no_noise", "not_ready", "decoder_ended", "undecodable"]
 Origin = TypeVar("Origin")
@@ -93,6 +94,7 @@ class SurfaceDecoding(ABC, Generic[Origin]):
         self._until_ready: Skipped = "not_ready"  # cause of frames that were offered before
         self._interruption: Reason | None = None
         self._undecodable = False
+        self._is_contradicted = False
         self.decoded = 0
         self.skipped: Counter[Skipped] = Counter()
         self.last_contact_id = settings.last_contact_id
@@ -221,11 +223,23 @@ class SurfaceDecoding(ABC, Generic[Origin]):
             self._client.deliver(origin, topic, message)
         if results.present is not None:
             self._contacts = results.present
+            self._announce_fits(results.present)
         if results.outcome == "no_noise":
             self._skip_present("no_noise")
         elif results.outcome == "too_old":
             self._skip(self._present_offered_ns, "too_old")
             self._present = None
+
+    def _announce_fits(self, contacts: Sequence[EventContact]) -> None:
+        """Report that the signals contradict the model of a contact, until they do not for as long as one lasts."""
+        contradicted = any(contact.reason_code is ReasonCode.FIT_CONTRADICTED for contact in contacts)
+        if contradicted == self._is_contradicted or not any(
+            contradicted or contact.duration_s > _FITS_S for contact in contacts
+        ):
+            return
+        self._is_contradicted = contradicted
+        text = "the signals contradict the model of a contact, so that its errors are larger than stated"
+        self._client.announce(Reason(ReasonCode.FIT_CONTRADICTED, text) if contradicted else None)
 
 
 class SequentialDecoding(SurfaceDecoding[Origin]):

@@ -17,6 +17,7 @@ from resonator_daemon.mqtt.payloads import (
     Decoded,
     DecodedSummary,
     EventContact,
+    FitQuality,
     Grid,
     Patch,
     Status,
@@ -31,7 +32,10 @@ if TYPE_CHECKING:
 _NS = 1_000_000_000
 _ON_GRID = 3  # dimensions of a map: component, y, x
 _FRICTION_KNOWN = 0.25  # relative standard deviation
-_SLIP = ("slip_margin", "slip_margin_std", "friction_coefficient", "friction_coefficient_std")
+_SLIP = (
+    *("slip_margin", "slip_margin_std", "slip_margin_systematic"),
+    *("friction_coefficient", "friction_coefficient_std", "friction_coefficient_systematic"),
+)
 
 
 class SurfaceMessages:
@@ -154,26 +158,42 @@ class SurfaceMessages:
             "position_covariance_m2": (rounded_std(x_std**2), math.nan, rounded_std(y_std**2)),
             "force_newton": _rounded(patch.force_newton, patch.force_std_newton),
             "noise_newton": _rounded_std(patch.force_std_newton),
+            "systematic_newton": _rounded_std(contact.systematic.force_newton),
+            "position_systematic_m": _rounded_std(contact.systematic.position_m),
             "moment_newton_m": _rounded(patch.moment_newton_m, patch.moment_std_newton_m),
             "moment_std_newton_m": _rounded_std(patch.moment_std_newton_m),
             **_slip(contact),
-            "status": Status.OK,
+            "fit": _fit(contact),
+            "status": Status(contact.status),
+            "reason_code": contact.reason,
         }
 
     def _patch(self, contact: "SkinContact") -> Patch:
         patch, slip = contact.patch, contact.slip
-        stick_ratio = rounded(slip.stick_ratio, slip.stick_ratio_std) if slip is not None else math.nan
+        stick = (slip.stick_ratio, slip.stick_ratio_std) if slip is not None else (math.nan, math.nan)
         return Patch(
             id=contact.id if self._numbered else None,
-            area_m2=rounded_std(patch.area_m2),
+            area_m2=rounded(contact.area_m2, contact.area_std_m2),
+            area_std_m2=rounded_std(contact.area_std_m2),
             at_border=patch.at_border,
-            radius_of_curvature_m=rounded_std(contact.radius_of_curvature_m),
-            stick_ratio=stick_ratio,
+            radius_of_curvature_m=rounded(contact.radius_of_curvature_m, contact.radius_of_curvature_std_m),
+            radius_of_curvature_std_m=rounded_std(contact.radius_of_curvature_std_m),
+            stick_ratio=rounded(*stick),
+            stick_ratio_std=rounded_std(stick[1]),
         )
 
 
 def _code(frame: "DecodedFrame") -> ReasonCode | None:
     return ReasonCode(str(frame.reason_code)) if frame.reason_code else None
+
+
+def _fit(contact: "SkinContact") -> FitQuality | None:
+    fit = contact.fit
+    return (
+        FitQuality(chi2=round(fit.chi2, 4), degrees_of_freedom=fit.degrees_of_freedom, p=rounded_std(fit.p))
+        if fit
+        else None
+    )
 
 
 def _slip(contact: "SkinContact") -> dict[str, Any]:
@@ -183,15 +203,18 @@ def _slip(contact: "SkinContact") -> dict[str, Any]:
         return {**dict.fromkeys(_SLIP, math.nan), "slip_reason_code": ReasonCode.NOT_FITTED}
     reason_code = slip.reason.code if slip.reason is not None else None
     friction, friction_std = slip.friction_coefficient, slip.friction_coefficient_std
+    friction_systematic = slip.friction_coefficient_systematic
     if not friction_std < _FRICTION_KNOWN * friction:
-        friction = friction_std = math.nan
+        friction = friction_std = friction_systematic = math.nan
         reason_code = reason_code or ReasonCode.FRICTION_UNKNOWN
     margin_std = slip.slip_margin_std
     numbers = (
         rounded(slip.slip_margin, margin_std),
         rounded_std(margin_std),
+        rounded_std(contact.systematic.slip_margin),
         rounded(friction, friction_std),
         rounded_std(friction_std),
+        rounded_std(friction_systematic),
     )
     return {**dict(zip(_SLIP, numbers, strict=True)), "slip_reason_code": reason_code}
 

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.base.arrays import Floats
+from resonator_daemon.base.plate_tables import Skin as PlateSkin
 from resonator_daemon.base.reasons import Reason
-from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
+from resonator_daemon.estimate.elastic.half_space import HalfSpace
+from resonator_daemon.estimate.surface.skin import DecodingOptions, Prior, Skin
 from resonator_daemon.estimate.surface.streaming import StreamingDecoder, UndecodableError
 from resonator_daemon.measure.sensors.surface_messages import SurfaceMessages
 from resonator_daemon.mqtt.codec import Encoded
-from resonator_daemon.mqtt.payloads import EventContact, Message
+from resonator_daemon.mqtt.payloads import EventContact, Message, SkinInfo
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, HeaderFields
 
 _PAUSE: Final = 2.4  # between rebuilds, times as long as one took: rebuilds take at most 30 % of a core
@@ -65,6 +67,21 @@ class SurfaceSettings:
             uncertainty=self.uncertainty,
             numbered=self.numbered,
         )
+
+
+def stated_skin(stated: PlateSkin | SkinInfo, site_positions_m: Floats) -> Skin:
+    """Return the skin that a plate file or `info` states; ValueError if it cannot be one."""
+    return Skin(
+        HalfSpace(stated.youngs_modulus_pascal, stated.poisson_ratio),
+        site_positions_m,
+        stated.depth_m,
+        stated.gain_std,
+        Prior(stated.correlation_length_m, stated.tangential_ratio),
+        depth_std_m=stated.depth_std_m,
+        modulus_std_pascal=stated.modulus_std_pascal,
+        gain_std_common=stated.gain_std_common,
+        position_std_m=stated.position_std_m,
+    )
 
 
 @dataclass(frozen=True)

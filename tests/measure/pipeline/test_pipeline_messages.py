@@ -112,8 +112,8 @@ def test_contacts_are_the_contracts_literal(messages: Messages) -> None:
 
 CONTACT = {
     "id": 12, "site": 30, "position_m": [0.0125, 0.004], "position_covariance_m2": [4e-8, 3e-8, 9e-8],
-    "force_newton": [None, None, 1.234], "noise_newton": [None, None, 0.0006], "systematic_newton": 0.012,
-    "status": "ok", "reason_code": "other_site"
+    "force_newton": [None, None, 1.234], "noise_newton": [None, None, 0.0006],
+    "systematic_newton": 0.012, "status": "ok", "reason_code": "other_site"
 }  # fmt: skip
 HISTORY = {
     "peak_newton": 1.5,

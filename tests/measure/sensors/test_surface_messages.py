@@ -13,9 +13,10 @@ from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.clock import Instant
 from resonator_daemon.estimate.forces.readings import SkinReading
 from resonator_daemon.estimate.surface.decoded import Decoded as DecodedFrame
+from resonator_daemon.estimate.surface.fitting.fit_check import FitQuality
 from resonator_daemon.estimate.surface.fitting.partial_slip import PartialSlip
 from resonator_daemon.estimate.surface.patches import Patch as FoundPatch
-from resonator_daemon.estimate.surface.skin_contacts import SkinContact, SkinEvent
+from resonator_daemon.estimate.surface.skin_contacts import UNKNOWN_SYSTEMATIC, SkinContact, SkinEvent, Systematic
 from resonator_daemon.estimate.surface.skin_decoder import SurfaceReading
 from resonator_daemon.measure.sensors.surface_messages import SurfaceMessages
 from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame
@@ -108,7 +109,8 @@ def partial_slip(**change: Any) -> PartialSlip:
         "radius_std_m": 1e-5, "force_newton": np.array([0.11, -0.21, 1.51]),
         "force_std_newton": np.array([1e-3, 2e-3, 3e-3]), "slip_margin": 0.125, "slip_margin_std": 0.01,
         "stick_ratio": 0.5, "stick_ratio_std": 0.02, "friction_coefficient": 0.6, "friction_coefficient_std": 0.03,
-        "covariance": np.eye(7), "chi2": 1.0, "log_evidence": 0.0, "status": "ok", "reason": None
+        "covariance": np.eye(7), "systematic": np.eye(7), "friction_coefficient_systematic": 0.02, "chi2": 1.0,
+        "degrees_of_freedom": 3065, "status": "ok", "reason": None
     }  # fmt: skip
     return PartialSlip(**(fields | change))
 
@@ -126,23 +128,35 @@ def skin_contact(**change: Any) -> SkinContact:
         places=np.arange(3),
     )
     fields: dict[str, Any] = {
-        "id": 3, "patch": patch, "slip": partial_slip(), "radius_of_curvature_m": 0.0056, "peak_newton": 1.75
+        "id": 3, "patch": patch, "slip": partial_slip(), "fit": FitQuality(1.31, 3065, 1e-28),
+        "systematic": Systematic(np.array([1e-3, 2e-3, 0.05]), np.array([1e-6, 2e-6]), 2e-5, 0.03, 0.02),
+        "radius_of_curvature_m": 0.0056, "radius_of_curvature_std_m": 1e-4, "peak_newton": 1.75,
+        "status": "contradicted", "reason": ReasonCode.FIT_CONTRADICTED
     }  # fmt: skip
     return SkinContact(**(fields | change))
 
 
-PATCH_LITERAL = {"id": 3, "area_m2": 1.9e-5, "at_border": True, "radius_of_curvature_m": 0.0056, "stick_ratio": 0.5}
+PATCH_LITERAL = {
+    "id": 3, "area_m2": pytest.approx(4e-6 * math.pi, rel=5e-3), "area_std_m2": 1.26e-7, "at_border": True,
+    "radius_of_curvature_m": 0.0056, "radius_of_curvature_std_m": 1e-4, "stick_ratio": 0.5, "stick_ratio_std": 0.02
+}  # fmt: skip
 CONTACT_LITERAL = {
     "id": 3, "site": 339,  # row 10 at -2.2 mm, column 18 at 1.0 mm; ids begin at 1
     "position_m": [1e-3, -2.1e-3], "position_covariance_m2": [pytest.approx(1e-10), None, pytest.approx(4e-10)],
     "force_newton": [0.1, -0.2, 1.5], "noise_newton": [3e-3, 4e-3, 5e-3],
     "moment_newton_m": [1e-3, 2e-3, 3e-5], "moment_std_newton_m": [1e-6, 2e-6, 3e-6],
-    "slip_margin": 0.125, "slip_margin_std": 0.01, "friction_coefficient": 0.6, "friction_coefficient_std": 0.03,
-    "status": "ok",
+    "systematic_newton": [1e-3, 2e-3, 0.05], "position_systematic_m": [1e-6, 2e-6],
+    "slip_margin": 0.125, "slip_margin_std": 0.01, "slip_margin_systematic": 0.03,
+    "friction_coefficient": 0.6, "friction_coefficient_std": 0.03, "friction_coefficient_systematic": 0.02,
+    "fit": {"chi2": 1.31, "degrees_of_freedom": 3065, "p": 1e-28},
+    "status": "contradicted", "reason_code": "fit_contradicted",
 }  # fmt: skip
 HISTORY_LITERAL = {"peak_newton": 1.75, "since_t_ns": "1788999999995000123", "duration_s": 0.0}
 MEASURED_OF_SKIN = channelised(np.zeros((3, 1024)))
-OF_SLIP = ("slip_margin", "slip_margin_std", "stick_ratio", "friction_coefficient", "friction_coefficient_std")
+OF_SLIP = (
+    *("slip_margin", "slip_margin_std", "stick_ratio", "stick_ratio_std"),
+    *("friction_coefficient", "friction_coefficient_std", "friction_coefficient_systematic"),
+)
 UNDECODED = {"chi2": NAN, "border_contact": False}
 
 
@@ -167,12 +181,20 @@ def test_a_summary_is_the_contracts_literal(skin_reporter: SkinReporter) -> None
 )
 def test_what_is_not_known_of_a_patch_is_null(skin_reporter: SkinReporter, slip: PartialSlip | None, why: str) -> None:
     frame = decoded((3, 32, 32), displacement=False)
-    contact = skin_contact(slip=slip, radius_of_curvature_m=NAN)
+    unknown: dict[str, Any] = {"fit": None, "systematic": UNKNOWN_SYSTEMATIC, "status": "ok", "reason": None}
+    contact = skin_contact(slip=slip, radius_of_curvature_m=NAN, radius_of_curvature_std_m=NAN, **unknown)
     said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame, contacts=(contact,))))
-    assert said["patches"] == [PATCH_LITERAL | {"stick_ratio": None, "radius_of_curvature_m": None}]
+    of_fit = ("stick_ratio", "stick_ratio_std", "radius_of_curvature_m", "radius_of_curvature_std_m")
+    area = {"area_m2": 1.9e-5, "area_std_m2": None} if slip is None else {}
+    assert said["patches"] == [PATCH_LITERAL | dict.fromkeys(of_fit) | area]
     said = literal(skin_reporter.skin_contacts(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame, contacts=(contact,))))
-    of_slip = ("slip_margin", "slip_margin_std", "friction_coefficient", "friction_coefficient_std")
-    assert said["contacts"] == [CONTACT_LITERAL | dict.fromkeys(of_slip) | {"slip_reason_code": why}]
+    keys = ("slip_margin", "friction_coefficient")
+    nothing = {f"{key}{kind}": None for key in keys for kind in ("", "_std", "_systematic")}
+    nothing |= {"systematic_newton": [None] * 3, "position_systematic_m": [None] * 2, "status": "ok"}
+    (found,) = said["contacts"]
+    assert found == {k: v for k, v in CONTACT_LITERAL.items() if k not in ("reason_code", "fit")} | nothing | {
+        "slip_reason_code": why
+    }
 
 
 @pytest.mark.parametrize("status", ["rejected", "no_signal"])

@@ -1,6 +1,5 @@
 """Least-squares fit of few bounded parameters to the signals of one frame."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,9 +8,6 @@ from typing import TypeVar
 import numpy as np
 
 from resonator_daemon.base.arrays import Floats
-
-# Parameters (p,) to signals (k,) and their derivatives (p, k).
-Model = Callable[[Floats], tuple[Floats, Floats]]
 
 _STEPS = 30
 _DAMPING = 1e-3
@@ -33,9 +29,13 @@ class Fit:
     energy: float  # sum of squares of the signals in units of the noise
 
     @property
+    def degrees_of_freedom(self) -> int:
+        return max(self.count - self.parameters.size, 1)
+
+    @property
     def chi2(self) -> float:
         """Mean square of the residual in units of the noise."""
-        return self.chi_square / max(self.count - self.parameters.size, 1)
+        return self.chi_square / self.degrees_of_freedom
 
     @property
     def unexplained(self) -> float:
@@ -69,16 +69,6 @@ class Fit:
         found: Floats = inverse / scales * max(self.chi2, 1.0)
         return found
 
-    @property
-    def log_evidence(self) -> float:
-        """Log density of the signals, less a constant, if one signal's worth was known of each parameter before.
-
-        Schwarz's criterion (Kass and Wasserman, J. Am. Stat. Assoc. 90, 1995, 928), the noise as in `covariance`.
-        """
-        excess = max(self.chi2, 1.0)
-        penalty = self.parameters.size * math.log(self.count)
-        return -0.5 * (self.chi_square / excess + self.count * math.log(excess) + penalty)
-
 
 @dataclass(frozen=True)
 class Expansion:
@@ -90,45 +80,6 @@ class Expansion:
 
 
 Expanded = TypeVar("Expanded", bound=Expansion)
-
-
-def fit(model: Model, start: Floats, lower: Floats, upper: Floats, signals: Floats, noise_std: Floats) -> Fit:
-    """Minimise chi-square between bounds, by steps of Levenberg and Marquardt.
-
-    Parameters
-    ----------
-    model
-    start, lower, upper
-        (p,).
-    signals, noise_std
-        (k,); signals that are NaN or infinite are left out.
-
-    Raises
-    ------
-    ValueError
-        Fewer known signals than parameters, or a noise that is not above 0.
-    """
-    known = np.isfinite(signals)
-    everything = bool(known.all())
-    count = int(known.sum())
-    if count < start.size:
-        raise ValueError(f"{count} signals are known, must be at least {start.size}, as many as there are parameters")
-    if not (noise_std > 0.0).all():
-        raise ValueError(f"noise_std reaches {noise_std.min()}, must be above 0")
-    whiten = 1.0 / noise_std
-    target = signals * whiten
-    if not everything:
-        whiten, target = whiten[known], target[known]
-
-    def expand(parameters: Floats) -> Expansion:
-        value, slopes = model(parameters)
-        if not everything:
-            value, slopes = value[known], slopes[:, known]
-        left, slopes = target - value * whiten, slopes * whiten
-        return Expansion(float(left @ left), slopes @ left, slopes @ slopes.T)
-
-    parameters, found = minimise(expand, start, lower, upper, count)
-    return Fit(parameters, found.precision, found.chi_square, count, float(target @ target))
 
 
 def minimise(

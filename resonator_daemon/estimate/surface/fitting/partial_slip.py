@@ -10,7 +10,6 @@ so that a frame determines m by itself; where mu is known, the forces determine 
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,27 +81,6 @@ def bounds(model: DiscModel, force_newton: float) -> tuple[list[float], list[flo
     return [*lower, -limit, -limit, _LEAST_FORCE * largest], [*upper, limit, limit, limit]
 
 
-def disc_starts(
-    model: DiscModel, starts: Sequence[ContactStart], signals: Floats, noise_std: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Return parameters x, y, a, F_x, F_y, F_z of each contact (contacts, 6), and their lower and upper bounds (6,).
-
-    Forces are those of discs that fit the signals (3 n,) best. ValueError for a start that is not finite or a noise not
-    above 0.
-    """
-    if not (noise_std > 0.0).all():
-        raise ValueError(f"noise_std reaches {noise_std.min()}, must be above 0")
-    poses = [clipped(model, start) for start in starts]
-    columns = np.concatenate([model.signals(pose[:2], float(pose[2])).value for pose in poses])
-    columns = columns.reshape(3 * len(poses), -1)
-    known = np.isfinite(signals)
-    whiten = 1.0 / noise_std[known]
-    solution, *_ = np.linalg.lstsq((columns[:, known] * whiten).T, signals[known] * whiten)
-    forces = np.asarray(solution, np.float64).reshape(-1, 3)
-    lower, upper = (np.array(bound) for bound in bounds(model, float(np.abs(forces).max())))
-    return np.column_stack([poses, np.clip(forces, lower[3:], upper[3:])]), lower, upper
-
-
 @dataclass(frozen=True)
 class PartialSlip:
     """One contact in one frame. What is not known is NaN, with the cause in `reason`, None where all is known."""
@@ -120,13 +98,17 @@ class PartialSlip:
     friction_coefficient: float  # from forces and stick radius of this frame, and what was known before
     friction_coefficient_std: float
     covariance: Floats  # (7, 7) of x, y, a, F_x, F_y, F_z, m
+    systematic: Floats  # (7, 7), likewise: of what does not average out
+    friction_coefficient_systematic: float
     chi2: float
-    log_evidence: float  # of all contacts of the frame together, less a constant
+    degrees_of_freedom: int
     status: str  # "ok"; "unknown" where the margin is
     reason: Reason | None
 
 
-def describe(found: Fit, one: Floats, covariance: Floats, radius_max_m: float, *, margin_known: bool) -> PartialSlip:
+def describe(
+    found: Fit, one: Floats, covariance: Floats, systematic: Floats, radius_max_m: float, *, margin_known: bool
+) -> PartialSlip:
     """Describe one of the contacts that were fitted together.
 
     Parameters
@@ -135,8 +117,8 @@ def describe(found: Fit, one: Floats, covariance: Floats, radius_max_m: float, *
         The fit of all of them.
     one
         Parameters of this one, x, y, a, F_x, F_y, F_z, m.
-    covariance
-        Of those, (7, 7).
+    covariance, systematic
+        Of those, (7, 7): for the noise, and for the uncertainty of the skin.
     radius_max_m
         Of a contact that can be distinguished from one without a rim.
     margin_known
@@ -144,14 +126,16 @@ def describe(found: Fit, one: Floats, covariance: Floats, radius_max_m: float, *
     """
     doubt = _doubt(found, one, covariance, radius_max_m)
     if doubt is not None:
-        return nothing_known(found.chi2, found.log_evidence, doubt)
+        return nothing_known(found.chi2, doubt, found.degrees_of_freedom)
     std = np.sqrt(covariance.diagonal())
     margin, margin_std = float(one[MARGIN]), float(std[MARGIN])
     if not margin_known or margin_std > MARGIN_STD_LIMIT:
         slip, status, reason = (math.nan,) * 6, "unknown", _TOO_LITTLE
+        friction_systematic = math.nan
     else:
         slip = (margin, margin_std, *stick_ratio(margin, margin_std), *_friction(one, covariance))
         status, reason = "ok", None
+        _, friction_systematic = _friction(one, systematic)
     return PartialSlip(
         one[:RADIUS],
         std[:RADIUS],
@@ -161,20 +145,23 @@ def describe(found: Fit, one: Floats, covariance: Floats, radius_max_m: float, *
         std[FORCE_X:MARGIN],
         *slip,
         covariance,
+        systematic,
+        friction_systematic,
         found.chi2,
-        found.log_evidence,
+        found.degrees_of_freedom,
         status,
         reason,
     )
 
 
-def nothing_known(chi2: float, log_evidence: float, reason: Reason) -> PartialSlip:
+def nothing_known(chi2: float, reason: Reason, degrees_of_freedom: int = 0) -> PartialSlip:
     """Describe a contact of which the frame shows nothing."""
     two, three = np.full(2, np.nan), np.full(3, np.nan)
     nothing = (np.nan,) * 6
     covariance = np.full((7, 7), np.nan)
     return PartialSlip(
-        two, two, np.nan, np.nan, three, three, *nothing, covariance, chi2, log_evidence, "unknown", reason
+        *(two, two, np.nan, np.nan, three, three, *nothing, covariance, covariance, np.nan),
+        *(chi2, degrees_of_freedom, "unknown", reason),
     )
 
 
@@ -210,4 +197,4 @@ def _friction(one: Floats, covariance: Floats) -> tuple[float, float]:
         return math.nan, math.nan
     mu = math.sqrt(square) / (force_z * (1.0 - margin))
     relative = np.array([force_x / square, force_y / square, -1.0 / force_z, 1.0 / (1.0 - margin)])
-    return mu, mu * math.sqrt(relative @ covariance[FORCE_X:, FORCE_X:] @ relative)
+    return mu, mu * math.sqrt(max(relative @ covariance[FORCE_X:, FORCE_X:] @ relative, 0.0))  # 0 but for rounding

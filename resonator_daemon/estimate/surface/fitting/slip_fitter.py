@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.surface.decoded import KNOWN_LIMIT, SIGNAL_LIMIT
 from resonator_daemon.estimate.surface.fitting.contact_fit import Fit
@@ -28,7 +29,9 @@ from resonator_daemon.estimate.surface.fitting.slip_problem import (
     SlipProblem,
     Whitening,
 )
-from resonator_daemon.estimate.surface.fitting.slip_signals import MARGIN, PARAMETERS
+from resonator_daemon.estimate.surface.fitting.slip_signals import FORCE_Z, MARGIN, PARAMETERS
+from resonator_daemon.estimate.surface.fitting.systematic import systematic_covariances
+from resonator_daemon.estimate.surface.skin import Skin
 
 _ANY_MARGIN_PRECISION = 12.0  # of one that may be anything between 0 and 1
 _RELEASE_STD = 0.15  # of a margin that was held because it left no trace: from then on it is fitted
@@ -37,6 +40,9 @@ _RIVAL_STD = 3.0  # ... within so many standard deviations leaves it unknown
 _CERTAIN_STD = 0.025  # of a margin, within which there is no rival ...
 _CERTAIN_MARGIN = 0.8  # ... unless it is above this: near full stick errors are far from Gaussian
 _RIVAL_MOVE = 0.1  # of the margin, within which the rival of the frame before is a good beginning
+
+_RENEWED = 8  # frames after which systematic covariances are computed again ...
+_FORCE_CHANGE = 0.05  # ... or sooner, where a force has changed by this share
 
 INCIPIENT_MARGIN = 0.3  # below it slip is announced ...
 REARM_MARGIN = 0.4  # ... and above this, it may be announced again
@@ -80,15 +86,19 @@ class SlipFitter:
     ----------
     model
         With the Hertz profile.
+    skin
+        Whose uncertainty contacts state; None: it has none.
     """
 
-    def __init__(self, model: DiscModel) -> None:
+    def __init__(self, model: DiscModel, skin: Skin | None = None) -> None:
         self._model = model
+        self._skin = skin
         self._whitening: Whitening | None = None
         self._reset()
 
     def _reset(self) -> None:
         self._contacts: list[int] = []
+        self._systematic: tuple[Floats, int, Floats] = np.zeros(0), 0, np.zeros(0)  # with forces and age in frames
         self._before: Linearisation | None = None
         self._unknown: set[int] = set()  # contacts, by index, whose margin was not known
         self._held: dict[int, float] = {}  # margins that left no trace
@@ -108,9 +118,7 @@ class SlipFitter:
         if frame.count < needed:
             self._reset()
             text = f"{frame.count} signals known (finite, within {SIGNAL_LIMIT}), needs {needed:.0f}"
-            return {
-                contact: nothing_known(np.nan, np.nan, Reason(ReasonCode.SIGNALS_MISSING, text)) for contact in starts
-            }
+            return {contact: nothing_known(np.nan, Reason(ReasonCode.SIGNALS_MISSING, text)) for contact in starts}
         problem = SlipProblem(self._model, frame, [start.friction for start in starts.values()])
         found = self._followed(problem) if self._contacts == list(starts) else None
         if found is None:
@@ -160,6 +168,7 @@ class SlipFitter:
         precision[margins, margins] += _ANY_MARGIN_PRECISION
         fit = Fit(parameters, precision, settled.chi_square, problem.count, frame.energy)
         covariance, rivals, is_best = fit.covariance, self._rivals, True
+        systematic = self._systematic_covariances(settled, covariance / max(fit.chi2, 1.0))
         self._before, self._rivals, self._held, self._unknown = settled.linearisation, {}, {}, set()
         found = []
         for index, place in enumerate(margins.tolist()):
@@ -177,9 +186,21 @@ class SlipFitter:
                     if worse < _RIVAL_STD**2 * max(fit.chi2, 1.0):
                         self._unknown.add(index)
             is_known = index not in self._unknown
-            one = covariance[rows, rows]
-            found.append(describe(fit, parameters[rows], one, self._model.radius_max_m, margin_known=is_known))
+            covariances = covariance[rows, rows], systematic[index]
+            found.append(describe(fit, parameters[rows], *covariances, self._model.radius_max_m, margin_known=is_known))
         return found, is_best
+
+    def _systematic_covariances(self, settled: Settled, covariance: Floats) -> Floats:
+        """Return the systematic covariances of a frame, or of one a moment ago if no force has changed since."""
+        if self._skin is None or not np.isfinite(covariance).all():
+            return np.zeros((len(covariance) // PARAMETERS, PARAMETERS, PARAMETERS))
+        forces = settled.parameters[FORCE_Z::PARAMETERS]
+        before, age, found = self._systematic
+        if forces.shape != before.shape or age > _RENEWED or np.abs(forces / before - 1.0).max() > _FORCE_CHANGE:
+            before, age = forces, 0
+            found = systematic_covariances(self._skin, settled.linearisation, covariance)
+        self._systematic = before, age + 1, found
+        return found
 
     def _rival(
         self,
@@ -236,10 +257,12 @@ class SlipWatch:
         With the Hertz profile.
     friction
         What is known of it beforehand.
+    skin
+        As of `SlipFitter`.
     """
 
-    def __init__(self, model: DiscModel, friction: Friction | None = None) -> None:
-        self._fitter = SlipFitter(model)
+    def __init__(self, model: DiscModel, friction: Friction | None = None, skin: Skin | None = None) -> None:
+        self._fitter = SlipFitter(model, skin)
         self._friction = friction
         self._followed: dict[int, _Followed] = {}
 

@@ -115,22 +115,27 @@ class Linearisation:
         self.parameters = parameters
         self.whitening = whitening
         contacts = parameters.size // PARAMETERS
-        self._rows = rows = np.empty((ROWS * contacts, whitening.factors.size), np.float32)
+        self.rows = rows = np.empty((ROWS * contacts, whitening.factors.size), np.float32)
         scales = [
             model.slip.fill(one, whitening.factors, rows[ROWS * index : ROWS * (index + 1)])
             for index, one in enumerate(parameters.reshape(-1, PARAMETERS))
         ]
-        self._value = rows[0] if contacts == 1 else rows[::ROWS].sum(axis=0)
-        self._scale = scales[0] if contacts == 1 else np.concatenate(scales)
-        self._slopes = slope_rows(contacts)
+        self.value: Singles = rows[0] if contacts == 1 else rows[::ROWS].sum(axis=0)
+        self.scale = scales[0] if contacts == 1 else np.concatenate(scales)
+        self.slopes = slope_rows(contacts)
         # Products of rows with those from the second one on: of a matrix with itself they take three times as long.
-        products = (rows @ rows[1:].T)[self._slopes].take(self._slopes - 1, axis=1)
-        self.precision: Floats = products * self._scale * self._scale[:, None]
+        products = (rows @ rows[1:].T)[self.slopes].take(self.slopes - 1, axis=1)
+        self.precision: Floats = products * self.scale * self.scale[:, None]
 
     def left(self, target: Singles) -> tuple[float, Floats]:
         """Chi-square of signals (3 n,) and its gradient (7 k,) at the parameters, without the law of friction."""
-        residual = target - self._value
-        return float(residual @ residual), (self._rows @ residual)[self._slopes] * self._scale
+        residual = target - self.value
+        return float(residual @ residual), self.project(residual)
+
+    def project(self, signals: Singles) -> Floats:
+        """Return the products of the slopes by each parameter with whitened signals (3 n,), or (m, 3 n), (7 k, m)."""
+        products = (self.rows @ signals.T)[self.slopes]
+        return np.asarray((products.T * self.scale).T, np.float64)
 
 
 class Breach(NamedTuple):

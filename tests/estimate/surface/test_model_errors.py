@@ -1,0 +1,97 @@
+"""Contacts on a skin that is not as it is stated: what contradicts the model, and what the stated errors cover."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from contact_scenes import DEPTH_M, FRICTION, E
+from skin_scenes import NOISE, RADIUS_M, SITES_M, SKIN, noisy
+
+from resonator_daemon.base.arrays import Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
+from resonator_daemon.estimate.surface.skin_contacts import SkinContact
+from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder
+from simulators.contact import hertz_parts
+from simulators.half_space_fields import hertz_fields
+
+FORCE_NEWTON, CENTRE_M = (0.15, -0.1, 1.0), (3e-4, -2e-4)
+MARGIN = 1.0 - np.hypot(0.15, 0.1) / FRICTION
+OFF = 0.05
+RESET = Reason(ReasonCode.DECODER_RESET, "of a test")
+
+
+def signals(depth: float = 1.0, modulus: float = 1.0, gain: float = 1.0, position_m: float = 0.0) -> Floats:
+    """Return signals of one press on a skin that is off by these factors, its sites by so much."""
+    sites_m = SITES_M + position_m * np.random.default_rng(2).standard_normal(SITES_M.shape)
+    radii, forces = hertz_parts(FORCE_NEWTON, RADIUS_M, FRICTION)
+    fields = hertz_fields(sites_m - CENTRE_M, depth * DEPTH_M, radii, modulus * E, 0.5)
+    return np.asarray(gain * np.einsum("kf,kfsn->sn", forces, fields) * np.array([[1.5 / E], [1.0], [1.0]]))
+
+
+@pytest.fixture(scope="module")
+def decoder() -> SkinDecoder:
+    return decoder_of(SKIN)
+
+
+def decoder_of(skin: Skin) -> SkinDecoder:
+    return SkinDecoder(skin, DecodingOptions(background=False), NOISE, lambda _: None)
+
+
+def pressed(decoder: SkinDecoder, clean: Floats, *, noise: float = 1.0, frames: int = 12) -> SkinContact:
+    """Return the contact in the last of some frames, after some at rest."""
+    rng = np.random.default_rng(1)
+    decoder.reset(RESET)
+    decoder.start_cold()
+    for frame in [np.zeros_like(clean)] * 60 + [clean] * frames:
+        reading = decoder.decode(noisy(frame, rng, noise * NOISE), noise * NOISE)
+    (contact,) = reading.contacts
+    return contact
+
+
+@pytest.mark.parametrize("noise", [1.0, 1.3])
+def test_the_chi_square_of_a_right_model_is_one_at_every_noise(noise: float) -> None:
+    contact = pressed(decoder_of(SKIN), signals(), noise=noise)
+    assert contact.fit is not None
+    assert contact.fit.degrees_of_freedom == 3 * len(SITES_M) - 7
+    assert contact.fit.chi2 == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / contact.fit.degrees_of_freedom))
+    assert contact.fit.p > 1e-4
+    assert (contact.status, contact.reason) == ("ok", None)
+
+
+@pytest.mark.parametrize(
+    "off", [{"depth": 1.1}, {"modulus": 0.9}, {"position_m": 1e-4}], ids=lambda off: next(iter(off))
+)
+def test_a_wrong_model_is_contradicted_within_a_tenth_of_a_second(decoder: SkinDecoder, off: dict[str, Any]) -> None:
+    contact = pressed(decoder, signals(**off), frames=10)
+    assert contact.fit is not None
+    assert contact.fit.chi2 > 1.1
+    assert (contact.status, contact.reason) == ("contradicted", "fit_contradicted")
+
+
+@pytest.mark.parametrize(
+    ("off", "stated"),
+    [
+        ({"depth": 1.0 + OFF}, {"depth_std_m": OFF * DEPTH_M}),
+        ({"modulus": 1.0 - OFF}, {"modulus_std_pascal": OFF * E}),
+        ({"gain": 1.0 + OFF}, {"gain_std_common": OFF}),
+        ({"position_m": 1e-4}, {"position_std_m": 1e-4}),
+    ],
+    ids=["depth", "modulus", "gain", "positions"],
+)
+def test_systematic_deviations_cover_what_is_off(off: dict[str, Any], stated: dict[str, float]) -> None:
+    contact = pressed(decoder_of(replace(SKIN, **stated)), signals(**off))
+    slip, patch, systematic = contact.slip, contact.patch, contact.systematic
+    assert slip is not None
+    error = [*(patch.force_newton - FORCE_NEWTON), *(patch.centroid_m - CENTRE_M), slip.radius_m - RADIUS_M]
+    error += [slip.slip_margin - MARGIN, slip.friction_coefficient - FRICTION]
+    noise = [*patch.force_std_newton, *patch.centroid_std_m, slip.radius_std_m]
+    noise += [slip.slip_margin_std, slip.friction_coefficient_std]
+    other = [*systematic.force_newton, *systematic.position_m, systematic.radius_m]
+    other += [systematic.slip_margin, systematic.friction_coefficient]
+    total = np.hypot(noise, other)
+    known = np.isfinite(error)
+    assert known.sum() >= 6
+    assert (np.abs(error) < 2.0 * total)[known].all()
+    assert (np.abs(error) > 2.0 * np.array(noise)).any() or "position_m" in off  # which the noise alone does not cover
