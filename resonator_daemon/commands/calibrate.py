@@ -1,4 +1,4 @@
-"""Calibrate a force plate with known masses, or the decoder's prior to a skin.
+"""Calibrate a force plate with known masses, or depth, modulus and gain of a skin with a ball of known weight.
 
 Example: resonatord calibrate left-index.toml --masses-grams 50,200,500 --output left-index-plate.toml
 """
@@ -10,8 +10,11 @@ from typing import Final
 from resonator_daemon.base.errors import ExitCode, UsageError
 from resonator_daemon.tools.command_line import number, options_of, positive, whole_number
 
-_OF_BOTH: Final = {"words", "config", "json", "command", "run"}
-_OF_SKIN: Final = {"seconds"}
+_OF_BOTH: Final = {
+    *("words", "config", "json", "command", "run", "masses_grams", "mass_std", "timeout_s"),
+    *("output", "apply", "accept", "valid_days"),
+}
+_OF_SKIN: Final = {"ball", "load_newton", "presses"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,14 +25,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_quantity_or_config,
         default=[],
         metavar="{force,skin} FILE",
-        help="force: known masses on known sites; skin: the decoder's prior (default: force); and the daemon's "
-        "configuration, as left-index.toml",
+        help="force: known masses on known sites; skin: a ball, put anywhere on a skin (default: force); and the "
+        "daemon's configuration, as left-index.toml. A skin needs the running daemon",
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="the configuration, likewise")
     parser.add_argument("--json", action="store_true", help="one JSON object a line on stdout, the last one the result")
     skin = parser.add_argument_group("skin")
-    skin.add_argument("--seconds", type=positive, metavar="S", help="how long, from the first frame (default: 20)")
-    loads = parser.add_argument_group("force: loads")
+    skin.add_argument("--ball", type=positive, metavar="MM", help="radius of the ball in mm; its weight is the mass")
+    skin.add_argument("--load-newton", type=positive, metavar="N", help="known force on the ball instead of a mass")
+    skin.add_argument("--presses", type=whole_number(3, 100), metavar="N", help="how often (default: 6)")
+    loads = parser.add_argument_group("loads")
     loads.add_argument("--sites", type=_sites, metavar="ID,ID|all", help="which sites to load (default: all)")
     loads.add_argument(
         "--masses-grams",
@@ -63,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="how long a step may take in addition to its hold (default: 300)",
     )
-    result = parser.add_argument_group("force: result")
+    result = parser.add_argument_group("result")
     result.add_argument(
         "--valid-days", type=whole_number(1, 36_500), metavar="N", help="until the calibration expires (default: 365)"
     )
@@ -78,17 +83,27 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     foreign = given - _OF_SKIN if quantity == "skin" else given & _OF_SKIN
     for name in foreign:
         raise UsageError(f"--{name.replace('_', '-')} does not belong to: calibrate {quantity}")
-    as_json = "json" in arguments
-    if quantity == "skin":
-        from resonator_daemon.tools.calibration.skin import calibrate_skin
-
-        return calibrate_skin(config, getattr(arguments, "seconds", 20.0), as_json=as_json)
     from resonator_daemon.tools.calibration.run import Ending, calibrate
-    from resonator_daemon.tools.calibration.steps import LoadRequest
+    from resonator_daemon.tools.calibration.steps import STANDARD_GRAVITY, LoadRequest
 
-    masses = {"masses_kg": tuple(gram * 1e-3 for gram in arguments.masses_grams)} if "masses_grams" in arguments else {}
-    request = options_of(LoadRequest, arguments, **masses)
-    return calibrate(config, request, options_of(Ending, arguments, as_json=as_json))
+    ending = options_of(Ending, arguments, as_json="json" in arguments)
+    masses_kg = tuple(gram * 1e-3 for gram in getattr(arguments, "masses_grams", ()))
+    if quantity == "skin":
+        from resonator_daemon.tools.calibration.skin import BallRequest, calibrate_skin
+
+        loads = [mass_kg * STANDARD_GRAVITY for mass_kg in masses_kg]
+        loads += [arguments.load_newton] if "load_newton" in arguments else []
+        if "ball" not in arguments or len(loads) != 1:
+            raise UsageError("give the radius of the ball with --ball, and one of --masses-grams and --load-newton")
+        known = {"force_std": arguments.mass_std} if "mass_std" in arguments else {}
+        calibrate_skin(
+            config,
+            options_of(BallRequest, arguments, ball_radius_m=arguments.ball * 1e-3, force_newton=loads[0], **known),
+            ending,
+        )
+        return ExitCode.DONE
+    request = options_of(LoadRequest, arguments, **({"masses_kg": masses_kg} if masses_kg else {}))
+    return calibrate(config, request, ending)
 
 
 def _chosen(arguments: argparse.Namespace) -> tuple[str, Path]:

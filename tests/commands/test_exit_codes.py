@@ -27,7 +27,7 @@ FAILING = """
 2 usage: export run.mcap --output run.foo | plan codes --grid nope --pitch-mm 5 | plan sensors --depth-mm -1
 2 usage: config explain nope | record left-index.toml
 78 config: emulate --plate quartz16 --pty nope/board | check gone.toml
-69 no_broker: calibrate skin skin.toml | tare client.toml
+69 no_broker: calibrate skin skin.toml --ball 5 --masses-grams 50 --output new.toml | tare client.toml
 69 no_broker: command left ping --url mqtt://127.0.0.1:9
 69 no_board: calibrate board.toml --masses-grams 100 --output new.toml | identify tcp://127.0.0.1:9
 1 differs: compare run.mcap cut.mcap | export cut.mcap --output view.mcap | replay cut.mcap --to out.jsonl
@@ -88,8 +88,8 @@ def test_every_error_has_a_documented_code() -> None:
     "line",
     [
         "run FILE", "check FILE", "record FILE --output run.mcap", "tare FILE", "decode FILE",
-        "doctor FILE --seconds 1", "identify FILE", "calibrate FILE --masses-grams 100", "calibrate skin FILE",
-        "watch FILE"
+        "doctor FILE --seconds 1", "identify FILE", "calibrate FILE --masses-grams 100",
+        "calibrate skin FILE --ball 5 --load-newton 1", "watch FILE"
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("name", ["gone.toml", "--config gone.toml", "gone.toml --config gone.toml"])

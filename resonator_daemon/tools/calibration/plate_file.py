@@ -71,8 +71,8 @@ def with_record(text: str, record: Record) -> str:
             if (values := getattr(change, key)) is not None:
                 tone[key] = rounded(values)
     if record.response is not None:
-        _table(document, "response").update(rounded(record.response.model_dump()))
-    table = _table(document, "calibration")
+        table_of(document, "response").update(rounded(record.response.model_dump()))
+    table = table_of(document, "calibration")
     content = rounded(record.calibration.model_dump())
     coupling, validity = content.pop("coupling"), tomlkit.inline_table()
     validity.update(content.pop("validity"))
@@ -96,7 +96,8 @@ def _coupling(coupling: list[dict[str, Any]]) -> Any:
     return lines
 
 
-def _table(document: tomlkit.TOMLDocument, name: str) -> Any:
+def table_of(document: tomlkit.TOMLDocument, name: str) -> Any:
+    """Return a table of a document, added where there is none."""
     if name not in document:
         document.add(tomlkit.nl())
         document.add(name, tomlkit.table())

@@ -63,11 +63,7 @@ class _Calibration:
         if FORCE_SIGNAL not in config.plate.signals:
             raise ConfigurationError(f"plate {config.plate.name!r} has no force sites; use: resonatord calibrate skin")
         self._steps = plan_steps(request, config.plate)
-        self._file = PlateFile.of(config_path, ending.output)
-        if not (ending.accept or self._file.is_new or sys.stdin.isatty()):
-            raise UsageError(
-                "give --accept, or a new file with --output: there is no terminal to ask whether to accept"
-            )
+        self._file = target_of(config_path, ending)
         self._procedure = LoadProcedure(config.plate, self._steps, ending.timeout_s)
         every_tone = sensor_of(config.plate).expected_tones.pressed_hz is None
         self._loads = MultitoneLoads(config.plate) if every_tone else CapturedLoads(config.plate)
@@ -115,7 +111,7 @@ class _Calibration:
             value |= {"site": step.site_id, "mass_kg": step.mass_kg, "force_newton": step.force_newton}
             value["kelvin"] = step.kelvin
         place = f"[{step.number}/{len(self._steps)}] " if step else ""
-        _report(value | {"text": prompt.text}, f"{place}{prompt.text}", as_json=self._ending.as_json)
+        report(value | {"text": prompt.text}, f"{place}{prompt.text}", as_json=self._ending.as_json)
 
     def _judge(self) -> Outcome:
         loads = list(self._procedure.loadings.values())
@@ -159,27 +155,46 @@ class _Calibration:
             self._show(prompt)
 
     def _finish(self, record: Record, remarks: list[str]) -> ExitCode:
-        source, output = self._file.source, self._file.output
-        result: dict[str, Any] = {"id": record.calibration.id, "output": str(output.resolve())}
-        result |= {"record": record.as_json(), "notes": remarks}
-        if not (self._ending.accept or self._file.is_new or _confirmed("accept? [y/n]")):
-            raise CalibrationRefusedError(f"not accepted; {_AS_BEFORE}", partial_result=result)
-        try:
-            write_plate_file(with_record(source.read_text(encoding="utf-8"), record), output)
-        except CalibrationRefusedError as error:
-            error.partial_result = result
-            raise
-        line = f"calibration {record.calibration.id} is in {output}"
-        if self._ending.apply:
-            name_plate(self._config_path, output)
-            line += f", which {self._config_path} now refers to; a running daemon uses it after a restart"
-        elif self._file.is_new:
-            line += f'; set plate = "{output}" in the configuration'
-        _report({"verb": "calibrate", "ok": True, **result}, line, as_json=self._ending.as_json)
+        result: dict[str, Any] = {"id": record.calibration.id, "record": record.as_json(), "notes": remarks}
+        text = with_record(self._file.source.read_text(encoding="utf-8"), record)
+        finish(self._config_path, self._file, text, result, self._ending)
         return ExitCode.DONE
 
 
-def _report(value: dict[str, Any], line: str, *, as_json: bool) -> None:
+def target_of(config_path: Path, ending: Ending) -> PlateFile:
+    """Return the plate file to change; UsageError where nobody could accept it, else as of `PlateFile.of`."""
+    file = PlateFile.of(config_path, ending.output)
+    if not (ending.accept or file.is_new or sys.stdin.isatty()):
+        raise UsageError("give --accept, or a new file with --output: there is no terminal to ask whether to accept")
+    return file
+
+
+def finish(config_path: Path, file: PlateFile, text: str, result: dict[str, Any], ending: Ending) -> None:
+    """Write a plate file, if that is accepted, and report the result.
+
+    Raises
+    ------
+    CalibrationRefusedError
+        It is not accepted, or cannot be written; nothing was changed.
+    """
+    result |= {"output": str(file.output.resolve())}
+    if not (ending.accept or file.is_new or _confirmed("accept? [y/n]")):
+        raise CalibrationRefusedError(f"not accepted; {_AS_BEFORE}", partial_result=result)
+    try:
+        write_plate_file(text, file.output)
+    except CalibrationRefusedError as error:
+        error.partial_result = result
+        raise
+    line = f"the calibration is in {file.output}"
+    if ending.apply:
+        name_plate(config_path, file.output)
+        line += f", which {config_path} now refers to; a running daemon uses it after a restart"
+    elif file.is_new:
+        line += f'; set plate = "{file.output}" in the configuration'
+    report({"verb": "calibrate", "ok": True, **result}, line, as_json=ending.as_json)
+
+
+def report(value: dict[str, Any], line: str, *, as_json: bool) -> None:
     """Print a line for people and, if wanted, the object."""
     print_note(line)
     if as_json:
