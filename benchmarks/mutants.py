@@ -232,20 +232,14 @@ class Tests:
         self._failed = set(re.findall(r"^FAILED (.+?)(?: - .*)?$", report, re.MULTILINE))
 
     def of(self, mutant: Mutant, tree: Path) -> set[str]:
-        """Return the tests that run one of the lines of a mutant; of lines of an import, those that name the file."""
+        """Return the tests that run one of the lines of a mutant; all, where an import or a child process does."""
         data = CoverageData(str(self._lines))
         data.read()
         contexts = data.contexts_by_lineno(str(tree / mutant.path))
         lines = range(mutant.first_line, mutant.last_line + 1)
         tests = {context.partition("|")[0] for line in lines for context in contexts.get(line, ())}
-        if tests == {""}:
-            word = re.compile(rf"\b{Path(mutant.path).stem}\b")
-            naming = {
-                name
-                for name in {test.split("::")[0] for test in self.seconds}
-                if word.search((tree / name).read_text())
-            }
-            tests |= {test for test in self.seconds if test.split("::")[0] in naming}
+        if tests == {""}:  # of an import, or of a child process: any of them may depend on it
+            tests = set(self.seconds)
         return (tests & self.seconds.keys()) - self._failed
 
 
