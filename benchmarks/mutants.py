@@ -231,14 +231,14 @@ class Tests:
             self.seconds[test] += float(spent)
         self._failed = set(re.findall(r"^FAILED (.+?)(?: - .*)?$", report, re.MULTILINE))
 
-    def of(self, mutant: Mutant, tree: Path) -> set[str]:
-        """Return the tests that run one of the lines of a mutant; all, where an import or a child process does."""
+    def of(self, mutant: Mutant, tree: Path, *, is_own: bool) -> set[str]:
+        """Return the tests that run one of the lines of a mutant; where only imports and child processes do, its own."""
         data = CoverageData(str(self._lines))
         data.read()
         contexts = data.contexts_by_lineno(str(tree / mutant.path))
         lines = range(mutant.first_line, mutant.last_line + 1)
         tests = {context.partition("|")[0] for line in lines for context in contexts.get(line, ())}
-        if tests == {""}:  # of an import, or of a child process: any of them may depend on it
+        if tests == {""} and is_own:  # of an import, or of a child process: any of them may depend on it
             tests = set(self.seconds)
         return (tests & self.seconds.keys()) - self._failed
 
@@ -260,7 +260,7 @@ class Judge:
             if stage not in self._stages:
                 self._stages[stage] = Tests(self._tree, stage, self._product)
             known = self._stages[stage]
-            tests = known.of(mutant, self._tree)
+            tests = known.of(mutant, self._tree, is_own=stage in folders)
             if not tests:
                 continue
             place.write_text(source_of(mutant, original))
