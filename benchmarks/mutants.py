@@ -232,7 +232,7 @@ class Tests:
         self._failed = set(re.findall(r"^FAILED (.+?)(?: - .*)?$", report, re.MULTILINE))
 
     def of(self, mutant: Mutant, tree: Path, *, is_own: bool) -> set[str]:
-        """Return the tests that run one of the lines of a mutant; where only imports and child processes do, its own."""
+        """Return the tests that run a line of a mutant; where only imports and child processes do, all of its own."""
         data = CoverageData(str(self._lines))
         data.read()
         contexts = data.contexts_by_lineno(str(tree / mutant.path))
