@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--valid-days", type=whole_number(1, 36_500), metavar="N", help="until the calibration expires (default: 365)"
     )
     result.add_argument("--output", type=Path, metavar="FILE", help="new plate file (default: change the plate's own)")
-    result.add_argument("--apply", action="store_true", help="have the configuration name the plate file of --output")
+    result.add_argument("--apply", action="store_true", help="set `plate` in the configuration to the file of --output")
     result.add_argument("--accept", action="store_true", help="change the plate's own file without asking")
 
 

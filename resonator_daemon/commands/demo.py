@@ -2,7 +2,7 @@
 
 In a terminal it also shows the address of a live page, where the mouse presses the plates.
 
-Ctrl-C ends the measurement: the result and the exit code are those until then. Before the measurement it exits with 1.
+Ctrl-C ends the measurement: result and exit code cover the time until then. Ctrl-C before the first frame exits with 1.
 
 Example: resonatord demo --plate quartz16 --seconds 20 --json
 """

@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=positive,
         default=_SECONDS,
         metavar="N",
-        help=f"how long to listen to the board, from its first frame on (default: {_SECONDS:g})",
+        help=f"duration of the capture, from the first frame (default: {_SECONDS:g})",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
 

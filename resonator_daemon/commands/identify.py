@@ -1,4 +1,4 @@
-"""Print which board is on a link and what it can do; a board that counts goes on counting.
+"""Print which board is on a link and what it can do; a measuring board continues to measure.
 
 Example: resonatord identify serial:/dev/ttyACM0?baud=4000000
 """
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_link(parser, "also check whether the board can serve it")
-    parser.add_argument("--blink", action="store_true", help="let the board make itself seen, where it can")
+    parser.add_argument("--blink", action="store_true", help="make the board's LED blink, if it has one")
     parser.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
 
 

@@ -1,4 +1,4 @@
-"""Put units, udev rules and user of the services, and completion into their places.
+"""Install systemd units, udev rules, the service user and shell completion.
 
 Example: sudo /opt/resonatord/bin/resonatord install
 """

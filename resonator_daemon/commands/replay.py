@@ -19,7 +19,12 @@ _DEFAULT_URL: Final = "mqtt://127.0.0.1:1883"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE", help="a recording, as run.mcap")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="instead of the plate and settings it carries")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="configuration to use instead of the plate and settings in the recording",
+    )
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--url", metavar="URL", help=f"the broker (default: that of --config, or {_DEFAULT_URL})")
     where.add_argument("--to", type=Path, metavar="FILE.jsonl", help="a line a message instead; - is stdout")

@@ -1,4 +1,4 @@
-"""Stop the services, and remove the files that `resonatord install` put into their places.
+"""Stop the services, and remove the files that `resonatord install` installed.
 
 A file that was changed here is kept. Configurations, recordings, states and the user stay.
 

@@ -170,7 +170,7 @@ class Commands:
         return _Command(verb, message.payload, topic or f"{self._base}/rsp/{verb}", correlation, refused)
 
     def _may_answer_to(self, topic: str) -> bool:
-        """Whether a topic can be published to and is none of a daemon's own, which others trust."""
+        """Whether the topic is a valid response topic and not a topic of a daemon."""
         sound = topic and topic.isprintable() and len(topic.encode()) <= RESPONSE_TOPIC_BYTES_MAX
         sound = sound and topic.count("/") < RESPONSE_TOPIC_LEVELS_MAX
         if not sound or any(sign in topic for sign in "+#") or topic.startswith("$"):

@@ -1,4 +1,4 @@
-"""Events as a log with a mark: what waits for the broker is what lies behind it, what a client asks for is a range."""
+"""Event log with a delivery mark: events after the mark wait for the broker; clients request ranges."""
 
 import asyncio
 import logging

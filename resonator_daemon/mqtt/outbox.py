@@ -49,7 +49,7 @@ ItemT = TypeVar("ItemT", bound=_Sized)
 
 
 class BoundedQueue(Generic[ItemT]):
-    """First in, first out; what would exceed the bounds pushes the oldest out, and is itself always taken.
+    """First in, first out; if an item exceeds the bounds, the oldest items are removed; the new item is always added.
 
     `items` are in their order, to be looked at only.
     """
@@ -84,7 +84,7 @@ class BoundedQueue(Generic[ItemT]):
 class Outbox:
     """Sends while the socket takes it, and keeps what it does not take, by the rules of each kind.
 
-    Messages come in counted as made; from then on each is in one term of the account, or in `waiting`. As a context
+    Messages are already counted as enqueued; each is then in exactly one counter, or in `waiting`. As a context
     manager it sends what is put within the context at its end, not in the next iteration of the event loop.
 
     Parameters

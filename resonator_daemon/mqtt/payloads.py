@@ -434,7 +434,7 @@ class LatencyInfo(Message):
 
 
 class DecoderProcessInfo(Message):
-    """How the process that decodes a skin fares.
+    """Counters and load of the process that decodes a skin.
 
     Frames that were measured without a fault since the daemon started = `decoded` + sum of `skipped` + `waiting`.
     """
@@ -472,7 +472,7 @@ class RecordingInfo(Message):
 
 
 class Health(BoardHeader):
-    """How the daemon itself fares."""
+    """Counters and load of the daemon."""
 
     reason_code: ReasonCode | None = Field(
         None, description="`computer_busy` while the computer is too busy for the daemon, else null"
@@ -542,7 +542,7 @@ class DecoderPlateHealth(Message):
 
 
 class DecoderHealth(Message):
-    """How a decoder process fares; once a second."""
+    """Counters and load of a decoder process, once a second."""
 
     decoder_id: str = Field(description="that of the topic")
     t_ns: Int64 = Field(description="UTC, when it was made")

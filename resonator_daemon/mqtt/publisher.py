@@ -201,7 +201,7 @@ class Publisher:
         Parameters
         ----------
         farewell
-            Base, topic and message of the last word.
+            Base, topic and payload of the final message.
         wait_for_broker
             Also where there is no connection yet, because why the daemon ends is worth the time.
         """

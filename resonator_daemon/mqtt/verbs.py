@@ -94,11 +94,11 @@ class Refusal(Message):
 
 
 class Ping(Request):
-    """Ask whether the daemon is there."""
+    """Request to confirm that the daemon runs."""
 
 
 class Pong(Answer):
-    """The daemon is there."""
+    """Confirmation that the daemon runs."""
 
     verb: Literal["ping"] = "ping"
     t_ns: Int64 = Field(description="UTC, when the answer was made")
@@ -132,7 +132,7 @@ class Tare(Request):
 
 
 class TareAnswer(Answer):
-    """What was taken for untouched."""
+    """The new zero."""
 
     verb: Literal["tare"] = "tare"
     message: str = Field(description="sentence for display, always the same: programs read `ok`")
@@ -190,7 +190,7 @@ class Mark(Request):
 
 
 class MarkAnswer(Answer):
-    """Where the remark stands."""
+    """Position of the mark in the recording."""
 
     verb: Literal["mark"] = "mark"
     t_ns: Int64 = Field(description="UTC")
@@ -208,7 +208,7 @@ class SetWindow(Request):
 
 
 class SetWindowAnswer(Answer):
-    """What holds from the next message on."""
+    """Window and step from the next message on."""
 
     verb: Literal["set_window"] = "set_window"
     window_s: float

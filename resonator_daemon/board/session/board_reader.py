@@ -1,4 +1,4 @@
-"""Reader of one board on one link: identify, configure, run, reconnect, in a thread that nothing can slow."""
+"""Reader of one board on one link: identify, configure, run, reconnect, in a thread of its own."""
 
 import random
 import threading
@@ -138,7 +138,7 @@ def _discard_event(_: WireEvent) -> None:
 
 
 class BoardReader:
-    """Reads one board for as long as it is wanted, whatever happens to the cable.
+    """Reader of one board until `stop`; reconnects after each loss of the link.
 
     Parameters
     ----------

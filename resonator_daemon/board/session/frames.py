@@ -1,4 +1,4 @@
-"""What a reader passes on: frames with their time, gaps, and events of board and link; and where all of it went."""
+"""Output of the board reader: time-stamped frames, gaps, events of board and link, and counters of bytes and frames."""
 
 from collections import Counter
 from dataclasses import dataclass, field, fields, replace
@@ -196,7 +196,7 @@ class Gap:
 
 @dataclass(frozen=True, slots=True)
 class BoardOnline:
-    """A board was identified, fits the plate, and counts.
+    """A board was identified, is compatible with the plate, and measures.
 
     `continues`: its ticks go on from those of the frames before, so that what was estimated from them holds.
     """
@@ -228,7 +228,7 @@ class LinkChange:
 
 @dataclass(frozen=True, slots=True)
 class Outage:
-    """A time without frames that is over: from the middle of the last gate before to that of the first after.
+    """A past time without frames, from the middle of the last gate before it to that of the first gate after it.
 
     Both are by the clock as it is at the end.
     """
@@ -264,7 +264,7 @@ class ControlRequest:
 
 @dataclass(frozen=True, slots=True)
 class ReaderFailed:
-    """The reader ended by a mistake of ours; nothing will arrive any more."""
+    """The reader ended by a defect of the program; no further arrivals."""
 
     error: Exception
 

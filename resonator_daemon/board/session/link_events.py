@@ -1,4 +1,4 @@
-"""What happens on a link, as events: all that a connection depends on, so that a recording of them can be replayed."""
+"""Events of a link: the complete input of a connection, so that a recording can be replayed."""
 
 import json
 import struct

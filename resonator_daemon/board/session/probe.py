@@ -1,4 +1,4 @@
-"""Identifies whatever is on a link, without configuring it: a board that counts goes on counting."""
+"""Identifies whatever is on a link, without configuring it: a measuring board continues to measure."""
 
 import statistics
 import time
@@ -193,8 +193,8 @@ class _Probe:
         return f"{received} bytes came and no packet among them; is it a board of this kind, and the baud rate right?"
 
 
-def round_trip_s(inquiry: ProbeResult) -> tuple[float, float] | None:
+def round_trip_s(result: ProbeResult) -> tuple[float, float] | None:
     """Return the shortest and the median round trip; None where no ping was answered."""
-    if not inquiry.round_trips_s:
+    if not result.round_trips_s:
         return None
-    return min(inquiry.round_trips_s), statistics.median(inquiry.round_trips_s)
+    return min(result.round_trips_s), statistics.median(result.round_trips_s)

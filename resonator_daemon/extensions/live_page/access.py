@@ -1,4 +1,4 @@
-"""Who may open the live page: host, origin and token of each request, headers of each answer, and secrets in files."""
+"""Access control of the live page: host, origin and token of requests, headers of answers, and secrets in files."""
 
 import hmac
 import json

@@ -1,4 +1,4 @@
-"""Everything between sources and browsers: who is sent what, and what each request does."""
+"""Router between sources and browsers: selects the messages for each browser and executes requests."""
 
 import asyncio
 import json

@@ -130,7 +130,7 @@ class Recorded:
                 process.kill()
 
     def _start(self, number: int) -> subprocess.Popen[bytes]:
-        """Start the process; as asyncio does it, but that its end can be waited for when this task is cancelled."""
+        """Start the process; unlike with asyncio, its end can be awaited after this task is cancelled."""
         return subprocess.Popen(
             (sys.executable, "-P", "-m", _WORKER, str(self._path), str(number)),
             stdin=subprocess.DEVNULL,

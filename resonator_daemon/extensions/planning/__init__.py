@@ -1,1 +1,1 @@
-"""Planning a plate: which tone each of its force sites gets."""
+"""Planning of a plate: the codes of force sites, and the sensors under a skin."""

@@ -23,8 +23,9 @@ STARTS: Final = 4
 
 @dataclass(frozen=True)
 class Tolerances:
-    """What a plate must accept; all but newtons, kelvins and 1/K relative to f0, or to K where the name says so.
+    """Tolerances of a plate.
 
+    Values without a unit are relative to f0; those with `sensitivity` in the name are relative to K.
     `ageing` is the largest difference between two sites, `placement` how far a tone may lie from its code, `pulling`
     how far a corner may pull it, `sensitivity_spread` how far K may lie from what is aimed at. `model_error` is the
     error of K from touch to touch; `counter_std` and `oscillator_std` are the noise of a reading.

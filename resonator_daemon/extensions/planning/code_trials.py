@@ -112,7 +112,7 @@ def _match(
 
 
 def _outcomes(matches: Sequence[Match], pressed: NDArray[np.int64]) -> Outcomes:
-    """Compare with the sites (n, 2) that were pressed; one alone stands there twice."""
+    """Compare with the sites (n, 2) that were pressed; for a single touch, both columns have the same site."""
     counts = Counter[str]()
     for match, sites in zip(matches, pressed.tolist(), strict=True):
         named, touched = {force.site for force in match.forces}, set(sites)

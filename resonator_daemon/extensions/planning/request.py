@@ -155,7 +155,7 @@ def _with_defaults(options: argparse.Namespace, plate: Plate | None) -> dict[str
 
 
 def _positions_m(options: argparse.Namespace) -> Floats:
-    """Return the sites (m, 2): a grid about the origin, row by row from below, or those of a file."""
+    """Return the sites (m, 2): a grid about the origin, row by row from the top (smallest y), or those of a file."""
     if options.grid is None:
         return read_positions_m(options.sites)
     x, y = ((np.arange(count) - (count - 1) / 2) * 1e-3 * options.pitch_mm for count in options.grid)

@@ -1,4 +1,4 @@
-"""What a decoder needs to know of a plate, from its `info`: the settings of a decoder, or why there are none."""
+"""Decoder settings from the `info` of a plate, or the reason why no decoder is possible."""
 
 import json
 import math

@@ -59,7 +59,7 @@ class Publish(Protocol):
 
 
 class RemotePlate:
-    """Decodes the signals of a plate in a child process; what cannot be read is counted, nothing raises.
+    """Decodes the signals of a plate in a child process; unreadable messages are counted, and never raise.
 
     Parameters
     ----------

@@ -73,7 +73,7 @@ async def serve(config: DecoderConfig) -> None:
 
 
 def own_id() -> str:
-    """Name this process as no other one, of another time neither: host, process id, and a random number.
+    """Return an identifier that no other process, past or future, has: host, process id, and a random number.
 
     Process ids come again, in a container with each start.
     """

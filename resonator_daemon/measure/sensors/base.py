@@ -88,7 +88,7 @@ class Sensor(ABC, Generic[Reading]):
 
     @property
     def at_rest(self) -> bool:
-        """Whether readings to come are those of a sensor that begins now; only one that comes to rest is ever."""
+        """Whether later readings are independent of past frames; False for sensors that keep state."""
         return False
 
     @property

@@ -1,8 +1,8 @@
 """Space the tones of force sites so that no two can be mistaken for each other.
 
 Each force site of a plate gets a code: a step of a ladder of tones, wide enough for forces, temperature, ageing, noise
-and tolerances, with codes far apart for neighbours. The page shows how often touches would be mistaken, what band it
-takes and how noisy forces are; --output writes a plate file.
+and tolerances, with codes far apart for neighbours. The output has the share of mistaken touches, the required band and
+the noise of forces; --output writes a plate file.
 
 docs/explanation/codes.md explains more.
 Example: resonatord plan codes --grid 4x4 --pitch-mm 5 --force-max-newton 10 --output new-plate.toml
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     add_number(parser, "--pitch-mm", 0.1, 1000, "from site to site of the grid")
     tones = parser.add_argument_group("tones")
-    add_number(tones, "--f0-mhz", 0.1, 1000, "the ladder begins one step below (default: 10)")
+    add_number(tones, "--f0-mhz", 0.1, 1000, "upper end of the ladder; the first code is one step below (default: 10)")
     add_number(tones, "--sensitivity-ppm-per-newton", -1e5, 1e5, "K of a typical site, signed (default: -6.3)")
     add_number(tones, "--sensitivity-spread", 0, 0.8, "largest relative difference from that (default: 0.3)")
     add_number(tones, "--tolerance-ppm", 0, 1e4, "how far a tone may lie from its code (default: 20)", 20.0)
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     result.add_argument(
         "--seed", type=whole_number(0, 10**18), default=0, metavar="N", help="of all that is random (default: 0)"
     )
-    result.add_argument("--accept-overlap", action="store_true", help="take codes that can be mistaken all the same")
+    result.add_argument("--accept-overlap", action="store_true", help="accept codes that overlap")
     result.add_argument("--output", type=Path, metavar="FILE", help="write a plate file, which must be new")
     result.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
