@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-firmware test-browser test-schema test-dashboards test-ros2 coverage bench bench-cost bench-details docs docs-check figures screenshots fuzz soak dist test-dist deb test-deb test-arm64 pins clean
+.PHONY: help setup demo test test-firmware test-browser test-schema test-ros2 coverage bench bench-cost bench-details docs docs-check figures screenshots fuzz soak dist test-dist deb test-deb test-arm64 pins clean
 
 # A user's PATH on Debian lacks the place of mosquitto.
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
@@ -67,7 +67,6 @@ FIRMWARE := arm-none-eabi-gcc:gcc-arm-none-eabi qemu-system-arm:qemu-system-arm 
 BROWSER := chromium:chromium npm:npm
 GENERATORS := node:nodejs npm:npm go:golang-go
 FASTDDS := g++:g++ /usr/include/fastdds/dds/domain/DomainParticipant.hpp:libfastrtps-dev
-DASHBOARDS := $(BROKER) $(GENERATORS) /usr/share/gocode/src/github.com/tidwall/gjson/gjson.go:golang-github-tidwall-gjson-dev
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z0-9-]*\):.*## /make \1\t/p' Makefile | expand -t 22
@@ -139,18 +138,6 @@ test-schema: .venv/test-stamp  ## types that modelina and json-schema-to-typescr
 	fi
 	cd ../..
 	.venv/bin/pytest -m generators tests/generators
-
-test-dashboards: .venv/test-stamp  ## the configurations in docs/examples/dashboards: the flow in Node-RED, the paths of Telegraf in gjson
-	$(debian-packages)
-	debian-packages $(DASHBOARDS)
-	mkdir -p build/dashboards
-	cd build/dashboards
-	if ! cmp -s ../../tests/dashboards/package-lock.json package-lock.json || [ ! -e node_modules/.package-lock.json ]; then
-	  cp ../../tests/dashboards/{package.json,package-lock.json,.npmrc} .
-	  npm ci
-	fi
-	cd ../..
-	.venv/bin/pytest -m dashboards tests/dashboards
 
 test-ros2: .venv/test-stamp build/fastdds_reader  ## the bridge to ROS 2, read by Debian's Fast DDS in C++, with the list of nodes of Humble and of later versions
 	$(debian-packages)
