@@ -281,6 +281,7 @@ soak: .venv/test-stamp  ## MINUTES=60 of faults; a simulated year; brokers froze
 	for part in orders recorders hang-ups; do run kills.py $$part; done
 	run power_failure.py
 	run wire_accounts.py
+	run gripper.py
 	printf '\n== long tests\n'
 	OMP_NUM_THREADS=1 .venv/bin/pytest -m 'soak and not browser'
 	$(MAKE) build/browser .venv/browser-stamp
