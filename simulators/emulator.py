@@ -34,6 +34,7 @@ from simulators.quartz_plate import QuartzPlate
 from simulators.scenario import Scenario, load_scenario
 from simulators.scenario_file import default_scenario
 from simulators.truth import TruthOutput, truth_line
+from simulators.world import with_world
 
 SERIAL_NUMBER = "EMU-0001"
 OTHER_SERIAL_NUMBER = "EMU-0002"  # of the board that is plugged in by mistake
@@ -61,6 +62,7 @@ class EmulatorOptions:
     scenario: str | None = None  # None: the one that suits the plate, or no touch where clients may press it
     truth: Path | None = None
     faults: FaultPlan = field(default_factory=FaultPlan)  # in addition to the scenario's
+    world: str = ""  # in what the plate differs from its file
     counter: Literal["sums", "stamps"] = "sums"  # of a single-tone plate: sums by closed form, or of every stamp
     seed: int | None = None  # None: the scenario's
     speed: float = 1.0
@@ -112,7 +114,7 @@ class Emulator:
             raise ValueError("an emulated board has one link: give one of pty, tcp and usb")
         if not 0.0 < options.speed <= _SPEED_MAX:
             raise ValueError(f"speed must be above 0 and at most {_SPEED_MAX:g}, got {options.speed:g}")
-        plate = _at_rate(load_plate(options.plate), options.frame_rate_hz)
+        plate = _at_rate(with_world(load_plate(options.plate), options.world), options.frame_rate_hz)
         presses = Presses(plate, SERIAL_NUMBER) if options.control else None
         usual = "still" if options.control else default_scenario(plate)
         scenario = load_scenario(options.scenario or usual, plate, presses)

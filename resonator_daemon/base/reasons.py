@@ -169,7 +169,7 @@ class ReasonCode(Word):
     FIT_REJECTED = "fit_rejected", "no single contact explains the signals"
     FIT_CONTRADICTED = (
         "fit_contradicted",
-        "the signals contradict the model of the contact: errors are larger than stated; see `resonatord doctor`",
+        "the signals contradict the model of the contact, errors exceed what is stated: calibrate the skin with a ball",
     )
     FORCE_INSIGNIFICANT = "force_insignificant", "the normal force is too small against its error"
     CONTACT_TOO_LARGE = "contact_too_large", "the contact is too large for its rim to show"

@@ -16,6 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "what",
         choices=("example", "explain", "schema"),
+        metavar="{example,explain,schema}",
         help="example: a configuration to start from; explain: what a key is, its type, default, range and an example; "
         "schema: the JSON Schema",
     )

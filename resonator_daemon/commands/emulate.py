@@ -39,6 +39,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "docs/reference/emulator.md lists all",
     )
     parser.add_argument(
+        "--world",
+        default="",
+        metavar="SPEC",
+        help="by what the plate differs from its file, as depth=1.05,modulus=0.95,gain=1.05,poisson=0.45, or "
+        "f0=2e-6; the truth stays the truth",
+    )
+    parser.add_argument(
         "--counter",
         choices=("sums", "stamps"),
         default="sums",

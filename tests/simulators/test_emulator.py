@@ -13,8 +13,10 @@ from wire_host import Host, opened, truths
 
 from firmware_protocol.host import FramePart
 from firmware_protocol.messages import BoardStatus
+from resonator_daemon.base.plate import load_plate
 from simulators.emulator import EmulatorOptions
 from simulators.truth import TruthOutput
+from simulators.world import with_world
 
 
 def test_quartz16_sends_its_frames_in_time_and_writes_the_truth_beside_them(tmp_path: Path) -> None:
@@ -170,3 +172,10 @@ def test_a_reader_that_pauses_gets_all_lines_and_one_that_sleeps_only_whole_ones
     lines = b"".join(received).decode().splitlines(keepends=True)
     assert lines[:-1] == [LINE] * (len(lines) - 1)
     assert len(lines) + output.lines_lost == 42_001
+
+
+def test_a_world_changes_the_plate_and_not_its_name() -> None:
+    skin = with_world(load_plate("skin32"), "depth=1.05,modulus=0.95,poisson=0.45,gain=1.05")
+    assert (skin.required_skin.depth_mm, skin.tones.sensitivity[0, 0]) == pytest.approx((1.05, -2.1e-11))
+    with pytest.raises(ValueError, match="depth"):
+        with_world(load_plate("quartz16"), "f0=2e-6,depth=1.05")
