@@ -48,7 +48,7 @@ def draw(recording: resonatord.LoadedRecording, truth_file: Path) -> None:
     mine = contacts["contact_id"] == number
     time_s = (contacts["t_ns"][mine] - start_ns) / NS_PER_S
     force = contacts["contact_force_z_newton"][mine]
-    error = np.hypot(contacts["contact_systematic_newton"][mine], contacts["contact_noise_z_newton"][mine])
+    error = np.hypot(contacts["contact_systematic_z_newton"][mine], contacts["contact_noise_z_newton"][mine])
     true_s, true_newton = true_force(truth_file, start_ns, end_ns)
 
     matplotlib.rcParams["svg.hashsalt"] = "resonatord"

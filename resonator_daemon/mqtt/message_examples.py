@@ -32,7 +32,8 @@ _VALUES: Final[dict[str, Any]] = {
     "noise_newton": [None, None, 0.0006],
     "SiteForce.force_newton": 1.234,
     "SiteForce.noise_newton": 0.0006,
-    "systematic_newton": 0.038,
+    "systematic_newton": [None, None, 0.038],
+    "SiteForce.systematic_newton": 0.038,
     "peak_newton": 1.31,
     "corners": [
         {"captured": "site", "site": 7, "frequency_hz": 9991643.336, "noise_hz": 0.0247, "residual": -0.46},

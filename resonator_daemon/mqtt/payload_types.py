@@ -88,11 +88,6 @@ def with_axis(name: str, axis: str) -> str:
     return f"{name}_{axis}"
 
 
-def normal_error(error: float | tuple[float, ...]) -> float:
-    """Return the error of the normal force, of a `ForceError`."""
-    return error[-1] if isinstance(error, tuple) else error
-
-
 _DECIMAL: Final = {"type": "string", "pattern": "^[0-9]{1,20}$"}
 _DIGITS: Final = 2  # of a standard deviation: further ones are noise
 _UNKNOWN_IS_NULL: Final = {"type": ["number", "null"]}
@@ -134,12 +129,6 @@ OptionalFloat = Annotated[
 """A number that may be unknown, of a key that may be left out: then None."""
 Vector2 = tuple[Float, Float]
 Vector3 = tuple[Float, Float, Float]
-ForceError = Annotated[
-    float | Vector3 | None,
-    BeforeValidator(lambda value: math.nan if value is None else value),
-    WithJsonSchema({"type": ["number", "array", "null"]}, mode="serialization"),
-]
-"""Error of the force of a contact: x, y and z under a skin; of a force site the normal one alone, in few bytes."""
 PerChannel = Annotated[tuple[Float, ...], Field(min_length=CHANNEL_COUNT, max_length=CHANNEL_COUNT)]
 Float32Array = Annotated[NDArray[np.float32], PlainValidator(_float32), WithJsonSchema(_MAP_ROWS)]
 SignalArray = Annotated[Float32Array, WithJsonSchema(_SIGNAL_ROWS)]
@@ -282,7 +271,7 @@ def rounded(value: float, std: float) -> float:
     return round(value, _DIGITS - math.floor(math.log10(std))) if 0.0 < std < math.inf else value
 
 
-def rounded_std(std: float) -> float:
-    """Return a standard deviation, or another number of its own scale, to three digits."""
+def rounded_std(std: float, digits: int = _DIGITS + 1) -> float:
+    """Return a standard deviation, or another number of its own scale, to some digits."""
     size = abs(std)
-    return round(std, _DIGITS - math.floor(math.log10(size))) if 0.0 < size < math.inf else std
+    return round(std, digits - 1 - math.floor(math.log10(size))) if 0.0 < size < math.inf else std

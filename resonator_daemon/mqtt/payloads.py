@@ -14,7 +14,6 @@ from resonator_daemon.mqtt.payload_types import (
     CounterType,
     Float,
     Float32Array,
-    ForceError,
     Header,
     Int64,
     Lost,
@@ -145,10 +144,10 @@ class Contact(Message):
         "is unknown, with the cause in `status`"
     )
     noise_newton: Vector3 = Field(description="one standard deviation of what averages out, from the counts themselves")
-    systematic_newton: ForceError = optional(
-        "one standard deviation of what does not average out. Of the normal force of a force site: calibration, drift, "
-        "warm touches and the site's response. Under a skin, of x, y and z: depth, modulus, gains and places of the "
-        "sites as the plate file states them; null where the contact was not fitted"
+    systematic_newton: Vector3 | None = optional(
+        "one standard deviation of what does not average out: of a force site, calibration, drift, warm touches and "
+        "the site's response (x and y null); under a skin, what the plate file states of depth, modulus, gains and "
+        "places of the sites; null where the contact was not fitted"
     )
     position_systematic_m: Vector2 | None = optional("likewise, of x and y under a skin")
     at_least_newton: float | None = optional(_AT_LEAST)

@@ -274,10 +274,7 @@ def _converter(field: Any) -> Callable[[Any], Any]:
     node, what = field
     if node is Nodetype.ARRAY:
         count = what[1]
-        # A number is the normal component: the last.
-        return lambda value: (
-            np.full(count, np.nan) if value is None else np.append(np.full(count, np.nan), value)[-count:]
-        )
+        return lambda value: np.full(count, np.nan) if value is None else np.array(value, float)
     if what[0] == "string":
         return lambda value: "" if value is None else str(value)
     if what[0] == "float64":

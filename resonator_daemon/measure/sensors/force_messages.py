@@ -135,10 +135,10 @@ class ForceMessages:
             "id": contact.id,
             "site": self._site_ids[touch.site],
             "position_m": (rounded(x, math.sqrt(xx)), rounded(y, math.sqrt(yy))),
-            "position_covariance_m2": (rounded_std(xx), rounded_std(xy), rounded_std(yy)),
+            "position_covariance_m2": tuple(rounded_std(covariance, _DIGITS) for covariance in (xx, xy, yy)),
             "force_newton": (math.nan, math.nan, rounded(touch.force_newton, noise_newton)),
-            "noise_newton": (math.nan, math.nan, rounded_std(noise_newton)),
-            "systematic_newton": rounded_std(touch.systematic_newton),
+            "noise_newton": (math.nan, math.nan, rounded_std(noise_newton, _DIGITS)),
+            "systematic_newton": (math.nan, math.nan, rounded_std(touch.systematic_newton, _DIGITS)),
             "status": self._published_status(touch.status, gate_middle),
         }
         if touch.reason is not None:
@@ -155,6 +155,7 @@ class ForceMessages:
         return _STATUS[status]
 
 
+_DIGITS: Final = 2  # of the errors of a contact, whose message has at most some 400 bytes
 _CODE_PLACES: Final = 3
 _RESIDUAL_PLACES: Final = 2
 

@@ -147,8 +147,8 @@ def _without_none(annotation: Any) -> tuple[Any, bool]:
         present, optional = _without_none(inner)
         return (Annotated[present, *metadata], True) if optional else (annotation, False)
     if get_origin(annotation) in (Union, types.UnionType):
-        present, *_ = (part for part in get_args(annotation) if part is not types.NoneType)
-        return present, True  # of a number, or a vector under a skin, the number
+        (present,) = (part for part in get_args(annotation) if part is not types.NoneType)
+        return present, True
     return annotation, False
 
 
@@ -174,7 +174,7 @@ def _follow(*steps: str | int) -> Get:
             if part is None:
                 return None
             part = part[step] if isinstance(step, int) else getattr(part, step)
-        value: Value = part[-1] if isinstance(part, tuple) else part  # of a vector instead of a number, the normal one
+        value: Value = part
         return value
 
     return get

@@ -10,7 +10,6 @@ from rich.table import Table
 from rich.text import Text
 
 from resonator_daemon.base.reasons import ReasonCode
-from resonator_daemon.mqtt.payload_types import normal_error
 from resonator_daemon.mqtt.payloads import Condition, Contact, State, Status
 from resonator_daemon.mqtt.topics import (
     CONTACTS,
@@ -114,7 +113,7 @@ def _normal(contact: Contact) -> str:
     if not math.isfinite(force_newton):
         known = UNKNOWN if contact.at_least_newton is None else f"at least {newtons(contact.at_least_newton)}"
         return f"{known} ({contact.status})"
-    bound = UNKNOWN if systematic_newton is None else millinewtons(normal_error(systematic_newton))
+    bound = UNKNOWN if systematic_newton is None else millinewtons(systematic_newton[2])
     status = "" if contact.status is Status.OK else f" ({contact.status})"
     return f"{newtons(force_newton)} ± {millinewtons(contact.noise_newton[2])} ± {bound} mN{status}"
 

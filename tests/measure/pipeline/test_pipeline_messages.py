@@ -113,7 +113,7 @@ def test_contacts_are_the_contracts_literal(messages: Messages) -> None:
 CONTACT = {
     "id": 12, "site": 30, "position_m": [0.0125, 0.004], "position_covariance_m2": [4e-8, 3e-8, 9e-8],
     "force_newton": [None, None, 1.234], "noise_newton": [None, None, 0.0006],
-    "systematic_newton": 0.012, "status": "ok", "reason_code": "other_site"
+    "systematic_newton": [None, None, 0.012], "status": "ok", "reason_code": "other_site"
 }  # fmt: skip
 HISTORY = {
     "peak_newton": 1.5,
@@ -139,8 +139,7 @@ def test_an_event_reports_its_own_contact_with_its_peak(messages: Messages, word
     said = literal(messages.force.event(ContactEvent(word, 1_999_000_000, gone, WHY), present, GATE_MIDDLE))
     assert (said["event"], said["reason_code"], said["reason"]) == (word, "channels_silent", "why")
     assert said["board_ticks"] == "2000000000"  # of the reading that told it, as its time
-    unknown = {"systematic_newton": None}
-    unknown |= {key: [None, None, None] for key in ("force_newton", "noise_newton")}
+    unknown = {key: [None, None, None] for key in ("force_newton", "noise_newton", "systematic_newton")}
     assert said["contact"] == CONTACT | HISTORY | unknown | {"id": 3, "site": 70, "status": "no_signal"}
 
 

@@ -81,7 +81,7 @@ def test_contacts_have_a_row_each_and_messages_without_any_have_one(case: str, t
             assert (row["contact_position_x_m"], row["contact_position_y_m"]) == contact.position_m
             assert row["contact_position_covariance_yy_m2"] == contact.position_covariance_m2[2]
             assert same(row["contact_force_z_newton"], contact.force_newton[2])
-            for key in ("systematic_newton", "slip_margin", "at_least_newton") if case != "skin" else ("slip_margin",):
+            for key in ("slip_margin", "at_least_newton"):
                 assert same(row[f"contact_{key}"], getattr(contact, key))
         if not message.contacts:
             row = next(rows)

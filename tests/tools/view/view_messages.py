@@ -56,7 +56,7 @@ def contact(
 ) -> Contact:
     force = {"force_newton": (*shear_newton, normal_newton), "noise_newton": (math.nan, math.nan, 0.0006)}
     margin = {"slip_margin": math.nan, "slip_margin_std": math.nan}
-    place = {"site": site, "position_m": (0.0, 0.0), "systematic_newton": 0.012}
+    place = {"site": site, "position_m": (0.0, 0.0), "systematic_newton": (math.nan, math.nan, 0.012)}
     return example(Contact, **{**place, **force, **margin, **changes})
 
 

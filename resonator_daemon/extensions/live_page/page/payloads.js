@@ -61,7 +61,7 @@ function contact(value) {
     covariance: vector(payload.position_covariance_m2, 3),
     force: vector(payload.force_newton, 3),
     noise: vector(payload.noise_newton, 3),
-    systematic: number([payload.systematic_newton].flat().at(-1)), // of a skin: x, y, z
+    systematic: number(payload.systematic_newton?.[2]),
     atLeast: number(payload.at_least_newton),
     moment: payload.moment_newton_m ? vector(payload.moment_newton_m, 3) : null,
     momentStd: vector(payload.moment_std_newton_m, 3),
