@@ -47,7 +47,7 @@ _CHANGES: Final[dict[str, tuple[bool | None, Change]]] = {  # by key: whether of
 
 def with_world(plate: Plate, spec: str) -> Plate:
     """Return a plate as it is in an emulator's world, such as `depth=1.05,modulus=0.95`; ValueError for another key."""
-    table = plate.model_dump(exclude_unset=True)
+    table = plate.model_dump(mode="json", exclude_unset=True)
     for entry in filter(None, spec.split(",")):
         key, _, text = entry.partition("=")
         if key not in _CHANGES:

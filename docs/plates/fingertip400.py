@@ -41,6 +41,11 @@ frame_rate_hz = 100
 youngs_modulus_pascal = 2e5
 poisson_ratio = 0.5
 depth_mm = 1.0
+gain_std = 0.01                               # of each signal by itself
+depth_std_mm = 0.05                           # this and what follows as made; `resonatord calibrate skin` finds better
+modulus_std_pascal = 1e4
+gain_std_common = 0.05
+position_std_mm = 0.02
 """
 
 

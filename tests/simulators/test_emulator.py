@@ -176,6 +176,8 @@ def test_a_reader_that_pauses_gets_all_lines_and_one_that_sleeps_only_whole_ones
 
 def test_a_world_changes_the_plate_and_not_its_name() -> None:
     skin = with_world(load_plate("skin32"), "depth=1.05,modulus=0.95,poisson=0.45,gain=1.05")
+    comb = with_world(load_plate("comb16"), "k=2").tones.sensitivity
     assert (skin.required_skin.depth_mm, skin.tones.sensitivity[0, 0]) == pytest.approx((1.05, -2.1e-11))
+    assert comb == pytest.approx(2.0 * load_plate("comb16").tones.sensitivity)
     with pytest.raises(ValueError, match="depth"):
         with_world(load_plate("quartz16"), "f0=2e-6,depth=1.05")
