@@ -81,9 +81,8 @@ async def test_the_guides_work_in_turn(shell: Shell, tmp_path: Path) -> None:
     await shell.run(["watch"])
     left_out += await work_through("monitor")
     recording = json.loads(await request("start_recording"))["file"]
-    await asyncio.sleep(2)  # of frames before the mark, which the guides begin after
+    await asyncio.sleep(1.2)  # of frames before the mark, which the guides begin after
     await request("mark", "text=lifted")
-    await asyncio.sleep(3)
     await request("stop_recording")
     (tmp_path / "recordings").mkdir()
     for name in ("run", "before", "after", "recordings/run"):

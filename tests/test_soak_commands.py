@@ -12,14 +12,14 @@ BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 @pytest.mark.parametrize(
     "command",
     [
-        "kills.py hang-ups --count 2",
-        "kills.py orders --count 2",
-        "kills.py recorders --count 3",
+        "kills.py hang-ups --count 1",
+        "kills.py orders --count 1",
+        "kills.py recorders --count 1",
         "power_failure.py --seconds 0 --moments 10",
         "year.py --days 2 --seed 3",
-        "wire_accounts.py 40000",
+        "wire_accounts.py 10000",
         "fuzz.py wire --inputs 2000",
-        "fuzz.py commands --inputs 20000",
+        "fuzz.py commands --inputs 5000",
     ],
 )
 def test_a_short_run_of_each_command_meets_its_requirements(command: str) -> None:

@@ -9,11 +9,16 @@ from brokers import Amqtt, Mosquitto
 from observer import Observer, observe
 from service_bench import Bench
 
-from resonator_daemon.mqtt import asyncapi
+from resonator_daemon.mqtt import asyncapi, daemon_state
 
 STATE = "resonator/hand/state/daemon"
 OTHER = "another daemon (boot id {})"
 SLOW = ("window_ms = 50", "step_ms = 50")  # two daemons, a broker and an observer of everything share this process
+
+
+@pytest.fixture(autouse=True)
+def _restored_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(daemon_state, "RESTORE_S", 2.0)
 
 
 def said_by(observer: Observer, boot_id: str) -> str:

@@ -1,6 +1,7 @@
 """One connection to a broker: paho-mqtt in an asyncio event loop, with non-waiting writes and exact counts."""
 
 import asyncio
+import concurrent.futures.thread  # noqa: F401 - imported in a thread during a fork elsewhere, its lock fails
 import contextlib
 import socket
 import ssl

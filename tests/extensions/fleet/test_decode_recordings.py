@@ -31,7 +31,7 @@ from resonator_daemon.tools.replay.recorded_pipeline import open_replay
 CORPUS = Path(__file__).parents[2] / "corpus"
 FILE = "recording.mcap"
 CASES = CORPUS / "touches" / FILE, CORPUS / "slide" / FILE
-UNDAMAGED = "touches", "two-touches", "slide", "comb", "warm-finger", "pressed-at-start", "overload"
+UNDAMAGED = *(FEW := ("touches", "two-touches", "slide")), "comb", "warm-finger", "pressed-at-start", "overload"
 PRESSES = 3  # each is followed by more than the 40 untouched frames that a chunk begins with
 PRESS = """
 period_s = 7.0
@@ -128,7 +128,7 @@ def kill_workers(output: Path, done: threading.Event, chances: random.Random, ki
 
 @pytest.mark.parametrize(("source", "kills"), [("corpus", 2), pytest.param("skin", 20, marks=pytest.mark.soak)])
 def test_killed_workers_change_nothing(source: str, kills: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:
-    recordings = [request.getfixturevalue("skin")] if source == "skin" else [CORPUS / case / FILE for case in UNDAMAGED]
+    recordings = [request.getfixturevalue("skin")] if source == "skin" else [CORPUS / case / FILE for case in FEW]
     arguments = [*recordings, "--chunk-seconds", 6.5]
     assert decode(*arguments, "--output", tmp_path / "undisturbed") == 0
     chances, killed = random.Random(1), list[int]()
