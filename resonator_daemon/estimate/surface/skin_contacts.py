@@ -26,6 +26,7 @@ _LEAST_REACH_M = 1e-3  # that a patch may move between frames; else its radius
 _ONSET_FRAMES = 2  # in a row: a patch of one frame may be noise
 _SIGNIFICANCE = 6.0  # standard deviations of the normal force at onset
 RADIUS_SHARE = 0.5  # of the sites' extent: contacts are no larger
+_NOISE_CHANGE = 0.05  # relative, of a signal's standard deviation: a fit with other weights starts anew
 _FRICTION_STD = 0.03  # relative, of a coefficient that is given: friction changes, and models are wrong
 _FRICTION_KNOWN = 0.1  # relative standard deviation at which an estimate begins to bound shear
 
@@ -179,6 +180,7 @@ class SkinContacts:
         sites_m = skin.site_positions_m
         self._skin = skin
         self._noise_std = noise_std
+        self._frame_noise_std = noise_std  # gain errors included
         self._gain_std = skin.gain_std
         self._curvature = 4.0 / 3.0 * skin.half_space.youngs_modulus_pascal / (1.0 - skin.half_space.poisson_ratio**2)
         radius_max_m = RADIUS_SHARE * float(np.ptp(sites_m, axis=0).max())
@@ -255,11 +257,14 @@ class SkinContacts:
         return curvature_m, curvature_m * math.sqrt(relative @ slip.covariance[np.ix_(places, places)] @ relative)
 
     def _noise_of(self, signals: Floats) -> Floats:
-        """Noise and gain errors of a frame, (3, n)."""
+        """Noise and gain errors of a frame, (3, n); that of a frame before while it is about the same."""
         if not self._gain_std:
             return self._noise_std
         sound = np.where(np.abs(signals) <= SIGNAL_LIMIT, signals, 0.0)
-        return np.hypot(self._noise_std, self._gain_std * sound)
+        noise_std = np.hypot(self._noise_std, self._gain_std * sound)
+        if np.abs(noise_std / self._frame_noise_std - 1.0).max() > _NOISE_CHANGE:
+            self._frame_noise_std = noise_std
+        return self._frame_noise_std
 
     def _follow(self, contacts: Mapping[int, SkinContact]) -> list[SkinEvent]:
         """Onsets and releases; tracks whose patch is no longer tracked end."""
