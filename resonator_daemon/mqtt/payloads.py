@@ -483,6 +483,7 @@ class Health(BoardHeader):
     frames_not_decoded: int = Field(
         description="skipped by the decoder; `decoder` has them by cause, and those that came before it was ready"
     )
+    sites_suspect: int = Field(0, description="sites whose signals contradict those of all others")
     records_unusable: dict[str, int] = Field(description="readings that gave no frequency, by cause")
     packets_ignored: dict[str, int] = Field(
         description="undamaged packets without use, by cause: from before a reset, malformed, of unknown type, lines "

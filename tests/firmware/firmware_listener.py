@@ -1,22 +1,12 @@
 """A reader of the board program, with its arrivals by kind."""
 
-from listener import DEADLINE_S, Listener, check_bytes, check_indices
+from listener import Listener, check_bytes, check_indices
 
-from resonator_daemon.board.session.frames import BoardOnline, Gap, SingleToneFrame
-
-__all__ = ["DEADLINE_S", "FirmwareListener"]
+from resonator_daemon.board.session.frames import BoardOnline
 
 
 class FirmwareListener(Listener):
     """Arrivals in order."""
-
-    @property
-    def frames(self) -> list[SingleToneFrame]:
-        return [arrival for arrival in self.arrivals if isinstance(arrival, SingleToneFrame)]
-
-    @property
-    def gaps(self) -> list[Gap]:
-        return [arrival for arrival in self.arrivals if isinstance(arrival, Gap)]
 
     @property
     def boards(self) -> list[BoardOnline]:

@@ -11,7 +11,7 @@ import tty
 from collections.abc import Callable
 from typing import Any, Self
 
-from firmware_listener import DEADLINE_S
+from listener import DEADLINE_S
 
 from firmware_protocol.host import Described, HostEvent, HostSession, Started
 from firmware_protocol.messages import Configuration

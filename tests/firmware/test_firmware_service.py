@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 import aiomqtt
 import pytest
-from firmware_listener import DEADLINE_S
+from listener import DEADLINE_S
 from switch import Switch
 
 from resonator_daemon.board.links.carriers.tcp import TcpTarget

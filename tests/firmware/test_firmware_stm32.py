@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 import qemu_board
-from firmware_listener import DEADLINE_S
 from firmware_wire_host import ASK_AGAIN_S
+from listener import DEADLINE_S
 
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.packets import encode_packet

@@ -3,8 +3,8 @@
 import time
 
 import pytest
-from firmware_listener import DEADLINE_S
 from firmware_wire_host import WireHost
+from listener import DEADLINE_S
 from switch import Switch
 
 from firmware_protocol.host import Described, Frame, Located, Pong

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
-from listener import check_indices
+from listener import Arrivals, check_indices
 
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.host import Described
@@ -17,7 +17,7 @@ from resonator_daemon.board.session.compatibility import gate_ticks
 from resonator_daemon.board.session.connection import Connection
 from resonator_daemon.board.session.frame_numbers import FrameNumbering
 from resonator_daemon.board.session.frame_queue import FrameQueue
-from resonator_daemon.board.session.frames import Arrival, Gap, LinkChange, LinkCounters, SingleToneFrame
+from resonator_daemon.board.session.frames import LinkCounters
 from resonator_daemon.board.session.link_state import LinkState
 
 PLATE = load_plate("quartz16")
@@ -85,7 +85,7 @@ class SimulatedBoard:
         return out
 
 
-class Bench:
+class Bench(Arrivals):
     """One daemon's end over any number of connections, and the time."""
 
     def __init__(self, board: SimulatedBoard, delay_ns: int = 0, step_ns: int = STEP_NS, plate: Plate = PLATE) -> None:
@@ -100,7 +100,7 @@ class Bench:
         self.total = LinkCounters()
         self.state = LinkState(self.queue.put)
         self.known: Described | None = None
-        self.arrivals: list[Arrival] = []
+        self.arrivals = []
         self.load = NO_LOAD  # of the host
         self.connection: Connection
         self.open()
@@ -145,22 +145,6 @@ class Bench:
         counters = self.total.copy()
         self.connection.add_to(counters)
         return counters
-
-    @property
-    def frames(self) -> list[SingleToneFrame]:
-        return [arrival for arrival in self.arrivals if isinstance(arrival, SingleToneFrame)]
-
-    @property
-    def gaps(self) -> list[Gap]:
-        return [arrival for arrival in self.arrivals if isinstance(arrival, Gap)]
-
-    @property
-    def changes(self) -> list[LinkChange]:
-        return [arrival for arrival in self.arrivals if isinstance(arrival, LinkChange)]
-
-    @property
-    def states(self) -> list[tuple[str, str]]:
-        return [(change.state, change.reason.code) for change in self.changes]
 
     def check_indices(self) -> None:
         check_indices(self.arrivals)

@@ -21,14 +21,36 @@ QUARTZ = load_plate("quartz16")
 DEADLINE_S = 60.0  # far beyond what any of this takes: it ends a test that hangs
 
 
-class Listener:
+class Arrivals:
+    """What a reader of a board has handed on, by kind."""
+
+    arrivals: list[Arrival]
+
+    @property
+    def frames(self) -> list[SingleToneFrame]:
+        return [arrival for arrival in self.arrivals if isinstance(arrival, SingleToneFrame)]
+
+    @property
+    def gaps(self) -> list[Gap]:
+        return [arrival for arrival in self.arrivals if isinstance(arrival, Gap)]
+
+    @property
+    def changes(self) -> list[LinkChange]:
+        return [arrival for arrival in self.arrivals if isinstance(arrival, LinkChange)]
+
+    @property
+    def states(self) -> list[tuple[str, str]]:
+        return [(change.state, change.reason.code) for change in self.changes]
+
+
+class Listener(Arrivals):
     """A running reader and everything that it has handed on."""
 
     def __init__(self, link: LinkTarget, plate: object = QUARTZ, **options: object) -> None:
         self._woken = threading.Event()
         self.wakes = 0
         self.reader = BoardReader(link, plate, self._wake, **options)  # type: ignore[arg-type]
-        self.arrivals: list[Arrival] = []
+        self.arrivals = []
 
     def __enter__(self) -> "Listener":
         self.reader.start()
@@ -56,10 +78,6 @@ class Listener:
 
     def wait_for_frames(self, count: int) -> None:
         self.wait_for(lambda arrivals: len(frames(arrivals)) >= count)
-
-    @property
-    def states(self) -> list[tuple[str, str]]:
-        return [(a.state, a.reason.code) for a in self.arrivals if isinstance(a, LinkChange)]
 
 
 def frames(arrivals: list[Arrival]) -> list[SingleToneFrame | ChannelisedFrame]:

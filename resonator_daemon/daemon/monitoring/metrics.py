@@ -76,6 +76,7 @@ _OF_HEALTH: Final = (
     _Row("decoder_restarts_total", "Of the decoder process", lambda h: h.decoder and h.decoder.restarts, "cause"),
     _Row("decoder_cpu_ratio", "Processor time", lambda h: h.decoder and h.decoder.cpu_percent / 100),
     _Row("decoder_resident_memory_bytes", "Memory", lambda h: h.decoder and h.decoder.rss_mb * 1e6),
+    _Row("sites_suspect", "Sites whose signals contradict those of all others", lambda h: h.sites_suspect),
     _Row("records_unusable_total", "Readings that gave no frequency", lambda h: h.records_unusable, "cause"),
     _Row("packets_ignored_total", "Packets that led to nothing", lambda h: h.packets_ignored, "cause"),
     _Row("link_bytes_total", "Bytes from the board by what became of them", lambda h: _bytes(h), "fate"),

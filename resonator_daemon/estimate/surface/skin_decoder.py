@@ -13,6 +13,7 @@ from resonator_daemon.estimate.surface.fourier.decoder import FourierDecoder
 from resonator_daemon.estimate.surface.layout import as_grid, cell_areas_m2
 from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.estimate.surface.patches import Patch, PatchFinder
+from resonator_daemon.estimate.surface.site_check import SiteCheck
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin, refuse_undecodable
 from resonator_daemon.estimate.surface.skin_contacts import SkinContact, SkinContacts, SkinEvent
 
@@ -89,6 +90,8 @@ class SkinDecoder:
         Of the places of the map, (ny, nx) or (n,).
     contacts
         That are followed.
+    sites
+        Checks of the sites; None where the method has none.
     """
 
     def __init__(
@@ -101,6 +104,7 @@ class SkinDecoder:
         self.name: str = options.method
         self.shape: tuple[int, ...] = grid.shape if grid else (len(sites_m),)
         self._physics: ContactDecoder | None = None
+        self.sites: SiteCheck | None = None
         self._linear: OpenPlaneDecoder | FourierDecoder
         progress(f"{options.method} decoder of {len(sites_m)} sites")
         body, depth_m, prior = skin.half_space, skin.depth_m, skin.prior
@@ -109,6 +113,7 @@ class SkinDecoder:
             self._linear = FourierDecoder(body, grid.shape, grid.pitch_x_m, depth_m, noise, prior=prior)
         else:
             self._linear = OpenPlaneDecoder(body, sites_m, depth_m, noise_std, gain_std=skin.gain_std, prior=prior)
+            self.sites = SiteCheck(self._linear)
             if options.contact_physics:
                 progress("contact physics")
                 coefficient = options.friction_coefficient
@@ -118,7 +123,7 @@ class SkinDecoder:
         self._finder = PatchFinder(sites_m, cell_areas_m2(sites_m), depth_m)
         progress("contact shapes")
         self.contacts = SkinContacts(skin, noise_std, options.friction_coefficient)
-        self._frame = np.full(noise_std.shape, np.nan)
+        self._frame = self._whole_frame = np.full(noise_std.shape, np.nan)
 
     def fits(self, noise_std: Floats) -> bool:
         """Return whether the decoder still serves signals of such noise, (3, n); silent channels are ignored."""
@@ -139,6 +144,8 @@ class SkinDecoder:
         if self._physics is not None:
             self._physics.reset()
             self._physics.friction_estimate = None
+        if self.sites is not None:
+            self.sites.failed.clear()
         self.contacts.start_cold()
 
     def number_from(self, last_contact_id: int) -> None:
@@ -148,6 +155,8 @@ class SkinDecoder:
     def succeed(self, other: "SkinDecoder") -> tuple[SkinEvent, ...]:
         """Replace another decoder: return the releases of its contacts, and continue its numbers."""
         self.number_from(other.contacts.tracker.last_id)
+        if self.sites is not None and other.sites is not None:
+            self.sites.failed = other.sites.failed
         return other.reset(Reason(ReasonCode.DECODER_RESET, "the decoder was set up again, for another noise"))
 
     def decode(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
@@ -157,10 +166,13 @@ class SkinDecoder:
     def decode_map(self, signals: Floats, noise_std: Floats) -> Decoded:
         """Read the map of a frame, both arrays (3, n); `read_contacts`, which takes as long again, is to follow.
 
-        What is far noisier than usual, or of unknown noise, counts as lost.
+        What is far noisier than usual, or of unknown noise, counts as lost; so do sites that fail for long.
         """
         sound = noise_std < self._noisy
-        self._frame = signals if sound.all() else np.where(sound, signals, np.nan)
+        self._frame = self._whole_frame = signals if sound.all() else np.where(sound, signals, np.nan)
+        if self.sites is not None and (excluded := self.sites.excluded):
+            self._frame = self._whole_frame.copy()
+            self._frame[:, excluded] = np.nan
         decoder = self._physics or self._linear
         return decoder.decode(self._frame.reshape(3, *self.shape), displacement=self._displacement)
 
@@ -174,6 +186,16 @@ class SkinDecoder:
         if self._physics is not None:
             self._physics.friction_estimate = self.contacts.friction_estimate
         return reading
+
+    def check_sites(self) -> None:
+        """Check the sites by the frame that was decoded last, in which something presses them."""
+        if self.sites is not None:
+            self.sites.check(self._whole_frame)
+
+    @property
+    def suspects(self) -> tuple[int, ...]:
+        """Indices of the sites that fail."""
+        return () if self.sites is None else self.sites.suspects
 
     def rebuild(self) -> bool:
         """Update matrices if a contact has moved, and return whether; it may run in another thread than `decode`."""

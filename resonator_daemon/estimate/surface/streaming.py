@@ -117,6 +117,15 @@ class StreamingDecoder:
         if self._decoder is not None:
             self._decoder.start_cold()
 
+    def check_sites(self) -> None:
+        """Check the sites by the frame that was decoded last, in which something presses them."""
+        self._present.check_sites()
+
+    @property
+    def suspects(self) -> tuple[int, ...]:
+        """Indices of the sites that fail."""
+        return self._present.suspects
+
     def rebuild(self) -> bool:
         """Update matrices if a contact has moved, and return whether; with `DecodingOptions.background`, call it."""
         try:

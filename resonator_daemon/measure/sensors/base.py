@@ -168,6 +168,11 @@ class Sensor(ABC, Generic[Reading]):
         """Number of messages that decoding was too slow for."""
         return 0
 
+    @property
+    def sites_suspect(self) -> int:
+        """Number of sites whose signals contradict those of all others."""
+        return 0
+
     async def run(self) -> None:
         """Decode until cancelled; return at once if nothing is decoded."""
 

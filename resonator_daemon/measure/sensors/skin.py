@@ -195,6 +195,10 @@ class SkinSensor(Sensor[SkinReading]):
     def skipped_late(self) -> int:
         return len(_SURFACE) * self._decoding.frames_late if self._decoding is not None else 0
 
+    @property
+    def sites_suspect(self) -> int:
+        return len(self._decoding.suspects) if self._decoding is not None else 0
+
     async def run(self) -> None:
         if self._decoding is not None:
             await self._decoding.run()

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Final, Generic, Literal, Protocol, TypeVar
 
-from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.base.reasons import Reason, ReasonCode, joined
 from resonator_daemon.measure.sensors.surface_worker import (
     EndContacts,
     Reply,
@@ -79,6 +79,8 @@ class SurfaceDecoding(ABC, Generic[Origin]):
         Number of frames that were not decoded, by cause.
     last_contact_id
         The highest number of a contact so far.
+    suspects
+        Numbers of the sites that fail.
     """
 
     def __init__(self, settings: SurfaceSettings, client: SurfaceClient[Origin], name: str = "skin") -> None:
@@ -95,6 +97,8 @@ class SurfaceDecoding(ABC, Generic[Origin]):
         self._interruption: Reason | None = None
         self._undecodable = False
         self._is_contradicted = False
+        self.suspects: tuple[int, ...] = ()
+        self._found_wrong: Reason | None = None  # as announced
         self.decoded = 0
         self.skipped: Counter[Skipped] = Counter()
         self.last_contact_id = settings.last_contact_id
@@ -201,7 +205,7 @@ class SurfaceDecoding(ABC, Generic[Origin]):
         log.info("decoder of %s %s", self._name, f"is being set up: {step}" if step else "is ready")
         if not step:
             self._ready_ns = time.monotonic_ns()
-            self._client.announce(None)
+            self._client.announce(self._found_wrong)
             return
         if self._ready_ns is not None:  # set up again while it runs
             self._ready_ns, self._until_ready = None, "not_ready"
@@ -223,23 +227,27 @@ class SurfaceDecoding(ABC, Generic[Origin]):
             self._client.deliver(origin, topic, message)
         if results.present is not None:
             self._contacts = results.present
-            self._announce_fits(results.present)
+            self.suspects = results.suspects
+            self._announce_errors(results.present, results.suspects)
         if results.outcome == "no_noise":
             self._skip_present("no_noise")
         elif results.outcome == "too_old":
             self._skip(self._present_offered_ns, "too_old")
             self._present = None
 
-    def _announce_fits(self, contacts: Sequence[EventContact]) -> None:
-        """Report that the signals contradict the model of a contact, until they do not for as long as one lasts."""
+    def _announce_errors(self, contacts: Sequence[EventContact], suspects: Sequence[int]) -> None:
+        """Report sites that fail, and signals that contradict a contact's model, until one lasts that they do not."""
         contradicted = any(contact.reason_code is ReasonCode.FIT_CONTRADICTED for contact in contacts)
-        if contradicted == self._is_contradicted or not any(
-            contradicted or contact.duration_s > _FITS_S for contact in contacts
-        ):
-            return
-        self._is_contradicted = contradicted
+        if contradicted or any(contact.duration_s > _FITS_S for contact in contacts):
+            self._is_contradicted = contradicted
         text = "the signals contradict the model of a contact, so that its errors are larger than stated"
-        self._client.announce(Reason(ReasonCode.FIT_CONTRADICTED, text) if contradicted else None)
+        fit = Reason(ReasonCode.FIT_CONTRADICTED, text) if self._is_contradicted else None
+        sites = f"{'sites' if len(suspects) > 1 else 'site'} {', '.join(map(str, suspects))}"
+        text = f"{sites}: the signals differ from what those of all other sites predict"
+        wrong = joined(Reason(ReasonCode.SENSOR_SUSPECT, text) if suspects else None, fit)
+        if wrong != self._found_wrong:
+            self._found_wrong = wrong
+            self._client.announce(wrong)
 
 
 class SequentialDecoding(SurfaceDecoding[Origin]):

@@ -21,6 +21,8 @@ from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, DECODED, DECOD
 
 _PAUSE: Final = 2.4  # between rebuilds, times as long as one took: rebuilds take at most 30 % of a core
 
+_CHECK_NS: Final = 500_000_000  # between two checks of the sites while something presses them
+
 Outcome = Literal["ready", "decoded", "too_old", "no_noise"]
 
 
@@ -134,11 +136,14 @@ class Results:
     outcome
     present
         The contacts between onset and release after these messages; None if they are the same as before.
+    suspects
+        Numbers of the sites that fail.
     """
 
     messages: tuple[tuple[str, Message | Encoded], ...]
     outcome: Outcome | None
     present: tuple[EventContact, ...] | None = None
+    suspects: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -176,6 +181,7 @@ class SurfaceWorker:
             settings.skin, settings.options, lambda step: send(SetUpStep(step)), settings.last_contact_id
         )
         self._reporter = settings.messages()
+        self._checked_ns = 0  # time of the frame by which sites were checked last; 0 without a contact
         self._rebuild_from_ns = 0  # monotonic time from which the next rebuild may begin
 
     def serve(self, request: Request) -> None:
@@ -214,7 +220,9 @@ class SurfaceWorker:
             (DECODED_SUMMARY.path, reporter.summary(header, surface)),
             (CONTACTS.path, reporter.contacts(contacts_header, surface)),
         )
-        self._send(Results(messages, "decoded", tuple(reporter.present.values())))
+        self._check_sites(header["t_ns"] if surface.contacts else 0)
+        suspects = tuple(self._settings.site_ids[list(self._decoder.suspects)].tolist())
+        self._send(Results(messages, "decoded", tuple(reporter.present.values()), suspects))
 
     def _end_contacts(self, request: EndContacts) -> None:
         surface, header, reporter = self._decoder.end_contacts(request.reason), request.header, self._reporter
@@ -225,6 +233,13 @@ class SurfaceWorker:
             messages += [(CONTACT_EVENT.path, reporter.event(header, event)) for event in surface.events]
             messages.append((CONTACTS.path, reporter.contacts(header, surface)))
         self._send(Results(tuple(messages), "ready", ()))
+
+    def _check_sites(self, t_ns: int) -> None:
+        if t_ns == 0 or self._checked_ns == 0:
+            self._checked_ns = t_ns
+        elif abs(t_ns - self._checked_ns) >= _CHECK_NS:
+            self._checked_ns = t_ns
+            self._decoder.check_sites()
 
     def _rebuild(self) -> None:
         began_ns = time.monotonic_ns()

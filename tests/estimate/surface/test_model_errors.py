@@ -19,6 +19,7 @@ from simulators.half_space_fields import hertz_fields
 FORCE_NEWTON, CENTRE_M = (0.15, -0.1, 1.0), (3e-4, -2e-4)
 MARGIN = 1.0 - np.hypot(0.15, 0.1) / FRICTION
 OFF = 0.05
+SITE = int(np.hypot(*(SITES_M - CENTRE_M).T).argmin())
 RESET = Reason(ReasonCode.DECODER_RESET, "of a test")
 
 
@@ -95,3 +96,14 @@ def test_systematic_deviations_cover_what_is_off(off: dict[str, Any], stated: di
     assert known.sum() >= 6
     assert (np.abs(error) < 2.0 * total)[known].all()
     assert (np.abs(error) > 2.0 * np.array(noise)).any() or "position_m" in off  # which the noise alone does not cover
+
+
+@pytest.mark.parametrize(("factor", "gain_std", "found"), [(1, 0, ()), (0, 0, (SITE,)), (0.8, 0, (SITE,)), (0, 9, ())])
+def test_a_site_that_fails_is_suspect_and_then_not_used(factor: float, gain_std: float, found: tuple[int, ...]) -> None:
+    clean = signals() * np.where(np.arange(len(SITES_M)) == SITE, factor, 1.0)
+    decoder = decoder_of(replace(SKIN, gain_std=0.1 * gain_std))
+    for checks in range(21):
+        assert decoder.suspects == (found if checks >= 2 else ())
+        last = decoder.decode(noisy(clean, np.random.default_rng(checks), NOISE), NOISE).decoded
+        decoder.check_sites()
+    assert (last.reason_code == "signals_lost") is bool(found)

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import psutil
 import pytest
-from decoder_bench import SITES, until
+from decoder_bench import SITES, pressed, until
 from surface_bench import NOTHING, SKIN, Client, frame
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
@@ -33,6 +33,16 @@ async def test_frames_become_messages_of_their_topics_under_their_own_numbers() 
     (onset,) = client.events
     assert (onset.event, onset.contact.id, onset.decoder_id) == ("onset", 1, "host-1")
     assert [contact.id for contact in client.on("contacts")[-2].contacts] == [1]
+
+
+async def test_a_site_that_fails_is_announced_until_a_load_shows_that_it_is_sound() -> None:
+    client, failing = Client(), pressed(0)
+    failing[:, 66] = 0.0  # under the contact
+    async with client.running(), asyncio.timeout(120):
+        for values, suspects, code in ((failing, (166,), "sensor_suspect"), (pressed(0), (), None)):
+            while client.supervisor.suspects != suspects or not client.events:
+                await client.read(values)
+            assert getattr(client.announced[-1], "code", None) == code
 
 
 async def test_frames_wait_in_order_and_of_those_that_wait_too_long_the_newest_is_decoded(

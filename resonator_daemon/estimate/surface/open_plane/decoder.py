@@ -221,8 +221,14 @@ class OpenPlaneDecoder:
 
         A healthy site stays within 5. A dead one or a wrong gain shows where a load is near; NaN for lost signals.
         """
+        return self.expected(signals)[0]
+
+    def expected(self, signals: ArrayLike) -> tuple[Floats, Floats]:
+        """Return `anomaly_scores`, and what all others predict of each signal in the same standard deviations."""
         frames, _, _ = self._frames(signals)
-        return np.array([self._map.anomaly_scores(frame) for frame in frames]).reshape(np.shape(signals))
+        both = np.array([self._map.anomaly_scores(frame) for frame in frames])
+        scores, expected = np.moveaxis(both, 1, 0).reshape(2, *np.shape(signals))
+        return scores, expected
 
     def _frames(self, signals: ArrayLike) -> tuple[Floats, tuple[int, ...], tuple[int, ...]]:
         """Return the frames (k, 3 n), the leading axes, and the shape of a frame's surface arrays."""

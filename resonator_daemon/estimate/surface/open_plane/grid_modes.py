@@ -115,6 +115,7 @@ class GridModes(Modes):
     """Eigenmodes in bases that serve up to a level."""
 
     traction: _Synthesis
+    signals: _Synthesis
 
     def __init__(self, covariance: GridCovariance, level: Level) -> None:
         self._grid = covariance.grid
@@ -143,6 +144,7 @@ class GridModes(Modes):
         self.traction = _Synthesis(bases["traction"], surface["traction"])
         self.pressure = _Synthesis(bases["traction"], surface["traction"], (2,))
         self.displacement = _Synthesis(bases["displacement"], surface["displacement"])
+        self.signals = _Synthesis(bases["sensor"], rotations)
         self._x = np.ascontiguousarray(self._sensor.x.T, np.float32)
         self._y = np.ascontiguousarray(self._sensor.y, np.float32)
         self._to_modes = np.ascontiguousarray(self._rotation.swapaxes(1, 2), np.float32)
@@ -154,15 +156,21 @@ class GridModes(Modes):
         return modes
 
     def explained_variance(self, scales: Floats) -> Floats:
+        return self._squares(self.traction, scales[:, None] ** 2 / (scales[:, None] * self.eigenvalues + 1.0))
+
+    def explained_signals(self, weights: Floats) -> Floats:
+        return self._squares(self.signals, weights[None]).ravel()
+
+    def _squares(self, synthesis: _Synthesis, weights: Floats) -> Floats:
+        """Return the sums of the squares of a field's modes with weights (k, r), (k, 3 ny nx)."""
         ny, nx = self._grid.shape
-        gain = scales[:, None] ** 2 / (scales[:, None] * self.eigenvalues + 1.0)
         of_class = [
-            np.tensordot(gains, self.traction.quarter(index) ** 2, (1, 0))
-            for index, gains in enumerate(np.split(gain, len(CLASSES), axis=1))
+            np.tensordot(some, synthesis.quarter(index) ** 2, (1, 0))
+            for index, some in enumerate(np.split(weights, len(CLASSES), axis=1))
         ]
         quarter = np.sum(of_class, axis=0)  # parity gives the rest
         y, x = (np.minimum(np.arange(count), np.arange(count)[::-1]) for count in (ny, nx))
-        return np.asarray(quarter[..., y[:, None], x], np.float64).reshape(scales.size, -1)
+        return np.asarray(quarter[..., y[:, None], x], np.float64).reshape(len(weights), -1)
 
     def rows(self, signals: Indices) -> Floats:
         channel, y, x = np.unravel_index(signals, (3, *self._grid.shape))

@@ -166,6 +166,7 @@ class LinearMap:
     ) -> None:
         self._mode_sets = mode_sets
         self._whiten = (1.0 / noise_std).astype(np.float32)
+        self._gain_std = gain_std
         self._gain_floor = (GAIN_FLOOR * gain_std) ** 2 / noise_std.size
         scales = mode_sets[-1].scale_grid.scales
         explained = mode_sets[-1].modes.explained_variance(scales)
@@ -213,22 +214,28 @@ class LinearMap:
         )
         return Estimate(*frame, choice.log_evidence, choice.chi2, "ok", lost, surface)
 
-    def anomaly_scores(self, signals: Floats) -> Floats:
-        """Residual of each signal against the prediction from all others, in its standard deviations, (3 n,)."""
+    def anomaly_scores(self, signals: Floats) -> tuple[Floats, Floats]:
+        """Return what each signal has beyond the prediction from all others, and that prediction, (3 n,).
+
+        Both are in standard deviations of the difference, gain errors included.
+        """
         whitened, known, energy = self._prepare(signals)
         if known is not None and known.mean() < KNOWN_LIMIT:
-            return np.full(whitened.size, np.nan)
+            return np.full(whitened.size, np.nan), np.full(whitened.size, np.nan)
         mode_set, choice, modes, predicted = self._choose(whitened, known, energy)
         if known is not None:
             whitened[~known] = predicted
         explained = mode_set.scale_grid.explained[choice.scale]
-        rows = mode_set.modes.rows(np.arange(whitened.size))
         key = mode_set.level, choice.scale
         if key not in self._inverse_diagonal:
-            self._inverse_diagonal[key] = 1.0 - (rows**2) @ explained
-        left = whitened - rows @ (explained * modes)
-        scores = left / np.sqrt(self._inverse_diagonal[key] * self._floor(energy))
-        return scores if known is None else np.where(known, scores, np.nan)
+            self._inverse_diagonal[key] = 1.0 - mode_set.modes.explained_signals(explained)
+        left = whitened - mode_set.modes.signals((explained * modes).astype(np.float32))
+        off = left / self._inverse_diagonal[key]
+        std = np.sqrt(1.0 / self._inverse_diagonal[key] + (self._gain_std * (whitened - off)) ** 2)
+        scores, expected = off / std, (whitened - off) / std
+        if known is not None:
+            scores[~known] = np.nan
+        return scores, expected
 
     def _prepare(self, signals: Floats) -> tuple[Singles, Bools | None, float]:
         """Whitened signals, lost ones 0; which are known, None where all are; their sum of squares."""

@@ -33,6 +33,7 @@ class Modes(ABC):
     traction: Transform  # F times modes: (r,) to (3 m,)
     pressure: Transform  # the same of f_z alone: (m,)
     displacement: Transform  # the same of the displacement
+    signals: Transform  # V times modes: (r,) to the whitened signals (3 n,)
 
     @abstractmethod
     def project(self, whitened: Singles) -> Singles:
@@ -41,6 +42,10 @@ class Modes(ABC):
     @abstractmethod
     def explained_variance(self, scales: Floats) -> Floats:
         """Variance of the traction that the signals explain, diagonal of q^2 F (q L + 1)^-1 F': (k,) to (k, 3 m)."""
+
+    @abstractmethod
+    def explained_signals(self, weights: Floats) -> Floats:
+        """Return the diagonal of V diag(weights) V': (r,) to (3 n,)."""
 
     @abstractmethod
     def rows(self, signals: Indices) -> Floats:
@@ -74,6 +79,7 @@ class DenseModes(Modes):
         self.traction = partial(_field, self._traction)
         self.pressure = partial(_field, self._traction[-len(self._traction) // 3 :])
         self.displacement = partial(_field, (displacement @ scaled).astype(np.float32))
+        self.signals = partial(_field, self._project.T)
 
     def project(self, whitened: Singles) -> Singles:
         return self._project @ whitened
@@ -81,6 +87,9 @@ class DenseModes(Modes):
     def explained_variance(self, scales: Floats) -> Floats:
         gain = scales[:, None] ** 2 / (scales[:, None] * self.eigenvalues + 1.0)
         return np.asarray(gain @ (self._traction.astype(np.float64) ** 2).T, np.float64)
+
+    def explained_signals(self, weights: Floats) -> Floats:
+        return np.asarray(self._vectors**2 @ weights, np.float64)
 
     def rows(self, signals: Indices) -> Floats:
         return self._vectors[signals]
