@@ -27,6 +27,12 @@ _REMEDIES: Final[Mapping[Any, str]] = {
     Condition.PRESSED_AT_START: "take everything off the plate: measuring begins once it is untouched",
     Condition.DRIFTING: "leave the plate untouched, away from heat and draughts, until its temperature is steady",
     Condition.UNCALIBRATED: sensor_checks.CALIBRATE,
+    ReasonCode.SENSOR_SUSPECT: "calibrate these sites again, or repair them; after 10 s of load they are not used",
+    ReasonCode.FIT_CONTRADICTED: (
+        "hold a ball still on several places. If each is contradicted, depth or modulus differ from the plate file: "
+        "resonatord calibrate skin --ball. If some are, sites fail there. If only a moving ball is, it moves too far "
+        "within a window. If only another object is, it is no ball, or touches in several places"
+    ),
 }
 
 
@@ -62,7 +68,8 @@ def _sensor(sensor: Mapping[str, Any], *, online: bool) -> Finding:
     if not online:
         return SENSOR.not_checked("no frames come")
     if state == Condition.ONLINE:
-        return SENSOR.ok(words)
+        wrong = _REMEDIES.get(sensor.get("reason_code"))
+        return SENSOR.warning(words, wrong) if wrong else SENSOR.ok(words)
     if state is None or state == Condition.STARTING:
         return SENSOR.not_checked(words if state else "the daemon has not reported it yet")
     return SENSOR.warning(words, remedy) if state in _WATCHED else SENSOR.fault(words, remedy)

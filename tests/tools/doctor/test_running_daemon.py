@@ -174,6 +174,7 @@ def test_a_daemon_that_is_well_has_nothing_wrong() -> None:
         ({"sensor": {"state": "pressed_at_start", "reason": "x"}}, "daemon.sensor", Outcome.FAULT),
         ({"sensor": {"state": "starting"}}, "daemon.sensor", Outcome.NOT_CHECKED),
         ({"sensor": {"state": "drifting"}}, "daemon.sensor", Outcome.WARNING),
+        ({"sensor": {"state": "online", "reason_code": "fit_contradicted"}}, "daemon.sensor", Outcome.WARNING),
         ({"health": None}, "link.errors", Outcome.NOT_CHECKED),
         ({"health": {"boots": [{"frames": 9_995, "lost": {"damaged": 5}}]}}, "link.errors", Outcome.WARNING),
         ({"health": {"boots": [{"frames": 9_980, "lost": {"link_gap": 20}}]}}, "link.errors", Outcome.FAULT),
