@@ -35,9 +35,11 @@ _COLD = 12  # iterations
 _WARM = 1  # iterations, and ...
 _WARM_MOST = 6  # ... how many where they are needed to explain the signals
 _MOVED = 1.5  # pixels, after which the other thread follows
-_STD_FACTOR = 0.8  # of the iteration's own standard deviation ...
-_SHAPE_ERROR = 0.034  # ... and of the traction, by pixels and smoothness: both to fit closed-form contacts
-_KNOWN_FRICTION = 0.87  # of both, where the friction coefficient is known
+# Errors of the traction shown, all to fit closed-form contacts.
+_STD_FACTOR = 0.75  # of the iteration's own standard deviation
+_SHAPE_ERROR = np.array([0.034, 0.034, 0.025], np.float32)  # by pixels and smoothness, of the traction there ...
+_RIM_ERROR = 0.02  # ... and of its peak, in f_z: at the rim of a contact
+_KNOWN_FRICTION = 0.9  # of all three, where the friction coefficient is known
 _PREPARING = Reason(
     ReasonCode.MATRICES_PENDING,
     "matrices of the contact are being prepared; the linear map cut to support and cone is shown",
@@ -289,7 +291,9 @@ class ContactDecoder:
         is_known = self._friction(self._hypothesis.bounds) < UNKNOWN_FRICTION
         factor = _KNOWN_FRICTION if is_known else 1.0
         size = np.linalg.norm(solved.traction, axis=0)
-        pixel_std = np.hypot(factor * _STD_FACTOR * noise_std * located.std_pascal, factor * _SHAPE_ERROR * size)
+        shape_error = np.outer(_SHAPE_ERROR, size)
+        shape_error[2] = np.hypot(shape_error[2], _RIM_ERROR * size.max(initial=0.0))
+        pixel_std = factor * np.hypot(_STD_FACTOR * noise_std * located.std_pascal, shape_error)
         std = solved.frame.surface.std()
         loaded = solved.inside[view.nearest]
         std[:, view.covered[loaded]] = pixel_std[:, view.nearest[loaded]]
