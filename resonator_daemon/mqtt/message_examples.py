@@ -61,7 +61,7 @@ _VALUES: Final[dict[str, Any]] = {
     "ContactEvent.reason": "below 0.01 N",
     "EventContact.force_newton": [None, None, 0.008],
     "DecodedSummary.decoder": "open-plane+contact",
-    "chi2": 1.02,
+    "FitQuality.chi2": 1.02,
     "area_m2": 1.9e-05,
     "area_std_m2": 4e-08,
     "radius_of_curvature_m": 0.0056,

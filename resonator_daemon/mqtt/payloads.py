@@ -274,7 +274,6 @@ class DecodedSummary(Measured):
     decoder: str = Field(
         description="what made the map: `open-plane` or `fourier`, with `+contact` where contact physics is on"
     )
-    chi2: Float = Field(description="about 1 if model and declared noise explain the signals")
     border_contact: bool = Field(description="the load reaches the border, where errors are larger")
     status: Status = Field(
         description="of the frame; `constraint_dropped`: the signals contradict contact physics, and `reason` states "

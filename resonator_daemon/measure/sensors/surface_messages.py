@@ -96,7 +96,6 @@ class SurfaceMessages:
         return DecodedSummary(
             **header,
             decoder=surface.decoder,
-            chi2=rounded_std(float(frame.chi2)),
             border_contact=bool(frame.border_contact),
             status=Status(str(frame.status)),
             reason_code=_code(frame),

@@ -147,7 +147,7 @@ def _figures(view: PlateView, now_utc_ns: int) -> str:
         parts.append(f"status {measured.status}" + (f" ({measured.reason})" if measured.reason else ""))
     if summary is not None:
         border = ", the contact reaches the border: expect errors there" if summary.border_contact else ""
-        parts.append(f"{summary.decoder} chi2 {quantity(summary.chi2, '.2f', '')}{border}")
+        parts.append(f"{summary.decoder}{border}")
     health = view.current(HEALTH, now_utc_ns)
     if view.lost is None:
         parts.append("losses unknown")

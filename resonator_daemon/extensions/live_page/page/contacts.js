@@ -63,7 +63,10 @@ export class ContactsPanel {
       rows.push(["Moment x, y, z", `${moment.map((value) => fixed(1e3 * value, 3)).join(", ")} mN m`]);
       rows.push(["± moment", `${momentStd.map((value) => fixed(1e3 * value, 3)).join(", ")} mN m`]);
     }
-    if (contact.hasSlip) rows.push(["Friction coefficient", plusMinus(contact.friction, contact.frictionStd, "")]);
+    if (contact.hasSlip) {
+      rows.push(["Friction coefficient", plusMinus(contact.friction, contact.frictionStd, "")]);
+      rows.push(["χ² of the fit", fixed(contact.chi2, 2)]);
+    }
     setRows(card.querySelector("dl"), rows);
     this.#fillGauge(card.querySelector(".gauge"), contact);
   }

@@ -70,6 +70,7 @@ function contact(value) {
     slipMarginStd: number(payload.slip_margin_std),
     friction: number(payload.friction_coefficient),
     frictionStd: number(payload.friction_coefficient_std),
+    chi2: number(payload.fit?.chi2),
     slipReason: text(payload.slip_reason_code),
     status: text(payload.status),
     reasonCode: text(payload.reason_code),
@@ -204,7 +205,6 @@ const READERS = {
   "decoded/summary": (payload) => ({
     ...header(payload),
     decoder: text(payload.decoder),
-    chi2: number(payload.chi2),
     atBorder: payload.border_contact === true,
     patches: list(payload.patches).map((value) => {
       const patch = object(value);

@@ -307,7 +307,7 @@ export class SurfacePanel {
     setText(this.root.querySelector(".layer-name"), name);
     setText(this.root.querySelector(".longest"), this.arrows.checked && this.hasContact ? `longest arrow ${pascals(this.longest)}` : "");
     const summary = model.newest("decoded/summary");
-    const parts = summary ? [summary.decoder, `χ² ${fixed(summary.chi2, 2)}`, summary.reason || summary.status] : [];
+    const parts = summary ? [summary.decoder, summary.reason || summary.status] : [];
     if (summary?.atBorder) parts.push("contact reaches the border: larger errors");
     setText(this.root.querySelector(".caption"), parts.filter(Boolean).join(" · ") || "No decoded map was published yet.");
     this.scene.canvas.setAttribute("aria-label", this.#summary(model, name, unit));
