@@ -28,7 +28,7 @@ export class PlatePanel {
     const size = info?.sites.length ?? 0;
     const parts = info ? [info.plate, `${size} ${info.skin ? "sites under a skin" : "force sites"}`, info.counter, info.product] : [];
     setText(this.caption, info ? parts.filter(Boolean).join(" · ") : "No description of this plate was published yet.");
-    this.identification.hidden = !info?.codes;
+    this.identification.hidden = !info || info.skin !== null; // sites under a skin are not identified by codes
     this.ladder.setInfo(info);
   }
 
