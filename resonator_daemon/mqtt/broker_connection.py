@@ -1,7 +1,7 @@
 """One connection to a broker: paho-mqtt in an asyncio event loop, with non-waiting writes and exact counts."""
 
 import asyncio
-import concurrent.futures.thread  # noqa: F401 - imported in a thread during a fork elsewhere, its lock fails
+import concurrent.futures.thread  # noqa: F401 - imported while another thread forks, its fork hooks release a lock twice
 import contextlib
 import socket
 import ssl

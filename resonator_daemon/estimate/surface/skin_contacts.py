@@ -203,8 +203,9 @@ class SkinContacts:
         return ended
 
     def start_cold(self) -> None:
-        """Discard what was estimated from the frames before: friction, and the scatter at rest."""
+        """Discard what was estimated from the frames before: friction, the scatter at rest, gain errors."""
         self.friction_estimate = None
+        self._frame_noise_std = self._noise_std
         self._rest = RestScatter()
 
     def update(
@@ -257,7 +258,10 @@ class SkinContacts:
         return curvature_m, curvature_m * math.sqrt(relative @ slip.covariance[np.ix_(places, places)] @ relative)
 
     def _noise_of(self, signals: Floats) -> Floats:
-        """Noise and gain errors of a frame, (3, n); that of a frame before while it is about the same."""
+        """Return the standard deviation of noise and gain errors, (3, n).
+
+        That of an earlier frame is kept until one changes by more than 5 %, so that the fit does not start anew.
+        """
         if not self._gain_std:
             return self._noise_std
         sound = np.where(np.abs(signals) <= SIGNAL_LIMIT, signals, 0.0)

@@ -90,8 +90,8 @@ class SkinDecoder:
         Of the places of the map, (ny, nx) or (n,).
     contacts
         That are followed.
-    sites
-        Checks of the sites; None where the method has none.
+    site_check
+        Detector of faulty sites; None for the method `fourier`.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class SkinDecoder:
         self.name: str = options.method
         self.shape: tuple[int, ...] = grid.shape if grid else (len(sites_m),)
         self._physics: ContactDecoder | None = None
-        self.sites: SiteCheck | None = None
+        self.site_check: SiteCheck | None = None
         self._linear: OpenPlaneDecoder | FourierDecoder
         progress(f"{options.method} decoder of {len(sites_m)} sites")
         body, depth_m, prior = skin.half_space, skin.depth_m, skin.prior
@@ -113,7 +113,7 @@ class SkinDecoder:
             self._linear = FourierDecoder(body, grid.shape, grid.pitch_x_m, depth_m, noise, prior=prior)
         else:
             self._linear = OpenPlaneDecoder(body, sites_m, depth_m, noise_std, gain_std=skin.gain_std, prior=prior)
-            self.sites = SiteCheck(self._linear)
+            self.site_check = SiteCheck(self._linear)
             if options.contact_physics:
                 progress("contact physics")
                 coefficient = options.friction_coefficient
@@ -123,7 +123,7 @@ class SkinDecoder:
         self._finder = PatchFinder(sites_m, cell_areas_m2(sites_m), depth_m)
         progress("contact shapes")
         self.contacts = SkinContacts(skin, noise_std, options.friction_coefficient)
-        self._frame = self._whole_frame = np.full(noise_std.shape, np.nan)
+        self._frame = self._frame_of_all_sites = np.full(noise_std.shape, np.nan)
 
     def fits(self, noise_std: Floats) -> bool:
         """Return whether the decoder still serves signals of such noise, (3, n); silent channels are ignored."""
@@ -138,14 +138,14 @@ class SkinDecoder:
         return self.contacts.reset(reason)
 
     def start_cold(self) -> None:
-        """Discard the frames before, and the friction that was estimated, unless a contact is followed."""
+        """Discard the frames before, what was estimated from them, and failed checks, unless a contact is followed."""
         if self.contacts.tracker.ids:
             return
         if self._physics is not None:
             self._physics.reset()
             self._physics.friction_estimate = None
-        if self.sites is not None:
-            self.sites.failed.clear()
+        if self.site_check is not None:
+            self.site_check.failed_checks.clear()
         self.contacts.start_cold()
 
     def number_from(self, last_contact_id: int) -> None:
@@ -155,8 +155,8 @@ class SkinDecoder:
     def succeed(self, other: "SkinDecoder") -> tuple[SkinEvent, ...]:
         """Replace another decoder: return the releases of its contacts, and continue its numbers."""
         self.number_from(other.contacts.tracker.last_id)
-        if self.sites is not None and other.sites is not None:
-            self.sites.failed = other.sites.failed
+        if self.site_check is not None and other.site_check is not None:
+            self.site_check.failed_checks = other.site_check.failed_checks
         return other.reset(Reason(ReasonCode.DECODER_RESET, "the decoder was set up again, for another noise"))
 
     def decode(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
@@ -166,12 +166,12 @@ class SkinDecoder:
     def decode_map(self, signals: Floats, noise_std: Floats) -> Decoded:
         """Read the map of a frame, both arrays (3, n); `read_contacts`, which takes as long again, is to follow.
 
-        What is far noisier than usual, or of unknown noise, counts as lost; so do sites that fail for long.
+        What is far noisier than usual, or of unknown noise, counts as lost; so do the sites that `site_check` excludes.
         """
         sound = noise_std < self._noisy
-        self._frame = self._whole_frame = signals if sound.all() else np.where(sound, signals, np.nan)
-        if self.sites is not None and (excluded := self.sites.excluded):
-            self._frame = self._whole_frame.copy()
+        self._frame = self._frame_of_all_sites = signals if sound.all() else np.where(sound, signals, np.nan)
+        if self.site_check is not None and (excluded := self.site_check.excluded):
+            self._frame = self._frame_of_all_sites.copy()
             self._frame[:, excluded] = np.nan
         decoder = self._physics or self._linear
         return decoder.decode(self._frame.reshape(3, *self.shape), displacement=self._displacement)
@@ -189,13 +189,13 @@ class SkinDecoder:
 
     def check_sites(self) -> None:
         """Check the sites by the frame that was decoded last, in which something presses them."""
-        if self.sites is not None:
-            self.sites.check(self._whole_frame)
+        if self.site_check is not None:
+            self.site_check.check(self._frame_of_all_sites)
 
     @property
     def suspects(self) -> tuple[int, ...]:
-        """Indices of the sites that fail."""
-        return () if self.sites is None else self.sites.suspects
+        """Indices of the suspect sites."""
+        return () if self.site_check is None else self.site_check.suspects
 
     def rebuild(self) -> bool:
         """Update matrices if a contact has moved, and return whether; it may run in another thread than `decode`."""

@@ -123,7 +123,7 @@ class StreamingDecoder:
 
     @property
     def suspects(self) -> tuple[int, ...]:
-        """Indices of the sites that fail."""
+        """Indices of the suspect sites."""
         return self._present.suspects
 
     def rebuild(self) -> bool:

@@ -80,7 +80,7 @@ class SurfaceDecoding(ABC, Generic[Origin]):
     last_contact_id
         The highest number of a contact so far.
     suspects
-        Numbers of the sites that fail.
+        Identifiers of the suspect sites.
     """
 
     def __init__(self, settings: SurfaceSettings, client: SurfaceClient[Origin], name: str = "skin") -> None:
@@ -98,7 +98,7 @@ class SurfaceDecoding(ABC, Generic[Origin]):
         self._undecodable = False
         self._is_contradicted = False
         self.suspects: tuple[int, ...] = ()
-        self._found_wrong: Reason | None = None  # as announced
+        self._announced_reason: Reason | None = None  # of errors
         self.decoded = 0
         self.skipped: Counter[Skipped] = Counter()
         self.last_contact_id = settings.last_contact_id
@@ -140,7 +140,8 @@ class SurfaceDecoding(ABC, Generic[Origin]):
         self._wake()
 
     def release_contacts(self, reason: Reason) -> None:
-        """Release the contacts of a worker that has ended, as they were published last."""
+        """Release the contacts of a worker that has ended, as they were published last; its checks are discarded."""
+        self.suspects, self._is_contradicted, self._announced_reason = (), False, None
         if not self._contacts or self._last is None:
             return
         ended, self._contacts = self._contacts, ()
@@ -205,7 +206,7 @@ class SurfaceDecoding(ABC, Generic[Origin]):
         log.info("decoder of %s %s", self._name, f"is being set up: {step}" if step else "is ready")
         if not step:
             self._ready_ns = time.monotonic_ns()
-            self._client.announce(self._found_wrong)
+            self._client.announce(self._announced_reason)
             return
         if self._ready_ns is not None:  # set up again while it runs
             self._ready_ns, self._until_ready = None, "not_ready"
@@ -227,27 +228,30 @@ class SurfaceDecoding(ABC, Generic[Origin]):
             self._client.deliver(origin, topic, message)
         if results.present is not None:
             self._contacts = results.present
-            self.suspects = results.suspects
-            self._announce_errors(results.present, results.suspects)
+            self.suspects = self.suspects if results.suspects is None else results.suspects
+            self._announce_errors(results.present)
         if results.outcome == "no_noise":
             self._skip_present("no_noise")
         elif results.outcome == "too_old":
             self._skip(self._present_offered_ns, "too_old")
             self._present = None
 
-    def _announce_errors(self, contacts: Sequence[EventContact], suspects: Sequence[int]) -> None:
-        """Report sites that fail, and signals that contradict a contact's model, until one lasts that they do not."""
+    def _announce_errors(self, contacts: Sequence[EventContact]) -> None:
+        """Announce suspect sites and contradicted fits, if they have changed.
+
+        A contradiction is withdrawn when a contact has lasted for `_FITS_S` without one.
+        """
         contradicted = any(contact.reason_code is ReasonCode.FIT_CONTRADICTED for contact in contacts)
         if contradicted or any(contact.duration_s > _FITS_S for contact in contacts):
             self._is_contradicted = contradicted
         text = "the signals contradict the model of a contact, so that its errors are larger than stated"
         fit = Reason(ReasonCode.FIT_CONTRADICTED, text) if self._is_contradicted else None
-        sites = f"{'sites' if len(suspects) > 1 else 'site'} {', '.join(map(str, suspects))}"
+        sites = f"{'sites' if len(self.suspects) > 1 else 'site'} {', '.join(map(str, self.suspects))}"
         text = f"{sites}: the signals differ from what those of all other sites predict"
-        wrong = joined(Reason(ReasonCode.SENSOR_SUSPECT, text) if suspects else None, fit)
-        if wrong != self._found_wrong:
-            self._found_wrong = wrong
-            self._client.announce(wrong)
+        reason = joined(Reason(ReasonCode.SENSOR_SUSPECT, text) if self.suspects else None, fit)
+        if reason != self._announced_reason:
+            self._announced_reason = reason
+            self._client.announce(reason)
 
 
 class SequentialDecoding(SurfaceDecoding[Origin]):

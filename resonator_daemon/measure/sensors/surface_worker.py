@@ -137,13 +137,13 @@ class Results:
     present
         The contacts between onset and release after these messages; None if they are the same as before.
     suspects
-        Numbers of the sites that fail.
+        Identifiers of the suspect sites; None if they are the same as before.
     """
 
     messages: tuple[tuple[str, Message | Encoded], ...]
     outcome: Outcome | None
     present: tuple[EventContact, ...] | None = None
-    suspects: tuple[int, ...] = ()
+    suspects: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True)

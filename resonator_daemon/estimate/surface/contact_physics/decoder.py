@@ -35,11 +35,11 @@ _COLD = 12  # iterations
 _WARM = 1  # iterations, and ...
 _WARM_MOST = 6  # ... how many where they are needed to explain the signals
 _MOVED = 1.5  # pixels, after which the other thread follows
-# Errors of the traction shown, all to fit closed-form contacts.
+# Terms of the traction's standard deviation, tuned to closed-form contacts.
 _STD_FACTOR = 0.75  # of the iteration's own standard deviation
-_SHAPE_ERROR = np.array([0.034, 0.034, 0.025], np.float32)  # by pixels and smoothness, of the traction there ...
-_RIM_ERROR = 0.02  # ... and of its peak, in f_z: at the rim of a contact
-_KNOWN_FRICTION = 0.9  # of all three, where the friction coefficient is known
+_SHAPE_ERROR = np.array([0.034, 0.034, 0.025], np.float32)  # of the local traction: error of pixels and smoothness
+_RIM_ERROR = 0.02  # of the peak traction, f_z only: error at the rim of a contact
+_KNOWN_FRICTION = 0.9  # factor of all three where the friction coefficient is known
 _PREPARING = Reason(
     ReasonCode.MATRICES_PENDING,
     "matrices of the contact are being prepared; the linear map cut to support and cone is shown",

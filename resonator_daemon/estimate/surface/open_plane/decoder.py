@@ -219,16 +219,16 @@ class OpenPlaneDecoder:
     def anomaly_scores(self, signals: ArrayLike) -> Floats:
         """Deviation of each signal from what all others predict, in standard deviations, of the shape of the signals.
 
-        A healthy site stays within 5. A dead one or a wrong gain shows where a load is near; NaN for lost signals.
+        A sound site stays within 5. A dead one or a wrong gain shows where a load is near; NaN for lost signals.
         """
-        return self.expected(signals)[0]
+        return self.scores_and_predictions(signals)[0]
 
-    def expected(self, signals: ArrayLike) -> tuple[Floats, Floats]:
-        """Return `anomaly_scores`, and what all others predict of each signal in the same standard deviations."""
+    def scores_and_predictions(self, signals: ArrayLike) -> tuple[Floats, Floats]:
+        """Return `anomaly_scores`, and each signal's prediction from all others in the same standard deviations."""
         frames, _, _ = self._frames(signals)
-        both = np.array([self._map.anomaly_scores(frame) for frame in frames])
-        scores, expected = np.moveaxis(both, 1, 0).reshape(2, *np.shape(signals))
-        return scores, expected
+        both = np.array([self._map.scores_and_predictions(frame) for frame in frames]).reshape(-1, 2, 3 * self._count)
+        scores, predicted = np.moveaxis(both, 1, 0).reshape(2, *np.shape(signals))
+        return scores, predicted
 
     def _frames(self, signals: ArrayLike) -> tuple[Floats, tuple[int, ...], tuple[int, ...]]:
         """Return the frames (k, 3 n), the leading axes, and the shape of a frame's surface arrays."""

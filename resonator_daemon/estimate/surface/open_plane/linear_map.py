@@ -214,10 +214,10 @@ class LinearMap:
         )
         return Estimate(*frame, choice.log_evidence, choice.chi2, "ok", lost, surface)
 
-    def anomaly_scores(self, signals: Floats) -> tuple[Floats, Floats]:
-        """Return what each signal has beyond the prediction from all others, and that prediction, (3 n,).
+    def scores_and_predictions(self, signals: Floats) -> tuple[Floats, Floats]:
+        """Return the leave-one-out residual of each signal, and its prediction from all others, (3 n,).
 
-        Both are in standard deviations of the difference, gain errors included.
+        Both are divided by the standard deviation of the residual, gain errors included.
         """
         whitened, known, energy = self._prepare(signals)
         if known is not None and known.mean() < KNOWN_LIMIT:
