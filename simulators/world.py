@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import Any, Final
 
+from pydantic import ValidationError
+
 from resonator_daemon.base.plate import Plate
 
 Change = Callable[[dict[str, Any], float], None]
@@ -59,4 +61,8 @@ def with_world(plate: Plate, spec: str) -> Plate:
             change(table, float(text))
         except ValueError:
             raise ValueError(f"--world: {entry!r} has no number, as {key}=1.05") from None
-    return Plate.model_validate(table)
+    try:
+        return Plate.model_validate(table)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ValueError(f"--world: {spec!r} makes no plate: {first['loc'][-1]}: {first['msg']}") from None

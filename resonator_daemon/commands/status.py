@@ -63,5 +63,5 @@ def _nobody(name: str | None) -> UserError:
 
     places = ", ".join(str(place) for place in runtime_directories())
     who = "no daemon" if name is None else f"no daemon called {printable(name)}"
-    text = f"{who} runs on this computer, by what is in {places}; start one: resonatord run"
+    text = f"{who} runs on this computer, by what is in {places}; start one: resonatord run FILE"
     return UserError(text, code="no_daemon", exit_code=ExitCode.FAILED)

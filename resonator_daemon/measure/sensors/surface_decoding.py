@@ -137,6 +137,7 @@ class SurfaceDecoding(ABC, Generic[Origin]):
     def interrupt(self, reason: Reason) -> None:
         """Release all contacts, because frames have stopped arriving; never waits."""
         self._interruption = reason
+        self._is_contradicted = False
         self._wake()
 
     def release_contacts(self, reason: Reason) -> None:

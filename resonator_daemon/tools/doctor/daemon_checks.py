@@ -29,9 +29,9 @@ _REMEDIES: Final[Mapping[Any, str]] = {
     Condition.UNCALIBRATED: sensor_checks.CALIBRATE,
     ReasonCode.SENSOR_SUSPECT: "calibrate these sites again, or repair them; after 10 s of load they are not used",
     ReasonCode.FIT_CONTRADICTED: (
-        "hold a ball still on several places. If all places are contradicted, correct depth or modulus: resonatord "
-        "calibrate skin --ball. If some are, look for faulty sites there. If only a ball that moves is, move it more "
-        "slowly. If only another object is, it is no ball, or touches in several places"
+        "hold a ball still on several places. If all places are contradicted, correct depth or modulus with a ball: "
+        f"{page('how-to/calibrate.md')}. If some are, look for faulty sites there. If only a ball that moves is, move "
+        "it more slowly. If only another object is, it is no ball, or touches in several places"
     ),
 }
 
