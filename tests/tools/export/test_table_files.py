@@ -108,7 +108,7 @@ def test_maps_of_a_skin_in_parquet(tmp_path: Path) -> None:
     for message in played_case.messages("decoded/summary"):
         for patch in message.patches:
             row = next(rows)
-            assert (row["chi2"], row["patch_id"]) == (message.chi2, patch.id)
+            assert (row["border_contact"], row["patch_id"]) == (message.border_contact, patch.id)
             assert same(row["patch_stick_ratio"], patch.stick_ratio)
         if not message.patches:
             assert next(rows)["patch_area_m2"] is None
