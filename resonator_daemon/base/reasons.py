@@ -157,7 +157,7 @@ class ReasonCode(Word):
     DECODING_FAILED = "decoding_failed", "the decoder failed in this frame"
     SIGNALS_MISSING = "signals_missing", "too few signals are known"
     SIGNALS_LOST = "signals_lost", "some signals are missing and were filled in"
-    SENSOR_SUSPECT = "sensor_suspect", "sites contradict all others; sites that do for 10 s of load are not used"
+    SENSOR_SUSPECT = "sensor_suspect", "some sites contradict all others; after 10 s of load they are not used"
     SIGNALS_UNEXPLAINED = "signals_unexplained", "no surface explains the signals"
     MATRICES_PENDING = "matrices_pending", "matrices are being computed; a linear map is shown"
     SUPPORT_ENLARGED = "support_enlarged", "load was found outside the contact that the linear map shows"

@@ -26,7 +26,7 @@ _LEAST_REACH_M = 1e-3  # that a patch may move between frames; else its radius
 _ONSET_FRAMES = 2  # in a row: a patch of one frame may be noise
 _SIGNIFICANCE = 6.0  # standard deviations of the normal force at onset
 RADIUS_SHARE = 0.5  # of the sites' extent: contacts are no larger
-_NOISE_CHANGE = 0.05  # relative, of a signal's standard deviation: a fit with other weights starts anew
+_NOISE_CHANGE = 0.05  # relative, of a signal's standard deviation: a fit with other weights linearises again
 _FRICTION_STD = 0.03  # relative, of a coefficient that is given: friction changes, and models are wrong
 _FRICTION_KNOWN = 0.1  # relative standard deviation at which an estimate begins to bound shear
 
@@ -260,7 +260,7 @@ class SkinContacts:
     def _noise_of(self, signals: Floats) -> Floats:
         """Return the standard deviation of noise and gain errors, (3, n).
 
-        That of an earlier frame is kept until one changes by more than 5 %, so that the fit does not start anew.
+        That of an earlier frame is kept until one changes by more than 5 %: with others, a fit linearises again.
         """
         if not self._gain_std:
             return self._noise_std

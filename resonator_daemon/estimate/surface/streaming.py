@@ -119,7 +119,10 @@ class StreamingDecoder:
 
     def check_sites(self) -> None:
         """Check the sites by the frame that was decoded last, in which something presses them."""
-        self._present.check_sites()
+        try:
+            self._present.check_sites()
+        except Exception:  # the next check is made all the same
+            log.exception("sites could not be checked")
 
     @property
     def suspects(self) -> tuple[int, ...]:

@@ -18,7 +18,7 @@ from resonator_daemon.extensions.remote_decoding.info import INT64, NO_INFO, Unu
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.measure.pipeline.board_pipeline import CONTACTS_END_S
 from resonator_daemon.measure.sensors.output import LatencyHistogram
-from resonator_daemon.measure.sensors.surface_decoding import Skipped
+from resonator_daemon.measure.sensors.surface_decoding import ERRORS_OF_RESULTS, Skipped
 from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame, SurfaceSettings
 from resonator_daemon.mqtt.codec import Encoded, Incoming, decode
 from resonator_daemon.mqtt.payloads import (
@@ -113,7 +113,7 @@ class RemotePlate:
         self.settings: SurfaceSettings | None = None
         self._latency = latency
         self._problem: Reason | None = NO_INFO  # why there are no settings
-        self._note: Reason | None = None  # what is being set up, or why the skin is refused
+        self._note: Reason | None = None  # as announced last
         self._is_refused = self._is_decoded = False
         self._gate_s = 0.0  # length of a frame's gate
         self._received = self._unusable = self._missed = self._decoded = self._events = 0
@@ -143,11 +143,11 @@ class RemotePlate:
         """Return the present state and its reason."""
         if self._problem:
             return Condition.WAITING, self._problem
-        if self._note:
+        if self._note and self._note.code not in ERRORS_OF_RESULTS:
             return (Condition.REFUSED if self._is_refused else Condition.STARTING), self._note
         if not self._is_decoded or time.monotonic() - self._last_s > WAITS_AFTER_S:
             return Condition.WAITING, _NO_SIGNALS
-        return Condition.ONLINE, Reason(ReasonCode.DECODING, "signals are decoded")
+        return Condition.ONLINE, self._note or Reason(ReasonCode.DECODING, "signals are decoded")
 
     async def run(self) -> None:
         """Decode until cancelled; another skin starts another decoder."""
@@ -241,9 +241,9 @@ class RemotePlate:
         self._last = message.daemon_boot_id, message.seq
 
     def announce(self, note: Reason | None) -> None:
-        """Report what is being set up, or why nothing is decoded."""
+        """Report what is being set up, why nothing is decoded, or what is wrong with the results."""
         self._note = note
-        self._is_decoded = note is None and not self._changed.is_set()
+        self._is_decoded = (note is None or note.code in ERRORS_OF_RESULTS) and not self._changed.is_set()
 
     def lost(self, origin: Signals) -> Lost:
         """Return the daemon's losses, as the signals state them."""

@@ -28,6 +28,7 @@ from resonator_daemon.mqtt.topics import CONTACTS, DECODED, TOPICS, HeaderFields
 WAIT_MAX_NS: Final = 30_000_000  # of a frame while newer ones are there: a rebuild lasts some 10 ms
 AGE_MAX_NS: Final = 100_000_000  # of a frame that is decoded, since it was offered
 _NO_LIMIT_NS: Final = 1 << 62
+ERRORS_OF_RESULTS: Final = (ReasonCode.SENSOR_SUSPECT, ReasonCode.FIT_CONTRADICTED)  # while frames are decoded
 _FITS_S: Final = 0.2  # for which a contact lasts whose fit shows that the model holds again
 
 Skipped = Literal["newer_frame", "too_old", "measured_late", "no_noise", "not_ready", "decoder_ended", "undecodable"]
@@ -47,7 +48,7 @@ class SurfaceClient(Protocol[TakenOrigin]):
         """Publish an event under the next number of its topic."""
 
     def announce(self, note: Reason | None) -> None:
-        """Report what is being set up, or why nothing is decoded; None while frames are decoded."""
+        """Report what is being set up, why nothing is decoded, or `ERRORS_OF_RESULTS`; None while all is well."""
 
     def contacts_header(self, origin: TakenOrigin) -> HeaderFields:
         """Return the header of one more message on `contacts`."""

@@ -10,6 +10,7 @@ import pytest
 from decoder_bench import NOISE, NU, PITCH_M, SITES_M, E, incoming, info, pressed, signals, until
 from observer import running_task
 
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config.clients import DecoderConfig
 from resonator_daemon.board.config.tables import Decoding
 from resonator_daemon.estimate.elastic.half_space import HalfSpace
@@ -18,13 +19,7 @@ from resonator_daemon.extensions.remote_decoding import plate
 from resonator_daemon.extensions.remote_decoding.plate import RemotePlate, frame_of
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.measure.sensors.output import LatencyHistogram
-from resonator_daemon.measure.sensors.surface_worker import (
-    Reply,
-    Results,
-    SurfaceSettings,
-    SurfaceWorker,
-    Work,
-)
+from resonator_daemon.measure.sensors.surface_worker import Reply, Results, SurfaceSettings, SurfaceWorker, Work
 from resonator_daemon.mqtt.codec import Encoded, decode, encode
 from resonator_daemon.mqtt.payloads import ContactEvent, Info, Message, Signals
 from resonator_daemon.mqtt.topics import Topic
@@ -156,6 +151,8 @@ async def test_a_plate_without_a_skin_and_one_that_cannot_be_decoded_are_disting
         await followed.prepare(info())
         await followed.read(signals(1))
         await until(lambda: followed.plate.condition()[0] == "online")
+        followed.plate.announce(contradicted := Reason(ReasonCode.FIT_CONTRADICTED, "of a test"))
+        assert followed.plate.condition() == ("online", contradicted)
 
 
 async def test_another_skin_takes_effect_ends_the_contacts_and_counts_on() -> None:
