@@ -66,7 +66,7 @@ def waits(pid: int) -> dict[int, int]:
 
 def measure(checkout: Path, plate: str, result: str, scenario: tuple[str, ...], seconds: float) -> dict[str, float]:
     """Run a system of a checkout; return its figures."""
-    command = (str(checkout / ".venv" / "bin" / "python"), "-m", "resonator_daemon.commands")
+    command = (str(checkout / ".venv" / "bin" / "resonatord"),)
     with running(plate, *scenario, command=command) as system:
         time.sleep(SETTLE_S)
         pids = {"daemon, %": system.daemon.pid, "emulator, %": system.board.pid, "broker, %": system.broker_pid}

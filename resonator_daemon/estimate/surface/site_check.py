@@ -1,5 +1,6 @@
 """Detection of faulty sites of a skin: their signals repeatedly differ from the prediction from all others."""
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -39,18 +40,19 @@ class SiteCheck:
         """Indices of the suspects that have failed for so long that they are not to be used."""
         return [site for site, checks in self.failed_checks.items() if checks >= _EXCLUDED_CHECKS]
 
-    def check(self, signals: Floats) -> None:
-        """Check a frame (3, n), lost signals NaN, with the excluded sites."""
-        found, shown = self._differing(signals.copy())
+    def check(self, signals: Floats, pause: Callable[[], None] = lambda: None) -> None:
+        """Check a frame (3, n), lost signals NaN, with the excluded sites; `pause` is called before each site."""
+        found, shown = self._differing(signals.copy(), pause)
         for site in found:
             self.failed_checks[site] = self.failed_checks.get(site, 0) + 1
         for site in [site for site in self.failed_checks if shown[site] and site not in found]:
             del self.failed_checks[site]
 
-    def _differing(self, frame: Floats) -> tuple[list[int], Bools]:
+    def _differing(self, frame: Floats, pause: Callable[[], None]) -> tuple[list[int], Bools]:
         """Return sites that differ, the worst first, each without those before it, and which would show a fault."""
         found: list[int] = []
         while True:
+            pause()
             scores, expected = self._decoder.scores_and_predictions(frame)
             of_sites = np.nan_to_num(np.abs(scores)).max(axis=0)
             worst = int(of_sites.argmax())

@@ -187,19 +187,19 @@ class SkinDecoder:
             self._physics.friction_estimate = self.contacts.friction_estimate
         return reading
 
-    def check_sites(self) -> None:
-        """Check the sites by the frame that was decoded last, in which something presses them."""
+    def check_sites(self, pause: Callable[[], None] = lambda: None) -> None:
+        """Check the sites by the frame that was decoded last, in which something presses them; `pause` as `rebuild`."""
         if self.site_check is not None:
-            self.site_check.check(self._frame_of_all_sites)
+            self.site_check.check(self._frame_of_all_sites, pause)
 
     @property
     def suspects(self) -> tuple[int, ...]:
         """Indices of the suspect sites."""
         return () if self.site_check is None else self.site_check.suspects
 
-    def rebuild(self) -> bool:
-        """Update matrices if a contact has moved, and return whether; it may run in another thread than `decode`."""
-        return self._physics is not None and self._physics.rebuild()
+    def rebuild(self, pause: Callable[[], None] = lambda: None) -> bool:
+        """Update matrices if a contact has moved, and return whether; `pause` as of `ContactDecoder.rebuild`."""
+        return self._physics is not None and self._physics.rebuild(pause)
 
 
 def rounded_noise(skin: Skin, noise_std: Floats) -> Floats | None:

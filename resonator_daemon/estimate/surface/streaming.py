@@ -117,10 +117,10 @@ class StreamingDecoder:
         if self._decoder is not None:
             self._decoder.start_cold()
 
-    def check_sites(self) -> None:
-        """Check the sites by the frame that was decoded last, in which something presses them."""
+    def check_sites(self, pause: Callable[[], None]) -> None:
+        """Check the sites by the frame that was decoded last, in which something presses them; `pause` as `rebuild`."""
         try:
-            self._present.check_sites()
+            self._present.check_sites(pause)
         except Exception:  # the next check is made all the same
             log.exception("sites could not be checked")
 
@@ -129,10 +129,13 @@ class StreamingDecoder:
         """Indices of the suspect sites."""
         return self._present.suspects
 
-    def rebuild(self) -> bool:
-        """Update matrices if a contact has moved, and return whether; with `DecodingOptions.background`, call it."""
+    def rebuild(self, pause: Callable[[], None]) -> bool:
+        """Update matrices if a contact has moved, and return whether; with `DecodingOptions.background`, call it.
+
+        `pause` is called between parts of the update; frames may be decoded there.
+        """
         try:
-            return self._present.rebuild()
+            return self._present.rebuild(pause)
         except Exception:  # until one succeeds, the decoder shows its map without contact physics
             log.exception("contact physics could not follow a contact")
             return True

@@ -4,9 +4,7 @@ import asyncio
 import contextlib
 import logging
 import os
-import pickle
 import signal
-import socket
 import sys
 import time
 from asyncio.subprocess import DEVNULL, Process
@@ -19,7 +17,7 @@ import psutil
 from resonator_daemon.base.errors import reason_of
 from resonator_daemon.base.host.load import ProcessUsage
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.measure.decoder_process.worker import LENGTH
+from resonator_daemon.measure.decoder_process.channel import Channel
 from resonator_daemon.measure.sensors.surface_decoding import Origin, SurfaceClient, SurfaceDecoding
 from resonator_daemon.measure.sensors.surface_worker import Reply, Request, Results, SurfaceSettings
 from resonator_daemon.mqtt.pacing import Backoff
@@ -30,7 +28,6 @@ SET_UP_MAX_S: Final = 600.0  # of a start, or of one step of a set-up
 RESTART_FIRST_S: Final = 0.5
 RESTART_LONGEST_S: Final = 30.0
 SOUND_S: Final = 60.0  # of running, after which the back-off starts from the beginning
-_UNREAD_BYTES_MAX: Final = 1 << 22  # of replies, a few frames
 _EXIT_S: Final = 1.0  # of a process that has closed its socket
 
 Ending = Literal["crashed", "hung"]
@@ -65,8 +62,7 @@ class DecoderSupervisor(SurfaceDecoding[Origin]):
 
     def __init__(self, settings: SurfaceSettings, client: SurfaceClient[Origin], name: str = "skin") -> None:
         super().__init__(settings, client, name)
-        self._requests: asyncio.StreamWriter | None = None
-        self._reading: asyncio.Task[None] | None = None
+        self._channel: Channel | None = None
         self._usage: ProcessUsage | None = None
         self._is_idle = False
         self._ending: asyncio.Future[Ending | None] | None = None
@@ -88,7 +84,7 @@ class DecoderSupervisor(SurfaceDecoding[Origin]):
 
     def interrupt(self, reason: Reason) -> None:
         """Release all contacts, because frames have stopped arriving; at once where there is no process."""
-        if self._requests is None:
+        if self._channel is None:
             self.release_contacts(reason)
         else:
             super().interrupt(reason)
@@ -135,35 +131,32 @@ class DecoderSupervisor(SurfaceDecoding[Origin]):
         return how, f"no result for {HUNG_S:g} s" if how == "hung" else _in_words(process.returncode)
 
     async def _start(self) -> Process:
-        own, other = socket.socketpair()
+        self._channel, (other, memory_fd) = Channel.pair(self._settings)
+        asyncio.get_running_loop().add_reader(self._channel.connection, self._read, self._channel)
         with other:
             try:
-                replies, self._requests = await asyncio.open_unix_connection(sock=own, limit=_UNREAD_BYTES_MAX)
-            except BaseException:
-                own.close()
-                raise
-            self._reading = asyncio.create_task(self._read(replies))
-            process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-P", "-m", __package__, self._name, str(other.fileno())),
-                stdin=DEVNULL,
-                stdout=DEVNULL,
-                pass_fds=(other.fileno(),),
-                env=os.environ | _ONE_THREAD,
-            )
+                process = await asyncio.create_subprocess_exec(
+                    *(sys.executable, "-P", "-m", __package__, self._name, str(other.fileno()), str(memory_fd)),
+                    stdin=DEVNULL,
+                    stdout=DEVNULL,
+                    pass_fds=(other.fileno(), memory_fd),
+                    env=os.environ | _ONE_THREAD,
+                )
+            finally:
+                os.close(memory_fd)
         with contextlib.suppress(psutil.Error):  # it has ended already
             self._usage = ProcessUsage(process.pid)
         self._send(replace(self._settings, last_contact_id=self.last_contact_id), SET_UP_MAX_S)
         return process
 
     def _disconnect(self) -> None:
-        if self._requests is not None:
-            self._requests.transport.abort()
-        if self._reading is not None:
-            self._reading.cancel()
+        if self._channel is not None:
+            asyncio.get_running_loop().remove_reader(self._channel.connection)
+            self._channel.connection.close()
         if self._deadline is not None:
             self._deadline.cancel()
         self._skip_present("decoder_ended")
-        self._requests = self._reading = self._ending = self._usage = self._interruption = None
+        self._channel = self._ending = self._usage = self._interruption = None
         self._is_idle = False
         self._ready_ns, self._until_ready = None, "decoder_ended"
 
@@ -174,19 +167,23 @@ class DecoderSupervisor(SurfaceDecoding[Origin]):
 
     def _send(self, request: SurfaceSettings | Request, within_s: float) -> None:
         """Write a request without waiting; a reply has to come within a time."""
-        if self._requests is not None:
-            content = pickle.dumps(request, protocol=5)
-            self._requests.writelines((LENGTH.pack(len(content)), content))
-            self._expect_reply(within_s)
+        if self._channel is not None:
+            try:
+                self._channel.send(request)
+            except OSError:
+                self._end("crashed")
+            else:
+                self._expect_reply(within_s)
 
-    async def _read(self, replies: asyncio.StreamReader) -> None:
-        """Handle replies until the process closes its end."""
+    def _read(self, channel: Channel) -> None:
+        """Handle a reply that has arrived."""
         try:
-            while True:
-                (length,) = LENGTH.unpack(await replies.readexactly(LENGTH.size))
-                self._received(pickle.loads(await replies.readexactly(length)))
+            reply: Reply = channel.receive()
         except (EOFError, ConnectionError):
+            asyncio.get_running_loop().remove_reader(channel.connection)
             self._end("crashed")
+        else:
+            self._received(reply)
 
     def _received(self, reply: Reply) -> None:
         super()._received(reply)

@@ -1,38 +1,22 @@
-"""The decoder process: serves one request after the other, and encodes the messages about it.
-
-On the socket, each request and reply is pickled, after its length. The settings come first, and once.
-"""
+"""The decoder process: serves one request after the other, and encodes the messages about it."""
 
 import gc
 import pickle
-import socket
-import struct
+from contextlib import suppress
 from dataclasses import replace
-from typing import Final
+from typing import Any
 
-from resonator_daemon.measure.sensors.surface_worker import (
-    Reply,
-    Request,
-    Results,
-    SetUpStep,
-    SurfaceSettings,
-    SurfaceWorker,
-    Undecodable,
-)
+from resonator_daemon.measure.decoder_process.channel import Channel
+from resonator_daemon.measure.sensors.surface_worker import Reply, Results, SetUpStep, SurfaceWorker, Undecodable
 from resonator_daemon.mqtt.codec import Encoded, encode
-from resonator_daemon.mqtt.payloads import ContactEvent, Header, Message
-
-LENGTH: Final = struct.Struct("<I")  # bytes
+from resonator_daemon.mqtt.payloads import WITH_ARRAYS, ContactEvent, Header, Message
 
 
-def packed(message: SurfaceSettings | Request | Reply) -> bytes:
-    """Return a message in its form on the socket."""
-    content = pickle.dumps(message, protocol=5)
-    return LENGTH.pack(len(content)) + content
+def work(channel: Channel) -> None:
+    """Serve the settings, then requests, until the daemon's end is closed, or the sites cannot be decoded.
 
-
-def work(connection: socket.socket) -> None:
-    """Serve the requests on a blocking stream socket until it is closed, or the sites cannot be decoded."""
+    EOFError or OSError when the daemon's end is closed.
+    """
     ended = False
 
     def send(reply: Reply) -> None:
@@ -43,21 +27,24 @@ def work(connection: socket.socket) -> None:
             gc.freeze()  # what was set up stays in use: collections that visit it take milliseconds
         if isinstance(reply, Results):
             reply = replace(reply, messages=tuple((path, _encoded(message)) for path, message in reply.messages))
-        connection.sendall(packed(reply))
+        channel.send(reply)
 
-    with connection, connection.makefile("rb") as requests:
-        worker: SurfaceWorker | None = None
-        while not ended and len(head := requests.read(LENGTH.size)) == LENGTH.size:
-            request: SurfaceSettings | Request = pickle.loads(requests.read(*LENGTH.unpack(head)))
-            if isinstance(request, SurfaceSettings):
-                worker = SurfaceWorker(request, send)
-                send(Results((), "ready"))
-            elif worker is not None:
-                worker.serve(request)
+    def serve_waiting() -> None:
+        with suppress(EOFError, OSError):  # which the next `receive` raises again
+            if channel.has_message and not ended:
+                worker.serve(channel.receive())
+
+    worker = SurfaceWorker(channel.receive(), send, serve_waiting)
+    send(Results((), "ready"))
+    while not ended:
+        worker.serve(channel.receive())
 
 
 def _encoded(message: Message | Encoded) -> Message | Encoded:
     """Encode a message of a stream; events are numbered by the daemon."""
     if isinstance(message, Header) and not isinstance(message, ContactEvent):
-        return Encoded(encode(message), message.t_ns)
+        payload: Any = encode(message)
+        if isinstance(message, WITH_ARRAYS):
+            payload = pickle.PickleBuffer(payload)  # an array to the channel, and bytes at its other end
+        return Encoded(payload, message.t_ns)
     return message

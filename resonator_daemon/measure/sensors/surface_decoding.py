@@ -25,7 +25,7 @@ from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.payloads import ContactEvent, Contacts, EventContact, Lost, Message, Status
 from resonator_daemon.mqtt.topics import CONTACTS, DECODED, TOPICS, HeaderFields, Topic
 
-WAIT_MAX_NS: Final = 30_000_000  # of a frame while newer ones are there: a rebuild lasts some 10 ms
+WAIT_MAX_NS: Final = 30_000_000  # of a frame while newer ones are there
 AGE_MAX_NS: Final = 100_000_000  # of a frame that is decoded, since it was offered
 _NO_LIMIT_NS: Final = 1 << 62
 ERRORS_OF_RESULTS: Final = (ReasonCode.SENSOR_SUSPECT, ReasonCode.FIT_CONTRADICTED)  # while frames are decoded

@@ -19,8 +19,6 @@ from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.payloads import EventContact, Message, SkinInfo
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, HeaderFields
 
-_PAUSE: Final = 2.4  # between rebuilds, times as long as one took: rebuilds take at most 30 % of a core
-
 _CHECK_NS: Final = 500_000_000  # between two checks of the sites while something presses them
 
 Outcome = Literal["ready", "decoded", "too_old", "no_noise"]
@@ -172,9 +170,16 @@ class SurfaceWorker:
     settings
     send
         Called with each reply. The map of a frame is sent before its contacts are evaluated.
+    serve_waiting
+        Called between parts of an update that follows a frame: serves a request that waits.
     """
 
-    def __init__(self, settings: SurfaceSettings, send: Callable[[Reply], None]) -> None:
+    def __init__(
+        self,
+        settings: SurfaceSettings,
+        send: Callable[[Reply], None],
+        serve_waiting: Callable[[], None] = lambda: None,
+    ) -> None:
         self._settings = settings
         self._send = send
         self._decoder = StreamingDecoder(
@@ -182,13 +187,11 @@ class SurfaceWorker:
         )
         self._reporter = settings.messages()
         self._checked_ns = 0  # time of the frame by which sites were checked last; 0 without a contact
-        self._rebuild_from_ns = 0  # monotonic time from which the next rebuild may begin
+        self._check_is_due = self._is_updating = False
+        self._serve_waiting = serve_waiting
 
     def serve(self, request: Request) -> None:
-        """Serve a request; if the decoder works in the background, then also update matrices for contacts that moved.
-
-        A request that arrives during an update waits.
-        """
+        """Serve a request; then, unless it came during an update, check sites and follow contacts that moved."""
         if isinstance(request, EndContacts):
             self._end_contacts(request)
             return
@@ -203,8 +206,10 @@ class SurfaceWorker:
             self._send(Results((), "too_old"))
         else:
             self._decode(request.frame)
-            if self._settings.options.background:
-                self._rebuild()
+            if not self._is_updating:
+                self._is_updating = True
+                self._update()
+                self._is_updating = False
 
     def _decode(self, frame: SurfaceFrame) -> None:
         if self._settings.cold_at_rest and frame.at_rest:
@@ -220,7 +225,7 @@ class SurfaceWorker:
             (DECODED_SUMMARY.path, reporter.summary(header, surface)),
             (CONTACTS.path, reporter.contacts(contacts_header, surface)),
         )
-        self._check_sites(header["t_ns"] if surface.contacts else 0)
+        self._plan_check(header["t_ns"] if surface.contacts else 0)
         suspects = tuple(self._settings.site_ids[list(self._decoder.suspects)].tolist())
         self._send(Results(messages, "decoded", tuple(reporter.present.values()), suspects))
 
@@ -234,15 +239,17 @@ class SurfaceWorker:
             messages.append((CONTACTS.path, reporter.contacts(header, surface)))
         self._send(Results(tuple(messages), "ready", ()))
 
-    def _check_sites(self, t_ns: int) -> None:
+    def _plan_check(self, t_ns: int) -> None:
         if t_ns == 0 or self._checked_ns == 0:
             self._checked_ns = t_ns
         elif abs(t_ns - self._checked_ns) >= _CHECK_NS:
             self._checked_ns = t_ns
-            self._decoder.check_sites()
+            self._check_is_due = True
 
-    def _rebuild(self) -> None:
-        began_ns = time.monotonic_ns()
-        if began_ns >= self._rebuild_from_ns and self._decoder.rebuild():
-            now_ns = time.monotonic_ns()
-            self._rebuild_from_ns = now_ns + round(_PAUSE * (now_ns - began_ns))
+    def _update(self) -> None:
+        """Do what is due, in parts between which requests are served."""
+        if self._check_is_due:
+            self._check_is_due = False
+            self._decoder.check_sites(self._serve_waiting)
+        if self._settings.options.background:
+            self._decoder.rebuild(self._serve_waiting)

@@ -46,7 +46,7 @@ class SubstituteDecoder:
     def succeed(self, other: "SubstituteDecoder") -> tuple[SkinEvent, ...]:
         return ()
 
-    def rebuild(self) -> bool:
+    def rebuild(self, pause: Callable[[], None]) -> bool:
         return False
 
 
@@ -183,13 +183,13 @@ def test_a_rebuild_that_fails_is_logged_and_costs_nothing_else(
     substitute: Callable[[Any], None], caplog: pytest.LogCaptureFixture
 ) -> None:
     class Failing(SubstituteDecoder):
-        def rebuild(self) -> None:
+        def rebuild(self, pause: Callable[[], None]) -> None:
             raise ZeroDivisionError("rebuild")
 
     substitute(Failing)
     decoder = streaming()
     read(decoder, marked(1.0))
-    decoder.rebuild()
+    decoder.rebuild(lambda: None)
     assert caplog.text.count("ZeroDivisionError: rebuild") == 1
     assert read(decoder, marked(2.0)).decoded.chi2 == 2.0
 

@@ -102,7 +102,7 @@ async def test_a_process_that_is_killed_is_restarted_and_its_contacts_end() -> N
         await client.touch()
         pid = client.supervisor.info().pid
         assert pid is not None
-        assert (psutil.Process(pid).name(), psutil.Process(pid).cmdline()[-2]) == ("resonatord-dec", "hand")
+        assert (psutil.Process(pid).name(), psutil.Process(pid).cmdline()[-3]) == ("resonatord-dec", "hand")
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # for the daemon
             os.kill(pid, number)
         await client.read()

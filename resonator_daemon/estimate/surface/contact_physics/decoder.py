@@ -5,7 +5,7 @@ Without a support the same bounds would do harm: a carpet of small pushes would 
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,7 +34,7 @@ _SIGNIFICANT = 5.0  # standard deviations of the peak of pressure
 _COLD = 12  # iterations
 _WARM = 1  # iterations, and ...
 _WARM_MOST = 6  # ... how many where they are needed to explain the signals
-_MOVED = 1.5  # pixels, after which the other thread follows
+_MOVED = 1.5  # pixels, after which `rebuild` follows
 # Terms of the traction's standard deviation, tuned to closed-form contacts.
 _STD_FACTOR = 0.75  # of the iteration's own standard deviation
 _SHAPE_ERROR = np.array([0.034, 0.034, 0.025], np.float32)  # of the local traction: error of pixels and smoothness
@@ -80,7 +80,7 @@ class ContactDecoder:
     background
         False: matrices for a new support are computed inside `decode`, which then takes some tens of milliseconds, and
         results are reproducible. True: `decode` never waits for them; it shows the linear map cut to support and cone
-        until another thread, which the caller owns, has called `rebuild`.
+        until the caller has called `rebuild`.
 
     Attributes
     ----------
@@ -165,17 +165,22 @@ class ContactDecoder:
         noise_std = frame.noise_std / located.problem.model.noise_std
         return located.sums.loads(pixels, self._last.right_side, noise_std)
 
-    def rebuild(self) -> bool:
-        """Compute the matrices that the newest frame asked for; return whether one did. May run in another thread."""
+    def rebuild(self, pause: Callable[[], None] = lambda: None) -> bool:
+        """Compute the matrices that the newest frame asked for; return whether one did.
+
+        `pause` is called between parts, which take about 2 ms each; frames may be decoded there.
+        """
         request, self._wanted = self._wanted, None
         if request is None:
             return False
-        located = self._search.locate(request.frame, request.hypothesis.missed, request.hypothesis.located)
-        renewed = replace(request.hypothesis, located=located)
+        hypothesis = request.hypothesis
+        located = self._search.locate(request.frame, hypothesis.missed, hypothesis.located, pause)
+        renewed = replace(hypothesis, located=located)
         solved: Solved | None = None
         if request.suspect:
-            renewed, solved = examine(self._search, request.frame, renewed, self._friction, request.before)
+            renewed, solved = examine(self._search, request.frame, renewed, self._friction, request.before, pause)
         elif request.before is None:
+            pause()
             solved = solve(request.frame, located, self._friction(renewed.bounds), None, _COLD)
         self._found.append(_Found(request, renewed, solved))
         return True
@@ -224,7 +229,7 @@ class ContactDecoder:
         return UNKNOWN_FRICTION if bound is None or bounds != "all" else min(bound, UNKNOWN_FRICTION)
 
     def _adopt(self) -> None:
-        """Adopt what the other thread has found."""
+        """Adopt what `rebuild` has found."""
         if not self._found:
             return
         found = self._found.pop()
@@ -242,8 +247,9 @@ class ContactDecoder:
         located = self._hypothesis.located
         fit = "unfit" if located is None else self._search.fit(located, frame)
         if self._background:
-            if located is None or fit != "good" or np.hypot(*located.moved(frame)) > _MOVED:
-                self._wanted = _Request(frame, self._hypothesis, False, self._last if fit != "unfit" else None)
+            due = located is None or fit != "good" or np.hypot(*located.moved(frame)) > _MOVED
+            before = self._last if fit != "unfit" else None
+            self._wanted = _Request(frame, self._hypothesis, False, before) if due else None
             if fit == "unfit":
                 return None
         elif fit != "good":

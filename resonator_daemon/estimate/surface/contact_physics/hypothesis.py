@@ -85,6 +85,7 @@ def examine(
     hypothesis: Hypothesis,
     friction_of: Callable[[Bounds], float],
     before: Solved | None,
+    pause: Callable[[], None] = lambda: None,
 ) -> tuple[Hypothesis, Solved | None]:
     """Return the hypothesis that explains a frame and its solution; None if all bounds are given up.
 
@@ -100,13 +101,17 @@ def examine(
         Friction coefficient under given bounds.
     before
         Solution to begin with.
+    pause
+        As of `ContactDecoder.rebuild`.
     """
-    located = hypothesis.located or search.locate(frame, hypothesis.missed, None)
+    located = hypothesis.located or search.locate(frame, hypothesis.missed, None, pause)
     for _ in range(_STEPS):
+        pause()
         friction = friction_of(hypothesis.bounds)
         before = solved = solve(frame, located, friction, before, _CONVERGED)
         if solved.is_sound:
             return hypothesis, solved
+        pause()
         problem, by_pixels = located.problem, located.model_chi2(frame)
         free = problem.linear(solved.right_side, solved.inside, solved.traction)
         chi2 = problem.chi2(frame.rows, solved.right_side, free) / frame.noise_floor
@@ -116,7 +121,7 @@ def examine(
                 break
             text = "load outside the support, found in what that left of the signals"
             reason = Reason(ReasonCode.SUPPORT_ENLARGED, text)
-            located = search.locate(frame, missed, located)
+            located = search.locate(frame, missed, located, pause)
             hypothesis = replace(hypothesis, located=located, missed=missed, reason=reason)
         elif solved.chi2 <= chi2 + _BOUNDS_COST * frame.excess + by_pixels:
             return hypothesis, solved

@@ -6,6 +6,8 @@ shear. If prior and noise stay as they were, the inverse of H + shift is updated
 came.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.linalg import blas, lapack
 
@@ -52,6 +54,8 @@ class SupportProblem:
         Problem of which the inverse is used as far as it is the same.
     newest_rows
         Of another support, used as far as they are the same; by default those of `before`.
+    pause
+        As of `ContactDecoder.rebuild`.
 
     Attributes
     ----------
@@ -69,9 +73,11 @@ class SupportProblem:
         support: Bools,
         before: "SupportProblem | None" = None,
         newest_rows: SupportRows | None = None,
+        pause: Callable[[], None] = lambda: None,
     ) -> None:
         self.model = model
         self.rows: SupportRows = SupportRows.of(model, support, newest_rows if before is None else before.rows)
+        pause()
         self.pixels: Indices = self.rows.pixels
         self.updates = 0
         self._unit = np.float32(model.std_pascal)

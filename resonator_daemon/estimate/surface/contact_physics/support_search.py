@@ -1,6 +1,7 @@
 """From a frame and its linear map to the inverse problem on a support."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -173,11 +174,14 @@ class SupportSearch:
             rows.size / estimate.whitened.size,
         )
 
-    def locate(self, frame: Frame, missed: Bools, before: Located | None) -> Located:
+    def locate(
+        self, frame: Frame, missed: Bools, before: Located | None, pause: Callable[[], None] = lambda: None
+    ) -> Located:
         """Find the pixels that carry load, and build the problem on them.
 
         Beyond the linear map's reach, and around pixels where load was missed, they are read off the least-squares
         traction on all pixels there. Where the load has moved since the problem `before`, it is expected to move on.
+        `pause` is called as by `ContactDecoder.rebuild`.
         """
         seen = load_support(frame.pressure)
         around = dilated(missed, _MISSED_REACH) & ~dilated(seen)
@@ -187,7 +191,7 @@ class SupportSearch:
         found, grown = seen, np.zeros_like(seen)
         level = std_pascal = _prior_std_pascal(frame.pressure[seen & self._mapped], frame.snr)
         if (wide & ~seen).any():
-            pressure = self._free_pressure(frame, wide, level)
+            pressure = self._free_pressure(frame, wide, level, pause)
             found = load_support(pressure)
             if not around.any():
                 std_pascal = _prior_std_pascal(pressure[found], frame.snr)
@@ -204,16 +208,19 @@ class SupportSearch:
         if before is not None and 1.0 / _KEPT < level / before.level < _KEPT:
             # Most matrices serve on where prior and noise stay as they were.
             level, std_pascal, noise_std = before.level, before.problem.model.std_pascal, before.problem.model.noise_std
-        problem = self._problem(frame, solved, std_pascal, noise_std, previous)
+        problem = self._problem(frame, solved, std_pascal, noise_std, previous, pause)
+        pause()
         model_error = _MODEL_ERROR * (np.count_nonzero(found) / int(blobs(found).max())) ** _MODEL_EXPONENT
         lasting = found & self._unmapped | grown
         sums = LoadSums(problem, blobs(solved).ravel(), self._centres_m, self._lattice.pitch_m**2)
+        pause()
         view = SurfaceView(self.places, problem.pixels)
         return Located(found, lasting, solved, frame.centre, problem, sums, view, problem.std(), level, model_error)
 
-    def _free_pressure(self, frame: Frame, wide: Bools, std_pascal: float) -> Singles:
+    def _free_pressure(self, frame: Frame, wide: Bools, std_pascal: float, pause: Callable[[], None]) -> Singles:
         """Return the least-squares f_z of a frame on many pixels, (ny, nx)."""
-        problem = self._problem(frame, wide, std_pascal, frame.noise_std, None)
+        problem = self._problem(frame, wide, std_pascal, frame.noise_std, None, pause)
+        pause()
         count = problem.pixels.size
         start = np.zeros((3, count), np.float32)
         load = problem.linear(problem.right_side(frame.rows), np.ones(count, np.bool_), start)
@@ -250,11 +257,17 @@ class SupportSearch:
         return "good" if 1.0 / _DRIFT < drift < _DRIFT else "due"
 
     def _problem(
-        self, frame: Frame, support: Bools, std_pascal: float, noise_std: float, before: SupportProblem | None
+        self,
+        frame: Frame,
+        support: Bools,
+        std_pascal: float,
+        noise_std: float,
+        before: SupportProblem | None,
+        pause: Callable[[], None],
     ) -> SupportProblem:
         lost = None if frame.known is None else self._lost_rows(frame.known)
         model = Model(self._rows.kernel, self._prior, self._tangential_ratio, lost, std_pascal, noise_std, _RHO)
-        problem = SupportProblem(model, support.ravel(), before, self._newest_rows)
+        problem = SupportProblem(model, support.ravel(), before, self._newest_rows, pause)
         self._newest_rows = problem.rows
         return problem
 
