@@ -19,8 +19,8 @@ import gi
 gi.require_version("UMockdev", "1.0")
 from gi.repository import GLib, UMockdev  # noqa: E402 - the version must be chosen before
 
-# Between board and device: bytes, begin again, have begun again; the host has reset the device, where the bus is.
-DATA, BEGIN, BEGUN, RESET, READY = b"dBbRr"
+# Between board and device: bytes, begin again, have begun again, where the bus is.
+DATA, BEGIN, BEGUN, READY = b"dBbr"
 # On a socket of its own, for data that nobody takes must not hold it up: pull the cable, put it back, answer a transfer
 # with a stall, keep cancelled transfers from now on.
 UNPLUG, PLUG, STALL, HOLD = b"uxsh"
@@ -37,7 +37,7 @@ _DESCRIPTOR_STRING = 3
 # linux/usbdevice_fs.h, as 64-bit machines lay it out.
 _SUBMITURB, _DISCARDURB, _REAPURB, _REAPURBNDELAY = 0x8038550A, 0x550B, 0x4008550C, 0x4008550D
 _CLAIMINTERFACE, _RELEASEINTERFACE = 0x8004550F, 0x80045510
-_SETCONFIGURATION, _SETINTERFACE, _CLEAR_HALT, _RESET = 0x80045505, 0x80085504, 0x80045515, 0x5514
+_SETCONFIGURATION, _SETINTERFACE, _CLEAR_HALT = 0x80045505, 0x80085504, 0x80045515
 _GETDRIVER, _GET_CAPABILITIES = 0x41045508, 0x8004551A
 _CAPABILITIES = 0x01 | 0x04 | 0x10  # zero packets, no limit to a transfer's size, reap after disconnection
 _URB_BYTES, _URB_STATUS, _URB_BUFFER, _URB_LENGTH, _URB_ACTUAL_LENGTH = 56, 4, 16, 24, 28
@@ -248,9 +248,6 @@ class Device:
             self._claimed_by = None
         elif request == _CLEAR_HALT:
             self._halted = False
-        elif request == _RESET:
-            self._end_all(-errno.ENOENT)
-            self._board.send(bytes([RESET]))
         elif request == _GETDRIVER:
             return errno.ENODATA
         elif request == _GET_CAPABILITIES:

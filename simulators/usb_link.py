@@ -21,7 +21,7 @@ _MESSAGE_BYTES_MAX = 1 + 65536
 
 # As in usb_gadget.py, which no other Python than the system's can import: its ids, and the first byte of a message.
 _VENDOR_ID, _PRODUCT_ID = 0x1209, 0x0001
-_DATA, _BEGIN, _BEGUN, _RESET, _READY = (b"%c" % kind for kind in b"dBbRr")
+_DATA, _BEGIN, _BEGUN, _READY = (b"%c" % kind for kind in b"dBbr")
 _UNPLUG, _PLUG, _STALL, _HOLD = (b"%c" % kind for kind in b"uxsh")
 
 
@@ -46,7 +46,6 @@ class UsbLink:
         self._serial_number = serial_number
         self._on_begin = on_begin
         self._plugged = True
-        self.resets = 0  # by a host
         self._board, board_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._control, control_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._board.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
@@ -95,8 +94,6 @@ class UsbLink:
             self._board.setblocking(True)  # the device discards what came earlier, so there is room
             self._board.send(_BEGUN)
             self._board.setblocking(False)
-        elif message[:1] == _RESET:
-            self.resets += 1
         return message[1:] if message[:1] == _DATA and self._plugged else b""
 
     def write(self, data: bytes | memoryview) -> int:

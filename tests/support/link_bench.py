@@ -252,9 +252,6 @@ class _RemoteLink:
     def write(self, data: bytes) -> None:
         _told(lambda: self._host.run(f"{self._name}.write({data!r})"))
 
-    def reset(self) -> None:
-        _told(lambda: self._host.run(f"{self._name}.reset()"))
-
     def close(self) -> None:
         self._host.run(f"{self._name}.close()")
 

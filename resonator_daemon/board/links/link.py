@@ -52,9 +52,6 @@ class Link(Protocol):
     def write(self, data: bytes) -> None:
         """Send all of `data`. Raises LinkLostError."""
 
-    def reset(self) -> None:
-        """Reset the device where the link can do that; elsewhere do nothing. Raises LinkLostError."""
-
     def close(self) -> None:
         """Give the port back; never fails, and never waits for the board."""
 
@@ -116,9 +113,6 @@ class FileDescriptorLink:
                 continue
             except OSError as error:
                 raise LinkLostError(*self._error(error)) from error
-
-    def reset(self) -> None:
-        self._check()
 
     def close(self) -> None:
         close, self._close = self._close, None

@@ -181,17 +181,16 @@ def open_usb(target: UsbTarget) -> "UsbBulkLink":
     except LinkUnavailableError:
         backend.close_device(handle)
         raise
-    return UsbBulkLink(backend, handle, board, may_reset=target.reset)
+    return UsbBulkLink(backend, handle, board)
 
 
 class UsbBulkLink:
     """An open board. Where transfers stop for any reason but the board's going, they are taken up again."""
 
-    def __init__(self, backend: Any, handle: Any, board: UsbBoard, *, may_reset: bool) -> None:
+    def __init__(self, backend: Any, handle: Any, board: UsbBoard) -> None:
         self._backend = backend
         self._handle = handle
         self._board = board
-        self._may_reset = may_reset
         self._lost: Reason | None = None
         self._halts_in_a_row = 0
         self._reader = BulkReader(backend, handle, _ENDPOINT_IN)
@@ -236,20 +235,6 @@ class UsbBulkLink:
                 if _number(error) != errno.EPIPE:
                     raise self._lose(*_unplugged(error)) from error
                 self._clear_halt(_ENDPOINT_OUT)
-
-    def reset(self) -> None:
-        """Reset the device where the configuration allows that; it comes back, and this link is lost."""
-        self._check()
-        if not self._may_reset:
-            return
-        self._reader.stop(_END_TRANSFERS_S)
-        try:
-            self._backend.reset_device(self._handle)
-        except NotImplementedError as error:
-            raise self._lose(ReasonCode.TRANSFERS_FAIL, f"the device cannot be reset here ({error})") from error
-        except USBError:
-            pass  # it is gone, or comes back as another device: either way this link is over
-        raise self._lose(ReasonCode.UNPLUGGED, "the device was reset")
 
     def close(self) -> None:
         if self._handle is None:

@@ -126,7 +126,6 @@ _JITTER = (0.75, 1.25)  # so that several daemons do not open in step
 _REFUSED_S = 5.0
 _PIECES, _QUICK_S = 100, 50e-6  # read at most before they are looked at, where an answer may be among them
 _FEW_BYTES, _GATHER_S = 64, 250e-6
-_RESET_EVERY = 3  # openings in a row without a frame
 
 
 Replay = Callable[[LinkStateMachine, Callable[[float], object], Callable[[], bool]], None]
@@ -301,7 +300,6 @@ class BoardReader:
 
     def _keep_reading(self) -> None:
         backoff_s = first_s = min(_BACKOFF_FIRST_S, self._backoff_max_s)
-        fruitless = 0
         while not self._stopping:
             self.turns += 1
             self._apply_requests(read_host_time())
@@ -312,13 +310,8 @@ class BoardReader:
                 self.machine.apply(StateAnnounced(read_host_time(), Condition.WAITING, error.reason))
             else:
                 try:
-                    counted = self._serve(link)
-                    fruitless = 0 if counted else fruitless + 1
-                    if counted:
+                    if self._serve(link):
                         backoff_s = first_s
-                    elif fruitless % _RESET_EVERY == 0:
-                        with suppress(LinkLostError):  # it is gone already, or goes with the reset
-                            link.reset()
                 except BoardRefusedError:
                     wait_s = _REFUSED_S
                 finally:

@@ -15,7 +15,7 @@ from link_bench import WAIT_S, Bench, Host, LocalHost, bench
 
 from firmware_protocol.host import Described, Frame, HostSession, Pong
 from firmware_protocol.messages import Configuration, Description
-from firmware_protocol.states import BoardState, HostState
+from firmware_protocol.states import HostState
 from resonator_daemon.board.links.link import Link, LinkLostError, LinkUnavailableError
 
 EMULATED = ("serial", "tcp", "usb")
@@ -193,21 +193,6 @@ def test_unplugged_is_told_every_time_and_the_port_comes_back(emulated: Bench) -
         Talk(link).describe()
     link.close()
     assert emulated.host.descriptors() == before
-
-
-@every_emulated_link
-def test_resetting_ends_in_silence_or_a_loss_and_the_board_is_there_again(emulated: Bench) -> None:
-    link = emulated.host.open()
-    try:
-        link.reset()
-        assert link.read(0.0) == b""
-    except LinkLostError:
-        pass  # the device comes back as a new one
-    link.close()
-    link = open_when_it_is_back(emulated.host)
-    Talk(link).start()
-    assert emulated.board.session.state is BoardState.RUNNING
-    link.close()
 
 
 @every_link

@@ -157,19 +157,6 @@ def test_only_one_host_holds_a_board(board: BoardEnd[UsbLink], host: UsbHost) ->
         other.run(f"open_link({LINK!r})")
 
 
-def test_a_reset_only_where_it_is_allowed(board: BoardEnd[UsbLink], host: UsbHost) -> None:
-    host.run(f"open_link({LINK!r}); link.reset()")
-    board.send(b"as before")
-    assert host.value("take(9)") == b"as before"
-    host.run(f"link.close(); open_link('{LINK}&reset=yes')")
-    assert loss(host, "link.reset()") == "the device was reset"
-    board.wait(lambda: board.link.resets == 1)
-    assert loss(host, "link.read(1.0)") == "the device was reset"
-    host.run(f"link.close(); open_link({LINK!r})")
-    board.send(b"anew")
-    assert host.value("take(4)") == b"anew"
-
-
 def test_closing_waits_for_no_driver_that_hangs(board: BoardEnd[UsbLink], host: UsbHost) -> None:
     host.run(f"open_link({LINK!r})")
     board.link.hold_cancelled()
@@ -199,13 +186,12 @@ def test_a_board_among_several_must_be_named(monkeypatch: pytest.MonkeyPatch) ->
     [
         ("bulk_write", "link.write(b'x')", f"unplugged ({UNSUPPORTED})"),
         ("clear_halt", "link.read(20.0)", f"unplugged ({UNSUPPORTED})"),
-        ("reset_device", "link.reset()", f"the device cannot be reset here ({UNSUPPORTED})"),
     ],
 )
 def test_what_a_system_does_not_support_ends_a_link(
     board: BoardEnd[UsbLink], host: UsbHost, call: str, source: str, reason: str
 ) -> None:
-    host.run(f"open_link('{LINK}&reset=yes'); usb_link.usb_backend().{call} = unsupported")
+    host.run(f"open_link('{LINK}'); usb_link.usb_backend().{call} = unsupported")
     board.link.stall()
     assert loss(host, source) == reason
     host.run("usb_link.usb_backend().release_interface = unsupported; link.close()")

@@ -34,8 +34,6 @@ class Answering:
         answers, self._answers = self._answers, b""
         return answers
 
-    def reset(self) -> None: ...
-
     def close(self) -> None: ...
 
 

@@ -14,7 +14,7 @@ from resonator_daemon.board.links.target import FoundPort, LinkTarget, UsbId, op
 
 @dataclass(frozen=True)
 class UsbTarget(LinkTarget):
-    """A board on a USB bus; `reset` permits to reset the device as the last step, when it stays silent."""
+    """A board on a USB bus."""
 
     scheme = "usb"
     syntax = "usb:VID:PID?serial=S"
@@ -22,12 +22,10 @@ class UsbTarget(LinkTarget):
     vendor_id: int
     product_id: int
     serial_number: str | None = None
-    reset: bool = False
 
     def __str__(self) -> str:
-        options = {"serial": self.serial_number, "reset": "yes" if self.reset else None}
-        query = "&".join(f"{key}={quote(value, safe='')}" for key, value in options.items() if value is not None)
-        return f"usb:{self.vendor_id:04x}:{self.product_id:04x}" + (f"?{query}" if query else "")
+        query = "" if self.serial_number is None else f"?serial={quote(self.serial_number, safe='')}"
+        return f"usb:{self.vendor_id:04x}:{self.product_id:04x}{query}"
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -38,13 +36,10 @@ class UsbTarget(LinkTarget):
                 "must be usb:VID:PID?serial=S, ids of four hexadecimal digits as lsusb shows them, "
                 "as usb:1209:0001?serial=0042"
             )
-        options = options_of(query, ["serial", "reset"])
-        serial_number = options.get("serial")
+        serial_number = options_of(query, ["serial"]).get("serial")
         if serial_number is not None and (not serial_number.isprintable() or not 0 < len(serial_number) <= 126):
             raise ValueError("serial must be 1 to 126 printable characters, as in the device's string descriptor")
-        if (reset := options.get("reset", "no")) not in ("yes", "no"):
-            raise ValueError(f"reset must be yes or no, got {reset!r}")
-        return cls(int(found[1], 16), int(found[2], 16), serial_number, reset == "yes")
+        return cls(int(found[1], 16), int(found[2], 16), serial_number)
 
     def open(self) -> Link:
         from resonator_daemon.board.links.usb_link import open_usb  # loads libusb
