@@ -4,12 +4,14 @@ import gc
 import pickle
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 from resonator_daemon.measure.decoder_process.channel import Channel
 from resonator_daemon.measure.sensors.surface_worker import Reply, Results, SetUpStep, SurfaceWorker, Undecodable
 from resonator_daemon.mqtt.codec import Encoded, encode
 from resonator_daemon.mqtt.payloads import WITH_ARRAYS, ContactEvent, Header, Message
+
+_FRAMES_TOGETHER: Final = 3  # that come before the next part of an update, which must not wait for ever
 
 
 def work(channel: Channel) -> None:
@@ -31,7 +33,9 @@ def work(channel: Channel) -> None:
 
     def serve_waiting() -> None:
         with suppress(EOFError, OSError):  # which the next `receive` raises again
-            if channel.has_message and not ended:
+            for _ in range(_FRAMES_TOGETHER):
+                if ended or not (worker.is_behind or channel.has_message):
+                    break
                 worker.serve(channel.receive())
 
     worker = SurfaceWorker(channel.receive(), send, serve_waiting)

@@ -166,7 +166,7 @@ class SurfaceDecoding(ABC, Generic[Origin]):
         origin, frame, self._present_offered_ns = self._waiting.popleft()
         self._present = self._last = origin
         frame.header["lost"] = self._client.lost(origin)  # with the frames skipped since it was offered
-        return Work(frame, self._present_offered_ns + AGE_MAX_NS)
+        return Work(frame, self._present_offered_ns + AGE_MAX_NS, is_last=not self._waiting)
 
     def _skip_old(self) -> None:
         """Skip frames that have waited for too long, but for the newest."""

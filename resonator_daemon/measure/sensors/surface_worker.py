@@ -19,6 +19,7 @@ from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.payloads import EventContact, Message, SkinInfo
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, HeaderFields
 
+_REBUILD_FRAMES: Final = 3  # between two rebuilds, at least: they take as long as some frames
 _CHECK_NS: Final = 500_000_000  # between two checks of the sites while something presses them
 
 Outcome = Literal["ready", "decoded", "too_old", "no_noise"]
@@ -109,10 +110,11 @@ class SurfaceFrame:
 
 @dataclass(frozen=True)
 class Work:
-    """Request to decode a frame, unless its time, by CLOCK_MONOTONIC, is over."""
+    """Request to decode a frame, unless its time, by CLOCK_MONOTONIC, is over; `is_last`: no other frame waits."""
 
     frame: SurfaceFrame
     until_ns: int
+    is_last: bool = True
 
 
 @dataclass(frozen=True)
@@ -171,7 +173,12 @@ class SurfaceWorker:
     send
         Called with each reply. The map of a frame is sent before its contacts are evaluated.
     serve_waiting
-        Called between parts of an update that follows a frame: serves a request that waits.
+        Called between parts of an update that follows a frame: serves requests that wait.
+
+    Attributes
+    ----------
+    is_behind
+        Whether another frame waited when the last one was sent.
     """
 
     def __init__(
@@ -187,7 +194,8 @@ class SurfaceWorker:
         )
         self._reporter = settings.messages()
         self._checked_ns = 0  # time of the frame by which sites were checked last; 0 without a contact
-        self._check_is_due = self._is_updating = False
+        self.is_behind = self._check_is_due = self._is_updating = False
+        self._frames = 0  # since the last rebuild
         self._serve_waiting = serve_waiting
 
     def serve(self, request: Request) -> None:
@@ -195,6 +203,7 @@ class SurfaceWorker:
         if isinstance(request, EndContacts):
             self._end_contacts(request)
             return
+        self.is_behind = not request.is_last
         try:
             is_ready = self._decoder.prepare(request.frame.noise_std)
         except UndecodableError as error:
@@ -215,6 +224,7 @@ class SurfaceWorker:
         if self._settings.cold_at_rest and frame.at_rest:
             self._decoder.start_cold()
         header, reporter = frame.header, self._reporter
+        self._frames += 1
         decoded = self._decoder.decode_map(frame.signals, frame.noise_std)
         self._send(Results(((DECODED.path, reporter.decoded(header, decoded)),), None))
         surface = self._decoder.read_contacts()
@@ -248,8 +258,10 @@ class SurfaceWorker:
 
     def _update(self) -> None:
         """Do what is due, in parts between which requests are served."""
+        self._serve_waiting()
         if self._check_is_due:
             self._check_is_due = False
             self._decoder.check_sites(self._serve_waiting)
-        if self._settings.options.background:
-            self._decoder.rebuild(self._serve_waiting)
+        is_due = self._settings.options.background and self._frames >= _REBUILD_FRAMES
+        if is_due and self._decoder.rebuild(self._serve_waiting):
+            self._frames = 0

@@ -45,9 +45,9 @@ class Bench:
             replies.append(self.channel.receive())
         return replies
 
-    def decode(self, seq: int, values: Any = NOTHING, *, within_ns: int = 10**11) -> str:
+    def decode(self, seq: int, *, within_ns: int = 10**11, is_last: bool = True) -> str:
         """Ask for a frame that has some time left; return its outcome."""
-        replies = self.ask(Work(frame(seq, values), time.monotonic_ns() + within_ns))
+        replies = self.ask(Work(frame(seq, NOTHING), time.monotonic_ns() + within_ns, is_last=is_last))
         return str(replies[-1].outcome)
 
     def close(self) -> None:
@@ -87,18 +87,24 @@ def test_steps_of_a_set_up_come_as_they_begin(bench: Bench) -> None:
     assert (steps[0], steps[-1]) == ("looking in the cache", "")
 
 
-def test_a_frame_is_decoded_between_two_parts_of_an_update(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    during, decoded = threading.Event(), list[bool]()
+def test_frames_are_decoded_before_an_update_and_between_its_parts(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    during, frames = threading.Event(), list[int]()
 
     def rebuild(_: StreamingDecoder, pause: Callable[[], None]) -> bool:
         during.set()
-        while not decoded:
+        while len(frames) < 6:
             pause()
         return True
 
     monkeypatch.setattr(StreamingDecoder, "rebuild", rebuild)
-    bench.decode(1)
-    assert during.wait(30)
-    assert bench.decode(2) == "decoded"
-    decoded.append(True)
-    assert bench.decode(3) == "decoded"
+    for seq in range(1, 4):
+        assert bench.decode(seq, is_last=False) == "decoded"
+        frames.append(seq)
+        assert not during.is_set()  # no update while a frame waits
+    for seq in range(4, 7):
+        assert bench.decode(seq) == "decoded"
+        assert during.wait(30)
+        frames.append(seq)
+    assert bench.decode(7) == "decoded"
