@@ -30,6 +30,7 @@ class Bench:
         self.channel, (self._other, memory_fd) = Channel.pair(settings())
         self.channel.connection.setblocking(True)
         other = Channel(self._other, memory_fd, is_daemon=False)
+        self.is_open = True
         self._thread = threading.Thread(target=self._work, args=(other,))
         self._thread.start()
 
@@ -51,6 +52,7 @@ class Bench:
         return str(replies[-1].outcome)
 
     def close(self) -> None:
+        self.is_open = False
         self.channel.connection.close()
         self._thread.join(30)
         self._other.close()
@@ -94,17 +96,17 @@ def test_frames_are_decoded_before_an_update_and_between_its_parts(
 
     def rebuild(_: StreamingDecoder, pause: Callable[[], None]) -> bool:
         during.set()
-        while len(frames) < 6:
+        while len(frames) < 5 and bench.is_open:
             pause()
         return True
 
     monkeypatch.setattr(StreamingDecoder, "rebuild", rebuild)
-    for seq in range(1, 4):
+    for seq in (1, 2):
         assert bench.decode(seq, is_last=False) == "decoded"
         frames.append(seq)
         assert not during.is_set()  # no update while a frame waits
-    for seq in range(4, 7):
+    for seq in (3, 4, 5):
         assert bench.decode(seq) == "decoded"
         assert during.wait(30)
         frames.append(seq)
-    assert bench.decode(7) == "decoded"
+    assert bench.decode(6) == "decoded"
