@@ -20,7 +20,7 @@ from resonator_daemon.daemon.service.config_store import ConfigStore, load_check
 from resonator_daemon.daemon.service.daemon import Service
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
-from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings
+from resonator_daemon.measure.sensors.surface_requests import SurfaceSettings
 
 BAD = (0, -1, 1e-300, 1e300, math.nan, math.inf, 10**400, [], "1")
 CONFIG: dict[str, Any] = {

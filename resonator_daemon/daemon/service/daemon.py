@@ -55,7 +55,7 @@ from resonator_daemon.mqtt.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE
 if TYPE_CHECKING:
     from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
     from resonator_daemon.measure.sensors.surface_decoding import SurfaceClient
-    from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings
+    from resonator_daemon.measure.sensors.surface_requests import SurfaceSettings
 
 log = logging.getLogger(__name__)
 

@@ -23,8 +23,9 @@ from resonator_daemon.board.config import Config
 from resonator_daemon.board.recording.reader import STILL_WRITTEN, Recording, open_recording
 from resonator_daemon.extensions.fleet.chunks import Chunk, Job, Span, span_of
 from resonator_daemon.measure.sensors.output import utc_day
-from resonator_daemon.measure.sensors.surface_decoding import SequentialDecoding, SurfaceClient, SurfaceDecoding
-from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings
+from resonator_daemon.measure.sensors.surface_decoding import SurfaceClient, SurfaceDecoding
+from resonator_daemon.measure.sensors.surface_requests import SurfaceSettings
+from resonator_daemon.measure.sensors.surface_worker import SequentialDecoding
 from resonator_daemon.mqtt.codec import decoded
 from resonator_daemon.mqtt.topics import DECODED, FORCES
 from resonator_daemon.tools.export.output import Recorded

@@ -9,7 +9,7 @@ import numpy as np
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.surface.skin import Skin
-from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings, stated_skin
+from resonator_daemon.measure.sensors.surface_requests import SurfaceSettings, stated_skin
 from resonator_daemon.mqtt.codec import decode
 from resonator_daemon.mqtt.payloads import Info
 from resonator_daemon.mqtt.topics import DECODED, SCHEMA_VERSION

@@ -19,7 +19,7 @@ from resonator_daemon.measure.decoder_process.supervisor import DecoderSuperviso
 from resonator_daemon.measure.pipeline.board_pipeline import CONTACTS_END_S
 from resonator_daemon.measure.sensors.output import LatencyHistogram
 from resonator_daemon.measure.sensors.surface_decoding import ERRORS_OF_RESULTS, Skipped
-from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame, SurfaceSettings
+from resonator_daemon.measure.sensors.surface_requests import SurfaceFrame, SurfaceSettings
 from resonator_daemon.mqtt.codec import Encoded, Incoming, decode
 from resonator_daemon.mqtt.payloads import (
     Condition,

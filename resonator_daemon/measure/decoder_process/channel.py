@@ -8,7 +8,7 @@ import socket
 import struct
 from typing import Any, Final, Self
 
-from resonator_daemon.measure.sensors.surface_worker import SurfaceSettings
+from resonator_daemon.measure.sensors.surface_requests import SurfaceSettings
 
 _NOTICE_BYTES_MAX: Final = 1 << 17  # the kernel sends as much in one piece
 _SITE_BYTES: Final = 64  # of each direction: a frame has 48 for each site, a map 36, settings up to 40

@@ -19,7 +19,7 @@ from resonator_daemon.base.host.load import ProcessUsage
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.measure.decoder_process.channel import Channel
 from resonator_daemon.measure.sensors.surface_decoding import Origin, SurfaceClient, SurfaceDecoding
-from resonator_daemon.measure.sensors.surface_worker import Reply, Request, Results, SurfaceSettings
+from resonator_daemon.measure.sensors.surface_requests import Reply, Request, Results, SurfaceSettings
 from resonator_daemon.mqtt.pacing import Backoff
 from resonator_daemon.mqtt.payloads import DecoderProcessInfo
 

@@ -7,7 +7,8 @@ from dataclasses import replace
 from typing import Any, Final
 
 from resonator_daemon.measure.decoder_process.channel import Channel
-from resonator_daemon.measure.sensors.surface_worker import Reply, Results, SetUpStep, SurfaceWorker, Undecodable
+from resonator_daemon.measure.sensors.surface_requests import Reply, Results, SetUpStep, Undecodable
+from resonator_daemon.measure.sensors.surface_worker import SurfaceWorker
 from resonator_daemon.mqtt.codec import Encoded, encode
 from resonator_daemon.mqtt.payloads import WITH_ARRAYS, ContactEvent, Header, Message
 

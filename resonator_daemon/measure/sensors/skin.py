@@ -15,8 +15,8 @@ from resonator_daemon.measure.sensors.base import Sensor
 from resonator_daemon.measure.sensors.expected_tones import ExpectedTones, all_tones
 from resonator_daemon.measure.sensors.output import BOARD_RESTARTED, MessageOutput
 from resonator_daemon.measure.sensors.skin_processing import SkinProcessing, ToneArray
-from resonator_daemon.measure.sensors.surface_decoding import MakeSurfaceDecoding, SequentialDecoding, SurfaceDecoding
-from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame, SurfaceSettings, stated_skin
+from resonator_daemon.measure.sensors.surface_decoding import MakeSurfaceDecoding, SurfaceDecoding
+from resonator_daemon.measure.sensors.surface_requests import SurfaceFrame, SurfaceSettings, stated_skin
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.payloads import Condition, ContactEvent, Lost, Message, Signals, Status
 from resonator_daemon.mqtt.topics import (
@@ -90,9 +90,13 @@ class SkinSensor(Sensor[SkinReading]):
             return
         if (settings := self._settings()) is None:
             return
-        if make_decoding is not None:
+        if make_decoding is None:
+            from resonator_daemon.measure.sensors.surface_worker import SequentialDecoding  # loads much of scipy
+
+            self._decoding = SequentialDecoding(settings, self)
+        else:
             self.announce(Reason(ReasonCode.DECODER_STARTING, "decoder is being set up"))
-        self._decoding = (make_decoding or SequentialDecoding)(settings, self)
+            self._decoding = make_decoding(settings, self)
 
     @property
     def problems(self) -> tuple[str, ...]:

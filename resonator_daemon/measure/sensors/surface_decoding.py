@@ -5,11 +5,10 @@ import time
 from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any, Final, Generic, Literal, Protocol, TypeVar
 
 from resonator_daemon.base.reasons import Reason, ReasonCode, joined
-from resonator_daemon.measure.sensors.surface_worker import (
+from resonator_daemon.measure.sensors.surface_requests import (
     EndContacts,
     Reply,
     Request,
@@ -17,7 +16,6 @@ from resonator_daemon.measure.sensors.surface_worker import (
     SetUpStep,
     SurfaceFrame,
     SurfaceSettings,
-    SurfaceWorker,
     Undecodable,
     Work,
 )
@@ -27,7 +25,6 @@ from resonator_daemon.mqtt.topics import CONTACTS, DECODED, TOPICS, HeaderFields
 
 WAIT_MAX_NS: Final = 30_000_000  # of a frame while newer ones are there
 AGE_MAX_NS: Final = 100_000_000  # of a frame that is decoded, since it was offered
-_NO_LIMIT_NS: Final = 1 << 62
 ERRORS_OF_RESULTS: Final = (ReasonCode.SENSOR_SUSPECT, ReasonCode.FIT_CONTRADICTED)  # while frames are decoded
 _FITS_S: Final = 0.2  # for which a contact lasts whose fit shows that the model holds again
 
@@ -254,33 +251,6 @@ class SurfaceDecoding(ABC, Generic[Origin]):
         if reason != self._announced_reason:
             self._announced_reason = reason
             self._client.announce(reason)
-
-
-class SequentialDecoding(SurfaceDecoding[Origin]):
-    """Decoding of each frame within `offer`: the same frames give the same messages every time.
-
-    Contact physics prepares its matrices while it decodes. Steps of the set-up are not announced: they depend on the
-    cache.
-    """
-
-    def __init__(self, settings: SurfaceSettings, client: SurfaceClient[Origin], name: str = "skin") -> None:
-        super().__init__(settings, client, name)
-        options = replace(settings.options, background=False)
-        self._worker = SurfaceWorker(replace(settings, options=options), self._received)
-
-    async def run(self) -> None:
-        """Return at once: all is done when it is offered."""
-
-    def _wake(self) -> None:
-        request = self._next_request()
-        if isinstance(request, Work):
-            request = Work(request.frame, _NO_LIMIT_NS)
-        if request is not None:
-            self._worker.serve(request)
-
-    def _set_up(self, step: str) -> None:
-        if step:
-            log.info("decoder is being set up: %s", step)
 
 
 MakeSurfaceDecoding = Callable[[SurfaceSettings, SurfaceClient[Any]], SurfaceDecoding[Any]]

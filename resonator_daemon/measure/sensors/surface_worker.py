@@ -1,167 +1,32 @@
 """Frames of a skin to messages about its surface: requests in, replies out, in whichever process or thread it runs."""
 
+import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Final, Literal
+from dataclasses import replace
+from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-from resonator_daemon.base.arrays import Floats
-from resonator_daemon.base.plate_tables import Skin as PlateSkin
-from resonator_daemon.base.reasons import Reason
-from resonator_daemon.estimate.elastic.half_space import HalfSpace
-from resonator_daemon.estimate.surface.skin import DecodingOptions, Prior, Skin
 from resonator_daemon.estimate.surface.streaming import StreamingDecoder, UndecodableError
-from resonator_daemon.measure.sensors.surface_messages import SurfaceMessages
-from resonator_daemon.mqtt.codec import Encoded
-from resonator_daemon.mqtt.payloads import EventContact, Message, SkinInfo
-from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, HeaderFields
+from resonator_daemon.measure.sensors.surface_decoding import Origin, SurfaceClient, SurfaceDecoding
+from resonator_daemon.measure.sensors.surface_requests import (
+    EndContacts,
+    Reply,
+    Request,
+    Results,
+    SetUpStep,
+    SurfaceFrame,
+    SurfaceSettings,
+    Undecodable,
+    Work,
+)
+from resonator_daemon.mqtt.payloads import Message
+from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY
 
 _REBUILD_FRAMES: Final = 3  # between two rebuilds, at least: they take as long as some frames
 _CHECK_NS: Final = 500_000_000  # between two checks of the sites while something presses them
+_NO_LIMIT_NS: Final = 1 << 62
 
-Outcome = Literal["ready", "decoded", "too_old", "no_noise"]
-
-
-@dataclass(frozen=True)
-class SurfaceSettings:
-    """Settings from which the messages about one skin follow.
-
-    Attributes
-    ----------
-    skin, options
-    site_ids
-        Shape (n,).
-    pitch_m
-        Pitch of the grid that the sites form; None if they are scattered.
-    decoder_id
-        Key of the messages; None for a daemon.
-    uncertainty
-        Whether `decoded` has the traction's standard deviation.
-    last_contact_id
-        Number of the last contact so far; numbers go on from there.
-    cold_at_rest
-        Whether the decoder starts cold at each frame at rest. What follows then does not depend on what was before.
-    numbered
-        As of `SurfaceMessages`.
-    """
-
-    skin: Skin
-    options: DecodingOptions
-    site_ids: NDArray[np.integer]
-    pitch_m: float | None
-    decoder_id: str | None = None
-    uncertainty: bool = True
-    last_contact_id: int = 0
-    cold_at_rest: bool = False
-    numbered: bool = True
-
-    def messages(self) -> SurfaceMessages:
-        """Return the maker of this skin's messages."""
-        return SurfaceMessages(
-            self.site_ids,
-            self.skin.site_positions_m,
-            self.pitch_m,
-            self.decoder_id,
-            uncertainty=self.uncertainty,
-            numbered=self.numbered,
-        )
-
-
-def stated_skin(stated: PlateSkin | SkinInfo, site_positions_m: Floats) -> Skin:
-    """Return the skin that a plate file or `info` states; ValueError if it cannot be one."""
-    return Skin(
-        HalfSpace(stated.youngs_modulus_pascal, stated.poisson_ratio),
-        site_positions_m,
-        stated.depth_m,
-        stated.gain_std,
-        Prior(stated.correlation_length_m, stated.tangential_ratio),
-        depth_std_m=stated.depth_std_m,
-        modulus_std_pascal=stated.modulus_std_pascal,
-        gain_std_common=stated.gain_std_common,
-        position_std_m=stated.position_std_m,
-    )
-
-
-@dataclass(frozen=True)
-class SurfaceFrame:
-    """One frame to be decoded.
-
-    Attributes
-    ----------
-    header
-        Header of `decoded` and `decoded/summary`.
-    contacts_seq
-        Number `seq` of `contacts`.
-    signals, noise_std
-        Shape (3, n), dimensionless.
-    at_rest
-        Whether nothing has touched the skin for a while, as of a `SkinReading`.
-    """
-
-    header: HeaderFields
-    contacts_seq: int
-    signals: Floats
-    noise_std: Floats
-    at_rest: bool = False
-
-
-@dataclass(frozen=True)
-class Work:
-    """Request to decode a frame, unless its time, by CLOCK_MONOTONIC, is over; `is_last`: no other frame waits."""
-
-    frame: SurfaceFrame
-    until_ns: int
-    is_last: bool = True
-
-
-@dataclass(frozen=True)
-class EndContacts:
-    """Request to release all contacts; `header` is that of the message on `contacts`, None if there are no contacts."""
-
-    header: HeaderFields | None
-    reason: Reason
-
-
-@dataclass(frozen=True)
-class Results:
-    """Messages that follow from a request, by the path of their topic; the last reply to a request has its outcome.
-
-    Attributes
-    ----------
-    messages
-        The publisher numbers the events: their `seq` here is that of the frame.
-    outcome
-    present
-        The contacts between onset and release after these messages; None if they are the same as before.
-    suspects
-        Identifiers of the suspect sites; None if they are the same as before.
-    """
-
-    messages: tuple[tuple[str, Message | Encoded], ...]
-    outcome: Outcome | None
-    present: tuple[EventContact, ...] | None = None
-    suspects: tuple[int, ...] | None = None
-
-
-@dataclass(frozen=True)
-class SetUpStep:
-    """A step of a set-up begins; "" when the set-up is done."""
-
-    step: str
-
-
-@dataclass(frozen=True)
-class Undecodable:
-    """The sites cannot be decoded, for the given reason; nothing more is served."""
-
-    reason: str
-
-
-Request = Work | EndContacts
-Reply = Results | SetUpStep | Undecodable
+log = logging.getLogger(__name__)
 
 
 class SurfaceWorker:
@@ -265,3 +130,30 @@ class SurfaceWorker:
         is_due = self._settings.options.background and self._frames >= _REBUILD_FRAMES
         if is_due and self._decoder.rebuild(self._serve_waiting):
             self._frames = 0
+
+
+class SequentialDecoding(SurfaceDecoding[Origin]):
+    """Decoding of each frame within `offer`: the same frames give the same messages every time.
+
+    Contact physics prepares its matrices while it decodes. Steps of the set-up are not announced: they depend on the
+    cache.
+    """
+
+    def __init__(self, settings: SurfaceSettings, client: SurfaceClient[Origin], name: str = "skin") -> None:
+        super().__init__(settings, client, name)
+        options = replace(settings.options, background=False)
+        self._worker = SurfaceWorker(replace(settings, options=options), self._received)
+
+    async def run(self) -> None:
+        """Return at once: all is done when it is offered."""
+
+    def _wake(self) -> None:
+        request = self._next_request()
+        if isinstance(request, Work):
+            request = Work(request.frame, _NO_LIMIT_NS)
+        if request is not None:
+            self._worker.serve(request)
+
+    def _set_up(self, step: str) -> None:
+        if step:
+            log.info("decoder is being set up: %s", step)

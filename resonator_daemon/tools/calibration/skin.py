@@ -22,7 +22,7 @@ from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.surface.skin_contacts import RADIUS_SHARE, SkinContact
 from resonator_daemon.estimate.surface.streaming import StreamingDecoder
-from resonator_daemon.measure.sensors.surface_worker import stated_skin
+from resonator_daemon.measure.sensors.surface_requests import stated_skin
 from resonator_daemon.mqtt.payloads import Signals
 from resonator_daemon.mqtt.requests import reach
 from resonator_daemon.mqtt.subscriber import subscribe

@@ -19,7 +19,8 @@ from resonator_daemon.extensions.remote_decoding import plate
 from resonator_daemon.extensions.remote_decoding.plate import RemotePlate, frame_of
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.measure.sensors.output import LatencyHistogram
-from resonator_daemon.measure.sensors.surface_worker import Reply, Results, SurfaceSettings, SurfaceWorker, Work
+from resonator_daemon.measure.sensors.surface_requests import Reply, Results, SurfaceSettings, Work
+from resonator_daemon.measure.sensors.surface_worker import SurfaceWorker
 from resonator_daemon.mqtt.codec import Encoded, decode, encode
 from resonator_daemon.mqtt.payloads import ContactEvent, Info, Message, Signals
 from resonator_daemon.mqtt.topics import Topic

@@ -13,7 +13,7 @@ from resonator_daemon.base.reasons import Reason
 from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.measure.decoder_process.supervisor import DecoderSupervisor
-from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame, SurfaceSettings
+from resonator_daemon.measure.sensors.surface_requests import SurfaceFrame, SurfaceSettings
 from resonator_daemon.mqtt.codec import decode, encode
 from resonator_daemon.mqtt.payloads import ContactEvent, Lost, Message
 from resonator_daemon.mqtt.topics import HeaderFields, Topic

@@ -13,14 +13,7 @@ from surface_bench import NOTHING, frame, header, settings
 from resonator_daemon.estimate.surface.streaming import StreamingDecoder
 from resonator_daemon.measure.decoder_process.channel import Channel
 from resonator_daemon.measure.decoder_process.worker import work
-from resonator_daemon.measure.sensors.surface_worker import (
-    Reply,
-    Request,
-    Results,
-    SetUpStep,
-    SurfaceSettings,
-    Work,
-)
+from resonator_daemon.measure.sensors.surface_requests import Reply, Request, Results, SetUpStep, SurfaceSettings, Work
 
 
 class Bench:

@@ -19,7 +19,7 @@ from resonator_daemon.estimate.surface.patches import Patch as FoundPatch
 from resonator_daemon.estimate.surface.skin_contacts import UNKNOWN_SYSTEMATIC, SkinContact, SkinEvent, Systematic
 from resonator_daemon.estimate.surface.skin_decoder import SurfaceReading
 from resonator_daemon.measure.sensors.surface_messages import SurfaceMessages
-from resonator_daemon.measure.sensors.surface_worker import SurfaceFrame
+from resonator_daemon.measure.sensors.surface_requests import SurfaceFrame
 from resonator_daemon.mqtt import payloads
 from resonator_daemon.mqtt.codec import decode, encode
 from resonator_daemon.mqtt.topics import DECODED, HeaderFields
