@@ -1,6 +1,7 @@
 """Common mode of all tones, from reference and temperature: estimated while untouched, held while touched.
 
-A common mode that drifts faster than that of a plate at rest in a room is detected and reported.
+A common mode that drifts faster than that of a plate at rest in a room is detected and reported. The noise of the
+oscillators is measured at rest, too.
 """
 
 import math
@@ -10,6 +11,7 @@ from itertools import compress
 from typing import Final
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.estimate.tones.frequency_estimators import OMEGA_WHITE_FM, OSCILLATOR_STD_1S
 
 # What the sites' temperature coefficients differ from the pilot's, unknown, over the plate's temperature range.
 COMMON_MODE_STD: Final = 2e-7
@@ -17,6 +19,10 @@ COMMON_MODE_STD: Final = 2e-7
 # its turnover shifts by 1e-7 per kelvin, and an ordinary reference clock next to it by less.
 COMMON_MODE_WALK: Final = 1e-8  # relative frequency after one second
 KNOWN_CHANNELS: Final = 2  # the least that determine a site and a force
+
+_NOISE_TIME_S: Final = 4.0  # of averaging: 400 windows of 10 ms leave 4 % of a standard deviation
+_OUTLIER: Final = 25.0  # times the variance of a window: what one may count for, at most
+_UNUSUAL: Final = 1.25  # times the usual noise, from where on the measured one is used
 
 SPAN_S: Final = 10.0
 WALKS: Final = 5.0  # standard deviations of the random walk over the span: never in months of a quiet room
@@ -99,6 +105,36 @@ class CommonMode:
         if not self.known:
             return math.nan
         return math.sqrt(max(compress(self._variance, self._settled)) + COMMON_MODE_STD**2)
+
+
+class OscillatorNoise:
+    """Monitor of the oscillators' white frequency noise, by windows of the untouched plate that adjoin.
+
+    Attributes
+    ----------
+    std_1s
+        Allan deviation at 1 s: the usual one, until a much larger one is measured.
+    """
+
+    def __init__(self) -> None:
+        self.std_1s = OSCILLATOR_STD_1S
+        self._variance = OSCILLATOR_STD_1S**2
+        self._end_s, self._windows = math.nan, list[float]()  # that adjoin: the end of the last one, and frequencies
+
+    def update(self, time_s: float, relative_hz: float, counter_variance: float, window_s: float) -> None:
+        """Update with the mean frequency of the channels over a window, relative, and the counter's variance of it."""
+        apart_s = time_s - self._end_s
+        if apart_s < 0.99 * window_s:
+            return  # they overlap
+        self._windows = [*self._windows[-2:], relative_hz] if apart_s < 1.5 * window_s else [relative_hz]
+        self._end_s = time_s
+        if len(self._windows) == 3:  # whose second difference has no drift
+            first, middle, last = self._windows
+            most = _OUTLIER * self._variance * OMEGA_WHITE_FM / window_s
+            variance = min((first - 2.0 * middle + last) ** 2 / 6.0, most) - counter_variance
+            self._variance += window_s / _NOISE_TIME_S * (variance * window_s / OMEGA_WHITE_FM - self._variance)
+            measured = math.sqrt(max(self._variance, 0.0))
+            self.std_1s = measured if measured > _UNUSUAL * OSCILLATOR_STD_1S else OSCILLATOR_STD_1S
 
 
 class DriftWatch:

@@ -24,7 +24,7 @@ from firmware_protocol.layouts import SingleToneRecord
 WRAP_MASK: Final = 0xFFFFFFFF  # edge and tick counters are 32 bits wide on the wire
 FREQUENCY_JUMP: Final = 20e-6  # between adjacent gates; a press of 3 N/ms at 6.3e-6 / N stays below it
 QUANTISATION_TICKS2: Final = 1 / 12  # variance of a stamp rounded to whole ticks
-OSCILLATOR_STD_1S: Final = 3e-10  # white frequency noise of a site: Allan deviation at 1 s, sqrt(h0 / 2)
+OSCILLATOR_STD_1S: Final = 3e-10  # usual white frequency noise of a site: Allan deviation at 1 s, sqrt(h0 / 2)
 OMEGA_WHITE_FM: Final = 1.2  # variance of a regression from white frequency noise over that of the end-point slope
 
 
@@ -101,6 +101,6 @@ def regression_std(stamp_ticks: float, stamps: int, span_ticks: int) -> float:
     return stamp_ticks * (stamps - 1) / span_ticks * math.sqrt(12 / (stamps * (stamps * stamps - 1)))
 
 
-def oscillator_std(window_s: float) -> float:
+def oscillator_std(window_s: float, std_1s: float = OSCILLATOR_STD_1S) -> float:
     """Relative standard deviation of `frequency_hz` over `window_s` from white frequency noise, sqrt(c h0 / 2T)."""
-    return OSCILLATOR_STD_1S * math.sqrt(OMEGA_WHITE_FM / window_s)
+    return std_1s * math.sqrt(OMEGA_WHITE_FM / window_s)

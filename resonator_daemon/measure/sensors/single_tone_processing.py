@@ -10,7 +10,7 @@ import numpy as np
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.session.frames import Frame, SingleToneFrame
-from resonator_daemon.estimate.forces.baseline import CommonMode
+from resonator_daemon.estimate.forces.baseline import CommonMode, OscillatorNoise
 from resonator_daemon.estimate.forces.force_sites import ForceSites, hidden_fraction
 from resonator_daemon.estimate.forces.readings import (
     Compensation,
@@ -21,7 +21,7 @@ from resonator_daemon.estimate.forces.readings import (
     touch_of,
 )
 from resonator_daemon.estimate.forces.site_identification import Match, Matcher, OverloadLatch, SiteForce
-from resonator_daemon.estimate.tones.frequency_estimators import oscillator_std
+from resonator_daemon.estimate.tones.frequency_estimators import counter_std, oscillator_std
 from resonator_daemon.estimate.tones.record_checks import CAPTURE_SWITCH, FAULTS_IN_WORDS
 from resonator_daemon.estimate.tones.tone_count import NO_TONE, ToneCount, count_tone
 from resonator_daemon.estimate.tones.tone_detector import PILOT_TOLERANCE, capture_band_hz
@@ -69,6 +69,7 @@ class SingleToneProcessing(ForceProcessing):
         self._windows = ToneWindows(channels, window_frames, reference_hz, capture_band_hz(pilot_hz, sites.f0_hz))
         reading_std = oscillator_std(window_frames * gate_s)
         self._common_mode = CommonMode(channels, needed=BASELINE_READINGS, reading_std=reading_std)
+        self._noise = OscillatorNoise()
         self._matcher = Matcher(
             sites.f0_hz,
             sites.sensitivity,
@@ -95,6 +96,7 @@ class SingleToneProcessing(ForceProcessing):
     def _reset(self) -> None:
         self._windows.restart()
         self._common_mode.reset()
+        self._noise = OscillatorNoise()
         self._latch.release()
         self._crowded = self._quiet
         self._pilot = self._no_pilot
@@ -273,7 +275,7 @@ class SingleToneProcessing(ForceProcessing):
         counts = self._counted(window, measured_hz, self._no_pilot)  # the pilot's channels, too
         held = [fault is None for fault in window.faults]
         common_mode = self._common_mode.value, self._common_mode.std
-        oscillator = oscillator_std(window.frames * self._gate_s)
+        oscillator = oscillator_std(window.frames * self._gate_s, self._noise.std_1s)
         return self._corner_tones.tones(counts, pilot, held, forces, common_mode, oscillator)
 
     def _follow(self, board_ticks: int, pilot: tuple[float, ...], window: Window, *, untouched: bool) -> None:
@@ -286,7 +288,10 @@ class SingleToneProcessing(ForceProcessing):
         self._pilot = pilot
         if untouched:
             self._latch.release()
-            self._errors.silence(board_ticks / self._reference_hz)
+            time_s, known = board_ticks / self._reference_hz, [g for g in pilot if g == g]
+            self._errors.silence(time_s)
+            variance = sum([counter_std(sums) ** 2 for sums in window.sums if sums is not None]) / len(known) ** 2
+            self._noise.update(time_s, sum(known) / len(known), variance, window.frames * self._gate_s)
             self._pilot_attenuation_db = [
                 before if math.isnan(g) else now
                 for g, before, now in zip(pilot, self._pilot_attenuation_db, window.attenuation_db, strict=True)
@@ -314,7 +319,7 @@ class SingleToneProcessing(ForceProcessing):
     def _match(self, counts: Sequence[ToneCount], frames: int) -> Match:
         common_mode = self._common_mode
         frequency_hz = [count.frequency_hz / (1.0 + g) for count, g in zip(counts, common_mode.value, strict=True)]
-        oscillator = oscillator_std(frames * self._gate_s)
+        oscillator = oscillator_std(frames * self._gate_s, self._noise.std_1s)
         return self._matcher.match(frequency_hz, [count.std for count in counts], oscillator, common_mode.std)
 
     def _complete(self, forces: tuple[SiteForce, ...], time_s: float, status: SensorStatus) -> tuple[SiteForce, ...]:

@@ -226,3 +226,13 @@ def test_a_silent_channel_keeps_a_plate_from_being_tared():
     bench = Bench().untouched()
     bench.hold(UNTOUCHED, 40, (0, 0, NO_SIGNAL, 0))
     assert "channels are silent" in bench.chain.tare()
+
+
+def test_noise_of_the_oscillators_is_measured_at_rest():
+    noise = []
+    for allan_deviation in (3e-10, 9e-10):
+        bench, rng = Bench().untouched(), np.random.default_rng(5)
+        of_gates = allan_deviation / np.sqrt(GATE_TICKS / REFERENCE_HZ) * rng.standard_normal((4000, 1))
+        bench.play(UNTOUCHED * (1.0 + of_gates))
+        noise.append(bench.hold(PLATE.loaded_hz(3, 2.0), 60)[-1].sites[0].noise_newton)
+    assert 1.5 < noise[1] / noise[0] < 2.4  # 2.46 for the oscillators after 4 s; the counter has noise, too
