@@ -5,6 +5,7 @@ Example: resonatord doctor left-index.toml
 
 import argparse
 import logging
+from dataclasses import replace
 from typing import Final
 
 from resonator_daemon.base.errors import ExitCode, UsageError
@@ -22,6 +23,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"duration of the capture, from the first frame (default: {_SECONDS:g})",
     )
+    parser.add_argument(
+        "--load",
+        type=positive,
+        metavar="NEWTON",
+        help="also compare a known load, put on the plate of the running daemon, with what that measures",
+    )
+    parser.add_argument("--verbose", action="store_true", help="print each check, also of parts in which all is well")
     parser.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
 
 
@@ -29,7 +37,10 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     separate_config(arguments)
     if arguments.link is None and arguments.config is None:
         raise UsageError("name a --config FILE or a LINK (see: resonatord ports)")
+    if arguments.load is not None and arguments.config is None:
+        raise UsageError("--load needs a --config FILE, which names the broker of the daemon")
     from resonator_daemon.tools.doctor.run import DoctorOptions, doctor
 
     logging.getLogger().setLevel(logging.ERROR)  # the report has the rest
-    return doctor(DoctorOptions(arguments.config, arguments.link, arguments.seconds, arguments.json))
+    options = DoctorOptions(arguments.config, arguments.link, arguments.seconds, arguments.json)
+    return doctor(replace(options, load_newton=arguments.load, verbose=arguments.verbose))

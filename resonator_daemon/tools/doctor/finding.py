@@ -199,9 +199,11 @@ class Report:
 
     @property
     def verdict_text(self) -> str:
-        """The verdict in words, with the first fault."""
+        """The verdict in words, with the number of findings and the first of them."""
         if self.cause is None:
-            return self.verdict
+            bad = [finding for finding in self.findings if finding.bad]
+            number = f"{len(bad)} warning{'s' if len(bad) > 1 else ''}"
+            return f"{self.verdict}, with {number}; first: {bad[0]}" if bad else self.verdict
         others = "".join(f", then {area.value}" for area in self.faulty[1:])
         return f"{self.verdict}{others}; first: {self.cause}"
 
@@ -215,22 +217,29 @@ class Report:
             "findings": [asdict(finding) for finding in self.findings],
         }
 
-    def as_text(self, *, whole: bool = True) -> str:
-        """Return the lines of the text output; without a verdict where not everything was checked."""
-        ending = self._ending() if whole else ()
-        return "\n".join([*self._lines(), *ending]) + "\n"
+    def as_text(self, *, whole: bool = True, verbose: bool = True) -> str:
+        """Return the lines of the text output; without a verdict where not everything was checked.
 
-    def write(self, stream: TextIO, *, whole: bool = True) -> None:
+        Without `verbose`, a stage in which all is well is one line.
+        """
+        verdict = [*_wrapped("verdict: ", self.verdict_text)]
+        lines = self._lines(verbose)
+        return "\n".join([*verdict, "", *lines, self._counts(), *verdict] if whole else lines) + "\n"
+
+    def write(self, stream: TextIO, *, whole: bool = True, verbose: bool = True) -> None:
         """Write the text output, on a terminal with the outcomes and the verdict in colour."""
 
         def paint(found: re.Match[str]) -> str:
             return coloured(found[0], _COLOURS.get(found[0], "red"), stream)
 
-        stream.write(_OUTCOME.sub(paint, self.as_text(whole=whole)))
+        stream.write(_OUTCOME.sub(paint, self.as_text(whole=whole, verbose=verbose)))
 
-    def _lines(self) -> Iterator[str]:
+    def _lines(self, verbose: bool) -> Iterator[str]:
         for stage in Stage:
             own = [f for f in self.findings if f.stage is stage and f.outcome is not Outcome.NOT_CHECKED]
+            if own and not verbose and not any(finding.bad for finding in own):
+                yield f"{stage.value}: {len(own)} ok"
+                continue
             if own:
                 yield stage.value
             for finding in own:
@@ -244,19 +253,18 @@ class Report:
             if finding.outcome is Outcome.NOT_CHECKED:
                 omitted.setdefault(finding.evidence, []).append(finding.id)
         if omitted:
-            yield "not checked"
+            yield from ("", "not checked")
         for reason, ids in omitted.items():
             yield from _wrapped(" " * (_MARK_WIDTH + 2), f"{reason}: {', '.join(ids)}")
         if omitted:
             yield ""
 
-    def _ending(self) -> Iterator[str]:
+    def _counts(self) -> str:
         counts = Counter(finding.outcome for finding in self.findings)
-        yield (
+        return (
             f"{len(self.findings)} checks: {counts[Outcome.FAULT]} faults, {counts[Outcome.WARNING]} warnings, "
             f"{counts[Outcome.OK]} ok, {counts[Outcome.NOT_CHECKED]} not checked"
         )
-        yield from _wrapped("verdict: ", self.verdict_text)
 
 
 def _wrapped(head: str, text: str) -> Iterable[str]:

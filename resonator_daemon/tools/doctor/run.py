@@ -26,6 +26,7 @@ from resonator_daemon.tools.doctor.capture import Capture, capture_board
 from resonator_daemon.tools.doctor.daemon_checks import check_daemon, find_daemon
 from resonator_daemon.tools.doctor.finding import Area, Check, Finding, Outcome, Report, not_checked
 from resonator_daemon.tools.doctor.host_checks import BusyCheck, Host, check_clock, check_disk
+from resonator_daemon.tools.doctor.load_check import check_load
 from resonator_daemon.tools.doctor.port_checks import (
     HOLDER,
     check_holder,
@@ -49,6 +50,8 @@ class DoctorOptions:
     seconds: float
     json: bool = False
     host: Host = field(default_factory=Host)
+    load_newton: float | None = None
+    verbose: bool = False
 
 
 def doctor(options: DoctorOptions) -> ExitCode:
@@ -74,12 +77,12 @@ def doctor(options: DoctorOptions) -> ExitCode:
     except InterruptedCommandError:
         report = Report(found)
         if found and not options.json:
-            report.write(sys.stdout, whole=False)
+            report.write(sys.stdout, whole=False, verbose=options.verbose)
         text = f"interrupted after {len(found)} findings; not everything was examined"
         raise InterruptedCommandError(text, partial_result={"findings": report.as_json()["findings"]}) from None
     report = Report(found)
     if not options.json:
-        report.write(sys.stdout)
+        report.write(sys.stdout, verbose=options.verbose)
         return report.exit_code
     if report.cause is not None:
         raise UserError(report.verdict_text, partial_result=report.as_json(), code="fault", exit_code=ExitCode.FAILED)
@@ -114,6 +117,8 @@ class _Diagnosis:
         if config is not None:
             self._show(f"broker {config.mqtt.host}:{config.mqtt.port}")
             yield from asyncio.run(check_broker(config.mqtt, self._host))
+            if self._options.load_newton is not None:
+                yield asyncio.run(check_load(config, self._options.load_newton))
         for name, check in load_entries("findings", callable):
             self._show(f"extension {name}")
             try:

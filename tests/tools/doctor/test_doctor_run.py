@@ -1,15 +1,22 @@
 """`resonatord doctor` as a user meets it: verdict, report, exit code."""
 
+import asyncio
+import itertools
 import json
 import re
 import socket
 from pathlib import Path
 
+import aiomqtt
 import pytest
 from brokers import Mosquitto
 from emulation import emulated
+from example_messages import NOW_NS, example
+from observer import running_task
 
+from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.commands import main
+from resonator_daemon.mqtt.payloads import Contacts
 from resonator_daemon.tools.doctor import broker_checks, host_checks, link_checks, sensor_checks
 from resonator_daemon.tools.doctor import run as doctor_run
 from resonator_daemon.tools.doctor.finding import FINE, WIDTH, Area, Report
@@ -61,8 +68,6 @@ def test_a_report_fits_the_terminal_and_cannot_steer_it() -> None:
 async def test_a_board_and_a_broker_that_are_well(
     tmp_path: Path, mosquitto: Mosquitto, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import asyncio
-
     monkeypatch.setattr(host_checks, "is_synchronised", lambda: True)
     port = tmp_path / "board"
     path = configuration(tmp_path, f"serial:{port}?baud=4000000", mosquitto.url)
@@ -129,3 +134,20 @@ def test_an_extension_whose_findings_are_of_another_type_is_not_checked(
     )
     _, report = asked(capsys, "tcp://127.0.0.1:9")
     assert outcomes(report)["cold"] == "not_checked"
+
+
+@pytest.mark.parametrize(("newton", "outcome"), [(1.25, "ok"), (1.5, "fault")])
+async def test_a_known_load_shows_a_wrong_sensitivity(
+    tmp_path: Path, mosquitto: Mosquitto, capsys: pytest.CaptureFixture[str], newton: float, outcome: str
+) -> None:
+    async def publish() -> None:  # 1.234 N, of which 38 mN are uncertain
+        async with aiomqtt.Client("127.0.0.1", Mqtt(url=mosquitto.url).port) as client:
+            for number in itertools.count():
+                message = example(Contacts, seq=number, t_ns=NOW_NS + number * 50_000_000)
+                await client.publish("resonator/hand/contacts/20hz", message.model_dump_json())
+                await asyncio.sleep(0.01)
+
+    async with running_task(publish()):
+        path = configuration(tmp_path, "tcp://127.0.0.1:9", mosquitto.url)
+        _, report = await asyncio.to_thread(asked, capsys, "--config", path, "--load", newton)
+    assert outcomes(report)["sensor.load"] == outcome

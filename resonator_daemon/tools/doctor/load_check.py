@@ -1,0 +1,76 @@
+"""A known load against what the running daemon measures: a wrong sensitivity that no statistic shows."""
+
+import asyncio
+import math
+from contextlib import aclosing
+from typing import Final, NamedTuple
+
+from resonator_daemon.base.host.text import print_note
+from resonator_daemon.board.config import Config
+from resonator_daemon.mqtt.payloads import Contacts
+from resonator_daemon.mqtt.requests import BrokerUnreachableError, reach
+from resonator_daemon.mqtt.subscriber import EVERY_PLATE, subscribe
+from resonator_daemon.mqtt.topics import CONTACTS, TOPICS
+from resonator_daemon.tools.doctor.finding import Area, Check, Finding
+from resonator_daemon.tools.doctor.sensor_checks import CALIBRATE
+
+LOAD: Final = Check("sensor.load", Area.SENSOR, "known load", CALIBRATE, "standard deviations", 2.0, 3.0)
+_WAIT_S: Final = 60.0
+_STILL_NS: Final = 1_000_000_000  # for which a load must lie
+_STEADY: Final = 0.02  # relative change of the force, below which it lies ...
+_SIGNIFICANT: Final = 4.0  # ... and standard deviations beyond it
+
+
+class _Load(NamedTuple):
+    """All contacts of a moment, in N."""
+
+    t_ns: int
+    force: float
+    noise: float
+    systematic: float  # the errors of contacts have the same cause
+
+    @classmethod
+    def of(cls, message: Contacts) -> "_Load":
+        force = noise2 = systematic = 0.0
+        for contact in message.contacts:
+            force += contact.force_newton[2]
+            noise2 += contact.noise_newton[2] ** 2
+            systematic += contact.systematic_newton[2] if contact.systematic_newton is not None else math.nan
+        return cls(message.t_ns, force, math.sqrt(noise2), systematic)
+
+
+async def check_load(config: Config, newton: float) -> Finding:
+    """Wait for a load that lies still, and compare it with the force that it should be."""
+    print_note(f"put a load of {newton:g} N on the plate and leave it there; waiting for {_WAIT_S:g} s")
+    try:
+        await reach(config.mqtt)
+        async with asyncio.timeout(_WAIT_S):
+            loads = await _steady(config)
+    except BrokerUnreachableError as error:
+        return LOAD.not_checked(str(error))
+    except TimeoutError:
+        return LOAD.not_checked(f"no load lay still for a second within {_WAIT_S:g} s; does `resonatord run` run?")
+    force = sum(load.force for load in loads) / len(loads)
+    std = math.hypot(loads[-1].systematic, loads[-1].noise / math.sqrt(len(loads)))
+    off = force - newton
+    evidence = f"{force:.4g} N measured of {newton:g} N: {100.0 * off / newton:+.1f} %, {std:.2g} N are stated"
+    remedy = "resonatord calibrate skin --ball" if config.plate.skin is not None else CALIBRATE
+    return LOAD.judged(abs(off) / std if std > 0.0 else math.inf, evidence, remedy=remedy)
+
+
+async def _steady(config: Config) -> list[_Load]:
+    """Return the loads of a second in which the force hardly changed."""
+    held: list[_Load] = []
+    subscribed = subscribe(config.mqtt, (TOPICS[CONTACTS.path],), plate=config.name or EVERY_PLATE, full_rate=False)
+    async with aclosing(subscribed) as messages:
+        async for _, _, message in messages:
+            load = _Load.of(message) if isinstance(message, Contacts) and message.contacts else None
+            if load is None or math.isnan(load.force + load.systematic):
+                held = []
+                continue
+            if held and abs(load.force - held[0].force) > _STEADY * load.force + _SIGNIFICANT * load.noise:
+                held = []
+            held.append(load)
+            if load.t_ns - held[0].t_ns >= _STILL_NS:
+                return held
+    raise TimeoutError
