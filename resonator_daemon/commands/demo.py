@@ -1,6 +1,6 @@
 """Touch emulated plates and show what the daemon publishes, next to the truth.
 
-In a terminal it also shows the address of a live page, where the mouse presses the plates.
+It prints the address of a live page, where the mouse presses the plates; in a terminal it also has a live view.
 
 Ctrl-C ends the measurement: result and exit code cover the time until then. Ctrl-C before the first frame exits with 1.
 
@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="quartz16, skin32, fingertip400 or comb16; repeat it for several (default: the first two)",
     )
     parser.add_argument("--seconds", type=positive, default=60.0, help="how long, from the first frame (default: 60)")
-    parser.add_argument("--headless", action="store_true", help="no live view; the default where stdout is no terminal")
+    parser.add_argument("--headless", action="store_true", help="no live page, and no live view in the terminal")
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end, and nothing else")
 
 
@@ -34,5 +34,6 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     plates = tuple(arguments.plate or ("quartz16", "skin32"))
     for plate in plates:
         check_plate_name(plate)
-    headless = arguments.headless or arguments.json or not sys.stdout.isatty()
-    return run_demo(DemoOptions(plates, arguments.seconds, headless=headless, json=arguments.json))
+    has_page = not (arguments.headless or arguments.json)
+    has_view = has_page and sys.stdout.isatty()
+    return run_demo(DemoOptions(plates, arguments.seconds, has_page=has_page, has_view=has_view, json=arguments.json))

@@ -173,14 +173,14 @@ def test_emulate_states_its_link_first_and_its_accounts_last(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("arguments", "terminal", "headless"),
-    [((), True, False), (("--headless",), True, True), (("--json",), True, True), ((), False, True)],
+    ("arguments", "terminal", "shown"),
+    [((), True, (True, True)), (("--headless",), True, (False,) * 2), ((), False, (True, False))],
 )
-def test_the_demo_has_a_view_in_a_terminal_alone(
-    arguments: tuple[str, ...], terminal: bool, headless: bool, monkeypatch: pytest.MonkeyPatch
+def test_the_demo_has_a_page_everywhere_and_a_view_in_a_terminal(
+    arguments: tuple[str, ...], terminal: bool, shown: tuple[bool, bool], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[DemoOptions] = []
     monkeypatch.setattr("resonator_daemon.tools.demo.run.run_demo", lambda options: seen.append(options) or 0)
     monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
     assert exit_code("demo", *arguments) == 0
-    assert [(options.plates, options.headless) for options in seen] == [(("quartz16", "skin32"), headless)]
+    assert [(options.has_page, options.has_view) for options in seen] == [shown]

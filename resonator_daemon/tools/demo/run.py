@@ -63,7 +63,8 @@ class DemoOptions:
 
     plates: tuple[str, ...]
     seconds: float
-    headless: bool
+    has_page: bool  # in which the plates are pressed with the mouse
+    has_view: bool  # in the terminal
     json: bool
 
 
@@ -138,7 +139,7 @@ class _Demo:
         stack.push_async_callback(receiver.close)
         for name, plate in self._plates.items():
             await self._start(name, plate, url, folder, stack)
-        if not self._options.headless:
+        if self._options.has_page:
             await self._open_live_page(url, folder, stack)
         await self._wait_for_frames()
         gc.freeze()  # modules stay in use: collections that visit them delay messages by tens of ms
@@ -151,14 +152,14 @@ class _Demo:
         for name, plate in self._plates.items():
             scored = SCORED_OF_SKIN if plate.decodable else SCORED_OF_FORCES
             filters |= topic_filters(self._prefix, scored, plate=name, full_rate=True)
-        if not self._options.headless:
+        if self._options.has_view:
             filters |= topic_filters(self._prefix, _SHOWN, full_rate=False)
         return filters
 
     async def _start(self, name: str, plate: Plate, broker_url: str, folder: Path, stack: AsyncExitStack) -> None:
         """Start the processes of one plate; they end with the stack."""
         print_note(f"starting emulated board and daemon: {name}")
-        emulator = await start_emulator(name, plate, folder, by_hand=not self._options.headless)
+        emulator = await start_emulator(name, plate, folder, by_hand=self._options.has_page)
         stack.push_async_callback(emulator.child.stop)
         daemon = await start_daemon(name, emulator.link, broker_url, folder)
         stack.push_async_callback(daemon.stop)
@@ -180,7 +181,7 @@ class _Demo:
             print_note(f"no page to press the plates in: {error}")
             return
         stack.push_async_callback(self._live_page.stop)
-        print_note(f"press the plates with the mouse: {self._page_url}")
+        print_note(f"press the plates with the mouse, until the end of the demo: {self._page_url}")
         if any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
             await asyncio.to_thread(webbrowser.open, self._page_url)
 
@@ -193,7 +194,7 @@ class _Demo:
                 continue
             if path in _SCORED_PATHS:
                 station.score.add(path, arrival.payload, arrival.arrived_ns)
-            if not self._options.headless and path in _SHOWN_PATHS:
+            if self._options.has_view and path in _SHOWN_PATHS:
                 shown = read_message(self._prefix, arrival)
                 if shown is not None:
                     station.view.add(shown.path, shown.message, arrival.arrived_ns)
@@ -205,7 +206,7 @@ class _Demo:
         used_before, busy_before_s = self._processor_times(), busy_s()
         started = time.monotonic()
         console = Console()
-        live = nullcontext() if self._options.headless else Live(console=console, screen=True, auto_refresh=False)
+        live = Live(console=console, screen=True, auto_refresh=False) if self._options.has_view else nullcontext()
         with live as screen:
             while (left_s := started + self._options.seconds - time.monotonic()) > 0 and not self._stop.is_set():
                 raise_if_ended(self._children())
