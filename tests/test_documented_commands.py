@@ -71,7 +71,7 @@ async def test_the_guides_work_in_turn(shell: Shell, tmp_path: Path) -> None:
         return await shell.run(["command", "left-index.toml", *words, "--json"])
 
     await shell.run(BOARD)
-    await shell.run(["config", "example", ">", "left-index.toml"])
+    await shell.run(["config", "example", "--link", "serial:/tmp/board?baud=4000000", ">", "left-index.toml"])
     configuration = tmp_path / "left-index.toml"
     allowed = 'allow = ["start_recording", "stop_recording", "mark"]'
     configuration.write_text(re.sub("(?m)^allow = .*", allowed, configuration.read_text()))

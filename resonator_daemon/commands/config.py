@@ -1,15 +1,18 @@
 """Print an example of the configuration file, the meaning of a key, or the JSON Schema for editors.
 
-Example: resonatord config explain mqtt.url
+Example: resonatord config example --plate skin32 --link tcp://192.168.0.42:7000 > left-index.toml
 """
 
 import argparse
 import json
 import shutil
 import sys
+from typing import Final
 
 from resonator_daemon.base.errors import ExitCode, UsageError
 from resonator_daemon.tools.command_line import print_json
+
+_GIVEN: Final = {"plate": "plate", "link": "link", "name": "name", "broker": "url"}  # keys of the example, by option
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,6 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "key", nargs="?", metavar="KEY", help="of explain: as mqtt.url, or mqtt for all of that table (default: a list)"
     )
+    for option, key in _GIVEN.items():
+        parser.add_argument(f"--{option}", dest=key, metavar=key.upper(), help=f"of example: the value of `{key}`")
     parser.add_argument("--json", action="store_true", help="print one JSON object; of schema, in one line")
 
 
@@ -30,6 +35,9 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     arguments.command = verb = f"config {arguments.what}"
     if arguments.key is not None and arguments.what != "explain":
         raise UsageError(f"{arguments.key}: {verb} takes no KEY")
+    given = {key: value for key in _GIVEN.values() if (value := getattr(arguments, key)) is not None}
+    if given and arguments.what != "example":
+        raise UsageError(f"{verb} takes no value of {', '.join(given)}")
     if arguments.what == "explain":
         _explain(arguments.key or "", verb, as_json=arguments.json)
     elif arguments.what == "schema":
@@ -40,7 +48,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         from resonator_daemon.base.host.text import with_pages
         from resonator_daemon.board.config import example_config
 
-        text = with_pages(example_config())
+        text = with_pages(example_config(given))
         sys.stdout.write(json.dumps({"verb": verb, "example": text}) + "\n" if arguments.json else text)
     return ExitCode.DONE
 

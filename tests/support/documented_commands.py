@@ -57,8 +57,7 @@ class Shell:
         output = (await process.communicate())[0].decode()
         assert process.returncode == 0 or "first: computer_busy" in " ".join(output.split()), (verb, output)
         if ">" in words:
-            text = re.sub(r'(?m)^link = "[^"]*"', f'link = "serial:{self._folder}/board?baud=4000000"', output)
-            (self._folder / words[-1]).write_text(text.replace("mqtt://127.0.0.1:1883", self._broker))
+            (self._folder / words[-1]).write_text(output.replace("mqtt://127.0.0.1:1883", self._broker))
         return output
 
     def _expanded(self, words: list[str]) -> list[str]:

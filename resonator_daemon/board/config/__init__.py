@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
+import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,7 +25,7 @@ from pydantic_core import InitErrorDetails
 
 from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.base.plate import Plate, load_plate
-from resonator_daemon.base.toml import Table, TomlFile, check_with, finding, load_model, read_toml
+from resonator_daemon.base.toml import Table, TomlFile, check_with, finding, load_model, parse_toml, read_toml
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.board.config.tables import Commands, Decoding, Measurement, Metrics, Recording, plate_name
 from resonator_daemon.board.links.carriers import link_forms, parse_link
@@ -162,9 +164,18 @@ def config_from(file: TomlFile, directory: Path) -> Config:
     return load_model(Config, file, context=directory)
 
 
-def example_config() -> str:
-    """Return a configuration that passes `load_config`, with a comment on each key that needs one."""
-    return _EXAMPLE
+def example_config(given: Mapping[str, str] | None = None) -> str:
+    """Return a configuration that passes `load_config`, with a comment on each key that needs one.
+
+    `given` has values of plate, link, name and url; ConfigurationError if they cannot be used.
+    """
+    text = _EXAMPLE
+    for key, value in (given or {}).items():
+        line = f"{key} = {json.dumps(value)}"
+        text = re.sub(f"(?m)^{key} = .*$", line.replace("\\", r"\\"), text)
+    if given:
+        config_from(parse_toml(text, Path("example.toml")), Path.cwd())
+    return text
 
 
 def _check_load(plate: Plate, baud: int) -> None:
