@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -13,7 +13,7 @@ from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.surface.decoded import SIGNAL_LIMIT
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
-from resonator_daemon.estimate.surface.fitting.fit_check import FRAMES, FitQuality, RestScatter, contradicts
+from resonator_daemon.estimate.surface.fitting.fit_check import FRAMES, P_LEAST, FitQuality, RestScatter, contradicts
 from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart, Friction, PartialSlip
 from resonator_daemon.estimate.surface.fitting.slip_fitter import SlipWatch
 from resonator_daemon.estimate.surface.fitting.slip_signals import FORCE_X, FORCE_Z, MARGIN, RADIUS
@@ -27,6 +27,9 @@ _ONSET_FRAMES = 2  # in a row: a patch of one frame may be noise
 _SIGNIFICANCE = 6.0  # standard deviations of the normal force at onset
 RADIUS_SHARE = 0.5  # of the sites' extent: contacts are no larger
 _NOISE_CHANGE = 0.05  # relative, of a signal's standard deviation: a fit with other weights linearises again
+_OFFSET_GAIN = 0.4  # of following a common offset ...
+_OFFSET_LEAST = 5.0  # ... which is taken off if it is above so many standard deviations of a frame's
+_OFFSET_LARGE = 5.0  # standard deviations of a signal, from where on the median of the signals shows it, too
 _FRICTION_STD = 0.03  # relative, of a coefficient that is given: friction changes, and models are wrong
 _FRICTION_KNOWN = 0.1  # relative standard deviation at which an estimate begins to bound shear
 
@@ -174,6 +177,8 @@ class SkinContacts:
         Numbers the contacts.
     friction_estimate
         Estimate from slip so far, None where there is none.
+    offset
+        By how much each kind of signal is off in all sites, in units of its noise, (3,): what the common mode leaves.
     """
 
     def __init__(self, skin: Skin, noise_std: Floats, friction_coefficient: float | None) -> None:
@@ -192,19 +197,21 @@ class SkinContacts:
         self.friction_estimate: float | None = None
         self._tracks: dict[int, _Track] = {}
         self._rest = RestScatter()
-        self._watch = SlipWatch(self._model, self._friction, skin)
+        self.offset, self._all_offset = np.zeros((2, 3))
+        self._watch = SlipWatch(self._model, self._friction, skin, noise_std)
 
     def reset(self, reason: Reason) -> tuple[SkinEvent, ...]:
         """End all contacts for this reason: what follows has nothing in common with what was."""
         ended = tuple(SkinEvent("release", track.last, reason) for track in self._tracks.values() if track.announced)
         self.tracker.clear()
         self._tracks = {}
-        self._watch = SlipWatch(self._model, self._friction, self._skin)
+        self._watch = SlipWatch(self._model, self._friction, self._skin, self._noise_std)
         return ended
 
     def start_cold(self) -> None:
         """Discard what was estimated from the frames before: friction, the scatter at rest, gain errors."""
         self.friction_estimate = None
+        self.offset, self._all_offset = np.zeros((2, 3))
         self._frame_noise_std = self._noise_std
         self._rest = RestScatter()
 
@@ -220,12 +227,34 @@ class SkinContacts:
             self._rest.add(signals, self._noise_std)
         noise_std = self._noise_of(signals)
         slips, slip_events = self._watch.update(signals, noise_std, _starts(real))
+        self._follow_offset(signals, slips.values())
         self.friction_estimate = _estimated_friction(slips) or self.friction_estimate
         shares = (self._noise_std / noise_std) ** 2 if real and self._gain_std else np.ones(1)
         contacts = {i: self._contact(i, patch, slips.get(i), shares) for i, patch in real.items()}
         events = self._follow(contacts)
         events += [SkinEvent(event.event, contacts[event.contact]) for event in slip_events]
         return tuple(contacts.values()), tuple(events)
+
+    def _follow_offset(self, signals: Floats, fits: Collection[PartialSlip]) -> None:
+        """Follow the offset of signals of which the present one was taken off, unless a fit contradicts its model."""
+        found, left, large = self._watch.offset, None, np.abs(self.offset) > _OFFSET_LARGE
+        if large.any():
+            middle = np.nanmedian(signals / self._noise_std, axis=1) + self.offset
+            if (np.abs(middle[large]) < 0.5 * np.abs(self.offset[large])).all():  # it has been taken off before
+                self.offset, self._all_offset = np.zeros((2, 3))
+                return
+        if not self._tracks:
+            scores = np.where(np.abs(signals) <= SIGNAL_LIMIT, signals / self._noise_std, np.nan)
+            left = np.nanmean(scores, axis=1) if np.isfinite(scores).any(axis=1).all() else None
+        elif found is not None and fits:
+            slip = next(iter(fits))
+            chi2 = slip.chi2 - found.fall / slip.degrees_of_freedom
+            if self._rest.quality(chi2, slip.degrees_of_freedom, 1.0).p > P_LEAST:
+                left = found.of_noise
+        if left is not None:
+            self._all_offset += _OFFSET_GAIN * (self.offset + left - self._all_offset)
+            least = _OFFSET_LEAST / math.sqrt(signals.shape[1])
+            self.offset = np.where(np.abs(self._all_offset) > least, self._all_offset, 0.0)
 
     def _is_real(self, contact: int, patch: Patch) -> bool:
         """Return whether a patch is a contact: significant in some frames in a row, then while it is tracked."""
@@ -240,7 +269,9 @@ class SkinContacts:
         peak_newton = max(track.last.peak_newton, float(patch.force_newton[2]))
         if slip is None or math.isnan(slip.chi2):
             return SkinContact(contact, patch, slip, peak_newton=peak_newton)
-        fit = self._rest.quality(slip.chi2, slip.degrees_of_freedom, float(noise_shares.mean()))
+        fall = self._watch.offset.fall if self._watch.offset is not None else 0.0
+        chi2 = slip.chi2 - fall / slip.degrees_of_freedom  # an offset has errors of its own
+        fit = self._rest.quality(chi2, slip.degrees_of_freedom, float(noise_shares.mean()))
         track.fits.append(fit)
         found = SkinContact(
             contact, patch, slip, fit, Systematic.of(slip), *self._curvature_m(slip), peak_newton=peak_newton

@@ -169,6 +169,8 @@ class SkinDecoder:
         What is far noisier than usual, or of unknown noise, counts as lost; so do the sites that `site_check` excludes.
         """
         sound = noise_std < self._noisy
+        if self.contacts.offset.any():
+            signals = signals - self.contacts.offset[:, None] * self._noise_std
         self._frame = self._frame_of_all_sites = signals if sound.all() else np.where(sound, signals, np.nan)
         if self.site_check is not None and (excluded := self.site_check.excluded):
             self._frame = self._frame_of_all_sites.copy()

@@ -20,15 +20,15 @@ FORCE_NEWTON, CENTRE_M = (0.15, -0.1, 1.0), (3e-4, -2e-4)
 MARGIN = 1.0 - np.hypot(0.15, 0.1) / FRICTION
 OFF = 0.05
 SITE = int(np.hypot(*(SITES_M - CENTRE_M).T).argmin())
-RESET = Reason(ReasonCode.DECODER_RESET, "of a test")
 
 
-def signals(depth: float = 1.0, modulus: float = 1.0, gain: float = 1.0, position_m: float = 0.0) -> Floats:
-    """Return signals of one press on a skin that is off by these factors, its sites by so much."""
+def signals(depth: float = 1, modulus: float = 1, gain: float = 1, position_m: float = 0, common: float = 0) -> Floats:
+    """Return signals of one press on a skin that is off by these factors, its sites by so much, all by their noise."""
     sites_m = SITES_M + position_m * np.random.default_rng(2).standard_normal(SITES_M.shape)
     radii, forces = hertz_parts(FORCE_NEWTON, RADIUS_M, FRICTION)
     fields = hertz_fields(sites_m - CENTRE_M, depth * DEPTH_M, radii, modulus * E, 0.5)
-    return np.asarray(gain * np.einsum("kf,kfsn->sn", forces, fields) * np.array([[1.5 / E], [1.0], [1.0]]))
+    strains = np.einsum("kf,kfsn->sn", forces, fields) * np.array([[1.5 / E], [1.0], [1.0]])
+    return np.asarray(gain * strains + common * NOISE)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def decoder_of(skin: Skin) -> SkinDecoder:
 def pressed(decoder: SkinDecoder, clean: Floats, *, noise: float = 1.0, frames: int = 12) -> SkinContact:
     """Return the contact in the last of some frames, after some at rest."""
     rng = np.random.default_rng(1)
-    decoder.reset(RESET)
+    decoder.reset(Reason(ReasonCode.DECODER_RESET, "of a test"))
     decoder.start_cold()
     for frame in [np.zeros_like(clean)] * 60 + [clean] * frames:
         reading = decoder.decode(noisy(frame, rng, noise * NOISE), noise * NOISE)
@@ -51,9 +51,9 @@ def pressed(decoder: SkinDecoder, clean: Floats, *, noise: float = 1.0, frames: 
     return contact
 
 
-@pytest.mark.parametrize("noise", [1.0, 1.3])
-def test_the_chi_square_of_a_right_model_is_one_at_every_noise(noise: float) -> None:
-    contact = pressed(decoder_of(SKIN), signals(), noise=noise)
+@pytest.mark.parametrize(("noise", "common"), [(1.0, 0.0), (1.3, 0.0), (1.0, 3.0)])
+def test_the_chi_square_of_a_right_model_is_one_at_every_noise_and_common_mode(noise: float, common: float) -> None:
+    contact = pressed(decoder_of(SKIN), signals(common=common), noise=noise)
     assert contact.fit is not None
     assert contact.fit.degrees_of_freedom == 3 * len(SITES_M) - 7
     assert contact.fit.chi2 == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / contact.fit.degrees_of_freedom))
@@ -78,8 +78,9 @@ def test_a_wrong_model_is_contradicted_within_a_tenth_of_a_second(decoder: SkinD
         ({"modulus": 1.0 - OFF}, {"modulus_std_pascal": OFF * E}),
         ({"gain": 1.0 + OFF}, {"gain_std_common": OFF}),
         ({"position_m": 1e-4}, {"position_std_m": 1e-4}),
+        ({"common": 1.0}, {}),
     ],
-    ids=["depth", "modulus", "gain", "positions"],
+    ids=["depth", "modulus", "gain", "positions", "common mode"],
 )
 def test_systematic_deviations_cover_what_is_off(off: dict[str, Any], stated: dict[str, float]) -> None:
     contact = pressed(decoder_of(replace(SKIN, **stated)), signals(**off))
@@ -90,10 +91,9 @@ def test_systematic_deviations_cover_what_is_off(off: dict[str, Any], stated: di
     noise = [*patch.force_std_newton, *patch.centroid_std_m, slip.radius_std_m]
     noise += [slip.slip_margin_std, slip.friction_coefficient_std]
     other = [*off_by.force_newton, *off_by.position_m, off_by.radius_m, off_by.slip_margin, off_by.friction_coefficient]
-    known = np.isfinite(error)
-    assert known.sum() >= 6
+    assert (known := np.isfinite(error)).sum() >= 6
     assert (np.abs(error) < 2.0 * np.hypot(noise, other))[known].all()
-    assert (np.abs(error) > 2.0 * np.array(noise)).any() or "position_m" in off  # which the noise alone does not cover
+    assert (np.abs(error) > 2.0 * np.array(noise)).any() or off.keys() < {"position_m", "common"}  # noise is too little
 
 
 @pytest.mark.parametrize(("factor", "std", "found"), [(1, 0, ()), (0, 0, (SITE,)), (0.8, 0, (SITE,)), (0, 0.9, ())])

@@ -15,7 +15,7 @@ _MEDIAN_SQUARE: Final = 0.4549364  # of a normal deviate: single dead sites hard
 _SCATTER_MAX: Final = 4.0  # a declared noise that is off by more than a factor of two is not that of the signals
 _REST_FRAMES_MIN: Final = 20  # before the scatter at rest counts as known
 _REST_FRAMES: Final = 100  # over which it is averaged
-_P_LEAST: Final = 1e-5  # of a frame: below it, its signals contradict the fit ...
+P_LEAST: Final = 1e-5  # of a frame: below it, its signals contradict the fit ...
 _RECENT, _CONTRADICTED = 5, 3  # ... and where so many of the last frames do, the model is wrong, ...
 FRAMES: Final = 7  # ... or where the mean chi-square of so many frames ...
 _EXCESS_STD: Final = 4.3  # ... lies so many standard deviations above 1, which has the same chance as the least p
@@ -58,7 +58,7 @@ def contradicts(fits: Sequence[FitQuality], repeated_share: float) -> bool:
 
     `repeated_share` of the variance of chi-square is the same in all frames, because gains are.
     """
-    if sum(fit.p < _P_LEAST for fit in list(fits)[-_RECENT:]) >= _CONTRADICTED:
+    if sum(fit.p < P_LEAST for fit in list(fits)[-_RECENT:]) >= _CONTRADICTED:
         return True
     if len(fits) < FRAMES:
         return False

@@ -30,7 +30,7 @@ from resonator_daemon.estimate.surface.fitting.slip_problem import (
     Whitening,
 )
 from resonator_daemon.estimate.surface.fitting.slip_signals import FORCE_Z, MARGIN, PARAMETERS
-from resonator_daemon.estimate.surface.fitting.systematic import systematic_covariances
+from resonator_daemon.estimate.surface.fitting.systematic import Offset, offset_of, systematic_covariances
 from resonator_daemon.estimate.surface.skin import Skin
 
 _ANY_MARGIN_PRECISION = 12.0  # of one that may be anything between 0 and 1
@@ -88,11 +88,20 @@ class SlipFitter:
         With the Hertz profile.
     skin
         Whose uncertainty contacts state; None: it has none.
+    offset_std
+        Noise of the signals without gain errors, (3, n); None: no signals have a common offset.
+
+    Attributes
+    ----------
+    offset
+        That the last frame has; None without a fit.
     """
 
-    def __init__(self, model: DiscModel, skin: Skin | None = None) -> None:
+    def __init__(self, model: DiscModel, skin: Skin | None = None, offset_std: Floats | None = None) -> None:
         self._model = model
         self._skin = skin
+        self._offset_std = offset_std
+        self.offset: Offset | None = None
         self._whitening: Whitening | None = None
         self._reset()
 
@@ -112,6 +121,7 @@ class SlipFitter:
         `starts` serve where there is no frame before, or it leads nowhere. Other arguments and errors as of
         `fit_partial_slip`.
         """
+        self.offset = None
         frame = self._checked(signals, noise_std, len(starts))
         self._whitening = frame.whitening
         needed = max(KNOWN_LIMIT * frame.target.size, PARAMETERS * len(starts))
@@ -168,7 +178,12 @@ class SlipFitter:
         precision[margins, margins] += _ANY_MARGIN_PRECISION
         fit = Fit(parameters, precision, settled.chi_square, problem.count, frame.energy)
         covariance, rivals, is_best = fit.covariance, self._rivals, True
-        systematic = self._systematic_covariances(settled, covariance / max(fit.chi2, 1.0))
+        of_noise = covariance / max(fit.chi2, 1.0)
+        systematic = self._systematic_covariances(settled, of_noise)
+        if self._offset_std is not None and np.isfinite(of_noise).all():
+            self.offset = offset_of(frame, settled, of_noise, self._offset_std)
+            by_contact = self.offset.moved.reshape(-1, PARAMETERS, 3)
+            systematic = systematic + by_contact @ by_contact.transpose(0, 2, 1)
         self._before, self._rivals, self._held, self._unknown = settled.linearisation, {}, {}, set()
         found = []
         for index, place in enumerate(margins.tolist()):
@@ -257,14 +272,24 @@ class SlipWatch:
         With the Hertz profile.
     friction
         What is known of it beforehand.
-    skin
+    skin, offset_std, offset
         As of `SlipFitter`.
     """
 
-    def __init__(self, model: DiscModel, friction: Friction | None = None, skin: Skin | None = None) -> None:
-        self._fitter = SlipFitter(model, skin)
+    def __init__(
+        self,
+        model: DiscModel,
+        friction: Friction | None = None,
+        skin: Skin | None = None,
+        offset_std: Floats | None = None,
+    ) -> None:
+        self._fitter = SlipFitter(model, skin, offset_std)
         self._friction = friction
         self._followed: dict[int, _Followed] = {}
+
+    @property
+    def offset(self) -> Offset | None:
+        return self._fitter.offset
 
     def update(
         self, signals: ArrayLike, noise_std: ArrayLike, contacts: Mapping[int, ContactStart]

@@ -1,17 +1,20 @@
-"""How far a contact is off if the skin is not as its plate file has it: depth, modulus, gains, places of the sites.
+"""How far a contact is off if the skin is not as its plate file has it: depth, modulus, gains, places, common mode.
 
 By dimensional analysis, signals s of given forces obey z ds/dz = -2 s - a ds/da + (site - centre) . ds/dcentre, since
 they have the form f(site / z, centre / z, a / z) / z^2. A stiffer skin has smaller strains and the same pressures; a
 common gain scales all signals. The fit follows each such change by weighted least squares.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from resonator_daemon.base.arrays import Floats, Singles
-from resonator_daemon.estimate.surface.fitting.slip_problem import Linearisation
+from resonator_daemon.estimate.surface.fitting.slip_problem import Frame, Linearisation, Settled
 from resonator_daemon.estimate.surface.fitting.slip_signals import FORCE_X, MARGIN, PARAMETERS, RADIUS, ROWS, Y
 from resonator_daemon.estimate.surface.skin import Skin
 
+_SIGNIFICANT2 = 3.0**2  # of an offset, in standard deviations: a smaller one is noise
 _BY_X, _BY_Y = 3, 4  # rows of the slopes by the offset of a site, in depths
 
 
@@ -27,6 +30,31 @@ def skin_changes(skin: Skin, at: Linearisation) -> Singles:
         changes[0] -= float(contact[RADIUS]) * by_radius + offset[0] * by_x + offset[1] * by_y
     changes[1, 0], changes[1, 1:] = 0.0, -value[1:]
     return changes.reshape(2, -1)
+
+
+class Offset(NamedTuple):
+    """What the common mode of all tones leaves when it changes during a touch: one offset of each kind of signal."""
+
+    of_noise: Floats  # in units of the noise without gain errors, (3,)
+    moved: Floats  # what it changes each parameter by, (7 k, 3); 0 where it is not significant
+    fall: float  # of chi-square without it
+
+
+def offset_of(frame: Frame, settled: Settled, covariance: Floats, noise_std: Floats) -> Offset:
+    """Return the offset that a fit leaves in the signals.
+
+    `covariance` (7 k, 7 k) is that of the parameters for the declared noise, `noise_std` (3, n) without gain errors.
+    """
+    at = settled.linearisation
+    moved = (settled.parameters - at.parameters) * at.scale
+    left = frame.target - at.value - moved.astype(np.float32) @ at.rows[at.slopes]
+    unit = (noise_std * frame.whitening.weights).astype(np.float32)
+    across = np.einsum("rsn,sn->rs", at.rows.reshape(len(at.rows), 3, -1), unit)[at.slopes] * at.scale[:, None]
+    followed = covariance @ across
+    information = np.einsum("sn,sn->s", unit, unit) - np.einsum("ps,ps->s", across, followed)
+    found = np.einsum("sn,sn->s", unit, left.reshape(unit.shape)) / information
+    scores2 = found**2 * information
+    return Offset(found, followed * np.where(scores2 > _SIGNIFICANT2, found, 0.0), float(scores2.sum()))
 
 
 def systematic_covariances(skin: Skin, at: Linearisation, covariance: Floats) -> Floats:
