@@ -49,10 +49,10 @@ def offset_of(frame: Frame, settled: Settled, covariance: Floats, noise_std: Flo
     moved = (settled.parameters - at.parameters) * at.scale
     left = frame.target - at.value - moved.astype(np.float32) @ at.rows[at.slopes]
     unit = (noise_std * frame.whitening.weights).astype(np.float32)
-    across = np.einsum("rsn,sn->rs", at.rows.reshape(len(at.rows), 3, -1), unit)[at.slopes] * at.scale[:, None]
+    across = np.vecdot(at.rows.reshape(len(at.rows), 3, -1), unit)[at.slopes] * at.scale[:, None]
     followed = covariance @ across
-    information = np.einsum("sn,sn->s", unit, unit) - np.einsum("ps,ps->s", across, followed)
-    found = np.einsum("sn,sn->s", unit, left.reshape(unit.shape)) / information
+    information = np.vecdot(unit, unit) - (across * followed).sum(axis=0)
+    found = np.vecdot(unit, left.reshape(unit.shape)) / information
     scores2 = found**2 * information
     return Offset(found, followed * np.where(scores2 > _SIGNIFICANT2, found, 0.0), float(scores2.sum()))
 
