@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "key", nargs="?", metavar="KEY", help="of explain: as mqtt.url, or mqtt for all of that table (default: a list)"
     )
     for option, key in _GIVEN.items():
-        parser.add_argument(f"--{option}", dest=key, metavar=key.upper(), help=f"of example: the value of `{key}`")
+        parser.add_argument(f"--{option}", dest=key, metavar=key.upper(), help=f"of example: its value of `{key}`")
     parser.add_argument("--json", action="store_true", help="print one JSON object; of schema, in one line")
 
 
@@ -37,7 +37,8 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         raise UsageError(f"{arguments.key}: {verb} takes no KEY")
     given = {key: value for key in _GIVEN.values() if (value := getattr(arguments, key)) is not None}
     if given and arguments.what != "example":
-        raise UsageError(f"{verb} takes no value of {', '.join(given)}")
+        options = ", ".join(f"--{option}" for option, key in _GIVEN.items() if key in given)
+        raise UsageError(f"{verb} takes no {options}; use: resonatord config example {options}")
     if arguments.what == "explain":
         _explain(arguments.key or "", verb, as_json=arguments.json)
     elif arguments.what == "schema":

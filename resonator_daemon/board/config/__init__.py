@@ -31,24 +31,6 @@ from resonator_daemon.board.config.tables import Commands, Decoding, Measurement
 from resonator_daemon.board.links.carriers import link_forms, parse_link
 from resonator_daemon.board.links.target import LinkTarget
 
-_EXAMPLE = """\
-name = "left-index"                      # topics: resonator/left-index/...; default: the board's serial number
-plate = "quartz16"                       # a shipped plate or a path, relative to this file
-link = "serial:/dev/serial/by-id/usb-RD_board_0042-if00?baud=4000000"   # or tcp://host:port, usb:1209:0001?serial=0042
-[mqtt]
-url = "mqtt://127.0.0.1:1883"            # mqtts:// for TLS; certificates, passwords: docs/how-to/secure-the-broker.md
-prefix = "resonator"
-[measurement]
-window_ms = 10
-step_ms = 5                              # publishing rate of forces and contacts: 200 Hz
-[decoding]
-method = "open-plane"                    # fourier, off
-contact_physics = true
-friction_coefficient = "unknown"         # or a number
-[commands]
-allow = ["tare"]                         # of subscribers; commands that change nothing are always allowed
-# [recording] and [metrics]: resonatord config explain recording
-"""
 _BITS_PER_BYTE = 10  # on a serial line: start bit, 8 data bits, stop bit
 
 
@@ -167,11 +149,11 @@ def config_from(file: TomlFile, directory: Path) -> Config:
 def example_config(given: Mapping[str, str] | None = None) -> str:
     """Return a configuration that passes `load_config`, with a comment on each key that needs one.
 
-    `given` has values of plate, link, name and url; ConfigurationError if they cannot be used.
+    `given` has values of plate, link, name and url, whose comments are left out; ConfigurationError if unusable.
     """
-    text = _EXAMPLE
+    text = Path(__file__).with_name("example.toml").read_text(encoding="utf-8")
     for key, value in (given or {}).items():
-        line = f"{key} = {json.dumps(value)}"
+        line = f"{key} = {json.dumps(value, ensure_ascii=False)}"
         text = re.sub(f"(?m)^{key} = .*$", line.replace("\\", r"\\"), text)
     if given:
         config_from(parse_toml(text, Path("example.toml")), Path.cwd())

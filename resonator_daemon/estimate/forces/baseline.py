@@ -1,7 +1,7 @@
 """Common mode of all tones, from reference and temperature: estimated while untouched, held while touched.
 
 A common mode that drifts faster than that of a plate at rest in a room is detected and reported. The noise of the
-oscillators is measured at rest, too.
+pilot's oscillator is measured at rest, too.
 """
 
 import math
@@ -21,7 +21,7 @@ COMMON_MODE_WALK: Final = 1e-8  # relative frequency after one second
 KNOWN_CHANNELS: Final = 2  # the least that determine a site and a force
 
 _NOISE_TIME_S: Final = 4.0  # of averaging: 400 windows of 10 ms leave 4 % of a standard deviation
-_OUTLIER: Final = 25.0  # times the variance of a window: what one may count for, at most
+_OUTLIER: Final = 25.0  # limit of one window's variance, as a multiple of the expected one
 _UNUSUAL: Final = 1.25  # times the usual noise, from where on the measured one is used
 
 SPAN_S: Final = 10.0
@@ -108,7 +108,7 @@ class CommonMode:
 
 
 class OscillatorNoise:
-    """Monitor of the oscillators' white frequency noise, by windows of the untouched plate that adjoin.
+    """Estimator of the white frequency noise of the pilot's oscillator, from adjacent windows of the untouched plate.
 
     Attributes
     ----------
@@ -119,21 +119,23 @@ class OscillatorNoise:
     def __init__(self) -> None:
         self.std_1s = OSCILLATOR_STD_1S
         self._variance = OSCILLATOR_STD_1S**2
-        self._end_s, self._windows = math.nan, list[float]()  # that adjoin: the end of the last one, and frequencies
+        self._end_s, self._windows = math.nan, list[float]()  # end of the last one, and frequencies
 
-    def update(self, time_s: float, relative_hz: float, counter_variance: float, window_s: float) -> None:
-        """Update with the mean frequency of the channels over a window, relative, and the counter's variance of it."""
-        apart_s = time_s - self._end_s
-        if apart_s < 0.99 * window_s:
+    def update(self, time_s: float, relative_frequency: float, counter_variance: float, window_s: float) -> None:
+        """Update with the mean frequency of the channels over a window, and the counter's variance of it, relative."""
+        since_last_s = time_s - self._end_s
+        if since_last_s < 0.99 * window_s:
             return  # they overlap
-        self._windows = [*self._windows[-2:], relative_hz] if apart_s < 1.5 * window_s else [relative_hz]
+        is_next = since_last_s < 1.5 * window_s
+        self._windows = [*self._windows[-2:], relative_frequency] if is_next else [relative_frequency]
         self._end_s = time_s
         if len(self._windows) == 3:  # whose second difference has no drift
             first, middle, last = self._windows
-            most = _OUTLIER * self._variance * OMEGA_WHITE_FM / window_s
-            variance = min((first - 2.0 * middle + last) ** 2 / 6.0, most) - counter_variance
-            self._variance += window_s / _NOISE_TIME_S * (variance * window_s / OMEGA_WHITE_FM - self._variance)
-            measured = math.sqrt(max(self._variance, 0.0))
+            of_window = OMEGA_WHITE_FM / window_s
+            most = _OUTLIER * (max(self._variance, OSCILLATOR_STD_1S**2) * of_window + counter_variance)
+            found = (min((first - 2.0 * middle + last) ** 2 / 6.0, most) - counter_variance) / of_window
+            self._variance = max(self._variance + window_s / _NOISE_TIME_S * (found - self._variance), 0.0)
+            measured = math.sqrt(self._variance)
             self.std_1s = measured if measured > _UNUSUAL * OSCILLATOR_STD_1S else OSCILLATOR_STD_1S
 
 

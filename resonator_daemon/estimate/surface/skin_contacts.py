@@ -205,6 +205,7 @@ class SkinContacts:
         ended = tuple(SkinEvent("release", track.last, reason) for track in self._tracks.values() if track.announced)
         self.tracker.clear()
         self._tracks = {}
+        self.offset, self._all_offset = np.zeros((2, 3))
         self._watch = SlipWatch(self._model, self._friction, self._skin, self._noise_std)
         return ended
 
@@ -236,11 +237,13 @@ class SkinContacts:
         return tuple(contacts.values()), tuple(events)
 
     def _follow_offset(self, signals: Floats, fits: Collection[PartialSlip]) -> None:
-        """Follow the offset of signals of which the present one was taken off, unless a fit contradicts its model."""
+        """Update `offset` from signals that it was subtracted from; keep it if a fit contradicts its model."""
         found, left, large = self._watch.offset, None, np.abs(self.offset) > _OFFSET_LARGE
         if large.any():
             middle = np.nanmedian(signals / self._noise_std, axis=1) + self.offset
-            if (np.abs(middle[large]) < 0.5 * np.abs(self.offset[large])).all():  # it has been taken off before
+            if (
+                np.abs(middle[large]) < 0.5 * np.abs(self.offset[large])
+            ).all():  # the daemon has updated its common mode
                 self.offset, self._all_offset = np.zeros((2, 3))
                 return
         if not self._tracks:
@@ -248,7 +251,7 @@ class SkinContacts:
             left = np.nanmean(scores, axis=1) if np.isfinite(scores).any(axis=1).all() else None
         elif found is not None and fits:
             slip = next(iter(fits))
-            chi2 = slip.chi2 - found.fall / slip.degrees_of_freedom
+            chi2 = slip.chi2 - found.chi2_decrease / slip.degrees_of_freedom
             if self._rest.quality(chi2, slip.degrees_of_freedom, 1.0).p > P_LEAST:
                 left = found.of_noise
         if left is not None:
@@ -269,8 +272,8 @@ class SkinContacts:
         peak_newton = max(track.last.peak_newton, float(patch.force_newton[2]))
         if slip is None or math.isnan(slip.chi2):
             return SkinContact(contact, patch, slip, peak_newton=peak_newton)
-        fall = self._watch.offset.fall if self._watch.offset is not None else 0.0
-        chi2 = slip.chi2 - fall / slip.degrees_of_freedom  # an offset has errors of its own
+        decrease = self._watch.offset.chi2_decrease if self._watch.offset is not None else 0.0
+        chi2 = slip.chi2 - decrease / slip.degrees_of_freedom  # systematic errors cover the offset
         fit = self._rest.quality(chi2, slip.degrees_of_freedom, float(noise_shares.mean()))
         track.fits.append(fit)
         found = SkinContact(

@@ -26,11 +26,11 @@ def main() -> None:
     tag_log(name)
     connection = socket.socket(fileno=int(socket_fd))
     # Slow imports: signals are ignored by now.
-    from resonator_daemon.measure.decoder_process.channel import Channel
+    from resonator_daemon.measure.decoder_process.decoder_connection import DecoderConnection
     from resonator_daemon.measure.decoder_process.worker import work
 
     with connection, contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):  # the daemon has gone
-        work(Channel(connection, int(memory_fd), is_daemon=False))
+        work(DecoderConnection(connection, int(memory_fd), is_daemon=False))
 
 
 if __name__ == "__main__":

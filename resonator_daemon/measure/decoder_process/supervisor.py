@@ -17,7 +17,7 @@ import psutil
 from resonator_daemon.base.errors import reason_of
 from resonator_daemon.base.host.load import ProcessUsage
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.measure.decoder_process.channel import Channel
+from resonator_daemon.measure.decoder_process.decoder_connection import DecoderConnection
 from resonator_daemon.measure.sensors.surface_decoding import Origin, SurfaceClient, SurfaceDecoding
 from resonator_daemon.measure.sensors.surface_requests import Reply, Request, Results, SurfaceSettings
 from resonator_daemon.mqtt.pacing import Backoff
@@ -62,7 +62,7 @@ class DecoderSupervisor(SurfaceDecoding[Origin]):
 
     def __init__(self, settings: SurfaceSettings, client: SurfaceClient[Origin], name: str = "skin") -> None:
         super().__init__(settings, client, name)
-        self._channel: Channel | None = None
+        self._connection: DecoderConnection | None = None
         self._usage: ProcessUsage | None = None
         self._is_idle = False
         self._ending: asyncio.Future[Ending | None] | None = None
@@ -84,7 +84,7 @@ class DecoderSupervisor(SurfaceDecoding[Origin]):
 
     def interrupt(self, reason: Reason) -> None:
         """Release all contacts, because frames have stopped arriving; at once where there is no process."""
-        if self._channel is None:
+        if self._connection is None:
             self.release_contacts(reason)
         else:
             super().interrupt(reason)
@@ -131,8 +131,8 @@ class DecoderSupervisor(SurfaceDecoding[Origin]):
         return how, f"no result for {HUNG_S:g} s" if how == "hung" else _in_words(process.returncode)
 
     async def _start(self) -> Process:
-        self._channel, (other, memory_fd) = Channel.pair(self._settings)
-        asyncio.get_running_loop().add_reader(self._channel.connection, self._read, self._channel)
+        self._connection, (other, memory_fd) = DecoderConnection.pair(self._settings)
+        asyncio.get_running_loop().add_reader(self._connection.socket, self._read, self._connection)
         with other:
             try:
                 process = await asyncio.create_subprocess_exec(
@@ -150,13 +150,13 @@ class DecoderSupervisor(SurfaceDecoding[Origin]):
         return process
 
     def _disconnect(self) -> None:
-        if self._channel is not None:
-            asyncio.get_running_loop().remove_reader(self._channel.connection)
-            self._channel.connection.close()
+        if self._connection is not None:
+            asyncio.get_running_loop().remove_reader(self._connection.socket)
+            self._connection.socket.close()
         if self._deadline is not None:
             self._deadline.cancel()
         self._skip_present("decoder_ended")
-        self._channel = self._ending = self._usage = self._interruption = None
+        self._connection = self._ending = self._usage = self._interruption = None
         self._is_idle = False
         self._ready_ns, self._until_ready = None, "decoder_ended"
 
@@ -167,20 +167,20 @@ class DecoderSupervisor(SurfaceDecoding[Origin]):
 
     def _send(self, request: SurfaceSettings | Request, within_s: float) -> None:
         """Write a request without waiting; a reply has to come within a time."""
-        if self._channel is not None:
+        if self._connection is not None:
             try:
-                self._channel.send(request)
+                self._connection.send(request)
             except OSError:
                 self._end("crashed")
             else:
                 self._expect_reply(within_s)
 
-    def _read(self, channel: Channel) -> None:
+    def _read(self, connection: DecoderConnection) -> None:
         """Handle a reply that has arrived."""
         try:
-            reply: Reply = channel.receive()
+            reply: Reply = connection.receive()
         except (EOFError, ConnectionError):
-            asyncio.get_running_loop().remove_reader(channel.connection)
+            asyncio.get_running_loop().remove_reader(connection.socket)
             self._end("crashed")
         else:
             self._received(reply)

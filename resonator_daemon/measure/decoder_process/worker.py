@@ -2,11 +2,10 @@
 
 import gc
 import pickle
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Final
 
-from resonator_daemon.measure.decoder_process.channel import Channel
+from resonator_daemon.measure.decoder_process.decoder_connection import DecoderConnection
 from resonator_daemon.measure.sensors.surface_requests import Reply, Results, SetUpStep, Undecodable
 from resonator_daemon.measure.sensors.surface_worker import SurfaceWorker
 from resonator_daemon.mqtt.codec import Encoded, encode
@@ -15,12 +14,13 @@ from resonator_daemon.mqtt.payloads import WITH_ARRAYS, ContactEvent, Header, Me
 _FRAMES_TOGETHER: Final = 3  # that come before the next part of an update, which must not wait for ever
 
 
-def work(channel: Channel) -> None:
+def work(connection: DecoderConnection) -> None:
     """Serve the settings, then requests, until the daemon's end is closed, or the sites cannot be decoded.
 
     EOFError or OSError when the daemon's end is closed.
     """
     ended = False
+    failure: Exception | None = None  # of a request that was served within an update, which catches its own
 
     def send(reply: Reply) -> None:
         nonlocal ended
@@ -30,19 +30,24 @@ def work(channel: Channel) -> None:
             gc.freeze()  # what was set up stays in use: collections that visit it take milliseconds
         if isinstance(reply, Results):
             reply = replace(reply, messages=tuple((path, _encoded(message)) for path, message in reply.messages))
-        channel.send(reply)
+        connection.send(reply)
 
     def serve_waiting() -> None:
-        with suppress(EOFError, OSError):  # which the next `receive` raises again
+        nonlocal failure
+        try:
             for _ in range(_FRAMES_TOGETHER):
-                if ended or not (worker.is_behind or channel.has_message):
+                if ended or failure or not (worker.is_behind or connection.has_message):
                     break
-                worker.serve(channel.receive())
+                worker.serve(connection.receive())
+        except Exception as error:  # noqa: BLE001 - it is raised after the update
+            failure = error
 
-    worker = SurfaceWorker(channel.receive(), send, serve_waiting)
+    worker = SurfaceWorker(connection.receive(), send, serve_waiting)
     send(Results((), "ready"))
     while not ended:
-        worker.serve(channel.receive())
+        worker.serve(connection.receive())
+        if failure is not None:
+            raise failure
 
 
 def _encoded(message: Message | Encoded) -> Message | Encoded:
@@ -50,6 +55,6 @@ def _encoded(message: Message | Encoded) -> Message | Encoded:
     if isinstance(message, Header) and not isinstance(message, ContactEvent):
         payload: Any = encode(message)
         if isinstance(message, WITH_ARRAYS):
-            payload = pickle.PickleBuffer(payload)  # an array to the channel, and bytes at its other end
+            payload = pickle.PickleBuffer(payload)  # an array to the connection, and bytes at its other end
         return Encoded(payload, message.t_ns)
     return message

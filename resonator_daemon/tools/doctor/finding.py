@@ -199,7 +199,7 @@ class Report:
 
     @property
     def verdict_text(self) -> str:
-        """The verdict in words, with the number of findings and the first of them."""
+        """The verdict in words, with the first fault, or the number of warnings and the first."""
         if self.cause is None:
             bad = [finding for finding in self.findings if finding.bad]
             number = f"{len(bad)} warning{'s' if len(bad) > 1 else ''}"
@@ -238,7 +238,7 @@ class Report:
         for stage in Stage:
             own = [f for f in self.findings if f.stage is stage and f.outcome is not Outcome.NOT_CHECKED]
             if own and not verbose and not any(finding.bad for finding in own):
-                yield f"{stage.value}: {len(own)} ok"
+                yield from (f"{stage.value}: {len(own)} ok", "")
                 continue
             if own:
                 yield stage.value
@@ -253,7 +253,7 @@ class Report:
             if finding.outcome is Outcome.NOT_CHECKED:
                 omitted.setdefault(finding.evidence, []).append(finding.id)
         if omitted:
-            yield from ("", "not checked")
+            yield "not checked"
         for reason, ids in omitted.items():
             yield from _wrapped(" " * (_MARK_WIDTH + 2), f"{reason}: {', '.join(ids)}")
         if omitted:

@@ -1,4 +1,4 @@
-"""A known load against what the running daemon measures: a wrong sensitivity that no statistic shows."""
+"""Comparison of a known load with the force that the running daemon publishes."""
 
 import asyncio
 import math
@@ -17,7 +17,7 @@ from resonator_daemon.tools.doctor.sensor_checks import CALIBRATE
 LOAD: Final = Check("sensor.load", Area.SENSOR, "known load", CALIBRATE, "standard deviations", 2.0, 3.0)
 _WAIT_S: Final = 60.0
 _STILL_NS: Final = 1_000_000_000  # for which a load must lie
-_STEADY: Final = 0.02  # relative change of the force, below which it lies ...
+_STEADY: Final = 0.02  # relative change of the force, below which the load is steady ...
 _SIGNIFICANT: Final = 4.0  # ... and standard deviations beyond it
 
 
@@ -42,28 +42,33 @@ class _Load(NamedTuple):
 async def check_load(config: Config, newton: float) -> Finding:
     """Wait for a load that lies still, and compare it with the force that it should be."""
     print_note(f"put a load of {newton:g} N on the plate and leave it there; waiting for {_WAIT_S:g} s")
+    seen: set[str] = set()
     try:
         await reach(config.mqtt)
         async with asyncio.timeout(_WAIT_S):
-            loads = await _steady(config)
+            loads = await _steady(config, seen)
     except BrokerUnreachableError as error:
         return LOAD.not_checked(str(error))
     except TimeoutError:
-        return LOAD.not_checked(f"no load lay still for a second within {_WAIT_S:g} s; does `resonatord run` run?")
+        why = "no load lay still for a second" if seen else "no contacts were published: is `resonatord run` running?"
+        if len(seen) > 1:
+            why = f"several plates publish ({', '.join(sorted(seen))}): set name in the configuration"
+        return LOAD.not_checked(f"{why}; waited {_WAIT_S:g} s")
     force = sum(load.force for load in loads) / len(loads)
     std = math.hypot(loads[-1].systematic, loads[-1].noise / math.sqrt(len(loads)))
     off = force - newton
-    evidence = f"{force:.4g} N measured of {newton:g} N: {100.0 * off / newton:+.1f} %, {std:.2g} N are stated"
+    evidence = f"measured {force:.4g} N, load {newton:g} N: {100.0 * off / newton:+.1f} %; stated deviation {std:.2g} N"
     remedy = "resonatord calibrate skin --ball" if config.plate.skin is not None else CALIBRATE
     return LOAD.judged(abs(off) / std if std > 0.0 else math.inf, evidence, remedy=remedy)
 
 
-async def _steady(config: Config) -> list[_Load]:
-    """Return the loads of a second in which the force hardly changed."""
+async def _steady(config: Config, seen: set[str]) -> list[_Load]:
+    """Return the loads of a second in which the force hardly changed; `seen` gets what was seen until then."""
     held: list[_Load] = []
     subscribed = subscribe(config.mqtt, (TOPICS[CONTACTS.path],), plate=config.name or EVERY_PLATE, full_rate=False)
     async with aclosing(subscribed) as messages:
-        async for _, _, message in messages:
+        async for plate, _, message in messages:
+            seen.add(plate)
             load = _Load.of(message) if isinstance(message, Contacts) and message.contacts else None
             if load is None or math.isnan(load.force + load.systematic):
                 held = []
@@ -71,6 +76,6 @@ async def _steady(config: Config) -> list[_Load]:
             if held and abs(load.force - held[0].force) > _STEADY * load.force + _SIGNIFICANT * load.noise:
                 held = []
             held.append(load)
-            if load.t_ns - held[0].t_ns >= _STILL_NS:
+            if len(seen) == 1 and load.t_ns - held[0].t_ns >= _STILL_NS:
                 return held
     raise TimeoutError

@@ -11,32 +11,32 @@ from decoder_bench import NOISE
 from surface_bench import NOTHING, frame, header, settings
 
 from resonator_daemon.estimate.surface.streaming import StreamingDecoder
-from resonator_daemon.measure.decoder_process.channel import Channel
+from resonator_daemon.measure.decoder_process.decoder_connection import DecoderConnection
 from resonator_daemon.measure.decoder_process.worker import work
 from resonator_daemon.measure.sensors.surface_requests import Reply, Request, Results, SetUpStep, SurfaceSettings, Work
 
 
 class Bench:
-    """A worker in a thread, and the daemon's end of its channel."""
+    """A worker in a thread, and the daemon's end of its connection."""
 
     def __init__(self) -> None:
-        self.channel, (self._other, memory_fd) = Channel.pair(settings())
-        self.channel.connection.setblocking(True)
-        other = Channel(self._other, memory_fd, is_daemon=False)
+        self.connection, (self._other, memory_fd) = DecoderConnection.pair(settings())
+        self.connection.socket.setblocking(True)
+        other = DecoderConnection(self._other, memory_fd, is_daemon=False)
         self.is_open = True
         self._thread = threading.Thread(target=self._work, args=(other,))
         self._thread.start()
 
-    def _work(self, channel: Channel) -> None:
+    def _work(self, connection: DecoderConnection) -> None:
         with suppress(EOFError):
-            work(channel)
+            work(connection)
 
     def ask(self, request: SurfaceSettings | Request) -> list[Any]:
         """Send a request; return all replies up to its outcome."""
-        self.channel.send(request)
+        self.connection.send(request)
         replies: list[Reply] = []
         while not any(isinstance(reply, Results) and reply.outcome for reply in replies):
-            replies.append(self.channel.receive())
+            replies.append(self.connection.receive())
         return replies
 
     def decode(self, seq: int, *, within_ns: int = 10**11, is_last: bool = True) -> str:
@@ -46,7 +46,7 @@ class Bench:
 
     def close(self) -> None:
         self.is_open = False
-        self.channel.connection.close()
+        self.connection.socket.close()
         self._thread.join(30)
         self._other.close()
         assert not self._thread.is_alive()

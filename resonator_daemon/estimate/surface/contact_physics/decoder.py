@@ -168,12 +168,12 @@ class ContactDecoder:
     def rebuild(self, pause: Callable[[], None] = lambda: None) -> bool:
         """Compute the matrices that the newest frame asked for; return whether one did.
 
-        `pause` is called between parts, which take about 2 ms each; frames may be decoded there.
+        `pause` is called between parts, which take about 2 ms each. It may decode frames, and may reset this decoder.
         """
         request, self._wanted = self._wanted, None
         if request is None:
             return False
-        hypothesis = request.hypothesis
+        hypothesis, found = request.hypothesis, self._found  # which a reset between parts replaces
         located = self._search.locate(request.frame, hypothesis.missed, hypothesis.located, pause)
         renewed = replace(hypothesis, located=located)
         solved: Solved | None = None
@@ -182,7 +182,7 @@ class ContactDecoder:
         elif request.before is None:
             pause()
             solved = solve(request.frame, located, self._friction(renewed.bounds), None, _COLD)
-        self._found.append(_Found(request, renewed, solved))
+        found.append(_Found(request, renewed, solved))
         return True
 
     def _release(self) -> None:

@@ -181,7 +181,7 @@ class SupportSearch:
 
         Beyond the linear map's reach, and around pixels where load was missed, they are read off the least-squares
         traction on all pixels there. Where the load has moved since the problem `before`, it is expected to move on.
-        `pause` is called as by `ContactDecoder.rebuild`.
+        `pause`: see `ContactDecoder.rebuild`.
         """
         seen = load_support(frame.pressure)
         around = dilated(missed, _MISSED_REACH) & ~dilated(seen)

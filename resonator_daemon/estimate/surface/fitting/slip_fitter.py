@@ -173,6 +173,7 @@ class SlipFitter:
 
         `held`: margins of contacts, by index, that were not fitted.
         """
+        self.offset = None
         frame, parameters, precision = problem.frame, settled.parameters, settled.precision.copy()
         margins = np.arange(MARGIN, parameters.size, PARAMETERS)
         precision[margins, margins] += _ANY_MARGIN_PRECISION

@@ -1,4 +1,4 @@
-"""How far a contact is off if the skin is not as its plate file has it: depth, modulus, gains, places, common mode.
+"""Systematic errors of a contact, by the uncertainty of a skin's depth, modulus, gains, places, and by a common mode.
 
 By dimensional analysis, signals s of given forces obey z ds/dz = -2 s - a ds/da + (site - centre) . ds/dcentre, since
 they have the form f(site / z, centre / z, a / z) / z^2. A stiffer skin has smaller strains and the same pressures; a
@@ -33,11 +33,11 @@ def skin_changes(skin: Skin, at: Linearisation) -> Singles:
 
 
 class Offset(NamedTuple):
-    """What the common mode of all tones leaves when it changes during a touch: one offset of each kind of signal."""
+    """Offset of each kind of signal, caused by a common mode that changes during a touch."""
 
     of_noise: Floats  # in units of the noise without gain errors, (3,)
     moved: Floats  # what it changes each parameter by, (7 k, 3); 0 where it is not significant
-    fall: float  # of chi-square without it
+    chi2_decrease: float  # of the sum of squares, if the offset is removed
 
 
 def offset_of(frame: Frame, settled: Settled, covariance: Floats, noise_std: Floats) -> Offset:
@@ -52,8 +52,9 @@ def offset_of(frame: Frame, settled: Settled, covariance: Floats, noise_std: Flo
     across = np.vecdot(at.rows.reshape(len(at.rows), 3, -1), unit)[at.slopes] * at.scale[:, None]
     followed = covariance @ across
     information = np.vecdot(unit, unit) - (across * followed).sum(axis=0)
+    information[information <= 0.0] = np.inf  # of signals that are all lost
     found = np.vecdot(unit, left.reshape(unit.shape)) / information
-    scores2 = found**2 * information
+    scores2 = found**2 * np.where(np.isinf(information), 0.0, information)
     return Offset(found, followed * np.where(scores2 > _SIGNIFICANT2, found, 0.0), float(scores2.sum()))
 
 
