@@ -45,8 +45,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     logging.getLogger().setLevel(logging.WARNING)  # connections are not logged here
     path: Path = arguments.file
     config = load_config(arguments.config) if arguments.config is not None else None
-    url = arguments.url or (_DEFAULT_URL if config is None else None)
-    own = {"config": config, "output": arguments.to, "url": url, "show_progress": not arguments.json}
+    own = {"config": config, "output": arguments.to, "url": arguments.url, "show_progress": not arguments.json}
     begun_s = time.monotonic()
     with named_recordings():
         result, wrong = replay(path, options_of(ReplayOptions, arguments, **own))

@@ -194,9 +194,10 @@ async def play(
 
 
 def _broker(url: str | None, config: Config | None) -> Mqtt:
-    if url is None:
-        return config.mqtt if config is not None else Mqtt().with_name("--url")
-    return broker_at(url, config.mqtt.prefix if config is not None else Mqtt().prefix)
+    if url is not None:
+        return broker_at(url, config.mqtt.prefix if config is not None else Mqtt().prefix)
+    default = Mqtt().with_name("--url; without a broker, use --to - or resonatord view FILE")
+    return default if config is None else config.mqtt
 
 
 def _recorded_name(path: Path, config: Config | None) -> str:
