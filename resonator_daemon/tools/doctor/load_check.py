@@ -16,9 +16,13 @@ from resonator_daemon.tools.doctor.sensor_checks import CALIBRATE
 
 LOAD: Final = Check("sensor.load", Area.SENSOR, "known load", CALIBRATE, "standard deviations", 2.0, 3.0)
 _WAIT_S: Final = 60.0
+_SILENCE_S: Final = 5.0  # in which a daemon publishes
 _STILL_NS: Final = 1_000_000_000  # for which a load must lie
 _STEADY: Final = 0.02  # relative change of the force, below which the load is steady ...
 _SIGNIFICANT: Final = 4.0  # ... and standard deviations beyond it
+
+
+_NOTHING: Final = "nothing is published: start resonatord run"
 
 
 class _Load(NamedTuple):
@@ -41,19 +45,19 @@ class _Load(NamedTuple):
 
 async def check_load(config: Config, newton: float) -> Finding:
     """Wait for a load that lies still, and compare it with the force that it should be."""
-    print_note(f"put a load of {newton:g} N on the plate and leave it there; waiting for {_WAIT_S:g} s")
-    seen: set[str] = set()
+    last: dict[str, Contacts] = {}  # by plate
     try:
         await reach(config.mqtt)
-        async with asyncio.timeout(_WAIT_S):
-            loads = await _steady(config, seen)
+        print_note(f"put a load of {newton:g} N on the plate, on a site, and leave it there; waiting for {_WAIT_S:g} s")
+        async with asyncio.timeout(_SILENCE_S) as limit:
+            loads = await _steady(config, last, limit)
     except BrokerUnreachableError as error:
         return LOAD.not_checked(str(error))
     except TimeoutError:
-        why = "no load lay still for a second" if seen else "no contacts were published: is `resonatord run` running?"
-        if len(seen) > 1:
-            why = f"several plates publish ({', '.join(sorted(seen))}): set name in the configuration"
-        return LOAD.not_checked(f"{why}; waited {_WAIT_S:g} s")
+        if len(last) > 1:
+            return LOAD.warning(f"several plates publish: {', '.join(sorted(last))}; set name in the configuration")
+        seen = [f"contacts: {message.status} {message.reason_code or ''}" for message in last.values()]
+        return LOAD.warning("; ".join(["no load lay still for a second", *seen]) if seen else _NOTHING)
     force = sum(load.force for load in loads) / len(loads)
     std = math.hypot(loads[-1].systematic, loads[-1].noise / math.sqrt(len(loads)))
     off = force - newton
@@ -62,20 +66,19 @@ async def check_load(config: Config, newton: float) -> Finding:
     return LOAD.judged(abs(off) / std if std > 0.0 else math.inf, evidence, remedy=remedy)
 
 
-async def _steady(config: Config, seen: set[str]) -> list[_Load]:
-    """Return the loads of a second in which the force hardly changed; `seen` gets what was seen until then."""
+async def _steady(config: Config, last: dict[str, Contacts], limit: asyncio.Timeout) -> list[_Load]:
+    """Return the loads of a second in which the force hardly changed; `last` gets the last message of each plate."""
     held: list[_Load] = []
     subscribed = subscribe(config.mqtt, (TOPICS[CONTACTS.path],), plate=config.name or EVERY_PLATE, full_rate=False)
     async with aclosing(subscribed) as messages:
         async for plate, _, message in messages:
-            seen.add(plate)
-            load = _Load.of(message) if isinstance(message, Contacts) and message.contacts else None
-            if load is None or math.isnan(load.force + load.systematic):
-                held = []
-                continue
-            if held and abs(load.force - held[0].force) > _STEADY * load.force + _SIGNIFICANT * load.noise:
-                held = []
-            held.append(load)
-            if len(seen) == 1 and load.t_ns - held[0].t_ns >= _STILL_NS:
-                return held
+            if not last:
+                limit.reschedule(asyncio.get_running_loop().time() + _WAIT_S)
+            if isinstance(message, Contacts):
+                last[plate] = message
+                load = _Load.of(message)
+                is_steady = held and abs(load.force - held[0].force) < _STEADY * load.force + _SIGNIFICANT * load.noise
+                held = [*held, load] if is_steady else [load]
+                if len(last) == 1 and load.systematic > 0.0 and load.t_ns - held[0].t_ns >= _STILL_NS:
+                    return held
     raise TimeoutError
