@@ -148,6 +148,6 @@ async def test_a_known_load_shows_a_wrong_sensitivity(
                 await asyncio.sleep(0.01)
 
     async with running_task(publish()):
-        path = configuration(tmp_path, "tcp://127.0.0.1:9", mosquitto.url)
-        _, report = await asyncio.to_thread(asked, capsys, "--config", path, "--load", newton)
+        config = "--config", configuration(tmp_path, "tcp://127.0.0.1:9", mosquitto.url)
+        _, report = await asyncio.to_thread(asked, capsys, *config, "--load", newton)
     assert outcomes(report)["sensor.load"] == outcome

@@ -20,10 +20,7 @@ from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.commands import main
 from resonator_daemon.daemon.monitoring.status_client import Answer, ask_all
 from resonator_daemon.tools.doctor import daemon_checks, run
-from resonator_daemon.tools.doctor.daemon_checks import (
-    check_daemon,
-    find_daemon,
-)
+from resonator_daemon.tools.doctor.daemon_checks import check_daemon, find_daemon
 from resonator_daemon.tools.doctor.finding import Outcome
 from resonator_daemon.tools.doctor.run import DoctorOptions, doctor
 
