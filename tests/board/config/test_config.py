@@ -31,9 +31,8 @@ def test_the_example_passes_and_means_what_is_meant_without_it(tmp_path: Path) -
     assert config.link == SerialTarget("/dev/serial/by-id/usb-RD_board_0042-if00", 4_000_000)
     assert (config.mqtt.host, config.mqtt.port, config.mqtt.prefix) == ("127.0.0.1", 1883, "resonator")
     assert (config.mqtt.username, config.mqtt.password) == (None, None)
-    other = loaded(
-        tmp_path, example_config(given := {"name": "a", "plate": "skin32", "link": "tcp://h:1", "url": "mqtt://b:2"})
-    )
+    given = {"name": "a", "plate": "skin32", "link": "tcp://h:1", "url": "mqtt://b:2"}
+    other = loaded(tmp_path, example_config(given))
     assert [other.name, other.plate.name, str(other.link), other.mqtt.url] == [*given.values()]
     assert config.measurement.window_s == pytest.approx(0.01)
     assert config.measurement.step_s == pytest.approx(0.005)

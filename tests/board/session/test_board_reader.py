@@ -113,11 +113,9 @@ class GoneAtOnce:
         self.reads += 1
         raise LinkLostError(ReasonCode.UNPLUGGED, "unplugged")
 
-    def write(self, _data: bytes) -> None:
-        pass
+    def write(self, _data: bytes) -> None: ...
 
-    def close(self) -> None:
-        pass
+    def close(self) -> None: ...
 
 
 def test_a_link_that_is_gone_again_and_again_is_opened_again_and_again() -> None:
