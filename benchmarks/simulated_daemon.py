@@ -28,6 +28,7 @@ from resonator_daemon.mqtt.topics import CONTACT_EVENT, STATE_LINK, STATE_SENSOR
 from simulators.emulator import emulated_board
 from simulators.faults.misbehaviour import Misbehaviour
 from simulators.scenario import load_scenario
+from simulators.world import with_world
 
 S: Final = 1_000_000_000
 STEP_NS: Final = 20_000_000  # from one read of the link to the next
@@ -75,7 +76,7 @@ class SimulatedBoard:
 
     def __init__(self, plate: Plate, scenario: str, seed: int) -> None:
         played = load_scenario(scenario, plate)
-        self._board = emulated_board(plate, played, seed, "sums", Misbehaviour())
+        self._board = emulated_board(with_world(plate, ""), played, seed, "sums", Misbehaviour())
         self._random = random.Random(seed)
         self._tick_rate = round(plate.counter.reference_hz * (1.0 + played.physics.reference_error))  # a second
         self.gate_ns = round(S / plate.counter.frame_rate_hz)

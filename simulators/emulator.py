@@ -34,7 +34,7 @@ from simulators.quartz_plate import QuartzPlate
 from simulators.scenario import Scenario, load_scenario
 from simulators.scenario_file import default_scenario
 from simulators.truth import TruthOutput, truth_line
-from simulators.world import with_world
+from simulators.world import World, with_world
 
 SERIAL_NUMBER = "EMU-0001"
 OTHER_SERIAL_NUMBER = "EMU-0002"  # of the board that is plugged in by mistake
@@ -114,18 +114,19 @@ class Emulator:
             raise ValueError("an emulated board has one link: give one of pty, tcp and usb")
         if not 0.0 < options.speed <= _SPEED_MAX:
             raise ValueError(f"speed must be above 0 and at most {_SPEED_MAX:g}, got {options.speed:g}")
-        plate = _at_rate(with_world(load_plate(options.plate), options.world), options.frame_rate_hz)
+        world = with_world(load_plate(options.plate), options.world)
+        plate = world.plate = _at_rate(world.plate, options.frame_rate_hz)
         presses = Presses(plate, SERIAL_NUMBER) if options.control else None
         usual = "still" if options.control else default_scenario(plate)
         scenario = load_scenario(options.scenario or usual, plate, presses)
         faults = scenario.faults.with_more(options.faults)
         if options.pty is None and any(event.what == "rename" for event in faults.events):
             raise ValueError("faults: rename: only a pseudo-terminal has a name to change; give pty, or leave it out")
-        scenario.physics = _skewed(scenario.physics, faults.skew_ppm)
+        scenario.physics = _skewed(world.scaled(scenario.physics), faults.skew_ppm)
         self.plate_name = plate.name
         seed = scenario.seed if options.seed is None else options.seed
         self._board = emulated_board(
-            plate,
+            world,
             scenario,
             seed,
             options.counter,
@@ -364,7 +365,7 @@ def _at_rate(plate: Plate, frame_rate_hz: float | None) -> Plate:
 
 
 def emulated_board(
-    plate: Plate,
+    world: World,
     scenario: Scenario,
     seed: int,
     counter: Literal["sums", "stamps"],
@@ -374,6 +375,7 @@ def emulated_board(
     presses: Presses | None = None,
 ) -> Board:
     """Return a board on the plate, as `Board`; with `one_gate` it offers no other frame rate than the plate's."""
+    plate = world.plate
     single_tone = plate.counter.kind == "single-tone"
     emulated: EmulatedPlate
     if counter == "stamps" and not single_tone:
@@ -388,7 +390,7 @@ def emulated_board(
     else:
         from simulators.skin_plate import SkinPlate  # here: its splines are slow to import, and few plates have a skin
 
-        emulated = SkinPlate(plate, scenario, seed, reference_error=scenario.physics.reference_error)
+        emulated = SkinPlate(world, scenario, seed, reference_error=scenario.physics.reference_error)
     gate_ticks = None
     if one_gate:
         gate_ticks = round(plate.counter.reference_hz / plate.counter.frame_rate_hz)

@@ -25,6 +25,7 @@ from simulators.presses import FORCE_RANGE, RADIUS_MAX_M
 from simulators.pressing import FRICTION_COEFFICIENT, RADIUS_M_AT_1_NEWTON, Pressing
 from simulators.scenario import Scenario
 from simulators.tone_records import ToneRecords, even_oscillators
+from simulators.world import World
 
 SIGNAL_TO_NOISE_DB = 30.0  # at 1 N without shear, rms over array and signals, corners combined
 GAIN_ERROR = 0.01
@@ -45,8 +46,9 @@ class SkinPlate:
     block_frames = 4
 
     def __init__(
-        self, plate: Plate, scenario: Scenario, seed: int, *, reference_error: float = REFERENCE_ERROR
+        self, world: World, scenario: Scenario, seed: int, *, reference_error: float = REFERENCE_ERROR
     ) -> None:
+        plate = world.plate
         if plate.skin is None:
             raise ValueError(f"plate {plate.name} has no [skin], the emulated channelised counter needs one")
         skin, tones = plate.skin, plate.tones
@@ -68,7 +70,8 @@ class SkinPlate:
         self._reference_hz = reference_hz
         self._tick_rate_hz = reference_hz * (1.0 + reference_error)
         self._random = np.random.default_rng(seed)
-        self._noise_bits = self._random.spawn(1)[0].bit_generator
+        noise_random, self._world_random = self._random.spawn(2)
+        self._noise_bits = noise_random.bit_generator
         self._sites = len(plate.site_ids)
         self._signal_of_tone = tones.signal_index * self._sites + tones.site_index
         self._oscillator_hz = oscillator_hz
@@ -76,9 +79,13 @@ class SkinPlate:
         # Counted against a fast reference, every frequency seems low.
         self._f0_hz = _alike(tones.f0_hz.T / (1.0 + reference_error))
         gain = 1.0 + self._random.normal(0.0, GAIN_ERROR, count)
+        for signal, site in world.dead:
+            gain[(tones.signal_index == signal) & (tones.site_index == site)] = 0.0
         self._sensitivity = _alike(tones.sensitivity.T * gain)
         self._still_hz = self._f0_hz - self._oscillator_hz
-        self._surface = _surface(plate, skin, scenario)
+        self._common_walk, self._common_shift = world.common_walk, 0.0
+        off_m = self._world_random.normal(0.0, 1e-3 * world.positions_mm, plate.site_positions_m.shape)
+        self._surface = _surface(plate, skin, scenario, plate.site_positions_m + off_m)
         # glibc keeps freed memory up to twice the largest block freed so far; else each frame faults its pages in anew.
         np.empty(_KEPT_BYTES, dtype=np.uint8)
         level_db = corner_levels_db(plate.site_positions_m[tones.site_index], plate.transducers_m, self._random).T
@@ -153,6 +160,9 @@ class SkinPlate:
         """Return the records of each channel in the next gate, for offsets (1 or channels, tones) of its tones."""
         noise = normal_noise(self._noise_bits, (2, *self._turns.shape))
         noise *= self._noise_std
+        if self._common_walk:
+            self._common_shift += self._common_walk * math.sqrt(self._gate_s) * self._world_random.standard_normal()
+            true_hz = true_hz + self._f0_hz * self._common_shift
         offset_hz = true_hz + noise[0]
         middle_turns = self._turns + true_hz * (self._gate_s / 2.0)
         middle_turns += noise[1]
@@ -188,12 +198,12 @@ def _alike(channels: Floats) -> Floats:
     return channels[:1] if (channels == channels[0]).all() else channels
 
 
-def _surface(plate: Plate, skin: Skin, scenario: Scenario) -> PressedSurface:
-    """Return the surface of a skin, for contacts anywhere within the outline."""
-    places = np.concatenate([plate.outline_m, plate.site_positions_m])
+def _surface(plate: Plate, skin: Skin, scenario: Scenario, positions_m: Floats) -> PressedSurface:
+    """Return the surface of a skin with sites at `positions_m` (n, 2), for contacts anywhere within the outline."""
+    places = np.concatenate([plate.outline_m, positions_m])
     force_max_newton = max([FORCE_RANGE * plate.force_max_newton, *scenario.peak_newton])
     return PressedSurface(
-        plate.site_positions_m,
+        positions_m,
         skin.depth_m,
         skin.youngs_modulus_pascal,
         skin.poisson_ratio,

@@ -1,11 +1,14 @@
 """A plate that differs from its file: what an emulator has in place of what the daemon assumes."""
 
+import math
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from pydantic import ValidationError
 
 from resonator_daemon.base.plate import Plate
+from simulators.physics import Physics
 
 Change = Callable[[dict[str, Any], float], None]
 
@@ -47,22 +50,77 @@ _CHANGES: Final[dict[str, tuple[bool | None, Change]]] = {  # by key: whether of
 }
 
 
-def with_world(plate: Plate, spec: str) -> Plate:
-    """Return a plate as it is in an emulator's world, such as `depth=1.05,modulus=0.95`; ValueError for another key."""
+@dataclass
+class World:
+    """A plate as it is, and what no plate file states.
+
+    Parameters
+    ----------
+    plate
+    positions_mm
+        Standard deviation of each coordinate of a skin's sites.
+    common_walk
+        Random walk of all frequencies of a skin, relative, by the square root of a second.
+    oscillator
+        Factor of the noise of the oscillators of force sites.
+    dead
+        Indices of signals and sites whose tones no load shifts.
+    """
+
+    plate: Plate
+    positions_mm: float = 0.0
+    common_walk: float = 0.0
+    oscillator: float = 1.0
+    dead: list[tuple[int, int]] = field(default_factory=list)
+
+    def scaled(self, physics: Physics) -> Physics:
+        """Return imperfections of a plate with the oscillators' noise of this world."""
+        noise = ("white_fm", "flicker_fm", "random_walk_fm")
+        return physics.model_copy(update={key: self.oscillator * getattr(physics, key) for key in noise})
+
+
+_OTHERS: Final = {"positions_mm": True, "common_walk": True, "oscillator": False}  # by key: of skins or force sites
+
+
+def with_world(plate: Plate, spec: str) -> World:
+    """Return a plate as it is in an emulator's world, such as `depth=1.05,dead=p_n@417`; ValueError for a mistake."""
     table = plate.model_dump(mode="json", exclude_unset=True)
+    world = World(plate)
     for entry in filter(None, spec.split(",")):
         key, _, text = entry.partition("=")
-        if key not in _CHANGES:
-            raise ValueError(f"--world: {key!r} is unknown; must be one of: {', '.join(_CHANGES)}")
-        of_skin, change = _CHANGES[key]
+        of_skin = True if key == "dead" else _OTHERS[key] if key in _OTHERS else _CHANGES.get(key, (None,))[0]
+        if key not in ("dead", *_OTHERS, *_CHANGES):
+            raise ValueError(f"--world: {key!r} is unknown; must be one of: {', '.join((*_CHANGES, *_OTHERS, 'dead'))}")
         if of_skin not in (None, plate.skin is not None):
             raise ValueError(f"--world: {key} is of {'a skin' if of_skin else 'force sites'}; {plate.name} has none")
+        if key == "dead":
+            world.dead += [_signal_of_site(plate, name) for name in text.split("+")]
+            continue
         try:
-            change(table, float(text))
+            value = float(text)
         except ValueError:
             raise ValueError(f"--world: {entry!r} has no number, as {key}=1.05") from None
+        if key in _CHANGES:
+            _CHANGES[key][1](table, value)
+        elif not 0.0 <= value < math.inf:
+            raise ValueError(f"--world: {entry!r} must be 0 or above, and finite")
+        else:
+            setattr(world, key, value)
     try:
-        return Plate.model_validate(table)
+        world.plate = Plate.model_validate(table)
     except ValidationError as error:
         first = error.errors()[0]
         raise ValueError(f"--world: {spec!r} makes no plate: {first['loc'][-1]}: {first['msg']}") from None
+    return world
+
+
+def _signal_of_site(plate: Plate, name: str) -> tuple[int, int]:
+    """Return the indices of a signal and a site, such as `p_n@417`."""
+    signal, _, site = name.partition("@")
+    sites = [str(number) for number in plate.site_ids]
+    if signal not in plate.signals or site not in sites:
+        raise ValueError(
+            f"--world: dead={name!r} is no signal of a site, as {plate.signals[0]}@{sites[0]}; signals of "
+            f"{plate.name} are {', '.join(plate.signals)}, sites {sites[0]} to {sites[-1]}"
+        )
+    return plate.signals.index(signal), sites.index(site)

@@ -42,8 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--world",
         default="",
         metavar="SPEC",
-        help="by what the plate differs from its file, as depth=1.05,modulus=0.95,gain=1.05,poisson=0.45, or "
-        "f0=2e-6; the truth stays the truth",
+        help="by what the plate differs from its file, as depth=1.05,modulus=0.95,dead=p_n@417, or f0=2e-6; the truth "
+        "stays the truth; docs/reference/emulator.md lists all",
     )
     parser.add_argument(
         "--counter",

@@ -18,6 +18,7 @@ from simulators.plate import EmulatedPlate, record_type
 from simulators.scenario import Scenario
 from simulators.scenario_file import Touch
 from simulators.skin_plate import SkinPlate
+from simulators.world import World, with_world
 
 RECORD = record_type(TONE_FIELDS)
 
@@ -123,7 +124,7 @@ def sigma_hz(fields: dict[str, Floats]) -> Floats:
 
 @pytest.fixture(scope="module")
 def still() -> dict[str, Floats]:
-    return count(SkinPlate(SKIN, Scenario((), None, SKIN), seed=4), 150)
+    return count(SkinPlate(World(SKIN), Scenario((), None, SKIN), seed=4), 150)
 
 
 def test_signal_to_noise_ratio_is_30_db_in_the_triple_at_1_newton(still: dict[str, Floats]) -> None:
@@ -147,6 +148,21 @@ def test_noise_of_each_corner_is_what_its_code_says(still: dict[str, Floats]) ->
     assert (found / stated).std() == pytest.approx(
         np.hypot((2 ** (1 / 16) - 1) / np.sqrt(3), 1 / np.sqrt(298)), rel=0.1
     )
+
+
+def test_a_world_has_dead_signals_sites_elsewhere_and_a_common_walk() -> None:
+    def offsets_hz(spec: str) -> Floats:
+        scenario = Scenario((steady(1.0, position_mm=(0.0, 0.0)),), None, SKIN)
+        return count(SkinPlate(with_world(SKIN, spec), scenario, seed=4), 40)["offset_hz16"][:, 0] / 2**16
+
+    usual = offsets_hz("")
+    dead, moved = (np.abs(offsets_hz(spec) - usual).mean(axis=0) for spec in ("dead=p_n@417", "positions_mm=0.1"))
+    (tone,) = np.flatnonzero((SKIN.tones.signal_index == 0) & (SKIN.tones.site_index == 416))
+    assert list(np.flatnonzero(dead)) == [tone]
+    assert np.count_nonzero(moved) > 3000
+    walk = (offsets_hz("common_walk=1e-6") - usual) / SKIN.tones.f0_hz[:, 0]
+    assert np.diff(walk.mean(axis=1)).std() == pytest.approx(1e-6 * np.sqrt(0.01), rel=0.3)
+    assert walk.std(axis=1).max() < 1e-9
 
 
 ROOT = Path(__file__).parents[2]

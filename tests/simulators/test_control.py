@@ -25,6 +25,7 @@ from simulators.presses import FIRST_ID, TOUCHES_MAX, Presses
 from simulators.quartz_plate import QuartzPlate
 from simulators.scenario import Scenario
 from simulators.skin_plate import SkinPlate
+from simulators.world import World
 
 QUARTZ, COMB, SKIN = load_plate("quartz16"), load_plate("comb16"), load_plate("skin32")
 TAIL_BYTES = 4096  # more than a line of the truth
@@ -109,7 +110,7 @@ def test_a_press_acts_on_sites_as_a_touch_of_a_scenario_does(
 
 def test_under_a_skin_a_press_has_radius_and_friction_and_slips_in_part() -> None:
     presses = Presses(SKIN, "EMU-0001")
-    plate = SkinPlate(SKIN, Scenario((), None, SKIN, presses=presses), 3)
+    plate = SkinPlate(World(SKIN), Scenario((), None, SKIN, presses=presses), 3)
 
     def contact() -> Contact:
         ((found,),) = (frame.contacts for frame in plate.count(0, 10**6, 2_500_000, 1))
@@ -131,8 +132,8 @@ def test_under_a_skin_a_press_has_radius_and_friction_and_slips_in_part() -> Non
     ask(presses, {"press": "a", "radius_m": None, "friction_coefficient": 0.5})
     assert contact() == by_the_force
     touch = steady(0.512, position_mm=(1.2, -3.1), shear={"peak_ratio": 0.875, "direction_deg": 90.0}, hold_s=2.0)
-    by_scenario = SkinPlate(SKIN, Scenario((touch,), None, SKIN), 3)
-    by_client = SkinPlate(SKIN, Scenario((), None, SKIN, presses=presses), 3)
+    by_scenario = SkinPlate(World(SKIN), Scenario((touch,), None, SKIN), 3)
+    by_client = SkinPlate(World(SKIN), Scenario((), None, SKIN, presses=presses), 3)
     middle_ticks = round(250e6 * (1.0 + 1.5e-6)) - 1_250_000  # the shear is largest in the middle of the hold
     expected, found = (each.count(0, middle_ticks, 2_500_000, 1)[0] for each in (by_scenario, by_client))
     assert found.channels == expected.channels

@@ -22,6 +22,7 @@ from simulators.quartz_plate import QuartzPlate
 from simulators.scenario import load_scenario
 from simulators.skin_plate import SkinPlate
 from simulators.truth import truth_line
+from simulators.world import World
 
 SEED = 5
 QUARTZ_BLOCK = 40  # frames that are counted at once, on which the order of the draws depends
@@ -47,7 +48,7 @@ def digests(plate_name: str, scenario_name: str, frames: int) -> tuple[str, str]
     elif plate_name == "comb16":
         emulated = CombPlate(plate, scenario, SEED)
     else:
-        emulated = SkinPlate(plate, scenario, SEED)
+        emulated = SkinPlate(World(plate), scenario, SEED)
     record = record_type(SINGLE_TONE_FIELDS if plate_name == "quartz16" else TONE_FIELDS)
     gate_ticks = round(plate.counter.reference_hz / plate.counter.frame_rate_hz)
     records, truth = hashlib.sha256(), hashlib.sha256()

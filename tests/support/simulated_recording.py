@@ -21,6 +21,7 @@ from simulators.emulator import emulated_board
 from simulators.faults.misbehaviour import Misbehaviour
 from simulators.scenario import load_scenario
 from simulators.scenario_file import default_scenario
+from simulators.world import World
 
 STEP_NS = 10_000_000
 UTC_NS = 1_789_000_000 * 10**9
@@ -49,7 +50,7 @@ def record(
     queue = FrameQueue(1 << 30, lambda: None, ())
     machine = LinkStateMachine(plate, queue, events.put)
     played = load_scenario(scenario or default_scenario(plate), plate)
-    board = emulated_board(plate, played, 0, "sums", Misbehaviour(""))
+    board = emulated_board(World(plate), played, 0, "sums", Misbehaviour(""))
     ticks_per_ns = plate.counter.reference_hz * (1.0 + played.physics.reference_error) * 1e-9
 
     def now(elapsed_ns: int) -> HostTime:
