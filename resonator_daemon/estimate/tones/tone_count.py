@@ -13,12 +13,11 @@ that power.
 Other tones. A tone of amplitude ratio r shifts each edge by up to r / (2 pi f), a beat's phase at a time. The
 regression lets through none of it but a little that looks like a line: what is left of the first and the last stamp
 gives r. Second differences of stamps hardly contain a beat of less than a tenth of the stamps' rate, so that they still
-give the noise. The regression's own error, up to 3 r / (pi^2 d T^2) for a distance d and a gate T, changes from gate to
-gate with the beat's phase: third differences of the gates' frequencies see that and no ramp of the force.
+give the noise. The regression's own error has an amplitude of up to 3 r / (pi^2 d T^2) for a distance d and a window T.
+Of the pilot, ratio and distance are known, so that its error is computed; of any other tone, the largest is stated.
 """
 
 import math
-from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -30,6 +29,7 @@ from resonator_daemon.estimate.tones.frequency_estimators import (
     regression_std,
     stamp_std_ticks,
 )
+from resonator_daemon.estimate.tones.tone_detector import PILOT_TOLERANCE
 
 EXCESS_CAP: Final = 1e6  # of the counter's variance; a beat that slow is worth nothing
 EXCESS_LIMIT: Final = 0.05  # of the variance over 12 s^2 / (N T^2)
@@ -40,8 +40,7 @@ HARMONICS_MAX: Final = 512  # enough for jitter above a thousandth of a tick
 HARMONICS_REACH: Final = 0.6  # harmonics beyond reach / s make less than a tenth of the limit with up to 1e7 stamps
 FEW_HARMONICS: Final = 8  # up to so many are added up one by one sooner than as arrays
 RESIDUAL_LIMIT: Final = 8.0  # times what noise and pilot explain: beyond all of 22 000 windows of single touches
-GATES_MIN: Final = 4  # for a third difference
-WHITE_GAIN: Final = 20.0  # of variance by third differences of white noise: 1 + 9 + 9 + 1
+STILL_BEAT: Final = 1e-6  # of a half turn over the window: a beat so slow changes no frequency
 
 _HARMONICS: Final[Floats] = np.arange(1.0, 1.0 + HARMONICS_MAX)
 _LINES_TICKS2: Final[Floats] = 0.5 / (np.pi * _HARMONICS) ** 2  # powers without jitter
@@ -66,10 +65,10 @@ NO_TONE: Final = ToneCount(math.nan, math.nan, others=False, beats=False)
 def count_tone(
     sums: Sums,
     frequency_hz: float,
-    gate_hz: Sequence[float],
-    gate_residual_ticks2: Sequence[float],
+    residual_ticks2: float,
     *,
     reference_hz: float,
+    pilot_hz: float,
     over_pilot_db: float,
     distance_hz: float,
     window_s: float,
@@ -80,25 +79,23 @@ def count_tone(
     ----------
     sums, frequency_hz
         Of the window.
-    gate_hz, gate_residual_ticks2
-        Of the gates that it consists of.
+    residual_ticks2
+        Mean square that the lines of its gates leave at their ends.
     over_pilot_db
         By how much more the tone was attenuated, or less, than the pilot when that was counted last: so strong may the
         pilot still be next to it. NaN where it never was.
     distance_hz
         The least that another tone may be away.
     """
-    frames = len(gate_hz)
     stamps, noise_ticks = sums.stamps, stamp_std_ticks(sums)
     window_std = regression_std(noise_ticks, stamps, sums.span_ticks)
     interval_ticks = sums.stride_edges * reference_hz / frequency_hz
     excess = excess_bound(interval_ticks, stamp_jitter_ticks(sums), stamps)
     excess = 0.0 if excess < 0.0 else EXCESS_CAP if excess > EXCESS_CAP else excess
     noise_ticks2 = noise_ticks * noise_ticks
-    residual_ticks2 = sum(gate_residual_ticks2) / frames
     ratio = 1.0 if math.isnan(over_pilot_db) else min(10.0 ** (over_pilot_db / 20.0), 1.0)
     others = has_other_tone(residual_ticks2, noise_ticks2, pilot_residual_ticks2(ratio, frequency_hz, reference_hz))
-    beat_hz = beat_std_hz(gate_hz, frequency_hz * window_std * frames**1.5)
+    beat_hz = pilot_beat_std_hz(ratio, frequency_hz, pilot_hz, frequency_hz / sums.stride_edges, window_s)
     if others:
         bound_hz = beat_bound_hz(residual_ticks2, noise_ticks2, frequency_hz, reference_hz, distance_hz, window_s)
         beat_hz = max(beat_hz, bound_hz)
@@ -198,17 +195,19 @@ def beat_bound_hz(
     return 3.0 * ratio / (math.pi**2 * distance_hz * window_s**2) / math.sqrt(2.0)
 
 
-def beat_std_hz(gate_hz: Sequence[float], gate_std_hz: float) -> float:
-    """Return the residual of beats in the regression over a window of k gates; it falls with k^2.
+def pilot_beat_std_hz(
+    ratio: float, frequency_hz: float, pilot_hz: float, stamp_rate_hz: float, window_s: float
+) -> float:
+    """Return the standard deviation of a regression over a window by the pilot, over all phases of the beat.
 
-    0 where there are fewer than four gates.
+    It is 3 r |cos x - sin(x)/x| / (sqrt(2) pi^2 D T^2) with x = pi D T, for the distance D that the stamps see.
     """
-    gates = len(gate_hz)
-    if gates < GATES_MIN:
+    if abs(frequency_hz / pilot_hz - 1.0) < PILOT_TOLERANCE:  # the pilot itself
         return 0.0
-    scatter_hz2 = 0.0
-    for a, b, c, d in zip(gate_hz, gate_hz[1:], gate_hz[2:], gate_hz[3:], strict=False):
-        scatter_hz2 += (d - a - 3.0 * (c - b)) ** 2
-    scatter_hz2 /= WHITE_GAIN * (gates - 3)
-    surplus_hz2 = scatter_hz2 - gate_std_hz * gate_std_hz
-    return math.sqrt(surplus_hz2) / gates**2 if surplus_hz2 > 0.0 else 0.0
+    turns = (frequency_hz - pilot_hz) / stamp_rate_hz
+    distance_hz = abs(turns - round(turns)) * stamp_rate_hz
+    x = math.pi * distance_hz * window_s
+    if x < STILL_BEAT:
+        return 0.0
+    response = abs(math.cos(x) - math.sin(x) / x)
+    return 3.0 * ratio * response / (math.sqrt(2.0) * math.pi**2 * distance_hz * window_s**2)

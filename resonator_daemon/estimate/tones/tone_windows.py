@@ -157,18 +157,14 @@ class Window:
         return [record[_ATTENUATION] / 256.0 for record in self._records]
 
     @property
-    def gates(self) -> tuple[list[list[float]], list[list[float]]]:
-        """Frequencies of the gates, and the mean square that their lines leave at their ends, in ticks^2, by channel.
-
-        Valid for channels that hold the window.
-        """
-        all_hertz, all_residuals = [], []
+    def residual_ticks2(self) -> list[float]:
+        """Mean square that the gates' lines leave at their ends, by channel; of channels that hold the window."""
+        means = []
         for gates, before, _ in self._columns:
             end = before + self._gate + 1
-            _, hertz, residuals = zip(*gates[max(end - self.frames, 0) : end], strict=True)
-            all_hertz.append(list(hertz))
-            all_residuals.append(list(residuals))
-        return all_hertz, all_residuals
+            residuals = [residual for _, _, residual in gates[max(end - self.frames, 0) : end]]
+            means.append(sum(residuals) / len(residuals))
+        return means
 
 
 class ToneWindows:

@@ -301,15 +301,15 @@ class SingleToneProcessing(ForceProcessing):
         """Return what each channel with another tone than the pilot counts, and how well."""
         counts = [NO_TONE] * len(pilot)
         attenuation_db = window.attenuation_db
-        gate_hz, residual_ticks2 = window.gates
+        residual_ticks2 = window.residual_ticks2
         for channel, (sums, g) in enumerate(zip(window.sums, pilot, strict=True)):
             if sums is not None and math.isnan(g):
                 counts[channel] = count_tone(
                     sums,
                     measured_hz[channel],
-                    gate_hz[channel],
                     residual_ticks2[channel],
                     reference_hz=self._reference_hz,
+                    pilot_hz=self._pilot_hz,
                     over_pilot_db=attenuation_db[channel] - self._pilot_attenuation_db[channel],
                     distance_hz=self._distance_hz[channel],
                     window_s=window.frames * self._gate_s,

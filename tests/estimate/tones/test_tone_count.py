@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from brute_force_board import record_of
 
-from resonator_daemon.estimate.tones.frequency_estimators import Sums
+from resonator_daemon.estimate.tones.frequency_estimators import Sums, frequency_hz
 from resonator_daemon.estimate.tones.record_checks import read_gates
 from resonator_daemon.estimate.tones.tone_count import (
     EXCESS_LIMIT,
     RESIDUAL_LIMIT,
-    beat_std_hz,
+    count_tone,
     excess_bound,
     has_other_tone,
+    pilot_beat_std_hz,
     pilot_residual_ticks2,
     stamp_jitter_ticks,
 )
@@ -214,23 +215,22 @@ def test_a_pilot_that_is_known_is_no_other_tone():
     assert not has_other_tone(RESIDUAL_LIMIT * 1.4, 0.5, 1.0)
 
 
-def test_white_noise_of_gates_is_no_beat_and_leaves_little():
-    rng = np.random.default_rng(4)
-    std = np.array([beat_std_hz(gate_hz, 2.0) for gate_hz in (10e6 + rng.normal(0.0, 2.0, (4000, 10))).tolist()])
-    # Third differences tell 2 Hz to some 30 %; what they say beyond it falls with the square of ten gates.
-    assert np.median(std) < 0.01
-    assert std.max() < 0.05
+@pytest.mark.parametrize("count", [2, 10])
+@pytest.mark.parametrize("pilot_db", [-6.0, -15.0, -35.0])
+@pytest.mark.parametrize("distance_hz", [2011.0, 4013.0, 100_061.0])  # the last seems slow to the stamps
+def test_the_noise_of_a_window_contains_the_beat_with_the_pilot(count, pilot_db, distance_hz):
+    ticks = gates(np.random.default_rng(5), 100 * count, ratio=10.0 ** (pilot_db / 20.0), distance_hz=distance_hz)
+    windows = [Sums.of(record_of(window.tolist(), 0, STRIDE_EDGES)) for window in ticks.reshape(100, -1)]
+    found_hz = [frequency_hz(sums, REFERENCE_HZ) for sums in windows]
+    known = {"reference_hz": REFERENCE_HZ, "pilot_hz": TONE_HZ + distance_hz, "over_pilot_db": pilot_db}
+    window_s = count * STAMPS * STRIDE_EDGES / TONE_HZ
+    stated = [
+        count_tone(sums, hertz, 0.0, **known, distance_hz=distance_hz, window_s=window_s).std
+        for sums, hertz in zip(windows, found_hz, strict=True)
+    ]
+    assert 0.75 < np.std(found_hz) / (TONE_HZ * np.sqrt(np.mean(np.square(stated)))) < 1.2
 
 
-def test_what_a_beat_leaves_is_told_whatever_ramp_is_under_it():
-    gate = np.arange(10)
-    beat = 5.0 * np.cos(2.0 * np.pi * 0.37 * gate)
-    differences = beat[3:] - 3.0 * beat[2:-1] + 3.0 * beat[1:-2] - beat[:-3]
-    expected = np.sqrt((differences**2).mean() / 20.0 - 0.1**2) / 100.0
-    for ramp in (0.0, 40.0 * gate, 40.0 * gate - 3.0 * gate**2):
-        assert beat_std_hz((1e7 + ramp + beat).tolist(), 0.1) == pytest.approx(expected, rel=1e-5)
-
-
-def test_three_gates_tell_of_no_beat():
-    assert beat_std_hz([1.0, 5.0, 1.0], 0.0) == 0.0
-    assert beat_std_hz([1.0, 5.0, 1.0, 5.0], 0.0) > 0
+def test_the_pilot_does_not_beat_with_itself():
+    assert pilot_beat_std_hz(1.0, 10e6, 10e6 * (1.0 + 99e-6), 1e5, 0.01) == 0.0
+    assert pilot_beat_std_hz(1.0, 10e6, 10e6 * (1.0 + 101e-6), 1e5, 0.01) > 0.0

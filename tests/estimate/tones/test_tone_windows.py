@@ -6,6 +6,7 @@ from brute_force_board import REFERENCE_HZ, Channel, payload_of, record_of
 
 from firmware_protocol.layouts import RecordFlag, SingleToneRecord
 from resonator_daemon.estimate.tones.frequency_estimators import Sums, frequency_hz, merge_adjacent
+from resonator_daemon.estimate.tones.record_checks import read_gates
 from resonator_daemon.estimate.tones.tone_windows import ToneWindows
 
 BAND_HZ = (9e6, 11e6)
@@ -60,8 +61,8 @@ def test_a_window_has_the_sums_of_its_last_gates(frames):
                 wanted = expected(held[-last:])
                 assert without_start(window.sums) == [wanted]
                 assert window.frequency_hz == [frequency_hz(wanted, REFERENCE_HZ)]
-                hertz = [frequency_hz(Sums.of(record), REFERENCE_HZ) for record in held[-last:]]
-                assert window.gates[0] == [hertz]
+                left = [residual for _, _, residual in read_gates(held[-last:], REFERENCE_HZ, (1e6, 1e9))]
+                assert window.residual_ticks2 == [sum(left) / last]
         assert [held for (held,) in block.held] == [min(start + gate + 1, frames) for gate in range(len(block.held))]
 
 
