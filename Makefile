@@ -193,7 +193,7 @@ bench-details: .venv/test-stamp  ## whole processes, latency, overload, decoders
 	run system_cost.py decode-recordings
 	for plate in quartz16 skin32; do run overload.py --plate $$plate || true; done
 	export OMP_NUM_THREADS=1  # threads that wait for each other would be timed
-	for figure in errors frame set-up; do run decoding.py $$figure; done
+	for figure in errors model frame set-up; do run decoding.py $$figure; done
 	run live_page.py relay
 	run fleet.py
 

@@ -1,6 +1,7 @@
 """How right the decoders of a skin are, and what a frame and a set-up cost.
 
 `decoding.py errors` prints errors of maps and contacts by scene and noise, and how much the stated uncertainty covers;
+`decoding.py model` what is covered or contradicted on a skin that is not as its plate file;
 `decoding.py frame` the processor time of a whole frame of skin32 by scene, as the daemon decodes it; `decoding.py
 set-up` the time to set up decoders. Signals are closed-form, decibels are those of 1 N, and BLAS has one thread.
 PYTHONPATH=DIR measures another checkout.
@@ -26,8 +27,9 @@ from resonator_daemon.estimate.surface.contact_physics.decoder import ContactDec
 from resonator_daemon.estimate.surface.decoder_setup import set_up
 from resonator_daemon.estimate.surface.fourier.decoder import FourierDecoder
 from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecoder
-from resonator_daemon.estimate.surface.skin import DecodingOptions, Prior, Skin
+from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder
+from resonator_daemon.measure.sensors.surface_requests import stated_skin
 from simulators.contact import hertz_parts, pixel_tractions
 from simulators.half_space_fields import hertz_fields
 
@@ -176,6 +178,92 @@ def print_contact_errors(draws: int) -> None:
         print(f"{level} dB: {figures}, {missed} of {draws} missed", flush=True)
 
 
+# What is stated while the model is wrong.
+
+
+class Off(NamedTuple):
+    """A skin that is not as stated: factors, and errors of the sites' places (n, 2) and of the signals (3, n)."""
+
+    depth: float = 1.0
+    modulus: float = 1.0
+    poisson: float = NU
+    gain: float = 1.0
+    positions_m: float = 0.0
+    common: float = 0.0  # of the noise, in all signals
+    walk: float = 0.0  # of the noise, a frame
+    site: float = 1.0  # factor of the signals of the site next to the contact
+    second: float = 0.0  # share of the force that acts 4 mm away
+
+    def signals(self, load: Load, noise: float, frame: int, rng: np.random.Generator) -> Floats:
+        sites_m = SITES_M + self.positions_m * np.random.default_rng(2).standard_normal(SITES_M.shape)
+        x, y = load.centre_m
+        centres_m = (load.centre_m, (x - 4e-3 if x > 0.0 else x + 4e-3, y))
+        total = np.zeros((3, len(SITES_M)))
+        for centre_m, share in zip(centres_m, (1.0, self.second), strict=True):
+            radii, forces = hertz_parts(share * np.array(load.force_newton), RADIUS_M, FRICTION)
+            if share:
+                depth_m, pascal = self.depth * DEPTH_M, self.modulus * YOUNGS_PASCAL
+                fields = hertz_fields(sites_m - centre_m, depth_m, radii, pascal, self.poisson)
+                total += np.einsum("kf,kfsn->sn", forces, fields) * TO_TRIPLE
+        total[:, np.hypot(*(SITES_M - load.centre_m).T).argmin()] *= self.site
+        common = noise * (self.common * (frame > REST) + self.walk * frame)
+        return np.asarray(self.gain * total + common + noise * rng.standard_normal(total.shape))
+
+
+REST, PRESSED = 40, 30  # frames
+MODEL_ERRORS = {
+    "none": Off(),
+    "depth +5 %": Off(depth=1.05),
+    "depth -5 %": Off(depth=0.95),
+    "modulus +5 %": Off(modulus=1.05),
+    "modulus -5 %": Off(modulus=0.95),
+    "Poisson's ratio .45": Off(poisson=0.45),
+    "all gains +5 %": Off(gain=1.05),
+    "sites off by .1 mm": Off(positions_m=1e-4),
+    "common mode .3": Off(common=0.3),
+    "common mode 1": Off(common=1.0),
+    "common walk .05 a frame": Off(walk=0.05),
+    "a dead site": Off(site=0.0),
+    "a site +20 %": Off(site=1.2),
+    "a second contact": Off(second=0.3),
+}
+
+
+def print_model_errors(draws: int) -> None:
+    """Print what contacts of the shipped skin32 state, with its own standard deviations, noise and systematic ones."""
+    print(
+        "30 dB; share within 2 deviations of place, force, slip margin; frames contradicted, runs with a suspect site"
+    )
+    noise = noise_at(30.0)
+    noise_std, skin = np.full((3, len(SITES_M)), noise), shipped("skin32")
+    for name, off in MODEL_ERRORS.items():
+        rng, scores, contradicted, suspects = np.random.default_rng(3), [], [], 0
+        for _ in range(draws):
+            load = random_load(rng)
+            decoder = SkinDecoder(skin, DecodingOptions(), noise_std, lambda _: None)
+            margin = 1.0 - float(np.hypot(*load.force_newton[:2])) / (FRICTION * load.force_newton[2])
+            for frame in range(REST + PRESSED):
+                pressed = load if frame > REST else Load(load.centre_m, (0.0, 0.0, 0.0))
+                reading = decoder.decode(off.signals(pressed, noise, frame, rng), noise_std)
+                if frame in (REST + 15, REST + 22, REST + 29):
+                    decoder.check_sites()
+                if frame < REST + 10 or not reading.contacts:
+                    continue
+                contact = max(reading.contacts, key=lambda each: each.patch.force_newton[2])
+                patch, slip, other = contact.patch, contact.slip, contact.systematic
+                told = slip is not None and slip.slip_margin is not None
+                error = [*(patch.centroid_m - load.centre_m), *(patch.force_newton - load.force_newton)]
+                error.append(slip.slip_margin - margin if told else np.nan)
+                std = [*patch.centroid_std_m, *patch.force_std_newton, slip.slip_margin_std if told else np.nan]
+                systematic = [*other.position_m, *other.force_newton, other.slip_margin]
+                scores.append(np.abs(np.array(error) / np.hypot(std, systematic)))
+                contradicted.append(contact.status == "contradicted")
+            suspects += bool(decoder.suspects)
+        within = np.sum(np.nan_to_num(scores, nan=9.0) < 2.0, axis=0) / np.isfinite(scores).sum(axis=0)
+        shares = f"{within[:2].mean():7.0%} {within[2:5].mean():7.0%} {within[5]:7.0%}"
+        print(f"{name:26}{shares}; {np.mean(contradicted):7.0%} {suspects:5} of {draws}", flush=True)
+
+
 # Cost of a frame.
 
 Path_ = Callable[[int], list[Load]]  # frame number to the contacts of the frame
@@ -262,11 +350,7 @@ def print_frame_costs(frames: int) -> None:
 
 def shipped(name: str) -> Skin:
     plate = load_plate(name)
-    skin = plate.skin
-    assert skin is not None  # noqa: S101 - of a plate with one
-    body = HalfSpace(skin.youngs_modulus_pascal, skin.poisson_ratio)
-    prior = Prior(skin.correlation_length_m, skin.tangential_ratio)
-    return Skin(body, plate.site_positions_m, skin.depth_m, skin.gain_std, prior)
+    return stated_skin(plate.required_skin, plate.site_positions_m)
 
 
 def print_set_ups(repeats: int) -> None:
@@ -298,13 +382,15 @@ def print_set_ups(repeats: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("figure", choices=("errors", "frame", "set-up"))
-    parser.add_argument("--count", type=int, help="draws (20), frames (200), or repeats (3)")
+    parser.add_argument("figure", choices=("errors", "model", "frame", "set-up"))
+    parser.add_argument("--count", type=int, help="draws (20, of model 10), frames (200), or repeats (3)")
     options = parser.parse_args()
     with threadpool_limits(1):
         if options.figure == "errors":
             print_map_errors(options.count or 20)
             print_contact_errors(options.count or 20)
+        elif options.figure == "model":
+            print_model_errors(options.count or 10)
         elif options.figure == "frame":
             print_frame_costs(options.count or 200)
         else:
