@@ -11,6 +11,11 @@ from resonator_daemon.tools.view.words import losses_in_words
 _LATE_MS: Final = FOUND_WITHIN_NS * 1e-6
 _SKIPPED: Final = "skipped_late"  # results that newer ones replaced: no frame is lost
 _DROPPED: Final = "publish_dropped"  # counts messages; all other causes count frames
+_ERRORS: Final = (  # rms, as text
+    ("force", "force_error_newton_rms", 1e3, "mN"),
+    ("place", "position_error_mm_rms", 1.0, "mm"),
+    ("traction", "traction_error", 100.0, "%"),
+)
 
 
 def plate_result(score: PlateScore, until_ns: int, *, has_skin: bool) -> dict[str, Any]:
@@ -69,57 +74,49 @@ def failures(plate: Mapping[str, Any]) -> list[str]:
 def delays(plate: Mapping[str, Any]) -> list[str]:
     """Return a clause for each kind of result that was late or skipped, which is no failure."""
     clauses = []
+    frames = plate["frames"]
+    if skipped := plate.get("frames_not_decoded"):
+        clauses.append(f"{skipped} of {frames} frames not decoded ({100 * skipped / frames:.1f} %)")
+    elif missed := plate["messages_missed"]:
+        clauses.append(f"{missed} results skipped or not received")
     if late := plate["contacts_late"]:
+        most_ms = plate["latest_contact_ms"]
         clauses.append(
-            f"{late} of {plate['contacts_true']} touches reported late: the onset event arrived more than "
-            f"{_LATE_MS:g} ms after the touch (at most {plate['latest_contact_ms']:.0f} ms)"
-        )
-    if missed := plate["messages_missed"]:
-        clauses.append(
-            f"{missed} messages not received (gaps in seq): skipped under load, not decoded, or lost on the way"
+            f"{late} of {plate['contacts_true']} touches more than {_LATE_MS:g} ms late (up to {most_ms:.0f} ms)"
         )
     if plate["latency_ms"] and plate["latency_ms"]["p99"] > _LATE_MS:
-        clauses.append(f"messages late: latency {plate['latency_ms']['p99']:.0f} ms (99th percentile)")
+        clauses.append("messages late")
     return clauses
 
 
 def cause(load: str, *, overloaded: bool) -> tuple[str, str]:
-    """Return why a run failed, by the load of the computer, and what to do."""
+    """Return why results were late or lost, by the load of the computer, and what to do."""
     if overloaded:
         return (
-            f"cause: this computer is overloaded; {load}",
+            f"cause: this computer is overloaded: {load}",
             "remedy: end other programs and repeat the demo, or run one plate: resonatord demo --plate quartz16",
         )
     return (
-        f"cause: not the average load of this computer, a short one is possible; {load}",
-        "remedy: repeat the demo; if it fails again, open an issue with the output of resonatord demo --json",
+        f"cause: not the average load of this computer, a short one is possible: {load}",
+        "remedy: repeat the demo; if this happens again, open an issue with the output of resonatord demo --json",
     )
 
 
 def in_words(result: Mapping[str, Any]) -> str:
-    """Return the result as lines of text."""
-    lines = [f"measured for {result['seconds']:.0f} s, broker {result['broker']}, cores used: {result['cores']:.2f}"]
-    lines += [f"  {percent:5.1f} %  {part}" for part, percent in result["cpu_percent_by_part"].items()]
+    """Return a line of text for each plate, and one for each with touches by hand."""
+    lines = []
     for name, plate in result["plates"].items():
-        losses = plate["lost"] | {"parts": plate["parts_lost"], "not_decoded": plate["frames_not_decoded"] or 0}
-        lines.append(f"{name}: {plate['frames']} frames, {plate['frame_rate_hz']} frames/s, {losses_in_words(losses)}")
-        if latency := plate["latency_ms"]:
-            lines.append(
-                f"  latency at the subscriber: {latency['p50']} ms (median), {latency['p99']} ms (99th percentile)"
-            )
+        lost = losses_in_words({cause: count for cause, count in plate["lost"].items() if cause != _SKIPPED})
         at_site = "" if plate["sites_right"] is None else " at the right site"
-        found, late = plate["contacts_found"], plate["contacts_late"]
-        lines.append(
-            f"  touches: {found} of {plate['contacts_true']} found{at_site}" + f", {late} of them late" * bool(late)
-        )
+        clauses = [f"{plate['contacts_found']} of {plate['contacts_true']} touches{at_site}"]
+        for what, key, scale, unit in _ERRORS:
+            if (error := plate[key]) is not None:
+                clauses.append(f"{what} ± {scale * error:.2g} {unit}")
+        if latency := plate["latency_ms"]:
+            clauses.append(f"latency {latency['p50']} ms (99 %: {latency['p99']} ms)")
+        lines.append(f"{name}: {plate['frames']} frames at {plate['frame_rate_hz']}/s, {lost}; {', '.join(clauses)}")
         if by_hand := plate["contacts_by_hand"]:
-            lines.append(f"  touches by hand: {by_hand}; they, and touches at the same time, are not scored")
-        if (error := plate["force_error_newton_rms"]) is not None:
-            lines.append(f"  force error: {1e3 * error:.2f} mN rms")
-        if (error := plate["position_error_mm_rms"]) is not None:
-            lines.append(f"  position error: {error:.3f} mm rms")
-        if plate["decoded_frames"] is not None:
-            lines.append(f"  decoded: {plate['decoded_frames']} frames, traction error {plate['traction_error']}")
+            lines.append(f"{name}: {by_hand} touches by hand; they, and touches at the same time, are not scored")
     return "\n".join(lines) + "\n"
 
 

@@ -296,24 +296,21 @@ class _Demo:
     def _conclude(self, result: dict[str, Any]) -> ExitCode:
         if not self._options.json:
             sys.stdout.write(in_words(result))
-        failed, late = (
-            [f"{name}: {clause}" for name, plate in result["plates"].items() for clause in clauses(plate)]
-            for clauses in (failures, delays)
-        )
-        for line in late:
-            print_note(line)
+        plates = result["plates"].items()
+        failed = [f"{name}: {clause}" for name, plate in plates for clause in failures(plate)]
+        late = [f"{name}: {', '.join(clauses)}" for name, plate in plates if (clauses := delays(plate))]
         health = [message for station in self._stations.values() for message in station.score.health]
         wait_percent = max((message["processor_wait_percent"] for message in health), default=0.0)
         others = max(self._busy_s / result["seconds"] - result["cores"], 0.0)
-        load = (
-            f"processor cores used: {result['cores']:.2f} of {psutil.cpu_count() or 1} by these processes, "
-            f"{others:.2f} by other processes; a daemon waited for a processor up to {wait_percent:.0f} % of the time"
+        why = cause(
+            f"these processes used {result['cores']:.2f} of {psutil.cpu_count() or 1} cores, others {others:.2f}; "
+            f"a daemon waited for a core up to {wait_percent:.0f} % of the time",
+            overloaded=any(message["reason_code"] for message in health),
         )
         if failed:
-            busy = any(message["reason_code"] for message in health)
-            raise LossError(*failed, *cause(load, overloaded=busy), partial_result=result)
-        if late:
-            print_note(load)
+            raise LossError(*failed, *late, *why, partial_result=result)
+        for line in [*late, *why] if late else ():
+            print_note(line)
         if self._options.json:
             sys.stdout.write(json.dumps(result) + "\n")
         return ExitCode.DONE
