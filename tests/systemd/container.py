@@ -14,25 +14,6 @@ CHECKOUT = Path(__file__).parents[2]
 RESONATORD = "/opt/resonatord/bin/resonatord"
 
 _BOOT_S = 120.0
-_TEST_TARGET = """
-[Unit]
-DefaultDependencies=no
-Wants=test.service systemd-journald.service systemd-journald.socket
-"""
-_TEST_SERVICE = """
-[Unit]
-DefaultDependencies=no
-After=systemd-journald.service
-FailureAction=poweroff-immediate
-SuccessAction=poweroff-immediate
-[Service]
-Type=oneshot
-TimeoutStartSec=100
-Environment=PATH=/opt/resonatord/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
-ExecStart=/bin/bash -euxo pipefail /out/script
-StandardOutput=file:/out/stdout
-StandardError=file:/out/stderr
-"""
 _LAUNCHER = f"""#!/opt/resonatord/bin/python
 import sys
 from resonator_daemon.commands import main
@@ -93,8 +74,8 @@ def _furnish(root: Path, out: Path) -> list[str]:
     for name in ("passwd", "group", "os-release"):
         shutil.copy(f"/etc/{name}", root / "etc" / name)
     _put(root / "etc/machine-id", "0123456789abcdef0123456789abcdef\n")
-    _put(root / "etc/systemd/system/test.target", _TEST_TARGET)
-    _put(root / "etc/systemd/system/test.service", f"{_TEST_SERVICE}ExecStartPost=/bin/touch /out/done\n")
+    for name in ("test.target", "test.service"):
+        shutil.copy(Path(__file__).with_name(name), root / "etc/systemd/system")
     python, interpreter = Path(sys.base_prefix), Path(sys.base_prefix, "bin", f"python3.{sys.version_info.minor}")
     binds = ["--bind-ro=/usr", f"--bind-ro={CHECKOUT}:/opt/checkout"]
     binds += [f"--bind-ro={next(path for path in sys.path if path.endswith('site-packages'))}:/opt/site-packages"]

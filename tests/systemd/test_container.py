@@ -2,99 +2,30 @@
 
 import json
 import re
+from pathlib import Path
 from typing import Any
 
 import pytest
 from container import run_in_container
 
-LEFT = """
-name = "left"
-plate = "quartz16"
-link = "serial:/run/board?baud=4000000"
-[mqtt]
-url = "mqtt://127.0.0.1:1883"
-username = "left"
-password_file = "credential:mqtt-password"
-"""
-SKIN = """
-name = "skin"
-plate = "skin32"
-link = "tcp://127.0.0.1:7000"
-[mqtt]
-url = "mqtt://127.0.0.1:1883"
-username = "left"
-password_file = "credential:mqtt-password"
-[decoding]
-external = true
-"""
+HERE = Path(__file__).parent
+LEFT = (HERE / "left.toml").read_text()
 CREDENTIAL = "[Service]\nLoadCredential=mqtt-password:/etc/resonatord/broker.password\n"
 QUICK = f"{CREDENTIAL}WatchdogSec=3\nRestartSec=100ms\n"
 FILES = {
     "/etc/resonatord/left.toml": LEFT,
-    "/etc/resonatord/skin.toml": SKIN,
+    "/etc/resonatord/skin.toml": (HERE / "skin.toml").read_text(),
     "/etc/resonatord/bad.toml": LEFT.replace("quartz16", "quarz16"),
     "/etc/resonatord/broker.password": "secret\n",
     "/etc/systemd/system/resonatord@left.service.d/quick.conf": QUICK,
     "/etc/systemd/system/resonatord-decode@skin.service.d/credential.conf": CREDENTIAL,
     "/etc/mosquitto.conf": "listener 1883 127.0.0.1\npassword_file /etc/mosquitto.password\nuser root\n",
 }
-SCRIPT = """
-exec 2>/dev/null
-wait_for() { for _ in $(seq 400); do if eval "$1"; then return; fi; sleep 0.05; done; echo "never: $1"; return 1; }
-show() { systemctl show "$1" -p ActiveState,StatusText,NRestarts,MainPID,ExecMainStatus,Result; }
-well() {
-  python -c '
-import json
-daemon = json.load(open("/out/status"))["daemons"][0]
-raise SystemExit(not daemon["broker"]["connected"] or daemon["link"]["state"] != "online")'
-}
-says() { [[ "$(systemctl show "$1" --value -p StatusText)" == *"$2"* ]]; }
-emulator() {
-  systemd-run -q --unit=emulator resonatord emulate --plate quartz16 --pty /run/board
-  wait_for '[ -e /run/board ]'
-  chgrp dialout /run/board && chmod 0660 /run/board
-}
-chmod 600 /etc/resonatord/broker.password
-mosquitto_passwd -c -b /etc/mosquitto.password left secret
-resonatord install
-systemd-run -q --unit=broker mosquitto -c /etc/mosquitto.conf
-emulator
-systemctl start resonatord@left
-wait_for 'resonatord status left --json > /out/status && well'
-wait_for 'show resonatord@left > /out/started && grep -q "frames/s," /out/started'
-cat /proc/$(systemctl show --value -p MainPID resonatord@left)/status > /out/process
-stat -c '%U %a %n' /var/lib/resonatord /var/cache/resonatord /run/resonatord/left /etc/resonatord > /out/directories
-
-systemctl reload resonatord@left
-wait_for '[ "$(systemctl show --value -p ActiveState resonatord@left)" = active ]'
-show resonatord@left > /out/reloaded
-
-systemctl stop emulator
-wait_for 'says resonatord@left "link waiting"'
-sleep 3.5
-show resonatord@left > /out/waiting
-
-systemctl kill --signal=STOP --kill-who=main resonatord@left
-wait_for '[ "$(systemctl show --value -p NRestarts resonatord@left)" = 1 ]'
-emulator
-wait_for 'says resonatord@left "frames/s,"'
-show resonatord@left > /out/restarted
-
-if systemctl start resonatord@bad; then false; fi
-show resonatord@bad > /out/bad
-
-systemctl start resonatord-decode@skin
-show resonatord-decode@skin > /out/decoder
-systemctl stop resonatord-decode@skin resonatord@left
-show resonatord@left > /out/stopped
-journalctl --sync
-journalctl -o json -u 'resonatord@*' > /out/journal
-"""
 
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    return run_in_container(tmp_path_factory.mktemp("container"), SCRIPT, FILES)
+    return run_in_container(tmp_path_factory.mktemp("container"), (HERE / "in_container.sh").read_text(), FILES)
 
 
 def shown(text: str) -> dict[str, str]:
