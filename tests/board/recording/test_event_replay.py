@@ -64,8 +64,7 @@ def test_a_board_with_faults_is_replayed_to_the_bit(tmp_path: Path) -> None:
 FIRST = Reason(ReasonCode.UNPLUGGED, "first")
 
 
-def test_a_replay_can_be_stopped_in_a_long_silence(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
+def test_a_replay_can_be_stopped_in_a_long_silence(path: Path) -> None:
     record(path, [Opened(at(0)), StateAnnounced(at(0), Condition.STALLED, FIRST), TimersRun(at(3_600_000), idle=True)])
     woken = threading.Event()
     target = RecordingTarget(str(path))
@@ -97,8 +96,7 @@ NO_ANSWER = TimersRun(at(4000), idle=False)  # after which the connection gives 
         ([*BEGUN, NO_ANSWER, Lost(at(4001), FIRST), Closed(at(4001))], "first; now: no board answers"),
     ],
 )
-def test_a_difference_is_counted_and_said(tmp_path: Path, events: list[WireEvent], said: str) -> None:
-    path = tmp_path / "run.mcap"
+def test_a_difference_is_counted_and_said(path: Path, events: list[WireEvent], said: str) -> None:
     record(path, events)
     arrivals, _, differences = replayed(path)
     assert differences == 1
@@ -118,8 +116,7 @@ def test_a_refusal_is_compared_by_its_codes_not_by_its_words(tmp_path: Path, cod
     assert replayed(tmp_path / "run.mcap")[2] == differences
 
 
-def test_a_recording_cut_off_is_replayed_up_to_there(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
+def test_a_recording_cut_off_is_replayed_up_to_there(path: Path) -> None:
     record(path, [StateAnnounced(at(0), Condition.STARTING, FIRST), Opened(at(1))])
     content = path.read_bytes()
     path.write_bytes(content[: content.rindex(b"\x0f\x04" + bytes(7))])  # the end of its data

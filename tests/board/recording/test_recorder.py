@@ -56,8 +56,7 @@ EVENTS: list[WireEvent] = [
 DEADLINE_S = 30.0
 
 
-def test_every_event_comes_back_exactly(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
+def test_every_event_comes_back_exactly(path: Path) -> None:
     recorder = record(path, EVENTS)
     events, damage = read(path)
     assert events == EVENTS
@@ -66,8 +65,7 @@ def test_every_event_comes_back_exactly(tmp_path: Path) -> None:
     assert (recorder.counts.events_missing, recorder.failure) == (0, None)
 
 
-def test_what_does_not_fit_into_the_queue_is_counted_in_its_place(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
+def test_what_does_not_fit_into_the_queue_is_counted_in_its_place(path: Path) -> None:
     large = Received(at(2), bytes(10_000))
     events = [Opened(at(1)), large, large, Closed(at(3)), large]
     recorder = record(path, events, queue_bytes=5_000)
@@ -78,8 +76,7 @@ def test_what_does_not_fit_into_the_queue_is_counted_in_its_place(tmp_path: Path
     assert recorder.counts.events_missing == 3
 
 
-def test_a_disk_without_room_ends_the_recording_and_not_the_reader(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
+def test_a_disk_without_room_ends_the_recording_and_not_the_reader(path: Path) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     random = Random(1)
     deadline = time.monotonic() + DEADLINE_S
@@ -104,16 +101,13 @@ def test_a_disk_without_room_ends_the_recording_and_not_the_reader(tmp_path: Pat
     assert recorder.counts.events_missing >= 1
 
 
-def test_whatever_else_goes_wrong_ends_the_recording_and_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_whatever_else_goes_wrong_ends_the_recording_and_is_said(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(event: WireEvent) -> bytes:
         if isinstance(event, Sent):
             raise RuntimeError("LZ4 has no memory")
         return encode(event)
 
     monkeypatch.setattr(recording_writer, "encode", broken)
-    path = tmp_path / "run.mcap"
     recorder = record(path, [Opened(at(0)), Sent(at(1), b"x")])
     assert recorder.failure is not None
     assert recorder.failure.code == "write_failed"
@@ -124,13 +118,12 @@ def test_whatever_else_goes_wrong_ends_the_recording_and_is_said(
 
 
 def test_what_is_whole_counts_as_written_though_the_end_of_the_file_fails(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(recording_writer.Writer, "finish", full)
-    path = tmp_path / "run.mcap"
     written: list[WireEvent] = [Opened(at(0)), Received(at(1), b"x"), Closed(at(2))]
     deadline = time.monotonic() + DEADLINE_S
     with Recorder(path, Origin(PLATE, "tcp://board:1"), times=RecorderTimes(flush_s=3600.0)) as recorder:
@@ -147,8 +140,7 @@ def test_what_is_whole_counts_as_written_though_the_end_of_the_file_fails(
     assert recorder.all_bytes == path.stat().st_size
 
 
-def test_damage_ends_a_recording_where_it_is_found(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
+def test_damage_ends_a_recording_where_it_is_found(path: Path) -> None:
     random = Random(3)
     written: list[WireEvent] = [Received(at(number), random.randbytes(60_000)) for number in range(30)]
     record(path, written, times=ONE_BATCH)
@@ -162,8 +154,7 @@ def test_damage_ends_a_recording_where_it_is_found(tmp_path: Path) -> None:
     assert damage.startswith("damaged before byte ")
 
 
-def test_no_bit_that_flips_is_taken_for_an_event(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
+def test_no_bit_that_flips_is_taken_for_an_event(path: Path) -> None:
     record(path, EVENTS)
     whole = path.read_bytes()
     random = Random(4)
@@ -200,8 +191,7 @@ def test_what_is_no_recording_is_said(tmp_path: Path) -> None:
             open_recording(str(path), PLATE)
 
 
-def test_a_recording_of_another_plate_is_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    path = tmp_path / "run.mcap"
+def test_a_recording_of_another_plate_is_refused(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     record(path, EVENTS)
     with pytest.raises(LinkUnavailableError, match="of plate 'quartz16', the configuration names plate 'skin32'"):
         open_recording(str(path), load_plate("skin32"))

@@ -71,9 +71,8 @@ def running_snapshot(folder: Path) -> SnapshotTaken:
     return snapshots[-1]
 
 
-def test_a_recording_begun_while_frames_come_is_replayed_with_their_numbers(tmp_path: Path) -> None:
+def test_a_recording_begun_while_frames_come_is_replayed_with_their_numbers(path: Path, tmp_path: Path) -> None:
     options, link = pseudo_terminal(tmp_path / "board")
-    path = tmp_path / "run.mcap"
     with emulated(options), listening(link) as (it, switch):
         it.wait_for_frames(700)
         switch.start(path, Origin(PLATE, str(link)))
@@ -126,9 +125,8 @@ def test_one_recording_runs_at_a_time_and_no_file_is_overwritten(tmp_path: Path)
     assert switch.current is None
 
 
-def test_a_mark_is_a_line_of_text_at_its_time(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_mark_is_a_line_of_text_at_its_time(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
-    path = tmp_path / "run.mcap"
     switch = RecordingSwitch()
     switch.put(StateAnnounced(at(0), Condition.STARTING, Reason(ReasonCode.OPENING, "first")))
     switch.start(path, ORIGIN)
@@ -171,8 +169,7 @@ def test_a_tap_does_not_wait_for_a_file_that_is_slow_to_be_made(
     assert events == [Opened(at(0))]
 
 
-def test_what_is_kept_is_bounded_and_a_recording_begins_with_the_next_standing(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
+def test_what_is_kept_is_bounded_and_a_recording_begins_with_the_next_standing(path: Path, tmp_path: Path) -> None:
     snapshot = running_snapshot(tmp_path)
     switch = RecordingSwitch(kept_bytes=15_500)
     for number in range(12):

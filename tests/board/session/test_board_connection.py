@@ -26,8 +26,12 @@ def test_frames_carry_the_middle_of_their_gate() -> None:
         assert frame.gate_middle.utc_ns == frame.gate_middle.monotonic_ns + 10**18
 
 
-def test_silence_is_noticed_asked_about_and_then_the_end() -> None:
-    bench = online()
+@pytest.fixture
+def bench() -> Bench:
+    return online()
+
+
+def test_silence_is_noticed_asked_about_and_then_the_end(bench: Bench) -> None:
     bench.board.silent = True
     bench.run(51)  # the last frame came within the millisecond before
     assert bench.states[-1][0] == "online"
@@ -41,8 +45,7 @@ def test_silence_is_noticed_asked_about_and_then_the_end() -> None:
 BUSY = LoadSample(85, 100)
 
 
-def test_a_busy_computer_is_reported_within_three_seconds_until_two_seconds_after_its_end() -> None:
-    bench = online()
+def test_a_busy_computer_is_reported_within_three_seconds_until_two_seconds_after_its_end(bench: Bench) -> None:
     bench.load = LoadSample(40, 100)  # a computer that is used, and has time for the daemon
     bench.run(5000)
     bench.load = LoadSample(100, 100)
@@ -63,8 +66,7 @@ def test_a_busy_computer_is_reported_within_three_seconds_until_two_seconds_afte
     assert [code for _, code in bench.states[1:]] == ["board_counts", "computer_busy", "board_counts"]
 
 
-def test_a_board_without_frames_is_stalled_half_a_second_later_on_a_busy_computer() -> None:
-    bench = online()
+def test_a_board_without_frames_is_stalled_half_a_second_later_on_a_busy_computer(bench: Bench) -> None:
     bench.load = BUSY
     bench.board.silent = True
     bench.run(550)
@@ -78,8 +80,7 @@ def test_a_board_without_frames_is_stalled_half_a_second_later_on_a_busy_compute
     assert bench.states[-1] == ("online", "computer_busy")
 
 
-def test_time_in_which_programs_wait_for_a_processor_does_not_count_as_silence() -> None:
-    bench = online()
+def test_time_in_which_programs_wait_for_a_processor_does_not_count_as_silence(bench: Bench) -> None:
     bench.load = LoadSample(0, 50)
     bench.board.silent = True
     bench.run(103)
@@ -88,8 +89,7 @@ def test_time_in_which_programs_wait_for_a_processor_does_not_count_as_silence()
     assert bench.states[-1][0] == "stalled"
 
 
-def test_a_board_that_is_deaf_and_mute_for_two_and_a_half_seconds_goes_on_in_its_run() -> None:
-    bench = online()
+def test_a_board_that_is_deaf_and_mute_for_two_and_a_half_seconds_goes_on_in_its_run(bench: Bench) -> None:
     bench.board.frozen = True
     bench.run(2500)
     bench.board.frozen = False
@@ -102,8 +102,7 @@ def test_a_board_that_is_deaf_and_mute_for_two_and_a_half_seconds_goes_on_in_its
     bench.check_indices()
 
 
-def test_a_board_that_was_only_late_is_online_again_with_its_outage_told() -> None:
-    bench = online()
+def test_a_board_that_was_only_late_is_online_again_with_its_outage_told(bench: Bench) -> None:
     last = bench.frames[-1]
     bench.board.silent = True
     bench.run(200)
@@ -119,8 +118,7 @@ def test_a_board_that_was_only_late_is_online_again_with_its_outage_told() -> No
     assert bench.counters.connections == 0  # the reader counts these
 
 
-def test_a_board_that_answers_pings_and_counts_nothing_is_asked_to_go_on() -> None:
-    bench = online()
+def test_a_board_that_answers_pings_and_counts_nothing_is_asked_to_go_on(bench: Bench) -> None:
     sent = bench.board.session.receive(encode_packet(MessageType.STOP, 999), 0)  # as if something else had stopped it
     assert sent
     bench.run(150)
@@ -128,8 +126,7 @@ def test_a_board_that_answers_pings_and_counts_nothing_is_asked_to_go_on() -> No
 
 
 @pytest.mark.parametrize("idle", [True, False])
-def test_bytes_that_are_no_frames_are_silence_too(idle: bool) -> None:
-    bench = online()
+def test_bytes_that_are_no_frames_are_silence_too(bench: Bench, idle: bool) -> None:
     for _ in range(1200):  # garbage at every turn
         bench.now_ns += MS // 2
         bench.connection.receive(b"no frame", bench.host_time())
@@ -138,9 +135,8 @@ def test_bytes_that_are_no_frames_are_silence_too(idle: bool) -> None:
     assert bench.states[-1][0] == "stalled"
 
 
-def test_a_late_answer_with_older_ticks_than_the_newest_frame_is_an_answer() -> None:
+def test_a_late_answer_with_older_ticks_than_the_newest_frame_is_an_answer(bench: Bench) -> None:
     """A board may take 100 ms to answer; frames go on meanwhile."""
-    bench = online()
     answer = bench.board.session.receive
     held: list[tuple[int, bytes]] = []
 
@@ -159,8 +155,7 @@ def test_a_late_answer_with_older_ticks_than_the_newest_frame_is_an_answer() -> 
     assert bench.counters.clock_restarts == 0
 
 
-def test_a_board_that_does_not_hear_any_more_is_told_of_and_forgotten_pings_are_forgotten() -> None:
-    bench = online()
+def test_a_board_that_does_not_hear_any_more_is_told_of_and_forgotten_pings_are_forgotten(bench: Bench) -> None:
     bench.board.session.receive = lambda _data, _ticks: b""  # type: ignore[method-assign]
     bench.run(30_000)
     assert bench.states[-1] == ("online", "no_pong")
@@ -171,8 +166,7 @@ def test_a_board_that_does_not_hear_any_more_is_told_of_and_forgotten_pings_are_
     assert bench.counters.lost.total == 0
 
 
-def test_a_flood_of_log_lines_is_cut_and_counted() -> None:
-    bench = online()
+def test_a_flood_of_log_lines_is_cut_and_counted(bench: Bench) -> None:
     line = bench.board.session.log(BoardLog(20, "again"), 0)
     bench.connection.receive(line * 500, bench.host_time())
     bench.run(1)
@@ -185,8 +179,7 @@ def test_a_flood_of_log_lines_is_cut_and_counted() -> None:
     assert sum(isinstance(arrival, BoardLogLine) for arrival in bench.arrivals) == 21
 
 
-def test_a_reboot_is_told_with_its_cause_and_the_host_measures_it() -> None:
-    bench = online()
+def test_a_reboot_is_told_with_its_cause_and_the_host_measures_it(bench: Bench) -> None:
     frames = len(bench.frames)
     bench.board.identity = replace(IDENTITY, reset_cause=ResetCause.BROWN_OUT)
     bench.board.boot(8, bench.now_ns)

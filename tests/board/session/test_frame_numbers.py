@@ -31,20 +31,19 @@ def accept(
     return accepted and (accepted.index, accepted.gap)
 
 
-def begun() -> FrameNumbering:
+@pytest.fixture
+def it() -> FrameNumbering:
     """Return a numbering that has accepted frame 0."""
     it = numbering()
     accept(it, 0)
     return it
 
 
-def test_frames_that_never_came_are_a_link_gap() -> None:
-    it = begun()
+def test_frames_that_never_came_are_a_link_gap(it: FrameNumbering) -> None:
     assert accept(it, 4) == (4, Gap(1, FrameLoss(link_gap=3)))
 
 
-def test_discarded_bytes_determine_how_many_came_damaged() -> None:
-    it = begun()
+def test_discarded_bytes_determine_how_many_came_damaged(it: FrameNumbering) -> None:
     it.discarded(2 * FRAME_BYTES)
     assert accept(it, 4) == (4, Gap(1, FrameLoss(damaged=2, link_gap=1)))
     it.discarded(100)  # part of a frame
@@ -54,8 +53,7 @@ def test_discarded_bytes_determine_how_many_came_damaged() -> None:
     assert accept(it, 9) == (9, Gap(8, FrameLoss(link_gap=1)))
 
 
-def test_what_the_board_dropped_is_its_own_cause_and_counted_once() -> None:
-    it = begun()
+def test_what_the_board_dropped_is_its_own_cause_and_counted_once(it: FrameNumbering) -> None:
     it.dropped_by_board(5)
     assert accept(it, 6) == (6, Gap(1, FrameLoss(board_overflow=5)))
     it.dropped_by_board(5)
@@ -64,8 +62,7 @@ def test_what_the_board_dropped_is_its_own_cause_and_counted_once() -> None:
     assert accept(it, 12) == (12, Gap(10, FrameLoss(board_overflow=1, link_gap=1)))
 
 
-def test_a_report_after_a_lost_one_corrects_the_causes_of_the_earlier_gap() -> None:
-    it = begun()
+def test_a_report_after_a_lost_one_corrects_the_causes_of_the_earlier_gap(it: FrameNumbering) -> None:
     it.discarded(30)  # the board's report
     assert accept(it, 5) == (5, Gap(1, FrameLoss(link_gap=3, damaged=1)))
     it.dropped_by_board(6)  # 4 before, and 2 now
@@ -88,8 +85,7 @@ def test_unexplained_losses_are_in_the_snapshot() -> None:
     assert accept(later, 5) == (5, Gap(5, FrameLoss(link_gap=-3, board_overflow=3)))
 
 
-def test_what_the_hosts_driver_lost_is_a_cause_of_its_own() -> None:
-    it = begun()
+def test_what_the_hosts_driver_lost_is_a_cause_of_its_own(it: FrameNumbering) -> None:
     it.overrun()
     it.discarded(300)  # the fragments at both ends of what was lost
     it.dropped_by_board(1)
@@ -104,8 +100,7 @@ def test_the_number_wraps_and_the_index_does_not() -> None:
     assert accept(it, 2, gate=2**32 + 2) == (2**32 + 2, Gap(2**32, FrameLoss(link_gap=2)))
 
 
-def test_frames_follow_until_one_is_missing_and_not_while_a_loss_is_to_be_counted() -> None:
-    it = begun()
+def test_frames_follow_until_one_is_missing_and_not_while_a_loss_is_to_be_counted(it: FrameNumbering) -> None:
     frames = [Frame(number, number * GATE_TICKS, FRAME_BYTES, b"") for number in (1, 2, 4)]
     assert [it.count_following(frames, start) for start in range(3)] == [2, 0, 0]
     it.discarded(10)
@@ -116,15 +111,13 @@ def test_frames_follow_until_one_is_missing_and_not_while_a_loss_is_to_be_counte
     assert accept(it, 4) == (4, Gap(3, FrameLoss(link_gap=1)))
 
 
-def test_a_frame_that_was_there_already_is_ignored() -> None:
-    it = begun()
+def test_a_frame_that_was_there_already_is_ignored(it: FrameNumbering) -> None:
     accept(it, 1)
     assert accept(it, 1) is None
     assert accept(it, 2) == (2, None)
 
 
-def test_an_outage_is_a_gap_and_no_shift_of_time() -> None:
-    it = begun()
+def test_an_outage_is_a_gap_and_no_shift_of_time(it: FrameNumbering) -> None:
     it.started(0)
     assert accept(it, 0, gate=500) == (500, Gap(1, FrameLoss(link_gap=499)))
     assert accept(it, 1, gate=501) == (501, None)
@@ -151,8 +144,7 @@ def test_a_boot_id_that_came_twice_does_not_make_the_ticks_go_on() -> None:
 
 
 @pytest.mark.parametrize(("boot_id", "ticks"), [(1, 3_600_100 * GATE_TICKS), (2, 17)], ids=["same boot", "rebooted"])
-def test_a_host_that_slept_knows_how_long(boot_id: int, ticks: int) -> None:
-    it = begun()
+def test_a_host_that_slept_knows_how_long(it: FrameNumbering, boot_id: int, ticks: int) -> None:
     it.started(0)
     slept_ns = 3_600_000 * GATE_NS
     # The monotonic clock stood still, UTC was set meanwhile.
@@ -162,8 +154,7 @@ def test_a_host_that_slept_knows_how_long(boot_id: int, ticks: int) -> None:
     assert accepted.index == 3_600_100
 
 
-def test_frames_that_lie_otherwise_than_their_numbers_state_are_reported() -> None:
-    it = begun()
+def test_frames_that_lie_otherwise_than_their_numbers_state_are_reported(it: FrameNumbering) -> None:
     with pytest.raises(BrokenSpacingError) as first:
         it.accept(1, 1, 2 * GATE_TICKS, at(1))
     assert (first.value.spacing_ticks, first.value.gate_ticks, first.value.from_the_start) == (2000, 1000, True)

@@ -1,6 +1,7 @@
 import math
 
 import numpy as np
+import pytest
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.forces.readings import ContactTracker, Touch
@@ -11,7 +12,8 @@ TIMEOUT = 1000
 WHY = Reason(ReasonCode.WINDOW_NOT_FULL, "why")
 
 
-def tracker():
+@pytest.fixture
+def contacts():
     return ContactTracker(TIMEOUT)
 
 
@@ -33,8 +35,7 @@ def apply(contacts, ticks, *touches, complete=False, status="ok", reason=None):
     return [(event.event, event.contact.id, event.contact.touch.site) for event in events]
 
 
-def test_onset_and_release_have_a_hysteresis():
-    contacts = tracker()
+def test_onset_and_release_have_a_hysteresis(contacts):
     events = [apply(contacts, k, force(f)) for k, f in enumerate([0.0199, 0.0201, 0.0101, 0.5, 0.0101, 0.0099, 0.0199])]
     assert events == [[], [("onset", 1, 0)], [], [], [], [("release", 1, 0)], []]
     # Windows of 2, 3, 6 and 10 gates of a rising force, whose mean in the first was 4 mN: one contact, not two.
@@ -43,8 +44,7 @@ def test_onset_and_release_have_a_hysteresis():
     assert events == [[], [], [], [], [("onset", 2, 0)]]
 
 
-def test_a_contact_keeps_identity_onset_and_peak_and_counts_its_duration():
-    contacts = tracker()
+def test_a_contact_keeps_identity_onset_and_peak_and_counts_its_duration(contacts):
     for ticks, newton in [(100, 0.5), (200, 2.0), (300, 1.0)]:
         apply(contacts, ticks, force(newton, 1))
     apply(contacts, 400, status="settling")
@@ -54,15 +54,13 @@ def test_a_contact_keeps_identity_onset_and_peak_and_counts_its_duration():
     assert contact.touch.position_m == POSITIONS_M[1]
 
 
-def test_one_of_two_touches_ends_where_a_reading_reports_all():
-    contacts = tracker()
+def test_one_of_two_touches_ends_where_a_reading_reports_all(contacts):
     apply(contacts, 0, force(1.0, 0), force(1.0, 1), complete=True)
     assert apply(contacts, 1, force(1.0, 1), complete=True) == [("release", 1, 0)]
     assert [contact.id for contact in contacts.contacts] == [2]
 
 
-def test_a_gap_makes_the_force_unknown_and_does_not_end_the_contact():
-    contacts = tracker()
+def test_a_gap_makes_the_force_unknown_and_does_not_end_the_contact(contacts):
     apply(contacts, 0, force(1.0))
     assert apply(contacts, TIMEOUT, status="settling", reason=WHY) == []
     (contact,) = contacts.contacts
@@ -73,8 +71,7 @@ def test_a_gap_makes_the_force_unknown_and_does_not_end_the_contact():
     assert (contacts.contacts[0].touch.force_newton, contacts.contacts[0].touch.reason) == (1.0, None)
 
 
-def test_a_contact_unknown_for_longer_than_stated_is_released_for_that_reason():
-    contacts = tracker()
+def test_a_contact_unknown_for_longer_than_stated_is_released_for_that_reason(contacts):
     assert [apply(contacts, ticks, force(1.0)) for ticks in (0, 500)] == [[("onset", 1, 0)], []]
     assert apply(contacts, 500 + TIMEOUT, status="no_signal") == []
     (event,) = contacts.update(501 + TIMEOUT, (), complete=False, status="no_signal", reason=None)
@@ -82,8 +79,7 @@ def test_a_contact_unknown_for_longer_than_stated_is_released_for_that_reason():
     assert contacts.contacts == ()
 
 
-def test_a_touch_that_is_reported_without_a_force_does_not_keep_its_contact():
-    contacts = tracker()
+def test_a_touch_that_is_reported_without_a_force_does_not_keep_its_contact(contacts):
     apply(contacts, 0, force(1.0))
     assert apply(contacts, TIMEOUT // 2, force(math.nan), complete=True) == []
     assert math.isnan(contacts.contacts[0].touch.force_newton)
@@ -92,8 +88,7 @@ def test_a_touch_that_is_reported_without_a_force_does_not_keep_its_contact():
     assert contacts.contacts == ()
 
 
-def test_a_site_that_another_one_masks_is_unknown():
-    contacts = tracker()
+def test_a_site_that_another_one_masks_is_unknown(contacts):
     apply(contacts, 0, force(1.0, 0))
     assert apply(contacts, 1, force(2.0, 1), status="no_signal") == [("onset", 2, 1)]
     masked, heard = contacts.contacts
@@ -101,8 +96,7 @@ def test_a_site_that_another_one_masks_is_unknown():
     assert (math.isnan(masked.touch.force_newton), heard.touch.force_newton) == (True, 2.0)
 
 
-def test_an_overload_opens_a_contact_with_a_lower_bound_only():
-    contacts = tracker()
+def test_an_overload_opens_a_contact_with_a_lower_bound_only(contacts):
     assert apply(contacts, 0, over()) == [("onset", 1, 0)]
     (contact,) = contacts.contacts
     assert math.isnan(contact.touch.force_newton)

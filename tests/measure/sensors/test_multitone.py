@@ -20,8 +20,12 @@ def distance_m(contact, place_m):
     return math.dist(contact.touch.position_m, place_m)
 
 
-def test_a_touch_between_sites_is_one_contact_with_its_place_and_force():
-    comb = SmallComb().untouched()
+@pytest.fixture
+def comb() -> SmallComb:
+    return SmallComb().untouched()
+
+
+def test_a_touch_between_sites_is_one_contact_with_its_place_and_force(comb: SmallComb):
     pressed = comb.hold(spread(2.0, *PLACE_M), 40)
     assert events(pressed) == ["onset"]
     assert pressed[-1].status == "ok"
@@ -42,15 +46,13 @@ def test_a_touch_between_sites_is_one_contact_with_its_place_and_force():
     assert released[-1].contacts == ()
 
 
-def test_an_onset_is_told_within_two_gates():
-    comb = SmallComb().untouched()
+def test_an_onset_is_told_within_two_gates(comb: SmallComb):
     told = [event for reading in comb.hold(spread(0.5, *PLACE_M), 10) for event in reading.events]
     assert told[0].board_ticks - (comb.board_ticks - 10 * GATE_TICKS) <= 2 * GATE_TICKS
 
 
 @pytest.mark.parametrize("second_newton", [2.0, 0.3])
-def test_two_touches_are_two_contacts(second_newton):
-    comb = SmallComb().untouched()
+def test_two_touches_are_two_contacts(comb: SmallComb, second_newton):
     both = spread(1.5, *PLACE_M) + spread(second_newton, *FAR_M)
     last = comb.hold(both, 40)[-1]
     assert (last.status, len(last.contacts)) == ("ok", 2)
@@ -64,9 +66,8 @@ def test_two_touches_are_two_contacts(second_newton):
     assert one[-1].contacts[0].id == first.id
 
 
-def test_a_press_of_the_whole_plate_is_felt_by_every_site_and_no_touch_is_made_up():
+def test_a_press_of_the_whole_plate_is_felt_by_every_site_and_no_touch_is_made_up(comb: SmallComb):
     load = UNLIKE_TOUCHES_NEWTON
-    comb = SmallComb().untouched()
     pressed = comb.hold(load, 20)
     last = pressed[-1]
     assert (last.status, last.contacts, events(pressed)) == ("rejected", (), [])
@@ -93,8 +94,7 @@ def test_a_plate_without_a_cover_has_a_contact_for_each_site():
     assert events(released) == ["release"] * SITES
 
 
-def test_contacts_of_before_have_no_force_while_no_touch_can_be_named():
-    comb = SmallComb().untouched()
+def test_contacts_of_before_have_no_force_while_no_touch_can_be_named(comb: SmallComb):
     (before,) = comb.hold(spread(1.0, *PLACE_M), 40)[-1].contacts
     load = UNLIKE_TOUCHES_NEWTON
     (meanwhile,) = comb.hold(load, 20)[-1].contacts
@@ -106,8 +106,7 @@ def test_contacts_of_before_have_no_force_while_no_touch_can_be_named():
     assert ended[-1].contacts == ()
 
 
-def test_a_touch_beside_what_is_no_touch_is_named_as_possibly_more():
-    comb = SmallComb().untouched()
+def test_a_touch_beside_what_is_no_touch_is_named_as_possibly_more(comb: SmallComb):
     load = spread(3.0, *PLACE_M)
     load[0] += 0.4  # something sharp on one far site: its neighbours feel nothing of it
     last = comb.hold(load, 40)[-1]
@@ -121,9 +120,8 @@ def test_a_touch_beside_what_is_no_touch_is_named_as_possibly_more():
 
 
 @pytest.mark.parametrize("newton", [0.3, 3.0])
-def test_an_even_press_of_the_whole_plate_names_no_contact(newton):
+def test_an_even_press_of_the_whole_plate_names_no_contact(comb: SmallComb, newton):
     # Four touches in the middle of four sites each would explain most of it.
-    comb = SmallComb().untouched()
     pressed = comb.hold(np.full(SITES, newton), 20)
     assert (pressed[-1].status, pressed[-1].contacts, events(pressed)) == ("rejected", (), [])
     assert [round(force.force_newton, 1) for force in pressed[-1].sites] == [newton] * SITES
@@ -132,8 +130,7 @@ def test_an_even_press_of_the_whole_plate_names_no_contact(newton):
 
 
 @pytest.mark.parametrize("offset", [1e-7, -5e-8])
-def test_a_site_that_is_off_by_less_than_a_contact_leaves_the_others_to_tell(offset):
-    comb = SmallComb().untouched()
+def test_a_site_that_is_off_by_less_than_a_contact_leaves_the_others_to_tell(comb: SmallComb, offset):
     off = np.where(np.arange(SITES) == 5, offset, 0.0)
     readings = comb.hold(offset=off, frames=200)
     assert {reading.status for reading in readings} == {"ok"}
@@ -145,8 +142,7 @@ def test_a_site_that_is_off_by_less_than_a_contact_leaves_the_others_to_tell(off
     assert contact.touch.force_newton == pytest.approx(2.0, abs=0.02)
 
 
-def test_a_restart_releases_contacts_and_learns_anew():
-    comb = SmallComb().untouched()
+def test_a_restart_releases_contacts_and_learns_anew(comb: SmallComb):
     comb.hold(spread(1.0, *PLACE_M), 20)
     (event,) = comb.chain.restart()
     assert (event.event, event.reason.code) == ("release", ReasonCode.BOARD_RESTARTED)
@@ -169,8 +165,7 @@ def test_missing_frames_restart_the_window_and_keep_the_contact():
     assert events(comb.hold(load, 6)) == ["release", "onset"]
 
 
-def test_a_tone_that_is_not_heard_leaves_the_others_to_tell():
-    comb = SmallComb().untouched()
+def test_a_tone_that_is_not_heard_leaves_the_others_to_tell(comb: SmallComb):
     comb.known[:, int(spread(1.0, *PLACE_M).argmax())] = False
     last = comb.hold(spread(2.0, *PLACE_M), 40)[-1]
     assert (last.status, last.reason) == ("ok", Reason(ReasonCode.SITES_SILENT, "1 of 16 sites are not detected"))
@@ -183,8 +178,7 @@ def test_a_tone_that_is_not_heard_leaves_the_others_to_tell():
     assert (last.status, last.reason) == ("ok", None)
 
 
-def test_where_nothing_is_heard_nothing_is_told():
-    comb = SmallComb().untouched()
+def test_where_nothing_is_heard_nothing_is_told(comb: SmallComb):
     comb.hold(spread(2.0, *PLACE_M), 40)
     comb.known[:] = False
     silent = comb.hold(spread(2.0, *PLACE_M), 40)
@@ -196,8 +190,7 @@ def test_where_nothing_is_heard_nothing_is_told():
     assert comb.hold(frames=40)[-1].status == "ok"
 
 
-def test_a_force_beyond_the_range_has_a_bound_and_no_number():
-    comb = SmallComb().untouched()
+def test_a_force_beyond_the_range_has_a_bound_and_no_number(comb: SmallComb):
     (contact,) = comb.hold(spread(12.0, *PLACE_M), 40)[-1].contacts
     touch = contact.touch
     assert (touch.status, touch.at_least_newton) == ("overload", 10.0)

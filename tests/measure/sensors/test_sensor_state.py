@@ -46,15 +46,15 @@ class Sensor:
         return [condition for condition, _, _ in self.said[before:]]
 
 
-def online() -> Sensor:
+@pytest.fixture
+def sensor() -> Sensor:
     """Return a sensor that was found well at 0 ms, and has said so."""
     sensor = Sensor()
     assert sensor.read(0, "ok") == [Condition.ONLINE]
     return sensor
 
 
-def test_a_calibration_that_expires_is_reported_once_and_hides_nothing_worse() -> None:
-    sensor = online()
+def test_a_calibration_that_expires_is_reported_once_and_hides_nothing_worse(sensor: Sensor) -> None:
     for _ in range(3):
         sensor.state.calibration("c1 expired", T0_NS)
     assert [(condition, reason) for condition, reason, _ in sensor.said[1:]] == [(Condition.UNCALIBRATED, "c1 expired")]
@@ -91,14 +91,12 @@ def test_trouble_before_the_first_judgement_counts_at_once(status: str, conditio
 @pytest.mark.parametrize(
     "status", sorted(set(get_args(SensorStatus)) - {"pressed_at_start", "pilot_lost", "no_signal"})
 )
-def test_what_a_touch_can_do_to_a_reading_is_no_trouble_of_the_sensor(status: str) -> None:
-    sensor = online()
+def test_what_a_touch_can_do_to_a_reading_is_no_trouble_of_the_sensor(sensor: Sensor, status: str) -> None:
     for at_ms in range(5, 2000, 5):
         assert sensor.read(at_ms, status, "the touch's own reason") == []
 
 
-def test_trouble_that_lasts_is_reported_with_its_newest_reason_since_its_first_reading() -> None:
-    sensor = online()
+def test_trouble_that_lasts_is_reported_with_its_newest_reason_since_its_first_reading(sensor: Sensor) -> None:
     sensor.read(100, "no_signal", "channel 0: no signal")
     sensor.read(349.999999, "no_signal", "channel 0: no signal")
     sensor.read(350, "pilot_lost", "channel 1: no signal")  # another status, the same condition
@@ -106,8 +104,7 @@ def test_trouble_that_lasts_is_reported_with_its_newest_reason_since_its_first_r
     assert sensor.said[1:] == [(Condition.STALLED, "channel 1: no signal", T0_NS + 100 * MS)]
 
 
-def test_each_trouble_must_last_by_itself() -> None:
-    sensor = online()
+def test_each_trouble_must_last_by_itself(sensor: Sensor) -> None:
     sensor.read(100, "no_signal")
     sensor.read(300, "pressed_at_start", "touched", UNKNOWN)
     assert sensor.read(400, "pressed_at_start", "touched", UNKNOWN) == []
@@ -115,8 +112,7 @@ def test_each_trouble_must_last_by_itself() -> None:
     assert sensor.said[-1][2] == T0_NS + 300 * MS
 
 
-def test_recovery_must_last_too() -> None:
-    sensor = online()
+def test_recovery_must_last_too(sensor: Sensor) -> None:
     sensor.read(100, "no_signal")
     sensor.read(400, "no_signal")
     assert sensor.read(500, "ok") == []
@@ -128,15 +124,13 @@ def test_recovery_must_last_too() -> None:
 @pytest.mark.parametrize(
     ("status", "condition"), [("ok", Condition.ONLINE), ("pressed_at_start", Condition.PRESSED_AT_START)]
 )
-def test_the_first_reading_after_an_outage_counts_at_once(status: str, condition: Condition) -> None:
-    sensor = online()
+def test_the_first_reading_after_an_outage_counts_at_once(sensor: Sensor, status: str, condition: Condition) -> None:
     sensor.state.no_frames(Reason(ReasonCode.NO_FRAMES, "link lost"), T0_NS)
     assert sensor.read(10_000, status, "why") == [condition]
     assert sensor.said[-1][2] == T0_NS + 10_000 * MS
 
 
-def test_trouble_before_an_outage_does_not_count_after_it() -> None:
-    sensor = online()
+def test_trouble_before_an_outage_does_not_count_after_it(sensor: Sensor) -> None:
     sensor.read(100, "no_signal")
     sensor.state.no_frames(Reason(ReasonCode.NO_FRAMES, "link lost"), T0_NS)
     assert sensor.read(5000, "ok") == [Condition.ONLINE]
@@ -189,8 +183,7 @@ def drifting(sensor: Sensor, from_ms: int, until_ms: int) -> None:
         sensor.read(at_ms, "ok", common_mode=(1e-10 * at_ms, 0.0, 0.0, 0.0))
 
 
-def test_a_baseline_that_runs_away_is_drifting_and_its_readings_go_on() -> None:
-    sensor = online()
+def test_a_baseline_that_runs_away_is_drifting_and_its_readings_go_on(sensor: Sensor) -> None:
     drifting(sensor, 100, 8000)
     (_, (condition, reason, since_ns)) = sensor.said
     assert condition is Condition.DRIFTING
@@ -198,13 +191,12 @@ def test_a_baseline_that_runs_away_is_drifting_and_its_readings_go_on() -> None:
     assert 5000 * MS <= since_ns - T0_NS <= 6000 * MS
 
 
-def test_durations_do_not_depend_on_the_wall_clock() -> None:
+def test_durations_do_not_depend_on_the_wall_clock(sensor: Sensor) -> None:
     repeats: list[Compensation | None] = []
     state = SensorState(lambda *announced: repeats.append(announced[3]), "sites are read")
     compensation = Compensation(ESTIMATED, 1e-8, "followed", math.nan, math.nan, "off")
     for second, set_ms in enumerate((0, 0, -3_600_000, -3_600_000)):
         state.update("ok", None, ESTIMATED, instant(1000 * second, set_ms), compensation)
     assert repeats == [compensation] * 4
-    sensor = online()
     sensor.read(10, "pilot_lost")
     assert sensor.read(270, "pilot_lost", set_ms=-3_600_000) == [Condition.STALLED]
