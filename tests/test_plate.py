@@ -6,52 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plates import plate_head, site
+from plates import site
 from pydantic import ValidationError
 
 from resonator_daemon.base.errors import ConfigurationError
 from resonator_daemon.base.plate import Plate, load_plate
 
 PILOT = "pilot_hz = 10010000.0\n"
-COUNTER = {"reference_hz": 1e9, "frame_rate_hz": 1000, "pilot_hz": 10.01e6}
-FORCE_PLATE = (
-    plate_head("two", (0, 0), (20, 10), **COUNTER)
-    + """\
-[[sites]]
-id = 7
-position_mm = [6.0, 4.0]
-[[sites.tones]]
-signal = "force"
-f0_hz = [9996000.0, 9996001.0, 9996002.0, 9996003.0]
-sensitivity = [-6.3e-6, -6.2e-6, -6.1e-6, 6.0e-6]
-[[sites]]
-id = 3
-position_mm = [12.5, 4.0]
-[[sites.tones]]
-signal = "force"
-f0_hz = [9992000.0, 9992001.0, 9992002.0, 9992003.0]
-sensitivity = [-5.3e-6, -5.2e-6, -5.1e-6, 5.0e-6]
-"""
-)
-
-GRID_PLATE = (
-    plate_head("grid", (-2, -1), (2, 1), 5, "channelised", reference_hz=250e6, frame_rate_hz=100)
-    + """\
-[skin]
-youngs_modulus_pascal = 2e5
-poisson_ratio = 0.5
-depth_mm = 1.5
-[grid]
-shape = [2, 3]
-pitch_mm = 0.4
-signals = ["eps_xz", "p_n", "eps_yz"]
-f0_hz = 100e6
-spacing_hz = 1000
-order = [1, 3, 6]
-sensitivity = [3e-6, -2e-11, 4e-6]
-"""
-)
-
+HERE = Path(__file__).parent
+FORCE_PLATE, GRID_PLATE = ((HERE / f"{kind}_plate.toml").read_text() for kind in ("force", "grid"))
 SKIN_SITE = site(1, 1, 0.5, eps_yz=(3e6, 3e-6), p_n=(1e6, -1e-11), eps_xz=(2e6, 2e-6))
 
 
