@@ -7,6 +7,7 @@ import shlex
 import signal
 import subprocess
 import sys
+import tomllib
 from contextlib import suppress
 from pathlib import Path
 
@@ -19,32 +20,9 @@ from resonator_daemon.commands._command_line import command_names
 
 RECORDING = Path(__file__).parents[1] / "corpus" / "touches" / "recording.mcap"
 PROGRAM = (sys.executable, "-m", "resonator_daemon.commands")
-
-
-FAILING = """
-2 usage: demo --plate nope | emulate --plate quartz16 --pty board --faults nope=1 | watch --prefix a#b
-2 usage: replay run.mcap --url mqtt://host:0 | doctor --url nonsense --link tcp://127.0.0.1:9 | identify nope
-2 usage: export run.mcap --output run.foo | plan codes --grid nope --pitch-mm 5 | plan sensors --depth-mm -1
-2 usage: config explain nope | record left-index.toml
-78 config: emulate --plate quartz16 --pty nope/board | check gone.toml
-69 no_broker: calibrate skin skin.toml --ball 5 --masses-grams 50 --output new.toml | tare client.toml
-69 no_broker: command left ping --url mqtt://127.0.0.1:9
-69 no_board: calibrate board.toml --masses-grams 100 --output new.toml | identify tcp://127.0.0.1:9
-1 differs: compare run.mcap cut.mcap | export cut.mcap --output view.mcap | replay cut.mcap --to out.jsonl
-1 fault: doctor tcp://127.0.0.1:9 --seconds 1
-1 listen: emulate --plate quartz16 --tcp 192.0.2.1:7000
-1 install: install --prefix run.mcap
-1 no_plan: plan codes --grid 10x10 --pitch-mm 5 --touches 100
-78 output: record board.toml --output run.mcap
-1 no_daemon: reload no-such-plate | status no-such-plate
-2 no_recording: repair run.txt | replay run.txt --to copy | export run.txt --output view.mcap | repair gone.mcap
-2 no_mark: replay run.mcap --to out.jsonl --from nope
-"""  # exit code and code of the error: command lines
-LINES = [
-    (line, int(outcome.split()[0]), outcome.split()[1])
-    for outcome, lines in (text.split(": ", 1) for text in FAILING.strip().splitlines())
-    for line in lines.split(" | ")
-] + [(f"{name} --nope", 2, "usage") for name in command_names() if name not in ("decode", "run")]
+FAILING = tomllib.loads(Path(__file__).with_name("failing_commands.toml").read_text())["failure"]
+LINES = [(line, failure["exit_code"], failure["code"]) for failure in FAILING for line in failure["commands"]]
+LINES += [(f"{name} --nope", 2, "usage") for name in command_names() if name not in ("decode", "run")]
 
 
 @pytest.fixture

@@ -34,29 +34,18 @@ from simulators.faults import parse_faults
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 from corpus_cases import CORPUS, EXPECTED_FILE, RECORDING_FILE, save_case, save_expected
 from plates import small_skin
+from scenarios import press_and_shear, touch_text
 
 BOOT_ID: Final = "0123456789abcdef"
 SETTINGS: Final = "[measurement]\nwindow_ms = 20\nstep_ms = 20\n[decoding]\n"
 
 
 def touch(start_s: float, site: int, force_newton: float, hold_s: float = 0.6) -> str:
-    return (
-        f"[[touches]]\nstart_s = {start_s}\nsite = {site}\nforce_newton = {force_newton}\n"
-        f"rise_s = 0.1\nhold_s = {hold_s}\nfall_s = 0.1\n"
-    )
+    return touch_text(start_s, force_newton, hold_s, site=site, rise_s=0.1, fall_s=0.1)
 
 
 TOUCH: Final = touch(0.8, 7, 2.0)
-PRESS_AND_SHEAR: Final = """
-[[touches]]
-start_s = 2.0
-position_mm = [0.2, -0.1]
-force_newton = 0.3
-rise_s = 0.3
-hold_s = 1.2
-fall_s = 0.3
-shear = { peak_ratio = 0.9, direction_deg = 30.0 }
-"""
+PRESS_AND_SHEAR: Final = press_and_shear(2.0, 1.2)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ import psutil
 import pyarrow.dataset as ds
 import pytest
 from recording_bench import PLATE, at
+from scenarios import press_and_shear
 from simulated_recording import record
 from small_disk import small_disk
 
@@ -33,17 +34,6 @@ FILE = "recording.mcap"
 CASES = CORPUS / "touches" / FILE, CORPUS / "slide" / FILE
 UNDAMAGED = *(FEW := ("touches", "two-touches", "slide")), "comb", "warm-finger", "pressed-at-start", "overload"
 PRESSES = 3  # each is followed by more than the 40 untouched frames that a chunk begins with
-PRESS = """
-period_s = 7.0
-[[touches]]
-start_s = 5.0
-position_mm = [0.2, -0.1]
-force_newton = 0.3
-rise_s = 0.3
-hold_s = 0.8
-fall_s = 0.3
-shear = { peak_ratio = 0.9, direction_deg = 30.0 }
-"""
 COUNTED_FROM_A_BEGINNING = {"seq", "contact_id", "patch_id"}
 
 
@@ -54,7 +44,7 @@ def skin(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with open_replay(CORPUS / "skin" / "recording.mcap") as replaying:
         plate = replaying.config.plate
     scenario = folder / "press.toml"
-    scenario.write_text(PRESS)
+    scenario.write_text("period_s = 7.0\n" + press_and_shear(5.0, 0.8))
     begin_ns = (1_789_000_000 // 86_400 * 86_400 + 86_400 - 14) * 10**9
     record(path := folder / "run.mcap", plate, 21.0, scenario=str(scenario), include_messages=True, utc_ns=begin_ns)
     return path
