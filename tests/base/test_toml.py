@@ -32,20 +32,7 @@ def messages(tmp_path: Path, data: bytes) -> list[str]:
 
 
 def test_lines_are_found_in_nested_arrays_of_tables(tmp_path: Path) -> None:
-    text = b"""\
-[[branches]]
-[[branches.leaves]]
-depth_mm = 1
-[[branches]]  # the second
-width_mm = "a"
-[[branches.leaves]]
-[[branches.leaves]]
-  "depth_mm" = "b"
-[trunk]
-depth_mm = [
-  1,
-]
-"""
+    text = Path(__file__).with_name("nested_tables.toml").read_bytes()
     assert messages(tmp_path, text) == [
         ":5: branches[1].width_mm: got 'a'; must be a valid number",
         ":8: branches[1].leaves[1].depth_mm: got 'b'; must be a valid number",
