@@ -28,20 +28,6 @@ from firmware_protocol.layouts import (
     ToneFlag,
     struct_of,
 )
-from firmware_protocol.messages import (
-    MESSAGE_FIELDS,
-    OPTIONAL_FIELDS,
-    BoardLog,
-    BoardStatus,
-    Configuration,
-    CounterKind,
-    Description,
-    Identity,
-    LogLevel,
-    RefusalCode,
-    ResetCause,
-    encode_message,
-)
 from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
 from firmware_protocol.states import BOARD, HOST, BoardState, Cue, HostState
 from resonator_daemon.board.config.tables import plate_name
@@ -92,7 +78,7 @@ def test_message_table() -> None:
     assert sorted(heads(table("3. Messages"), 3)) == sorted(expected)
 
 
-@pytest.mark.parametrize("kind", MESSAGE_FIELDS, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", messages.MESSAGE_FIELDS, ids=lambda kind: kind.__name__)
 def test_field_tables(kind: type) -> None:
     headings = {
         messages.Identity: "IDENTITY",
@@ -107,9 +93,9 @@ def test_field_tables(kind: type) -> None:
             str(field.tag),
             field.name,
             "text" if field.is_text else "number",
-            "may be absent" if field.name in OPTIONAL_FIELDS[kind] else "always",
+            "may be absent" if field.name in messages.OPTIONAL_FIELDS[kind] else "always",
         ]
-        for field in MESSAGE_FIELDS[kind]
+        for field in messages.MESSAGE_FIELDS[kind]
     ]
     assert heads(table(headings[kind]), 4) == expected
 
@@ -121,15 +107,15 @@ def test_flag_tables(heading: str, kind: type[IntEnum]) -> None:
 
 def test_other_numbers() -> None:
     kinds = {
-        "code": RefusalCode,
-        "reset_cause": ResetCause,
-        "counter_kind": CounterKind,
+        "code": messages.RefusalCode,
+        "reset_cause": messages.ResetCause,
+        "counter_kind": messages.CounterKind,
         "capabilities": Capability,
         "encoding": BlockEncoding,
     }
     expected = [[name, str(member.value), words(member)] for name, kind in kinds.items() for member in kind]
     assert heads(table("Numbers"), 3) == expected
-    assert table("LOG")[0][4] == ", ".join(f"{level} {words(level)}" for level in LogLevel)
+    assert table("LOG")[0][4] == ", ".join(f"{level} {words(level)}" for level in messages.LogLevel)
 
 
 def words(member: IntEnum) -> str:
@@ -174,8 +160,8 @@ def test_states_of_a_host() -> None:
 
 
 BOOT = 0x11223344
-DESCRIPTION = Description(
-    CounterKind.SINGLE_TONE, 4, 1, 10**12, 10**5, 10**8, "quartz16", 0, 0, 16_384, Capability.LOCATE, 1
+DESCRIPTION = messages.Description(
+    messages.CounterKind.SINGLE_TONE, 4, 1, 10**12, 10**5, 10**8, "quartz16", 0, 0, 16_384, Capability.LOCATE, 1
 )
 STAMPS = (100, 1100, 2101, 3101)  # of every tenth edge, from edge 1000 on
 RECORD = SingleToneRecord(
@@ -198,14 +184,14 @@ def board(message_type: MessageType, sequence: int, payload: bytes, board_ticks:
 
 def examples() -> dict[str, bytes]:
     """Every message once, in the order of a session."""
-    session = DeviceSession(Identity("demo", "0042", "1.0", 0), DESCRIPTION, BOOT)
+    session = DeviceSession(messages.Identity("demo", "0042", "1.0", 0), DESCRIPTION, BOOT)
     sent: dict[str, bytes] = {}
 
     def ask(name: str, answer: str, request: MessageType, number: int, payload: bytes, ticks: int) -> None:
         sent[name] = encode_packet(request, number, payload)
         sent[answer] = session.receive(sent[name], ticks)
 
-    gate = encode_message(Configuration(10**6))
+    gate = messages.encode_message(messages.Configuration(10**6))
     ask("IDENTIFY", "IDENTITY", MessageType.IDENTIFY, 1, b"", 1000)
     ask("DESCRIBE", "DESCRIPTION", MessageType.DESCRIBE, 2, b"", 2000)
     ask("PING", "PONG", MessageType.PING, 3, bytes(range(1, 9)), 3000)
@@ -216,12 +202,12 @@ def examples() -> dict[str, bytes]:
     sent["FRAME_PART"] = board(
         MessageType.FRAME_PART, 7, BLOCK_STRUCT.pack(3, BlockEncoding.TONE_12, 2232, 2, 19, 20) + tones, 9_000_000
     )
-    sent["STATUS"] = session.status(BoardStatus(258, 298_150, 3), 2_000_000)
-    sent["LOG"] = session.log(BoardLog(30, "reference unlocked"), 2_000_001)
+    sent["STATUS"] = session.status(messages.BoardStatus(258, 298_150, 3), 2_000_000)
+    sent["LOG"] = session.log(messages.BoardLog(30, "reference unlocked"), 2_000_001)
     ask("LOCATE", "LOCATED", MessageType.LOCATE, 6, b"", 2_000_002)
     ask("STOP", "STOPPED", MessageType.STOP, 7, b"", 2_000_003)
     sent["REFUSED"] = session.receive(
-        encode_packet(MessageType.CONFIGURE, 8, encode_message(Configuration(1))), 2_000_004
+        encode_packet(MessageType.CONFIGURE, 8, messages.encode_message(messages.Configuration(1))), 2_000_004
     )
     return sent
 
@@ -243,7 +229,7 @@ def test_examples_are_what_the_code_sends() -> None:
     ],
 )  # fmt: skip
 def test_serial_numbers(serial_number: str, sound: bool) -> None:
-    identity = Identity("demo", serial_number, "1.0", 0, 64)
+    identity = messages.Identity("demo", serial_number, "1.0", 0, 64)
     assert made_in_python(identity, DESCRIPTION) is sound
     assert made_in_c(identity, DESCRIPTION) is sound
     if sound:
@@ -260,20 +246,20 @@ def test_serial_numbers(serial_number: str, sound: bool) -> None:
     ],
 )
 def test_limits_of_a_description(changes: dict[str, int], sound: bool) -> None:
-    identity = Identity("demo", "0042", "1.0", 0, 64)
+    identity = messages.Identity("demo", "0042", "1.0", 0, 64)
     description = replace(DESCRIPTION, **changes)  # type: ignore[arg-type]
     assert made_in_python(identity, description) is sound
     assert made_in_c(identity, description) is sound
 
 
 def test_the_longest_frame_has_63_parts_on_each_channel() -> None:
-    device = DeviceSession(Identity("demo", "0042", "1.0", 0), DESCRIPTION, BOOT)
+    device = DeviceSession(messages.Identity("demo", "0042", "1.0", 0), DESCRIPTION, BOOT)
     parts = PacketDecoder(from_board=True).feed(device.frame_parts(0, 0, [bytes(12 * 46_872)] * 4))
     assert len(parts) == 4 * 63
     assert max(part.size_bytes for part in parts if isinstance(part, Packet)) == 8964
 
 
-def made_in_python(identity: Identity, description: Description) -> bool:
+def made_in_python(identity: messages.Identity, description: messages.Description) -> bool:
     try:
         DeviceSession(identity, description, BOOT)
     except ValueError:
@@ -281,5 +267,5 @@ def made_in_python(identity: Identity, description: Description) -> bool:
     return True
 
 
-def made_in_c(identity: Identity, description: Description) -> bool:
+def made_in_c(identity: messages.Identity, description: messages.Description) -> bool:
     return run_commands([board_command(identity, description, BOOT)]) == ["ok"]

@@ -10,22 +10,14 @@ import pytest
 from vector_files import VECTORS, board_of, cases, check_sent, expected_events, named
 
 import firmware_protocol.packets as packets_module
+from firmware_protocol import messages
 from firmware_protocol.device import DeviceSession
-from firmware_protocol.messages import (
-    BoardLog,
-    BoardStatus,
-    Configuration,
-    Identity,
-    MalformedMessageError,
-    Refusal,
-    decode_message,
-    encode_message,
-)
 from firmware_protocol.output_queue import Outgoing, OutputQueue
 from firmware_protocol.packets import PacketDecoder
 
 MESSAGES = {
-    "CONFIGURE": Configuration, "IDENTITY": Identity, "STATUS": BoardStatus, "LOG": BoardLog, "REFUSED": Refusal
+    "CONFIGURE": messages.Configuration, "IDENTITY": messages.Identity, "STATUS": messages.BoardStatus,
+    "LOG": messages.BoardLog, "REFUSED": messages.Refusal
 }  # fmt: skip
 
 
@@ -58,12 +50,12 @@ def test_streams(case: dict[str, Any], piece_bytes: int) -> None:
 def test_messages(case: dict[str, Any]) -> None:
     kind, payload = MESSAGES[case["message"]], bytes.fromhex(case["payload"])
     if "malformed" in case:
-        with pytest.raises(MalformedMessageError):
-            decode_message(kind, payload)
+        with pytest.raises(messages.MalformedMessageError):
+            messages.decode_message(kind, payload)
         return
     message = kind(**case["fields"])
-    assert decode_message(kind, payload) == message
-    assert (encode_message(message) == payload) == case["canonical"]
+    assert messages.decode_message(kind, payload) == message
+    assert (messages.encode_message(message) == payload) == case["canonical"]
 
 
 @pytest.mark.parametrize("case", cases("board_sessions"), ids=named)

@@ -6,25 +6,9 @@ from typing import TypeVar
 import numpy as np
 from example_messages import example, header
 
-from resonator_daemon.mqtt.payloads import (
-    Condition,
-    ContactEvent,
-    Contacts,
-    Decoded,
-    DecodedSummary,
-    DecoderHealth,
-    DecoderState,
-    Forces,
-    Grid,
-    Health,
-    Info,
-    Message,
-    Signals,
-    State,
-    Tones,
-)
+from resonator_daemon.mqtt import payloads
 
-M = TypeVar("M", bound=Message)
+M = TypeVar("M", bound=payloads.Message)
 HEADER = header(seq=1234)
 
 
@@ -36,49 +20,49 @@ def numbered(kind: type[M]) -> Callable[[int], M]:
 class Messages:
     """Makes messages that differ by one number, `seq` and the values of arrays."""
 
-    forces = staticmethod(numbered(Forces))
-    contacts = staticmethod(numbered(Contacts))
-    tones = staticmethod(numbered(Tones))
-    summary = staticmethod(numbered(DecodedSummary))
-    info = staticmethod(numbered(Info))
-    health = staticmethod(numbered(Health))
+    forces = staticmethod(numbered(payloads.Forces))
+    contacts = staticmethod(numbered(payloads.Contacts))
+    tones = staticmethod(numbered(payloads.Tones))
+    summary = staticmethod(numbered(payloads.DecodedSummary))
+    info = staticmethod(numbered(payloads.Info))
+    health = staticmethod(numbered(payloads.Health))
 
     @staticmethod
-    def state(word: str, reason: str = "") -> State:
-        return State(**HEADER, state=word, reason=reason, since_t_ns=1788999990000000000)
+    def state(word: str, reason: str = "") -> payloads.State:
+        return payloads.State(**HEADER, state=word, reason=reason, since_t_ns=1788999990000000000)
 
     @staticmethod
-    def event(number: int) -> ContactEvent:
-        event = example(ContactEvent, seq=number, event="onset", reason="")
+    def event(number: int) -> payloads.ContactEvent:
+        event = example(payloads.ContactEvent, seq=number, event="onset", reason="")
         return event.model_copy(update={"contact": event.contact.model_copy(update={"id": number})})
 
     @staticmethod
-    def signals(number: int) -> Signals:
+    def signals(number: int) -> payloads.Signals:
         array, noise = np.full((3, 1024), number, np.float32), np.full((3, 1024), 1e-3)
-        return Signals(**header(seq=number), board_ticks=1, signals=array, noise_std=noise, status="ok")
+        return payloads.Signals(**header(seq=number), board_ticks=1, signals=array, noise_std=noise, status="ok")
 
     @staticmethod
-    def decoded(number: int) -> Decoded:
+    def decoded(number: int) -> payloads.Decoded:
         array = np.full((3, 32, 32), number, np.float32)
-        return Decoded(
+        return payloads.Decoded(
             **header(seq=number),
             board_ticks=1,
             traction_pascal=array,
             traction_std_pascal=array,
             displacement_m=None,
-            grid=Grid(origin_m=(-0.0062, -0.0062), pitch_m=4e-4),
+            grid=payloads.Grid(origin_m=(-0.0062, -0.0062), pitch_m=4e-4),
         )
 
     @staticmethod
-    def decoder_state(word: str, reason: str = "") -> DecoderState:
-        return example(DecoderState, state=Condition(word), reason=reason)
+    def decoder_state(word: str, reason: str = "") -> payloads.DecoderState:
+        return example(payloads.DecoderState, state=payloads.Condition(word), reason=reason)
 
     @staticmethod
-    def decoder_health(number: int) -> DecoderHealth:
-        return example(DecoderHealth, uptime_s=float(number))
+    def decoder_health(number: int) -> payloads.DecoderHealth:
+        return example(payloads.DecoderHealth, uptime_s=float(number))
 
     @staticmethod
-    def by_path() -> dict[str, Message]:
+    def by_path() -> dict[str, payloads.Message]:
         """Return one message for each topic below `prefix/name/`."""
         return {
             "state/daemon": Messages.state("online"), "state/link": Messages.state("waiting", "no such port"),

@@ -8,19 +8,8 @@ import numpy as np
 from example_messages import example, header
 from numpy.typing import NDArray
 
-from resonator_daemon.mqtt import topics
+from resonator_daemon.mqtt import payloads, topics
 from resonator_daemon.mqtt.codec import encode
-from resonator_daemon.mqtt.payloads import (
-    Contact,
-    ContactEvent,
-    Contacts,
-    Decoded,
-    Forces,
-    Grid,
-    Lost,
-    Message,
-    SiteForce,
-)
 from resonator_daemon.mqtt.topics import Topic
 from resonator_daemon.tools.demo.score import Accuracy, PlateScore
 from resonator_daemon.tools.demo.truth import TruthTable
@@ -86,7 +75,7 @@ class Run:
         for newton in f_z:
             self.truth(touch(newton, **touched))
 
-    def take(self, topic: Topic[Any], message: Message, arrived_ns: int = FAR_NS) -> None:
+    def take(self, topic: Topic[Any], message: payloads.Message, arrived_ns: int = FAR_NS) -> None:
         self.score.add(topic.path, encode(message), arrived_ns)
 
     def health(
@@ -94,7 +83,7 @@ class Run:
     ) -> None:
         counted = {
             "frames": frames,
-            "lost": Lost(**lost).model_dump(),
+            "lost": payloads.Lost(**lost).model_dump(),
             "parts_lost": parts,
             "frames_not_decoded": not_decoded,
         }
@@ -107,17 +96,17 @@ class Run:
 
     def onset(self, t_ns: int, site: int = 7, event: Any = "onset", arrived_ns: int | None = None) -> None:
         """Pass an event of that time, which arrives at once unless another time is given."""
-        contact = example(ContactEvent).contact.model_copy(update={"site": site})
-        message = example(ContactEvent, **HEADER | {"t_ns": t_ns}, event=event, contact=contact)
+        contact = example(payloads.ContactEvent).contact.model_copy(update={"site": site})
+        message = example(payloads.ContactEvent, **HEADER | {"t_ns": t_ns}, event=event, contact=contact)
         self.take(topics.CONTACT_EVENT, message, t_ns if arrived_ns is None else arrived_ns)
 
     def forces(
         self, number: int, *sites: tuple[int, float], frames: int = 2, arrived_ns: int = FAR_NS, seq: int = 0
     ) -> None:
         """Pass the message of the window of so many frames whose last gate was frame `number`."""
-        forces = tuple(example(SiteForce, site=site, force_newton=newton) for site, newton in sites)
+        forces = tuple(example(payloads.SiteForce, site=site, force_newton=newton) for site, newton in sites)
         ticks, window_s = TICKS * (number + 1), frames * FRAME_NS * 1e-9
-        message = example(Forces, **HEADER | {"seq": seq}, board_ticks=ticks, window_s=window_s, sites=forces)
+        message = example(payloads.Forces, **HEADER | {"seq": seq}, board_ticks=ticks, window_s=window_s, sites=forces)
         self.take(topics.FORCES, message, arrived_ns)
 
     def decoded(
@@ -129,23 +118,23 @@ class Run:
         arrived_ns: int = FAR_NS,
         seq: int = 0,
     ) -> None:
-        message = Decoded(
+        message = payloads.Decoded(
             **HEADER | {"seq": seq},
             board_ticks=TICKS * (number + 1),
             traction_pascal=traction_pascal,
             traction_std_pascal=np.zeros_like(traction_pascal),
             displacement_m=None,
-            grid=Grid(origin_m=(0.0, 0.0), pitch_m=PITCH_M) if grid else None,
+            grid=payloads.Grid(origin_m=(0.0, 0.0), pitch_m=PITCH_M) if grid else None,
         )
         self.take(topics.DECODED, message, arrived_ns)
 
     def contacts(self, number: int, *contacts: tuple[tuple[float, float], float]) -> None:
         """Pass the contacts of frame `number`: positions and normal forces."""
         reported = tuple(
-            example(Contact, id=id, position_m=position_m, force_newton=(0.3, 0.0, newton))
+            example(payloads.Contact, id=id, position_m=position_m, force_newton=(0.3, 0.0, newton))
             for id, (position_m, newton) in enumerate(contacts, 1)
         )
-        message = example(Contacts, **HEADER, board_ticks=TICKS * (number + 1), contacts=reported)
+        message = example(payloads.Contacts, **HEADER, board_ticks=TICKS * (number + 1), contacts=reported)
         self.take(topics.CONTACTS, message)
 
     def result(self, until_ns: int = FAR_NS) -> Accuracy:
