@@ -208,13 +208,6 @@ async def test_a_certificate_that_proves_nothing(
         await logged_once(Mqtt(url=running.tls_url, ca_file=str(files.ca)), finding)
 
 
-async def test_a_broker_of_an_authority_that_the_system_does_not_have(
-    tmp_path: Path, files: Files, logged_once: LoggedOnce
-) -> None:
-    async with tls_mosquitto(tmp_path, files) as running:
-        await logged_once(Mqtt(url=running.tls_url), "see mqtt.ca_file")
-
-
 CLIENTS: dict[str, Callable[[trustme.CA], trustme.LeafCert] | None] = {
     "certificate required": None,
     "certificate expired": lambda ca: ca.issue_cert(
@@ -237,9 +230,12 @@ async def test_a_client_certificate_that_is_missing_or_proves_nothing(
         await logged_once(broker, f"({finding}); see mqtt.certificate_file")
 
 
-async def test_a_port_for_the_other_protocol(tmp_path: Path, files: Files, logged_once: LoggedOnce) -> None:
+@pytest.mark.parametrize(("port", "finding"), [("tls_url", "see mqtt.ca_file"), ("url", "mqtt.url is mqtts://")])
+async def test_the_log_names_the_setting_that_prevents_a_connection(
+    port: str, finding: str, tmp_path: Path, files: Files, logged_once: LoggedOnce
+) -> None:
     async with tls_mosquitto(tmp_path, files) as running:
-        await logged_once(Mqtt(url=running.url), "mqtt.url is mqtts://")
+        await logged_once(Mqtt(url=getattr(running, port)), finding)
 
 
 async def test_tls_to_a_port_for_plain_mqtt(mosquitto: Mosquitto, files: Files, logged_once: LoggedOnce) -> None:

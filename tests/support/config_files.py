@@ -1,5 +1,6 @@
 """Configuration files of tests: what they are read as, and what is said of those that are refused."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,9 +16,12 @@ def loaded(folder: Path, text: str) -> Config:
 
 
 def refusals(folder: Path, text: str) -> list[str]:
-    """Return the messages, each one line, without the path that it begins with."""
+    return findings(lambda _: loaded(folder, text), folder / "board.toml")
+
+
+def findings(load: Callable[[Path], object], path: Path) -> list[str]:
+    """Return the messages about a file that is refused, each one line, without the path that it begins with."""
     with pytest.raises(ConfigurationError) as caught:
-        loaded(folder, text)
-    start = f"{folder / 'board.toml'}:"
-    assert all(message.startswith(start) and "\n" not in message for message in caught.value.messages)
-    return [message.removeprefix(start) for message in caught.value.messages]
+        load(path)
+    assert all(message.startswith(f"{path}:") and "\n" not in message for message in caught.value.messages)
+    return [message.removeprefix(f"{path}:") for message in caught.value.messages]

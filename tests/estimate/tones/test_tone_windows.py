@@ -96,15 +96,11 @@ def test_a_flagged_gate_empties_the_window_and_the_next_starts_anew():
     assert states == ["filling"] * 2 + ["full", "capture_switch"] + ["filling"] * 2 + ["full"] * 2
 
 
-def test_a_stride_break_starts_the_window_anew_with_that_gate():
-    states = full_after(windows(), frames_of([10e6] * 7, {3: RecordFlag.STRIDE_BREAK}))
-    assert states == ["filling"] * 2 + ["full"] + ["filling"] * 2 + ["full"] * 2
-
-
-def test_a_missing_gate_starts_the_window_anew():
-    frames = frames_of([10e6] * 8)
-    del frames[3]
-    assert full_after(windows(), frames) == ["filling"] * 2 + ["full"] + ["filling"] * 2 + ["full"] * 2
+def test_a_stride_break_and_a_missing_gate_start_the_window_anew_with_the_gate_behind():
+    missing = frames_of([10e6] * 8)
+    del missing[3]
+    for frames in (frames_of([10e6] * 7, {3: RecordFlag.STRIDE_BREAK}), missing):
+        assert full_after(windows(), frames) == ["filling"] * 2 + ["full"] + ["filling"] * 2 + ["full"] * 2
 
 
 @pytest.mark.parametrize(("jump", "restarts"), [(15e-6, False), (-15e-6, False), (25e-6, True), (-25e-6, True)])
