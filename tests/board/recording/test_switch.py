@@ -27,15 +27,8 @@ from resonator_daemon.board.recording.reader import Origin
 from resonator_daemon.board.recording.recorder import Recorder
 from resonator_daemon.board.recording.switch import NothingRecordedError, RecordingRunningError, RecordingSwitch
 from resonator_daemon.board.recording.writer import Published
+from resonator_daemon.board.session import link_events
 from resonator_daemon.board.session.frames import BoardOnline, LinkChange
-from resonator_daemon.board.session.link_events import (
-    Opened,
-    Received,
-    Skipped,
-    SnapshotTaken,
-    StateAnnounced,
-    TimersRun,
-)
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
@@ -57,13 +50,13 @@ def pseudo_terminal(port: Path, faults: str = "") -> tuple[EmulatorOptions, Seri
     return options, SerialTarget(str(port), 4000000)
 
 
-def running_snapshot(folder: Path) -> SnapshotTaken:
+def running_snapshot(folder: Path) -> link_events.SnapshotTaken:
     """How the link to a board stood while it was open."""
-    snapshots: list[SnapshotTaken] = []
+    snapshots: list[link_events.SnapshotTaken] = []
     options, link = pseudo_terminal(folder / "board")
 
     def collect(event: object) -> None:
-        if isinstance(event, SnapshotTaken) and event.snapshot.running is not None:
+        if isinstance(event, link_events.SnapshotTaken) and event.snapshot.running is not None:
             snapshots.append(event)
 
     with emulated(options), Listener(link, PLATE, on_event=collect) as it:
@@ -97,7 +90,7 @@ def test_a_recording_begun_while_frames_come_is_replayed_with_their_numbers(path
     assert all(frame.gate_middle.uncertainty_ns < 10_000_000 for frame in again)
     events, damage = read(path)
     assert damage is None
-    assert isinstance(events[0], SnapshotTaken)
+    assert isinstance(events[0], link_events.SnapshotTaken)
     assert summary is not None
     assert (summary.path, summary.all_bytes, summary.failure) == (path, path.stat().st_size, None)
     assert (summary.counts.files, summary.written.events, summary.counts.events_missing) == (1, len(events), 0)
@@ -128,10 +121,10 @@ def test_one_recording_runs_at_a_time_and_no_file_is_overwritten(tmp_path: Path)
 def test_a_mark_is_a_line_of_text_at_its_time(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     switch = RecordingSwitch()
-    switch.put(StateAnnounced(at(0), Condition.STARTING, Reason(ReasonCode.OPENING, "first")))
+    switch.put(link_events.StateAnnounced(at(0), Condition.STARTING, Reason(ReasonCode.OPENING, "first")))
     switch.start(path, ORIGIN)
     times_ns = [switch.mark("the finger slips"), switch.mark("¼ N")]
-    switch.put(StateAnnounced(at(1), Condition.WAITING, Reason(ReasonCode.NO_SUCH_PORT, "second")))
+    switch.put(link_events.StateAnnounced(at(1), Condition.WAITING, Reason(ReasonCode.NO_SUCH_PORT, "second")))
     summary = switch.stop()
     assert summary is not None
     assert (summary.written.events, summary.counts.events_missing) == (2, 0)
@@ -159,30 +152,30 @@ def test_a_tap_does_not_wait_for_a_file_that_is_slow_to_be_made(
     starter.start()
     try:
         assert making.wait(DEADLINE_S)
-        switch.put(Opened(at(0)))
+        switch.put(link_events.Opened(at(0)))
         assert switch.current is None
     finally:
         made.set()
         starter.join()
     switch.stop()
     events, _ = read(tmp_path / "run.mcap")
-    assert events == [Opened(at(0))]
+    assert events == [link_events.Opened(at(0))]
 
 
 def test_what_is_kept_is_bounded_and_a_recording_begins_with_the_next_standing(path: Path, tmp_path: Path) -> None:
     snapshot = running_snapshot(tmp_path)
     switch = RecordingSwitch(kept_bytes=15_500)
     for number in range(12):
-        switch.put(Received(at(number), bytes(1_000)))
+        switch.put(link_events.Received(at(number), bytes(1_000)))
     switch.start(path, ORIGIN)
-    switch.put(Received(at(5), bytes(7)))
+    switch.put(link_events.Received(at(5), bytes(7)))
     switch.put(snapshot)
-    switch.put(TimersRun(at(6), idle=True))
+    switch.put(link_events.TimersRun(at(6), idle=True))
     summary = switch.stop()
     assert summary is not None
     assert (summary.written.events, summary.counts.events_missing) == (2, 1)
     events, _ = read(path)
-    assert events == [Skipped(snapshot.now, 1, 7), snapshot, TimersRun(at(6), idle=True)]
+    assert events == [link_events.Skipped(snapshot.now, 1, 7), snapshot, link_events.TimersRun(at(6), idle=True)]
 
 
 def test_each_file_names_the_board_that_sends_and_has_the_last_states(
@@ -234,7 +227,7 @@ def test_a_recording_goes_from_file_to_file_without_a_frame_twice_or_missing(tmp
     for path in series.files():
         arrivals, _, differences = replayed(path)
         assert differences == 0
-        assert isinstance(read(path)[0][0], SnapshotTaken)
+        assert isinstance(read(path)[0][0], link_events.SnapshotTaken)
         seen += frames(arrivals)
     assert len(series.files()) >= 4
     assert all(same(frame, by_index[frame.index]) for frame in seen)
