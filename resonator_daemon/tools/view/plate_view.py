@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -10,6 +11,8 @@ from resonator_daemon.mqtt.topics import HEALTH, INFO, TOPICS, MessageT, Topic
 
 _RATE_NS: Final = 1_000_000_000
 _HEALTH_PERIOD_S: Final = 1.0
+HISTORY_NS: Final = 30 * _RATE_NS
+_LOSS_RATE_OVER: Final = 10  # reports of health
 
 
 @dataclass
@@ -22,17 +25,25 @@ class _Run:
     last: dict[str, tuple[Header, int]] = field(default_factory=dict)  # message, and when it arrived
     arrivals: dict[str, deque[tuple[int, int]]] = field(default_factory=dict)  # within the last second: when, and seq
     since_t_ns: dict[int | None, int] = field(default_factory=dict)  # of the present contacts, by id
+    pressed: deque[tuple[int, float]] = field(default_factory=deque)  # arrival, and largest normal force in newton
+    losses: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=_LOSS_RATE_OVER))  # arrival, and sum
 
     def add(self, path: str, message: Header, arrived_utc_ns: int) -> None:
         self.newest_t_ns = max(self.newest_t_ns, message.t_ns)
         # Losses only grow; a last will has old ones.
         self.lost = max(self.lost, message.lost, key=lambda lost: sum(lost.model_dump().values()))
         self.arrived_utc_ns = arrived_utc_ns
+        if path == HEALTH.path:
+            self.losses.append((arrived_utc_ns, sum(self.lost.model_dump().values())))
         self.last[path] = (message, arrived_utc_ns)
         if isinstance(message, Contacts):
             self.since_t_ns = {
                 contact.id: self.since_t_ns.get(contact.id, message.t_ns) for contact in message.contacts
             }
+            normal = [contact.force_newton[2] for contact in message.contacts]
+            self.pressed.append((arrived_utc_ns, max(filter(math.isfinite, normal), default=0.0)))
+            while not arrived_utc_ns - HISTORY_NS < self.pressed[0][0] <= arrived_utc_ns:
+                self.pressed.popleft()
         elif isinstance(message, ContactEvent):
             self.since_t_ns[message.contact.id] = message.contact.since_t_ns
         arrivals = self.arrivals.setdefault(path, deque())
@@ -60,6 +71,20 @@ class PlateView:
     def lost(self) -> Lost | None:
         """Losses that the daemon last reported; None before its first message."""
         return self._run.lost if self._run.last else None
+
+    @property
+    def loss_rate_hz(self) -> float:
+        """Losses a second in the last seconds; 0 while that is not known."""
+        losses = self._run.losses
+        if len(losses) < 2:
+            return 0.0
+        (first_utc_ns, first), (last_utc_ns, last) = losses[0], losses[-1]
+        return (last - first) / max(last_utc_ns - first_utc_ns, 1) * 1e9
+
+    @property
+    def pressed(self) -> Sequence[tuple[int, float]]:
+        """When contacts came in the last `HISTORY_NS`, and the largest normal force in newton, 0 without a contact."""
+        return self._run.pressed
 
     def add(self, path: str, message: Message, arrived_utc_ns: int) -> None:
         """Add a message on the topic with this path below the plate."""

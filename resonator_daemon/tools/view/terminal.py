@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-from rich.console import Group, RenderableType
+from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
@@ -22,19 +22,23 @@ from resonator_daemon.mqtt.topics import (
     STATE_LINK,
     STATE_SENSOR,
 )
-from resonator_daemon.tools.view.plate_view import PlateView
+from resonator_daemon.tools.view.plate_view import HISTORY_NS, PlateView
 from resonator_daemon.tools.view.words import UNKNOWN, duration, losses_in_words, millinewtons, newtons, quantity
 
 Truth = Sequence[Mapping[str, Any]]
 """Contacts of an emulated plate as its truth file has them."""
 
+_BLOCKS: Final = " ▁▂▃▄▅▆▇█"
+_GRAPH_ROWS: Final = 8
+_OTHER_ROWS: Final = 7  # of a plate: rule, states, table of contacts, figures
+_LABEL_WIDTH: Final = 10
 _SILENT_S: Final = 3.0  # a running daemon publishes its health once a second
 _COLUMNS: Final = ("contact", "site", "x, y in mm", "normal ± noise ± systematic", "shear", "slip margin", "since")
 
 
 def render(views: Sequence[PlateView], truths: Mapping[str, Truth], now_utc_ns: int, *, title: str) -> RenderableType:
     """Return a page with every plate; true contacts stand below the measured ones of the plates that have them."""
-    plates = (part for view in views for part in _plate(view, truths.get(view.name, ()), now_utc_ns))
+    plates = [part for view in views for part in _plate(view, truths.get(view.name, ()), now_utc_ns, len(views))]
     return Group(Text(title, style="bold", no_wrap=True, overflow="ellipsis"), *plates)
 
 
@@ -46,7 +50,7 @@ def summary_line(view: PlateView, now_utc_ns: int) -> str:
     return "; ".join([f"{view.name}: {_states(view, now_utc_ns).plain}", *touches, _figures(view, now_utc_ns)])
 
 
-def _plate(view: PlateView, truth: Truth, now_utc_ns: int) -> Iterator[RenderableType]:
+def _plate(view: PlateView, truth: Truth, now_utc_ns: int, plates: int) -> Iterator[RenderableType]:
     info = view.last(INFO)
     words = [view.name, *((info.plate, info.link) if info else ("plate unknown",))]
     # A plate may be named after its kind.
@@ -56,6 +60,29 @@ def _plate(view: PlateView, truth: Truth, now_utc_ns: int) -> Iterator[Renderabl
     if contacts or truth:
         yield _table(view, contacts, truth, now_utc_ns)
     yield Text(_figures(view, now_utc_ns))
+    if view.current(CONTACTS, now_utc_ns) and any(newton > 0.0 for _, newton in view.pressed):
+        yield _Graph(view.pressed, now_utc_ns, plates)
+
+
+class _Graph(NamedTuple):
+    """The largest normal force of the last seconds, as high as the terminal has room for with so many plates."""
+
+    pressed: Sequence[tuple[int, float]]
+    now_utc_ns: int
+    plates: int
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Text]:
+        rows = min((console.height - 1) // self.plates - _OTHER_ROWS, _GRAPH_ROWS)
+        heights = [0.0] * max(options.max_width - _LABEL_WIDTH, 1)
+        for arrived_utc_ns, newton in self.pressed:
+            column = len(heights) - 1 - len(heights) * (self.now_utc_ns - arrived_utc_ns) // HISTORY_NS
+            if 0 <= column < len(heights):
+                heights[column] = max(heights[column], newton)
+        highest = max(heights)
+        for row in reversed(range(rows) if highest > 0.0 and rows > 1 else ()):
+            label = newtons(highest) if row == rows - 1 else f"-{HISTORY_NS / 1e9:.0f} s" if row == 0 else ""
+            eighths = (min(max(round(8 * (rows * height / highest - row)), 0), 8) for height in heights)
+            yield Text(f"{label:>{_LABEL_WIDTH - 1}} " + "".join(_BLOCKS[eighth] for eighth in eighths), no_wrap=True)
 
 
 def _contacts(view: PlateView, now_utc_ns: int) -> Sequence[Contact]:
@@ -153,7 +180,8 @@ def _figures(view: PlateView, now_utc_ns: int) -> str:
         parts.append("losses unknown")
     else:
         of_health = {"parts": health.parts_lost, "not_decoded": health.frames_not_decoded} if health else {}
-        parts.append(losses_in_words(view.lost.model_dump() | of_health))
+        rate = f" ({view.loss_rate_hz:.1f}/s)" if view.loss_rate_hz else ""
+        parts.append(losses_in_words(view.lost.model_dump() | of_health) + rate)
     parts.append(f"frames {quantity(health.frame_rate_hz if health else None, '.1f', '/s')}")
     name, topic = ("forces", FORCES) if summary is None else ("decoded", DECODED)
     parts.append(f"{name} {quantity(view.rate_hz(topic, now_utc_ns), '.0f', '/s')}")

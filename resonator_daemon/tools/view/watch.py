@@ -6,7 +6,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import AsyncGenerator, Callable, Iterator, Sequence
 from contextlib import aclosing, contextmanager
 from typing import Final
 
@@ -17,7 +17,7 @@ from rich.text import Text
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.payloads import Message
-from resonator_daemon.mqtt.subscriber import subscribe
+from resonator_daemon.mqtt.subscriber import EVERY_PLATE, Received, subscribe
 from resonator_daemon.tools.view.plate_view import PlateView
 from resonator_daemon.tools.view.terminal import render, summary_line
 
@@ -25,20 +25,21 @@ _PAGE_S: Final = 1 / 8
 _LINES_S: Final = 1.0
 
 Draw = Callable[[Sequence[PlateView]], None]
+Messages = AsyncGenerator[Received]
 
 
-async def watch(broker: Mqtt, *, as_json: bool) -> None:
-    """Show what plates publish on stdout until SIGINT, SIGTERM, SIGHUP, or the reader of a pipe leaves.
+async def watch(broker: Mqtt, plate: str | None, *, as_json: bool) -> None:
+    """Show what one plate publishes, None: every plate, until SIGINT, SIGTERM, SIGHUP, or the reader of a pipe leaves.
 
     Streams come as often as people can follow, by their decimated topics.
     """
-    console = Console()
+    console, messages = Console(), subscribe(broker, plate=plate or EVERY_PLATE, full_rate=False)
     if as_json:
-        showing = asyncio.create_task(_print_messages(broker))
+        showing = asyncio.create_task(_print_messages(messages))
     elif sys.stdout.isatty() and not console.is_dumb_terminal:
-        showing = asyncio.create_task(_show_page(broker, console))
+        showing = asyncio.create_task(_show_page(broker, messages, console))
     else:
-        showing = asyncio.create_task(_redraw(broker, _print_lines(broker), _LINES_S))
+        showing = asyncio.create_task(_redraw(messages, _print_lines(broker), _LINES_S))
     try:
         with on_signals(showing.cancel):
             await asyncio.wait([showing])
@@ -62,14 +63,14 @@ def _discard_stdout() -> None:
         os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
-async def _print_messages(broker: Mqtt) -> None:
-    async with aclosing(subscribe(broker, full_rate=False)) as messages:
+async def _print_messages(received: Messages) -> None:
+    async with aclosing(received) as messages:
         async for plate, path, message in messages:
             sys.stdout.write(json_line(plate, path, message))
             sys.stdout.flush()
 
 
-async def _show_page(broker: Mqtt, console: Console) -> None:
+async def _show_page(broker: Mqtt, received: Messages, console: Console) -> None:
     first_notice = f"waiting for a broker at {broker.host}:{broker.port}"
     with _last_log_line(first_notice) as notice, Live(console=console, screen=True, auto_refresh=False) as live:
 
@@ -78,7 +79,7 @@ async def _show_page(broker: Mqtt, console: Console) -> None:
             page = render(views, {}, time.time_ns(), title=title) if views else Text(f"{title}\n{_waiting(broker)}")
             live.update(page, refresh=True)
 
-        await _redraw(broker, draw, _PAGE_S)
+        await _redraw(received, draw, _PAGE_S)
 
 
 def _print_lines(broker: Mqtt) -> Draw:
@@ -95,9 +96,9 @@ def _print_lines(broker: Mqtt) -> Draw:
     return draw
 
 
-async def _redraw(broker: Mqtt, draw: Draw, period_s: float) -> None:
+async def _redraw(received: Messages, draw: Draw, period_s: float) -> None:
     views: dict[str, PlateView] = {}
-    listening = asyncio.create_task(_listen(broker, views))
+    listening = asyncio.create_task(_listen(received, views))
     try:
         while not listening.done():
             draw(list(views.values()))
@@ -108,8 +109,8 @@ async def _redraw(broker: Mqtt, draw: Draw, period_s: float) -> None:
         await asyncio.wait([listening])
 
 
-async def _listen(broker: Mqtt, views: dict[str, PlateView]) -> None:
-    async with aclosing(subscribe(broker, full_rate=False)) as messages:
+async def _listen(received: Messages, views: dict[str, PlateView]) -> None:
+    async with aclosing(received) as messages:
         async for plate, path, message in messages:
             views.setdefault(plate, PlateView(plate)).add(path, message, time.time_ns())
 

@@ -20,7 +20,7 @@ from view_messages import (
     summary,
 )
 
-from resonator_daemon.mqtt.payloads import Message
+from resonator_daemon.mqtt.payloads import Lost, Message
 from resonator_daemon.tools.view.plate_view import PlateView
 from resonator_daemon.tools.view.terminal import Truth, render
 from resonator_daemon.tools.view.words import losses_in_words
@@ -85,6 +85,23 @@ def test_a_force_that_is_unknown_is_no_number() -> None:
     assert "at least 10.000 N (overload)" in text
     assert "- (ambiguous)" in text
     assert "nan" not in text
+
+
+def test_the_largest_forces_of_the_last_30_s_are_a_graph_as_high_as_there_is_room() -> None:
+    view = quartz16()
+    for seconds, newton in ((-40, 9.0), (-20, 0.5), (-10, 2.0), (0, 1.0)):
+        view.add("contacts", contacts(7, newton), NOW_NS + seconds * S)
+    *_, top, _, _, _, middle, _, _, bottom = page(view, width=70).splitlines()
+    assert (top[:10], bottom[:10]) == ("  2.000 N ", "    -30 s ")
+    assert (top.count("█"), middle.count("█"), bottom.count("█")) == (1, 2, 3)
+    assert bottom[10:].index("█") == 19
+    assert "█" not in page(view, height=9)
+
+
+def test_losses_have_a_rate() -> None:
+    view = quartz16()
+    view.add("health", health().model_copy(update={"lost": Lost(link_gap=40)}), NOW_NS + 8 * S)
+    assert "frames lost: link gap 40 (5.0/s)" in words(page(view, at_ns=NOW_NS + 8 * S))
 
 
 def test_nothing_touched_is_distinguished_from_nothing_known() -> None:
