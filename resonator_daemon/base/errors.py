@@ -4,11 +4,13 @@ A programmer's mistake is a ValueError and noise on the wire a counted value: ne
 """
 
 import errno
+import json
 import os
 import re
 import resource
 from collections.abc import Mapping
 from enum import IntEnum
+from pathlib import Path
 from typing import Any, ClassVar, Final
 
 
@@ -22,41 +24,7 @@ class ExitCode(IntEnum):
     CONFIG = 78  # EX_CONFIG of sysexits.h
 
 
-FAILURES: Final = {
-    "usage": "wrong arguments, or arguments that contradict each other",
-    "config": "errors in a configuration or plate file, or no such file",
-    "interrupted": "ended by Ctrl-C or SIGTERM before its end; the object has the partial result",
-    "system": "an error of the operating system, such as a full disk",
-    "open_files": "this process may open fewer than 64 files",
-    "missing_library": "an optional library is not installed",
-    "output": "the output exists already, or cannot be created or written",
-    "install": "a file cannot be placed or removed, or a step failed",
-    "no_recording": "the file does not exist, or is not a recording that can be used here",
-    "no_column": "in Python: the table does not have this column",
-    "no_mark": "the recording does not have this mark",
-    "no_span": "the span ends before it begins",
-    "differs": "a recording is damaged, or its replay differs from what is recorded",
-    "not_repaired": "nothing of the recording can be kept, or no copy can be made",
-    "ended": "the recording ended early",
-    "no_board": "the link cannot be opened, no board answers, or none sends frames",
-    "port_in_use": "another program holds the port, device or connection",
-    "refused": "the board can never serve this plate; or, in Python, the daemon refused without a code of its own",
-    "listen": "the address to listen on is in use, or this computer does not have it",
-    "dds": "the DDS domain cannot be joined",
-    "no_broker": "no broker answers at the address",
-    "no_scheduler": "no Dask scheduler answers at the address, or it has ended",
-    "workers_died": "workers of a Dask cluster died repeatedly",
-    "no_daemon": "no such daemon runs",
-    "no_answer": "the daemon does not answer",
-    "denied": "the access rules of the broker, or of this computer, do not allow it",
-    "name_taken": "another process publishes under this name",
-    "already_running": "another daemon runs with the same configuration file",
-    "cannot_share": "the broker does not share messages among several decoders",
-    "not_calibrated": "the calibration has no result; the plate file is as before",
-    "no_plan": "the codes cannot be planned as wanted; no plate file was written",
-    "fault": "the doctor found a fault: `cause` and `findings`",
-    "lost": "touches were missed, or frames or messages lost",
-}
+FAILURES: Final[dict[str, str]] = json.loads(Path(__file__).with_suffix(".json").read_text(encoding="utf-8"))
 """Meaning of each `code` of an error."""
 
 

@@ -2,6 +2,7 @@
 
 import json
 from functools import cache
+from pathlib import Path
 from typing import Any, Final
 
 from resonator_daemon.board.config.tables import DECODER
@@ -32,45 +33,12 @@ _COMMAND: Final[Object] = {"qos": 1, "retain": False}
 _PLATE: Final = "{prefix}/{name}/"
 _DECODER: Final = f"{{prefix}}/{DECODER}/{{id}}/"
 _OF_DECODERS: Final[tuple[Topic[Any], ...]] = (DECODER_STATE, DECODER_HEALTH)
-_PARAMETERS: Final = {
-    "prefix": {"description": "`mqtt.prefix` of the configuration; may have several levels", "default": "resonator"},
-    "name": {"description": "`name` of the configuration, by default the board's serial number"},
-    "id": {"description": "of a decoder process"},
-}
 _DOCUMENT: Final = "AsyncApiDocument"
 _REPLY: Final = "reply"
 _CORRELATION: Final = "command"
-_VERSION: Final = {"type": "string", "const": SCHEMA_VERSION, "description": "user property of MQTT 5"}
-_PROPERTIES: Final[dict[str, Object]] = {
-    "RequestProperties": {
-        "type": "object",
-        "title": "RequestProperties",
-        "description": "Properties of MQTT 5 of a command; each may be left out.",
-        "properties": {
-            "response_topic": {"type": "string", "maxLength": 1024, "description": "where the answer is published to"},
-            "correlation_data": {
-                "type": "string",
-                "description": "up to 1024 bytes, which the answer repeats",
-            },
-        },
-    },
-    "AnswerProperties": {
-        "type": "object",
-        "title": "AnswerProperties",
-        "description": "Properties of MQTT 5 of an answer.",
-        "properties": {
-            "schema_version": _VERSION,
-            "correlation_data": {"type": "string", "description": "that of the command, if it had any"},
-        },
-    },
-}
-_ABOUT: Final = (
-    "Topics of a tactile plate, as the daemon and its decoders publish them. On MQTT 5 and 3.1.1 topics and payloads "
-    "are the same; content type, message expiry, `schema_version` and correlation data come with MQTT 5 alone.\n\n"
-    "Readers ignore unknown keys: with a new minor version keys are added, anything else makes a new "
-    "major version. A number that is not known is null in JSON and NaN in CBOR. `x-unit` is a key's unit in UCUM's "
-    "notation. An array with `x-rfc8746` is a CBOR typed array: tag 40 of [shape, tag 85 of its little-endian bytes], "
-    "row-major; its schema is that of the same numbers as nested rows."
+# What does not depend on topics and commands: description, parameters of addresses, schemas of MQTT's properties.
+_PARTS: Final[Object] = json.loads(
+    Path(__file__).with_suffix(".json").read_text(encoding="utf-8").replace("SCHEMA_VERSION", SCHEMA_VERSION)
 )
 
 
@@ -101,16 +69,11 @@ def document() -> Object:
     document.add_answers(UNKNOWN, about, summary, Refusal.__name__)
     return {
         "asyncapi": "3.0.0",
-        "info": {
-            "title": "resonatord",
-            "version": SCHEMA_VERSION,
-            "description": _ABOUT,
-            "license": {"name": "BSD-3-Clause"},
-        },
+        "info": _PARTS["info"],
         "defaultContentType": JSON,
         "channels": document.channels,
         "operations": document.operations,
-        "components": {"messages": _messages(), "schemas": _schemas(), "correlationIds": _correlation_ids()},
+        "components": {"messages": _messages(), "schemas": _schemas(), "correlationIds": _PARTS["correlationIds"]},
     }
 
 
@@ -169,11 +132,6 @@ class _Document:
         self.add("send", response, response, f"{_PLATE}rsp/{verb}", about, _COMMAND, *answers)["summary"] = summary
 
 
-def _correlation_ids() -> Object:
-    about = "A text that the answer repeats, over MQTT 3.1.1, too; the correlation data of MQTT 5 are repeated, too."
-    return {_CORRELATION: {"description": about, "location": "$message.payload#/id"}}
-
-
 def _channel(address: str | None, about: str | None, *messages: str) -> Object:
     channel: Object = {
         "address": address,
@@ -181,7 +139,9 @@ def _channel(address: str | None, about: str | None, *messages: str) -> Object:
         "messages": {message: {"$ref": f"#/components/messages/{message}"} for message in messages},
     }
     if address is not None:
-        channel["parameters"] = {name: about for name, about in _PARAMETERS.items() if f"{{{name}}}" in address}
+        channel["parameters"] = {
+            name: about for name, about in _PARTS["parameters"].items() if f"{{{name}}}" in address
+        }
     return channel
 
 
@@ -212,7 +172,7 @@ def _messages() -> Object:
 def _versioned(name: str, content_type: str) -> Object:
     message = _message(name, content_type) | {
         "bindings": {"mqtt": _format(content_type)},
-        "headers": {"type": "object", "properties": {"schema_version": _VERSION}},
+        "headers": {"type": "object", "properties": {"schema_version": _PARTS["version"]}},
     }
     if example := EXAMPLES.get(name) or ARRAY_EXAMPLES.get(name):
         message["examples"] = [{"payload": example}]
@@ -238,16 +198,9 @@ def _message(name: str, content_type: str) -> Object:
 def _schemas() -> Object:
     verbs = VERBS.values()
     in_json = [kind for kind in _published() if kind not in WITH_ARRAYS]
-    of_document = {
-        "type": "object",
-        "description": "This document.",
-        "required": ["asyncapi", "info", "channels"],
-        "properties": {"asyncapi": {"type": "string", "const": "3.0.0"}},
-    }
     return {
         **schemas_of_json([*in_json, *(verb.answer for verb in verbs), Refusal]),
         **schemas_of_cbor(WITH_ARRAYS),
         **schemas_of_requests(verb.request for verb in verbs),
-        **_PROPERTIES,
-        _DOCUMENT: of_document,
+        **_PARTS["schemas"],
     }

@@ -4,9 +4,11 @@ Floats that are not known are NaN here and null in JSON. 64-bit integers are dec
 readers of JSON hold numbers as doubles, exact only to 2^53.
 """
 
+import json
 import math
 from functools import partial
 from operator import is_, not_
+from pathlib import Path
 from typing import Annotated, Any, Final
 
 import numpy as np
@@ -24,45 +26,11 @@ from pydantic import (
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.reasons import Word
 
-UNITS: Final[dict[str, str]] = {
-    "ns": "ns",
-    "ms": "ms",
-    "s": "s",
-    "hz": "Hz",
-    "m": "m",
-    "m2": "m2",
-    "newton": "N",
-    "newton_m": "N.m",
-    "pascal": "Pa",
-    "kelvin": "K",
-    "percent": "%",
-    "ppm": "[ppm]",
-    "bytes": "By",
-    "mb": "MBy",
-    "ticks": "{tick}",
-}
+_TABLES: Final = json.loads(Path(__file__).with_name("units.json").read_text(encoding="utf-8"))
+UNITS: Final[dict[str, str]] = _TABLES["units"]
 """Unit by the ending of a key, in the notation of UCUM; a tick is one of the board's clock."""
 
-DIMENSIONLESS: Final = frozenset(
-    {
-        "chi2",
-        "degrees_of_freedom",
-        "common_mode",
-        "friction_coefficient",
-        "gain",
-        "model_error",
-        "noise",
-        "p",
-        "poisson_ratio",
-        "position_correlation",
-        "residual",
-        "sensitivity",
-        "signals",
-        "slip_margin",
-        "stick_ratio",
-        "tangential_ratio",
-    }
-)
+DIMENSIONLESS: Final = frozenset[str](_TABLES["dimensionless"])
 """Keys of numbers without a unit, without the `_std` or `_systematic` that a standard deviation has at its end."""
 
 NO_UNIT: Final = "1"

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from itertools import chain, dropwhile
+from pathlib import Path
 from typing import IO, Final, NamedTuple, Self
 
 from mcap.records import Attachment, Header, McapRecord, Metadata
@@ -46,19 +47,9 @@ MARKS = "marks"
 JSON_ENCODING, JSON_SCHEMA_ENCODING = "json", "jsonschema"
 # One of the schemas that viewers of such files show as lines of text, in their place in time.
 MARK_SCHEMA = "foxglove.Log"
-TIME_SCHEMA: Final = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
-MARK_SCHEMA_DATA: Final = {
-    "title": MARK_SCHEMA,
-    "type": "object",
-    "properties": {
-        "timestamp": TIME_SCHEMA,
-        "level": {"type": "integer"},
-        "message": {"type": "string"},
-        "name": {"type": "string"},
-        "file": {"type": "string"},
-        "line": {"type": "integer"},
-    },
-}
+MARK_SCHEMA_DATA: Final[dict[str, object]] = json.loads(
+    Path(__file__).with_name("log_schema.json").read_text(encoding="utf-8")
+)
 INFO_LEVEL = 2  # before WARNING and ERROR
 
 
@@ -81,7 +72,7 @@ def log_line(utc_ns: int, level: int, name: str, text: str) -> bytes:
 
 
 def json_time(utc_ns: int) -> dict[str, int]:
-    """Return a time as JSON of TIME_SCHEMA."""
+    """Return a time as JSON of `timestamp` in MARK_SCHEMA."""
     sec, nsec = divmod(utc_ns, 10**9)
     return {"sec": sec, "nsec": nsec}
 
