@@ -111,7 +111,7 @@ class BrokerConnection:
         will: Outgoing | None = None,
         on_completed: OnCompleted | None = None,
         on_writable: Callable[[], None] | None = None,
-        on_message: OnMessage | None = None,
+        on_message: OnMessage = lambda _: None,
         on_denied: OnDenied | None = None,
         times: ConnectionTimes | None = None,
         read_pause_s: float = 0.0,
@@ -154,8 +154,7 @@ class BrokerConnection:
         client.on_subscribe = self._suback_received
         client.on_socket_close = self._closing
         client.on_socket_register_write = self._write_wanted
-        if on_message is not None:
-            client.on_message = self._message_received
+        client.on_message = self._message_received
 
     @property
     def socket(self) -> socket.socket | None:
@@ -471,8 +470,7 @@ class BrokerConnection:
 
     def _message_received(self, _client: object, _userdata: object, message: Any) -> None:
         self._received += 1
-        if self._on_message is not None:
-            asked = message.properties  # of MQTT 5, else None
-            response_topic = getattr(asked, "ResponseTopic", None)
-            correlation = getattr(asked, "CorrelationData", None)
-            self._on_message(Incoming(message.topic, message.payload, message.retain, response_topic, correlation))
+        asked = message.properties  # of MQTT 5, else None
+        response_topic = getattr(asked, "ResponseTopic", None)
+        correlation = getattr(asked, "CorrelationData", None)
+        self._on_message(Incoming(message.topic, message.payload, message.retain, response_topic, correlation))

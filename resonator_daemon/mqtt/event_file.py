@@ -9,9 +9,9 @@ import contextlib
 import os
 import sqlite3
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple
 
 from resonator_daemon.base.errors import meaning_of, reason_of
 from resonator_daemon.base.host.files import make_directory
@@ -44,8 +44,6 @@ _IN_SPAN: Final = "FROM events WHERE number > ? AND number < ? AND NOT number BE
 _DELETE_OLD: Final = f"""DELETE FROM events WHERE written_ns < ? AND number IN
     (SELECT number FROM events WHERE number <= ? ORDER BY number LIMIT {_LOOKED_AT})"""
 _OF_RUN: Final = "FROM events WHERE boot = ? AND number > ? AND written_ns >= ? AND seq"
-
-ResultT = TypeVar("ResultT")
 
 
 class EventFileError(Exception):
@@ -113,15 +111,12 @@ class EventFile:
 
     def open(self) -> tuple[int, int]:
         """Return the mark of earlier runs, and how many events wait behind it."""
-
-        def find(database: sqlite3.Connection) -> tuple[int, int]:
+        with self._transaction() as database:
             (mark,) = database.execute(_MARK).fetchone()
             newest, _ = database.execute(_NEWEST).fetchone() or (0, 0)
             (waiting,) = database.execute("SELECT count(*) FROM events WHERE number > ?", (mark,)).fetchone()
-            self._first = newest + 1
-            return mark - self._first, waiting
-
-        return self._transact(find)
+        self._first = newest + 1
+        return mark - self._first, waiting
 
     def write(self, events: Sequence[StoredEvent], mark: int, span: Span) -> int:
         """Append events, store the mark, and delete what exceeds the bounds.
@@ -133,10 +128,8 @@ class EventFile:
         """
         if not events and self._mark == mark:
             return 0
-        first, lost = self._first or 0, 0
-
-        def write(database: sqlite3.Connection) -> None:
-            nonlocal lost
+        first = self._first or 0
+        with self._transaction() as database:
             now_ns = time.time_ns()
             newest, all_bytes = database.execute(_NEWEST).fetchone() or (first - 1, 0)
             for event in events:
@@ -147,7 +140,7 @@ class EventFile:
             held = "SELECT min(number) FROM events WHERE number > ? AND all_bytes > ?"
             (oldest,) = database.execute(held, (first + mark, all_bytes - WAITING_BYTES_MAX)).fetchone()
             oldest = max(newest - WAITING_MAX + 1, oldest or 0)
-            lost = database.execute(f"DELETE {_IN_SPAN} AND number < ?", (*self._ends(span), oldest)).rowcount
+            lost: int = database.execute(f"DELETE {_IN_SPAN} AND number < ?", (*self._ends(span), oldest)).rowcount
             stored_after = newest - STORED_MAX if self._boot else newest
             database.execute("DELETE FROM events WHERE number <= ?", (min(first + mark, stored_after),))
             database.execute(_DELETE_OLD, (now_ns - STORED_NS_MAX, first + mark))
@@ -155,29 +148,22 @@ class EventFile:
             if own_seqs:
                 newest_seq = "UPDATE runs SET newest_seq = max(newest_seq, ?) WHERE boot = ?"
                 database.execute(newest_seq, (own_seqs[-1], self._boot))
-
-        self._transact(write)
         self._mark = mark
         self.unsynced = self.unsynced or bool(events)
         return lost
 
     def read(self, span: Span, count: int) -> list[StoredEvent]:
         """Return the oldest events in `span`; they stay on disk."""
-        first = self._first or 0
-
-        def read(database: sqlite3.Connection) -> list[StoredEvent]:
-            columns = f"SELECT number - {first}, boot, seq, topic, payload {_IN_SPAN} ORDER BY number LIMIT ?"
+        columns = f"SELECT number - {self._first or 0}, boot, seq, topic, payload {_IN_SPAN} ORDER BY number LIMIT ?"
+        with self._transaction() as database:
             return [StoredEvent(*row) for row in database.execute(columns, (*self._ends(span), count))]
-
-        return self._transact(read)
 
     def page(self, boot: str, after_seq: int, before_seq: int | None, bytes_max: int) -> StoredPage | None:
         """Return what is stored of a run after one event and before another; None where the run is unknown.
 
         The page has as many payloads as the size holds, and at least one where there is any.
         """
-
-        def page(database: sqlite3.Connection) -> StoredPage | None:
+        with self._transaction() as database:
             run = database.execute("SELECT id, newest_seq FROM runs WHERE boot = ?", (boot,)).fetchone()
             if run is None:
                 return None
@@ -193,11 +179,10 @@ class EventFile:
             payloads = first_of((payload for (payload,) in rows), bytes_max)
             return StoredPage(payloads, count, oldest_seq, newest_seq, next_run[0] if next_run else None)
 
-        return self._transact(page)
-
     def sync(self) -> None:
         """Wait until the medium has all that was written."""
-        self._transact(lambda database: database.execute(_SET_FORMAT), synchronous="FULL")
+        with self._transaction("FULL") as database:
+            database.execute(_SET_FORMAT)
         self.unsynced = False
 
     def close(self) -> None:
@@ -211,8 +196,9 @@ class EventFile:
         first = self._first or 0
         return first + span.after, first + span.before, first, first + span.passed
 
-    def _transact(self, transact: Callable[[sqlite3.Connection], ResultT], *, synchronous: str = "NORMAL") -> ResultT:
-        """Carry out one transaction and return its result, on a database that is opened for it where it is not open.
+    @contextlib.contextmanager
+    def _transaction(self, synchronous: str = "NORMAL") -> Iterator[sqlite3.Connection]:
+        """Carry out one transaction, on a database that is opened for it where it is not open.
 
         With `FULL`, one that writes flushes the log with all earlier ones to the medium.
         """
@@ -220,13 +206,12 @@ class EventFile:
             database = self._database or self._open()
             database.execute(f"PRAGMA synchronous={synchronous}")
             database.execute("BEGIN IMMEDIATE")
-            result = transact(database)
+            yield database
             database.execute("COMMIT")
         except sqlite3.Error as error:
             raise self._failed(error) from error
         except OSError as error:
             raise EventFileError(reason_of(error)) from error
-        return result
 
     def _failed(self, error: sqlite3.Error) -> EventFileError:
         """Return the meaning of a database error; close the file unless the disk is full."""

@@ -9,7 +9,7 @@ Their form is one that code generators (modelina, json-schema-to-typescript) tur
 - Messages include their header by `allOf`.
 """
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Collection, Iterable
 from typing import Any, Final
 
 from pydantic import BaseModel
@@ -23,6 +23,7 @@ REF: Final = "#/components/schemas/{model}"
 Schema = dict[str, Any]
 
 _NULL: Final = {"type": "null"}
+_DATA: Final = ("default", "const", "enum", "required", "x-rfc8746")  # keywords whose value is no schema
 
 
 class _Untitled(GenerateJsonSchema):
@@ -122,7 +123,10 @@ def _as_draft_7(schema: Any) -> Any:
         return [_as_draft_7(part) for part in schema]
     if not isinstance(schema, dict):
         return schema
-    converted = {key: _CONVERTED.get(key, _as_draft_7)(value) for key, value in schema.items()}
+    converted: Schema = {
+        key: _properties(value) if key == "properties" else value if key in _DATA else _as_draft_7(value)
+        for key, value in schema.items()
+    }
     if "prefixItems" in converted:
         items = converted.pop("prefixItems")
         converted["items"] = items[0] if all(item == items[0] for item in items) else items
@@ -169,18 +173,3 @@ def _properties(properties: dict[str, Schema]) -> dict[str, Schema]:
 def _with_unit(key: str, schema: Schema) -> Schema:
     unit = unit_of(key)
     return schema if unit is None or "$ref" in schema else schema | {"x-unit": unit}
-
-
-def _unchanged(value: Any) -> Any:
-    return value
-
-
-# Where a keyword's value is no schema: keys of an object, and data.
-_CONVERTED: Final[dict[str, Callable[[Any], Any]]] = {
-    "properties": _properties,
-    "default": _unchanged,
-    "const": _unchanged,
-    "enum": _unchanged,
-    "required": _unchanged,
-    "x-rfc8746": _unchanged,
-}

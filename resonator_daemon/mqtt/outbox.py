@@ -6,7 +6,7 @@ from collections import deque
 from itertools import chain
 from pathlib import Path
 from time import monotonic
-from typing import Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import Final, Generic, NamedTuple, TypeVar
 
 from resonator_daemon.mqtt.broker_connection import FAILURE, MQTT_5, NO_SUBSCRIBERS, BrokerConnection, InFlight
 from resonator_daemon.mqtt.event_log import Event, EventLog
@@ -40,15 +40,7 @@ class _Stream(NamedTuple):
 WaitingT = TypeVar("WaitingT", Packet, _Stream)
 
 
-class _Sized(Protocol):
-    @property
-    def size_bytes(self) -> int: ...
-
-
-ItemT = TypeVar("ItemT", bound=_Sized)
-
-
-class BoundedQueue(Generic[ItemT]):
+class BoundedQueue(Generic[WaitingT]):
     """First in, first out; if an item exceeds the bounds, the oldest items are removed; the new item is always added.
 
     `items` are in their order, to be looked at only.
@@ -57,10 +49,10 @@ class BoundedQueue(Generic[ItemT]):
     def __init__(self, count_max: int, bytes_max: int) -> None:
         self._count_max = count_max
         self._bytes_max = bytes_max
-        self.items: deque[ItemT] = deque()
+        self.items: deque[WaitingT] = deque()
         self.size_bytes = 0
 
-    def put(self, item: ItemT) -> list[ItemT]:
+    def put(self, item: WaitingT) -> list[WaitingT]:
         """Append an item; return those that had to go for it, the oldest first."""
         pushed_out = []
         while self.items and (
@@ -71,9 +63,9 @@ class BoundedQueue(Generic[ItemT]):
         self.size_bytes += item.size_bytes
         return pushed_out
 
-    def pop(self, count: int) -> list[ItemT]:
+    def pop(self, count: int) -> list[WaitingT]:
         """Remove and return the oldest items, as many as there are."""
-        popped: list[ItemT] = []
+        popped: list[WaitingT] = []
         while self.items and len(popped) < count:
             item = self.items.popleft()
             self.size_bytes -= item.size_bytes
@@ -233,7 +225,9 @@ class Outbox:
         now_s = monotonic()
         oldest_s = now_s - self.stream_wait_max_s
         while self._streams.items and self._streams.items[0].since_s < oldest_s:  # too late to be of use
-            self._drop_late()
+            for stream in self._streams.pop(1):
+                self._account.drop(Cause.LATE, stream.topic)
+            self._moved.set()
         try:
             for _ in range(_TOGETHER):
                 client = self._client
@@ -308,11 +302,6 @@ class Outbox:
                 size_bytes,
                 limit_bytes,
             )
-
-    def _drop_late(self) -> None:
-        for stream in self._streams.pop(1):
-            self._account.drop(Cause.LATE, stream.topic)
-        self._moved.set()
 
     def _drop(self, queue: BoundedQueue[WaitingT], cause: Cause) -> None:
         for packet in queue.pop(len(queue.items)):

@@ -42,10 +42,6 @@ class Subscription(NamedTuple):
         return topic_matches_sub(self.topic_filter.split("/", 2)[2] if shared else self.topic_filter, topic)
 
 
-def ignore(*_: object) -> None:
-    pass
-
-
 class _Stream:
     """Packets of a stream, and those of its decimated topic, if it has one."""
 
@@ -100,7 +96,7 @@ class Publisher:
         subscriptions: Sequence[Subscription] = (),
         spool_directory: Path | None = None,
         boot_id: str | None = None,
-        on_connected: Callable[[int], None] = ignore,
+        on_connected: Callable[[int], None] = lambda _: None,
         stream_wait_max_s: float = math.inf,
         times: ConnectionTimes | None = None,
     ) -> None:

@@ -19,17 +19,13 @@ log = logging.getLogger(__name__)
 Report = Callable[[int, str], None]
 
 
-def _log_line(level: int, text: str) -> None:
-    log.log(level, "%s", text)
-
-
 async def keep_connected(
     broker: Mqtt,
     make_connection: Callable[[MQTTProtocolVersion], BrokerConnection],
     serve: Callable[[BrokerConnection], Awaitable[None]],
     closing: asyncio.Future[None],
     *,
-    report: Report = _log_line,
+    report: Report = log.log,
     on_failure: Callable[[Exception], None] = lambda _: None,
     times: ConnectionTimes | None = None,
 ) -> None:
