@@ -71,13 +71,6 @@ class InterruptedCommandError(UserError):
     code = "interrupted"
 
 
-class SystemFailureError(UserError):
-    """Error of the operating system, such as a standard output on a full disk."""
-
-    exit_code = ExitCode.FAILED
-    code = "system"
-
-
 class DifferenceError(UserError):
     """Recording that is damaged, or whose replay differs from what is recorded."""
 

@@ -34,7 +34,7 @@ from resonator_daemon.base.plate_tables import (
     Site,
     Skin,
     Thermal,
-    at_least,
+    of_length,
 )
 from resonator_daemon.base.toml import Number, Table, check_with, finding, load_model, nearest, read_toml
 
@@ -223,7 +223,7 @@ class Plate(Table):
     response: Response | None = None
     skin: Skin | None = None
     grid: Grid | None = None
-    sites: Annotated[tuple[Site, ...], at_least(1, "[[sites]]")] = ()
+    sites: Annotated[tuple[Site, ...], of_length(1, "[[sites]]", or_more=True)] = ()
     calibration: Calibration = Calibration()
 
     @model_validator(mode="wrap")

@@ -21,23 +21,15 @@ FORCE_SIGNALS: Final = (FORCE_SIGNAL, TEMPERATURE_SIGNAL)
 SKIN_SIGNALS = ("p_n", "eps_xz", "eps_yz")  # the order of everything that is published or decoded
 
 
-def of_length(length: int, what: str) -> BeforeValidator:
-    """Return a validator of lists of this length; `what` names the items in its error."""
+def of_length(length: int, what: str, *, or_more: bool = False) -> BeforeValidator:
+    """Return a validator of lists of this length; `what` names the items in its error.
+
+    Unlike pydantic's min_length, it counts invalid items.
+    """
 
     def check(values: object) -> object:
-        if not isinstance(values, list | tuple) or len(values) != length:
-            raise ValueError(f"must be a list of {length}: {what}")
-        return values
-
-    return BeforeValidator(check)
-
-
-def at_least(length: int, what: str) -> BeforeValidator:
-    """Return a validator of lists of at least this length; unlike pydantic's min_length, it counts invalid items."""
-
-    def check(values: object) -> object:
-        if not isinstance(values, list | tuple) or len(values) < length:
-            raise ValueError(f"must be a list of at least {length}: {what}")
+        if not isinstance(values, list | tuple) or len(values) < length or (len(values) > length and not or_more):
+            raise ValueError(f"must be a list of {'at least ' if or_more else ''}{length}: {what}")
         return values
 
     return BeforeValidator(check)
@@ -60,7 +52,7 @@ def _rising(limits: tuple[float, ...]) -> tuple[float, ...]:
 
 Millimetres = Annotated[Number, Field(ge=-10_000, le=10_000)]
 Point = Annotated[tuple[Millimetres, Millimetres], of_length(2, "x and y")]
-Outline = Annotated[tuple[Point, ...], at_least(3, "corners, each [x, y]")]
+Outline = Annotated[tuple[Point, ...], of_length(3, "corners, each [x, y]", or_more=True)]
 Hertz = Annotated[Number, Field(ge=1, le=1e12)]
 Sensitivity = Annotated[Number, Field(ge=-1e6, le=1e6), AfterValidator(_nonzero)]
 Day = Annotated[date, Strict()]
@@ -199,7 +191,7 @@ class Site(Table):
 
     id: Annotated[Count, Field(ge=1, le=65_535)]
     position_mm: Point
-    tones: Annotated[tuple[Tone, ...], at_least(1, "[[sites.tones]]")]
+    tones: Annotated[tuple[Tone, ...], of_length(1, "[[sites.tones]]", or_more=True)]
 
 
 class Thermal(Table):

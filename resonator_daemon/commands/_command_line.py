@@ -16,7 +16,6 @@ from resonator_daemon.base.errors import (
     ConfigurationError,
     ExitCode,
     InterruptedCommandError,
-    SystemFailureError,
     UsageError,
     UserError,
     check_open_files,
@@ -252,4 +251,4 @@ def _user_errors() -> Iterator[None]:
         what = f"{error.object!a} cannot name a file in this locale, whose encoding is {error.encoding}"
         raise ConfigurationError(f"{what}; set LC_ALL=C.UTF-8") from error
     except OSError as error:  # as of a standard output on a full disk
-        raise SystemFailureError(reason_of(error)) from error
+        raise UserError(reason_of(error), code="system", exit_code=ExitCode.FAILED) from error

@@ -178,11 +178,6 @@ def check_new(path: Path) -> None:
         raise NoNewFileError(f"{path} exists already, and nothing is overwritten; choose another file")
 
 
-def fresh_name(path: Path) -> Path:
-    """Return the name of a file's next version while it is written; left behind only if the process is killed."""
-    return path.with_name(f".{path.name}.new")
-
-
 def replace_file(path: Path, content: bytes, mode: int | None = None) -> None:
     """Write a file, with this mode if one is given; the old one stays until the new one is on the disk.
 
@@ -192,7 +187,7 @@ def replace_file(path: Path, content: bytes, mode: int | None = None) -> None:
         It cannot be written; the old one is as before.
     """
     make_directory(path.parent)
-    fresh = fresh_name(path)
+    fresh = path.with_name(f".{path.name}.new")  # left behind only if the process is killed
     try:
         with fresh.open("wb") as stream:
             if mode is not None:

@@ -91,13 +91,6 @@ class RepairError(UserError):
     code = "not_repaired"
 
 
-class NotRepairableError(RepairError):
-    """The file is no recording of this format."""
-
-    exit_code = ExitCode.USAGE
-    code = "no_recording"
-
-
 @dataclass
 class RepairResult:
     """Result of a repair.
@@ -164,7 +157,7 @@ def repair(path: Path, copy: Path) -> RepairResult:
                 new.discard()
                 raise
     except LinkUnavailableError as error:
-        raise NotRepairableError(str(error)) from error
+        raise RepairError(str(error), code="no_recording", exit_code=ExitCode.USAGE) from error
     return done
 
 

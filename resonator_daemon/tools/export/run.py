@@ -20,13 +20,6 @@ from resonator_daemon.tools.replay.recorded_pipeline import Moment, RecordingRep
 from resonator_daemon.tools.replay.span import Progress, Span, find_span
 
 
-class ExportFailedError(UserError):
-    """The files could not be written."""
-
-    exit_code = ExitCode.FAILED
-    code = "output"
-
-
 class Target(NamedTuple):
     """Named output, name of the format, and paths of the topics to be exported."""
 
@@ -177,7 +170,8 @@ def _write(output: Output, path: Path, moments: Iterator[Moment]) -> dict[str, i
         if not isinstance(error, OSError):
             raise
         removed = "" if takes_a_stream(path) else "; what was written of it is removed"
-        raise ExportFailedError(f"{path} cannot be written: {meaning_of(error)}{removed}") from error
+        why = f"{path} cannot be written: {meaning_of(error)}{removed}"
+        raise UserError(why, code="output", exit_code=ExitCode.FAILED) from error
 
 
 def moments_within(replaying: RecordingReplay, span: Span, progress: Progress | None = None) -> Iterator[Moment]:
