@@ -131,7 +131,9 @@ class LoadProcedure:
                 prompts.extend(self._await_release(reading))
         allowed_s = self._timeout_s + (self.step.hold_s if self.step else BASELINE_S)
         if self._since_s is not None and reading.time_s - self._since_s > allowed_s:
-            raise CalibrationRefusedError(self._overdue())
+            where = f"step {self._steps[0].number} ({self._steps[0].load})" if self.step else "baseline"
+            what = self._problem or "no tone is received"
+            raise CalibrationRefusedError(f"{where}: not done within {self._timeout_s:g} s (--timeout-s): {what}")
         return prompts
 
     def force_newton(self, site: int, shift: Floats, common_mode: Floats) -> Floats:
@@ -203,7 +205,8 @@ class LoadProcedure:
         self._held.append(reading)
         if len(self._held) < STEADY_READINGS:
             return
-        force = self._forces(site)
+        shift = np.array([reading.shift for reading in self._held])
+        force = self.force_newton(site, shift, self.untouched.common_mode[-1])
         if not self._steady(force, reading, site, step):
             began = len(self._held) > STEADY_READINGS
             while len(self._held) >= STEADY_READINGS:
@@ -228,10 +231,6 @@ class LoadProcedure:
         tolerance = STEADY_SHARE * step.force_newton + STEADY_SIGMAS * noise_newton
         spread = max(np.ptp(force[:STEADY_READINGS]), abs(force[-1] - np.median(force)))
         return bool(spread <= tolerance)
-
-    def _forces(self, site: int) -> Floats:
-        shift = np.array([reading.shift for reading in self._held])
-        return self.force_newton(site, shift, self.untouched.common_mode[-1])
 
     def _await_touch(self, step: Step) -> None:
         """Untouched while a load is awaited."""
@@ -293,10 +292,6 @@ class LoadProcedure:
         if text not in self._announced:
             self._announced.add(text)
             yield Prompt(kind, step, text)
-
-    def _overdue(self) -> str:
-        where = f"step {self._steps[0].number} ({self._steps[0].load})" if self.step else "baseline"
-        return f"{where}: not done within {self._timeout_s:g} s (--timeout-s): {self._problem or 'no tone is received'}"
 
 
 def _missing(reading: LoadReading, wanted: int, name: str) -> str:

@@ -68,15 +68,10 @@ class Outcome:
         return 0.0 if self.fit.response is not None else self.creep_share
 
     @property
-    def loads_std(self) -> Floats:
-        """By how much each site's K (s,) is unknown for its loads and masses, relative."""
-        std: Floats = np.sqrt(np.mean((self.fit.sensitivity_std / self.fit.sensitivity) ** 2, axis=1))
-        return std
-
-    @property
     def sensitivity_std(self) -> Floats:
         """By how much each site's K (s,) is unknown in all, relative."""
-        return np.hypot(self.loads_std, self.creep_std)
+        loads_std: Floats = np.sqrt(np.mean((self.fit.sensitivity_std / self.fit.sensitivity) ** 2, axis=1))
+        return np.hypot(loads_std, self.creep_std)
 
 
 class _Change(NamedTuple):

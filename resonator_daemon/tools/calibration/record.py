@@ -71,7 +71,8 @@ def make_record(outcome: Outcome, *, calibration_id: str, unit: str, today: date
     coefficients = codes.temperature_coefficients.copy()
     if found is not None:
         coefficients[fit.site] = found
-    held_at = 1 + _temperature_shift(coefficients, kelvin - plate.thermal.reference_kelvin)[:, None]
+    away_kelvin = kelvin - plate.thermal.reference_kelvin
+    held_at = 1 + (np.nan_to_num(coefficients) @ away_kelvin ** np.arange(1, 4))[:, None]  # 0 where none are given
     f0_hz = (codes.f0_hz if untouched_hz is None else untouched_hz) / held_at
     if untouched_hz is None:
         f0_hz[fit.site] = fit.f0_hz / held_at[fit.site]
@@ -127,12 +128,6 @@ def _fit_temperature(outcome: Outcome, kelvin: float) -> Floats:
     std = np.hypot(COMMON_MODE_STD, touch / math.sqrt(fit.sensitivity.shape[1]))
     found = fit_temperature(kelvins, shift, std, _USUAL_CUT, _USUAL_CUT_STD, plate.thermal.reference_kelvin)
     return found.coefficient
-
-
-def _temperature_shift(coefficients: Floats, kelvin: float) -> Floats:
-    """Relative shift (m,) at a distance from the reference temperature; 0 where the plate file does not have it."""
-    shift: Floats = np.nan_to_num(coefficients) @ kelvin ** np.arange(1, 4)
-    return shift
 
 
 def _model_error(outcome: Outcome) -> float:

@@ -25,7 +25,7 @@ from resonator_daemon.tools.calibration.outcome import (
     refuse_unknown_sensitivity,
 )
 from resonator_daemon.tools.calibration.plate_file import PlateFile, name_plate, with_record, write_plate_file
-from resonator_daemon.tools.calibration.record import Record, make_record, notes, summary
+from resonator_daemon.tools.calibration.record import make_record, notes, summary
 from resonator_daemon.tools.calibration.steps import CalibrationRefusedError, LoadRequest, plan_steps
 
 _AS_BEFORE: Final = "the plate file is as before"
@@ -84,7 +84,10 @@ class _Calibration:
         remarks = notes(outcome, record)
         for line in [*summary(outcome, record), *(f"note: {remark}" for remark in remarks)]:
             print_note(line)
-        return self._finish(record, remarks)
+        result: dict[str, Any] = {"id": record.calibration.id, "record": record.as_json(), "notes": remarks}
+        text = with_record(self._file.source.read_text(encoding="utf-8"), record)
+        finish(self._config_path, self._file, text, result, self._ending)
+        return ExitCode.DONE
 
     def _capture(self) -> Outcome:
         """Lead through all steps; a load that contradicts the others is asked for once more."""
@@ -153,12 +156,6 @@ class _Calibration:
         print_note(f"{finding}; once more, please")
         for prompt in self._procedure.repeat([steps[number] for number in sorted(steps)]):
             self._show(prompt)
-
-    def _finish(self, record: Record, remarks: list[str]) -> ExitCode:
-        result: dict[str, Any] = {"id": record.calibration.id, "record": record.as_json(), "notes": remarks}
-        text = with_record(self._file.source.read_text(encoding="utf-8"), record)
-        finish(self._config_path, self._file, text, result, self._ending)
-        return ExitCode.DONE
 
 
 def target_of(config_path: Path, ending: Ending) -> PlateFile:
