@@ -106,7 +106,6 @@ class StatusMonitor:
         now_s = time.monotonic()
         rate_hz = (link.frames - self._last_frames) / max(now_s - self._last_s, 1e-3)
         self._last_s, self._last_frames = now_s, link.frames
-        use = self._process.measure()
         skipped = decoder.skipped if decoder is not None else {}
         return Health(
             **header,
@@ -141,12 +140,9 @@ class StatusMonitor:
             ),
             clock_outliers=link.clock_outliers,
             clock_restarts=link.clock_restarts,
-            cpu_percent=use.cpu_percent,
+            **self._process.measure()._asdict(),
             processor_wait_percent=load.processor_wait_percent,
-            rss_mb=use.rss_mb,
             tasks=len(asyncio.all_tasks()),
-            threads=use.threads,
-            file_descriptors=use.file_descriptors,
             decoder=decoder,
             **other,
         )

@@ -47,7 +47,9 @@ async def _ask(path: Path) -> Answer | None:
         async with asyncio.timeout(ANSWER_S):
             reader, writer = await asyncio.open_unix_connection(path)
             try:
-                answer = await _read_all(reader)
+                answer = b""
+                while len(answer) < _BYTES_MAX and (part := await reader.read(65_536)):
+                    answer += part
             finally:
                 writer.close()
     except (ConnectionRefusedError, FileNotFoundError):
@@ -63,13 +65,6 @@ async def _ask(path: Path) -> Answer | None:
     except (ValueError, RecursionError):
         status = None
     return Answer(path, status, None) if isinstance(status, dict) else Answer(path, None, "its answer is no status")
-
-
-async def _read_all(reader: asyncio.StreamReader) -> bytes:
-    answer = bytearray()
-    while len(answer) < _BYTES_MAX and (part := await reader.read(65_536)):
-        answer += part
-    return bytes(answer)
 
 
 def _who_may(path: Path) -> str:

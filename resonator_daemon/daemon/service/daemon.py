@@ -106,7 +106,9 @@ class Service:
             self._make_decoder,
             is_late=self._is_late,
         )
-        self._arrivals = ArrivalLoop(self._pop_arrivals, self._handle, self._plate_publisher.batch, self._over)
+        self._arrivals = ArrivalLoop(
+            lambda: self._reader.pop_arrivals(), self._handle, self._plate_publisher.batch, self._over
+        )
         frames_waiting = math.ceil(_FRAMES_WAITING_S * config.plate.counter.frame_rate_hz)
         self._reader = BoardReader(
             config.link,
@@ -250,7 +252,7 @@ class Service:
     def _make_offline(self, reason: Reason) -> State:
         now_ns = time.time_ns()
         snapshot = self._daemon.snapshot._replace(condition=Condition.OFFLINE, reason=reason, since_utc_ns=now_ns)
-        return self._pipeline.states.daemon_state(snapshot, now_ns)
+        return snapshot.message(self._pipeline.headers.of(STATE_DAEMON, now_ns))
 
     def _is_late(self, gate_middle: Instant) -> bool:
         """Return whether a message about this instant is late, and a newer one can be made, or it is far too late."""
@@ -259,9 +261,6 @@ class Service:
             return False
         newer_ns = self._reader.queue.newest_middle_ns - gate_middle.monotonic_ns
         return newer_ns >= self._step_ns or age_ns > _TOO_LATE_NS
-
-    def _pop_arrivals(self) -> list[Arrival]:
-        return self._reader.pop_arrivals()
 
     def _handle(self, arrival: Arrival | list[Frame]) -> None:
         match arrival:
@@ -317,7 +316,7 @@ class Service:
         self._recorded.record(topic, message)
 
     def _publish_daemon_state(self, snapshot: DaemonSnapshot) -> None:
-        self._publish(STATE_DAEMON, self._pipeline.states.daemon_state(snapshot, time.time_ns()))
+        self._publish(STATE_DAEMON, snapshot.message(self._pipeline.headers.of(STATE_DAEMON, time.time_ns())))
 
     def _publish_measuring(self) -> None:
         """Publish the state of the daemon where its reason is another one than before."""

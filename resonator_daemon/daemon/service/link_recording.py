@@ -204,15 +204,11 @@ class _LinkRecording:
                 raise RecordingEndedError(f"the reader failed: {arrival.error!r}") from arrival.error
 
     def _print_progress(self, end: str = "") -> None:
-        line = _progress(self._loop.reader.machine.lost.total, self._recorder)
+        recorder, lost, counts = self._recorder, self._loop.reader.machine.lost.total, self._recorder.counts
+        line = f"{recorder.path}: {recorder.written.frames} frames, {lost} lost, {counts.file_bytes / 1e6:.1f} MB"
+        line += f", {counts.events_missing} events too many for the disk" if counts.events_missing else ""
         if sys.stderr.isatty():
             sys.stderr.write(f"\r{line}\x1b[K{end}")
         elif end:
             sys.stderr.write(line + end)
         sys.stderr.flush()
-
-
-def _progress(lost: int, recorder: Recorder) -> str:
-    counts = recorder.counts
-    line = f"{recorder.path}: {recorder.written.frames} frames, {lost} lost, {counts.file_bytes / 1e6:.1f} MB"
-    return line + (f", {counts.events_missing} events too many for the disk" if counts.events_missing else "")

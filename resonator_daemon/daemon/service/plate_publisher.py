@@ -99,8 +99,8 @@ class PlatePublisher:
         """Set the name; `run` connects and publishes the waiting states first."""
         broker = self._config.mqtt
         self._name, self._base = name, f"{broker.prefix}/{name}"
-        self._commands = Commands(self._base, handlers, self._allowed, self._answer)
-        self._publisher = Publisher(
+        self._commands = Commands(self._base, handlers, self._allowed, lambda answer: publisher.answer(answer))
+        self._publisher = publisher = Publisher(
             broker,
             identifier=f"resonatord-{broker.prefix}-{name}-{self._daemon_boot_id}",
             make_will=self._make_will,
@@ -113,9 +113,9 @@ class PlatePublisher:
             on_connected=daemon_state.connected,
             stream_wait_max_s=FRESH_S,
         )
-        self._publisher.retain(full_topic(broker.prefix, name, SCHEMA_PATH), asyncapi.encoded(), JSON)
+        publisher.retain(full_topic(broker.prefix, name, SCHEMA_PATH), asyncapi.encoded(), JSON)
         for topic, message in self._waiting.items():
-            self._publisher.publish(self._base, topic, message.model_copy(update={"name": name}))
+            publisher.publish(self._base, topic, message.model_copy(update={"name": name}))
         self._waiting.clear()
 
     def restore_now(self) -> None:
@@ -147,10 +147,6 @@ class PlatePublisher:
         if self._publisher is not None:
             farewell = (self._base, STATE_DAEMON, self._make_offline(Reason(ReasonCode.STOPPED, "stopped")))
             await self._publisher.close(farewell, wait_for_broker=wait_for_broker)
-
-    def _answer(self, answer: Outgoing) -> None:
-        if self._publisher is not None:
-            self._publisher.answer(answer)
 
     def _make_will(self) -> Outgoing:
         lost = Reason(ReasonCode.CONNECTION_LOST, "connection lost")

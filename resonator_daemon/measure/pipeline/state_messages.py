@@ -13,7 +13,6 @@ from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.frames import BoardOnline, LinkChange, Outage
 from resonator_daemon.estimate.forces.readings import Compensation as AppliedCompensation
 from resonator_daemon.measure.sensors.base import Sensor
-from resonator_daemon.mqtt.daemon_state import DaemonSnapshot
 from resonator_daemon.mqtt.payload_types import UNITS
 from resonator_daemon.mqtt.payloads import (
     CalibrationInfo,
@@ -29,7 +28,6 @@ from resonator_daemon.mqtt.payloads import (
 from resonator_daemon.mqtt.topics import (
     INFO,
     SCHEMA_VERSION,
-    STATE_DAEMON,
     STATE_LINK,
     STATE_SENSOR,
     Headers,
@@ -64,9 +62,6 @@ class StateMessages:
         self._headers = headers
         self.allowed: Collection[str] = config.commands.allow
         self._last_ns: dict[Topic[State], tuple[int, int]] = {}
-
-    def daemon_state(self, snapshot: DaemonSnapshot, utc_ns: int) -> State:
-        return snapshot.message(self._headers.of(STATE_DAEMON, utc_ns))
 
     def link_state(self, link: LinkChange, outage: Outage | None, boot_count: int) -> State:
         """Return the link's state, with its last outage and the number of boots of the board."""
@@ -142,7 +137,9 @@ class StateMessages:
             ),
             grid=self._grid(),
             skin=plate.skin and SkinInfo.model_validate(plate.skin, from_attributes=True),
-            calibration=self._calibration(),
+            calibration=CalibrationInfo(
+                **plate.calibration.model_dump(mode="json"), response="on" if plate.response else "off"
+            ),
             codes=self._sensor.site_codes,
             pilot_hz=self._sensor.pilot_hz,
         )
@@ -162,18 +159,6 @@ class StateMessages:
             return None
         origin_m, *_ = _pairs(self._plate.site_positions_m)
         return GridInfo(origin_m=origin_m, pitch_m=grid.pitch_m, shape=grid.shape)
-
-    def _calibration(self) -> CalibrationInfo:
-        calibration = self._plate.calibration
-        return CalibrationInfo(
-            id=calibration.id,
-            date=calibration.date.isoformat() if calibration.date else None,
-            unit=calibration.unit,
-            expiry=calibration.expiry.isoformat() if calibration.expiry else None,
-            model_error=calibration.model_error,
-            sensitivity_std=calibration.sensitivity_std,
-            response="on" if self._plate.response else "off",
-        )
 
 
 def _pairs(positions_m: NDArray[np.float64]) -> tuple[tuple[float, float], ...]:

@@ -78,12 +78,9 @@ class CornerTones:
             residual = math.nan
             if force is not None:
                 std = math.hypot(count.std, oscillator_std, common_mode_std)
-                residual = self._residual(force, channel, frequency_hz, std)
+                by_force = self._sensitivity[force.site][channel] * force.force_newton
+                shift = 1.0 - self._f0_hz[force.site][channel] / frequency_hz
+                residual = (shift - by_force) / math.hypot(std, self._model_error * by_force)
             site = None if force is None else force.site
             made.append(CornerTone(captured, site, frequency_hz, noise_hz, residual, pending))
         return tuple(made)
-
-    def _residual(self, force: SiteForce, channel: int, frequency_hz: float, std: float) -> float:
-        shift = 1.0 - self._f0_hz[force.site][channel] / frequency_hz
-        by_force = self._sensitivity[force.site][channel] * force.force_newton
-        return (shift - by_force) / math.hypot(std, self._model_error * by_force)
