@@ -4,13 +4,11 @@ Example: resonatord status left-index
 """
 
 import argparse
-import io
-import sys
 from typing import TYPE_CHECKING
 
 from resonator_daemon.base.errors import ExitCode, UserError
 from resonator_daemon.base.host.text import printable
-from resonator_daemon.tools.command_line import finish
+from resonator_daemon.tools.command_line import finish, print_page
 
 if TYPE_CHECKING:
     from resonator_daemon.daemon.monitoring.status_client import Answer
@@ -30,16 +28,12 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     """Print the status; UserError where no daemon runs, or one does not answer."""
     import asyncio
 
-    from rich.console import Console
-
     from resonator_daemon.daemon.monitoring.status_client import ask_all
     from resonator_daemon.tools.view.status_block import status_page
 
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # a terminal that is not of UTF-8
     answers = asyncio.run(ask_all(arguments.name))
     if answers and not arguments.json:
-        Console(highlight=False).print(status_page(answers), soft_wrap=True)
+        print_page(status_page(answers), soft_wrap=True)
     return finish(arguments, _checked(answers, arguments.name))
 
 

@@ -196,15 +196,14 @@ class MarkAnswer(Answer):
     t_ns: Int64 = Field(description="UTC")
 
 
+_Span = Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)]
+
+
 class SetWindow(Request):
     """Set how long is counted for one force and how often one is published; until the daemon ends."""
 
-    window_ms: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)] | None = Field(
-        None, description="as it was where not given"
-    )
-    step_ms: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)] | None = Field(
-        None, description="as it was where not given"
-    )
+    window_ms: _Span | None = Field(None, description="as it was where not given")
+    step_ms: _Span | None = Field(None, description="as it was where not given")
 
 
 class SetWindowAnswer(Answer):

@@ -273,13 +273,13 @@ def print_failure(command: str, error: UserError) -> None:
     print_json({"verb": command, "ok": False, "error": why} | {**error.partial_result, "ok": False})
 
 
-def print_page(page: Any) -> None:
+def print_page(page: Any, *, soft_wrap: bool = False) -> None:
     """Print a renderable of rich; characters that the terminal's encoding lacks become question marks."""
     from rich.console import Console
 
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")
-    Console(highlight=False).print(page)
+    Console(highlight=False).print(page, soft_wrap=soft_wrap)
 
 
 def print_error(*messages: str) -> None:

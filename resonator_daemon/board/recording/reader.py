@@ -77,11 +77,6 @@ def json_time(utc_ns: int) -> dict[str, int]:
     return {"sec": sec, "nsec": nsec}
 
 
-def decode_mark(data: bytes, monotonic_ns: int, utc_ns: int) -> Mark:
-    """Return the mark that a message of its channel holds; the host's time since boot is not in it."""
-    return Mark(HostTime(monotonic_ns, utc_ns - monotonic_ns, 0), str(json.loads(data)["message"]))
-
-
 def plate_fingerprints(plate: Plate) -> dict[str, str]:
     """Return fingerprints of a plate: name, hash of the file, and hash of what decides the frames."""
     wire = hashlib.sha256(plate.counter.model_dump_json(exclude={"sensor"}).encode())
@@ -242,7 +237,11 @@ class Recording:
     def _all_entries(self) -> Iterator[WireEvent | Mark]:
         try:
             for topic, data, publish_ns, log_ns in messages(self._intact(), (TOPIC, MARKS), self._channels):
-                yield decode(data, publish_ns, log_ns) if topic == TOPIC else decode_mark(data, publish_ns, log_ns)
+                if topic == TOPIC:
+                    yield decode(data, publish_ns, log_ns)
+                else:  # which does not have the host's time since boot
+                    now = HostTime(publish_ns, log_ns - publish_ns, 0)
+                    yield Mark(now, str(json.loads(data)["message"]))
         except READ_ERRORS as error:
             self._end(self._file.tell(), error)
 

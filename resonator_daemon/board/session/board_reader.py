@@ -294,7 +294,10 @@ class BoardReader:
             if self._replay is None:
                 self._keep_reading()
             else:
-                self._run_replay(self._replay)
+                try:
+                    self._replay(self.machine, self._watch.wait, lambda: self._stopping)
+                except LinkUnavailableError as error:  # another file does not come by waiting
+                    self.machine.apply(Refused(read_host_time(), (error.reason,), other_protocol=False))
         except Exception as error:  # noqa: BLE001 - it is passed on as ReaderFailed, else frames would be awaited for ever
             self.queue.put(ReaderFailed(error))
 
@@ -418,13 +421,6 @@ class BoardReader:
         if data := self.machine.opened.session.data_to_send():
             self.machine.apply(Sent(now, data))
             link.write(data)
-
-    def _run_replay(self, replay: Replay) -> None:
-        try:
-            replay(self.machine, self._watch.wait, lambda: self._stopping)
-        except LinkUnavailableError as error:
-            # Another file does not come by waiting.
-            self.machine.apply(Refused(read_host_time(), (error.reason,), other_protocol=False))
 
 
 class BlockingReader:

@@ -241,10 +241,6 @@ class Connection:
             due_ns = min(due_ns, noticed_ns)
         return due_ns
 
-    def request_stop(self) -> None:
-        """Stop the board, so that it does not fill a buffer that is no longer read."""
-        self.session.stop()
-
     def close(self) -> None:
         """Pass on what was begun, and add the counts of this connection to the link's."""
         self._flush_receiver()

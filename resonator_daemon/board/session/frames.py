@@ -171,11 +171,6 @@ class ChannelisedFrame:
         return known_tones(self.tones)
 
     @property
-    def variance_hz2(self) -> NDArray[np.float64]:
-        """Of the offsets; infinite where they are not known."""
-        return variance_of(self.tones)
-
-    @property
     def memory_bytes(self) -> int:
         return _CHANNELISED_BYTES + self.tones.nbytes
 

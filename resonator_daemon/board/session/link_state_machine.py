@@ -83,7 +83,7 @@ class LinkStateMachine:
                 with self._lock:
                     self.opened.overrun()
             case wire.StopRequested():
-                self.opened.request_stop()
+                self.opened.session.stop()
             case wire.Lost():
                 if self._state.state is not Condition.STALLED:
                     state = Condition.LOST if self.opened.was_online else Condition.WAITING
