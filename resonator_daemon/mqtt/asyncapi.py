@@ -7,12 +7,7 @@ from typing import Any, Final
 
 from resonator_daemon.board.config.tables import DECODER
 from resonator_daemon.mqtt.json_schemas import REF, schemas_of_cbor, schemas_of_json, schemas_of_requests
-from resonator_daemon.mqtt.message_examples import (
-    ANSWER_EXAMPLES,
-    ARRAY_EXAMPLES,
-    EXAMPLES,
-    REQUEST_EXAMPLES,
-)
+from resonator_daemon.mqtt.message_examples import ANSWER_EXAMPLES, ARRAY_EXAMPLES, EXAMPLES, REQUEST_EXAMPLES
 from resonator_daemon.mqtt.payloads import WITH_ARRAYS, Message
 from resonator_daemon.mqtt.topics import (
     CBOR,

@@ -13,20 +13,9 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from resonator_daemon.base.toml import nearest
+from resonator_daemon.mqtt import verbs
 from resonator_daemon.mqtt.codec import Incoming, Outgoing
 from resonator_daemon.mqtt.pacing import TokenBucket
-from resonator_daemon.mqtt.verbs import (
-    UNKNOWN,
-    VERBS,
-    Answer,
-    ErrorCode,
-    Problem,
-    Refusal,
-    Request,
-    RequestId,
-    Verb,
-    permitted,
-)
 
 WAITING_MAX: Final = 32
 AT_ONCE: Final = 20
@@ -49,7 +38,7 @@ _SCHEMA = "see the topic schema, which has each command with its fields"
 log = logging.getLogger(__name__)
 
 # The request is of the type that VERBS names; a coroutine where the answer needs longer.
-Handler = Callable[[Any], Answer | Coroutine[Any, Any, Answer]]
+Handler = Callable[[Any], verbs.Answer | Coroutine[Any, Any, verbs.Answer]]
 
 
 class CommandRefusedError(Exception):
@@ -57,7 +46,7 @@ class CommandRefusedError(Exception):
 
     def __init__(self, code: str, message: str, hint: str = "") -> None:
         super().__init__(message)
-        self.code, self.message, self.hint = ErrorCode(code), message, hint
+        self.code, self.message, self.hint = verbs.ErrorCode(code), message, hint
 
 
 class NotAddressedError(Exception):
@@ -115,7 +104,7 @@ class Commands:
         self._refusals = TokenBucket(REFUSALS_AT_ONCE, REFUSALS_PER_SECOND, clock or self._loop.time)
         self._warnings = TokenBucket(1, 1 / WARN_AGAIN_S, clock or self._loop.time)
         self._waiting: deque[_Command] = deque()
-        self._work: set[asyncio.Task[Answer]] = set()
+        self._work: set[asyncio.Task[verbs.Answer]] = set()
         self._finishing: set[asyncio.Task[None]] = set()
         self._logged: set[tuple[str, type[Exception]]] = set()
         self._closed = False
@@ -153,11 +142,11 @@ class Commands:
 
     def _parse(self, message: Incoming) -> _Command:
         word = message.topic.removeprefix(f"{self._base}/cmd/")
-        verb = word if word in VERBS else UNKNOWN
+        verb = word if word in verbs.VERBS else verbs.UNKNOWN
         topic, correlation = message.response_topic, message.correlation
         refused = None
         if word not in self._handlers:
-            allowed = nearest(word, permitted(self.allowed))
+            allowed = nearest(word, verbs.permitted(self.allowed))
             refused = CommandRefusedError("unknown_verb", f"no command is called {_quoted(word)}", allowed)
         if correlation is not None and len(correlation) > CORRELATION_BYTES_MAX:
             size = f"correlation data of {len(correlation)} bytes, at most {CORRELATION_BYTES_MAX}"
@@ -196,7 +185,7 @@ class Commands:
             self._loop.call_soon(self._handle_next)
         with self._refusing(command):
             outcome = self._begin(command)
-            if isinstance(outcome, Answer):
+            if isinstance(outcome, verbs.Answer):
                 self._answer(command, outcome)
             else:
                 work = self._loop.create_task(outcome, name=f"command {command.verb}")
@@ -206,10 +195,10 @@ class Commands:
                 self._finishing.add(finishing)
                 finishing.add_done_callback(self._finishing.discard)
 
-    def _begin(self, command: _Command) -> Answer | Coroutine[Any, Any, Answer]:
+    def _begin(self, command: _Command) -> verbs.Answer | Coroutine[Any, Any, verbs.Answer]:
         if command.refused is not None:
             raise command.refused
-        verb, handler = VERBS[command.verb], self._handlers[command.verb]
+        verb, handler = verbs.VERBS[command.verb], self._handlers[command.verb]
         if verb.changes and command.verb not in self.allowed:
             name = self._base.rpartition("/")[2]
             raise CommandRefusedError(
@@ -219,7 +208,7 @@ class Commands:
             )
         return handler(_request(verb, command.payload))
 
-    async def _finish(self, command: _Command, work: asyncio.Task[Answer]) -> None:
+    async def _finish(self, command: _Command, work: asyncio.Task[verbs.Answer]) -> None:
         """Answer when the work is done, or when it takes too long; it keeps its place among those that wait."""
         await asyncio.wait({work}, timeout=self._deferred_s)
         if not work.done():
@@ -249,14 +238,16 @@ class Commands:
                 log.error("command %s failed; further such failures are not logged", command.verb, exc_info=error)
             self._refuse(command, "failed", f"{command.verb} failed in the daemon", "see its log")
 
-    def _answer(self, command: _Command, answer: Answer) -> None:
+    def _answer(self, command: _Command, answer: verbs.Answer) -> None:
         answer = answer.model_copy(update={"id": _request_id(command.payload)})
         self._send(Outgoing(command.topic, answer.model_dump_json().encode(), command.correlation))
         self.counts["done"] += 1
 
     def _refuse(self, command: _Command, code: str, message: str, hint: str = "") -> None:
-        problem = Problem(code=ErrorCode(code), message=message[:_TEXT_LENGTH_MAX], hint=hint[:_TEXT_LENGTH_MAX])
-        refusal = Refusal(verb=command.verb, id=_request_id(command.payload), error=problem)
+        problem = verbs.Problem(
+            code=verbs.ErrorCode(code), message=message[:_TEXT_LENGTH_MAX], hint=hint[:_TEXT_LENGTH_MAX]
+        )
+        refusal = verbs.Refusal(verb=command.verb, id=_request_id(command.payload), error=problem)
         # In ASCII, which takes any text: a path may hold what UTF-8 does not.
         self._send(Outgoing(command.topic, json.dumps(refusal.model_dump()).encode(), command.correlation))
         self.counts[code] += 1
@@ -265,7 +256,7 @@ class Commands:
 class _Identified(BaseModel):
     """A request of which only the `id` matters."""
 
-    id: RequestId
+    id: verbs.RequestId
 
 
 def _request_id(payload: bytes) -> str | None:
@@ -276,7 +267,7 @@ def _request_id(payload: bytes) -> str | None:
         return None
 
 
-def _request(verb: Verb, payload: bytes) -> Request:
+def _request(verb: verbs.Verb, payload: bytes) -> verbs.Request:
     if len(payload) > PAYLOAD_BYTES_MAX:
         size = f"payload of {len(payload)} bytes, at most {PAYLOAD_BYTES_MAX}"
         raise CommandRefusedError("payload", size, _SCHEMA)
@@ -289,7 +280,7 @@ def _request(verb: Verb, payload: bytes) -> Request:
         raise CommandRefusedError("payload", sentences, hint) from None
 
 
-def _sentence(verb: Verb, error: ErrorDetails) -> str:
+def _sentence(verb: verbs.Verb, error: ErrorDetails) -> str:
     where = ".".join(_key(key) if isinstance(key, str) else str(key) for key in error["loc"])
     match error["type"]:
         case "json_invalid":

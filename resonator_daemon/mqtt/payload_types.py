@@ -13,15 +13,7 @@ from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    PlainSerializer,
-    PlainValidator,
-    WithJsonSchema,
-)
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, PlainValidator, WithJsonSchema
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.base.reasons import Word
@@ -58,7 +50,6 @@ def with_axis(name: str, axis: str) -> str:
 
 _DECIMAL: Final = {"type": "string", "pattern": "^[0-9]{1,20}$"}
 _DIGITS: Final = 2  # of a standard deviation: further ones are noise
-_UNKNOWN_IS_NULL: Final = {"type": ["number", "null"]}
 
 
 def _nested_rows(*shapes: str, row: dict[str, Any]) -> dict[str, Any]:
@@ -84,16 +75,12 @@ Int64 = Annotated[
     PlainSerializer(str, when_used="json"),
     WithJsonSchema(_DECIMAL, mode="serialization"),
 ]
-Float = Annotated[
-    float,
+_MAY_BE_UNKNOWN: Final = (
     BeforeValidator(lambda value: math.nan if value is None else value),
-    WithJsonSchema(_UNKNOWN_IS_NULL, mode="serialization"),
-]
-OptionalFloat = Annotated[
-    float | None,
-    BeforeValidator(lambda value: math.nan if value is None else value),
-    WithJsonSchema(_UNKNOWN_IS_NULL, mode="serialization"),
-]
+    WithJsonSchema({"type": ["number", "null"]}, mode="serialization"),
+)
+Float = Annotated[float, *_MAY_BE_UNKNOWN]
+OptionalFloat = Annotated[float | None, *_MAY_BE_UNKNOWN]
 """A number that may be unknown, of a key that may be left out: then None."""
 Vector2 = tuple[Float, Float]
 Vector3 = tuple[Float, Float, Float]

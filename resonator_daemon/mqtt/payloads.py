@@ -1,6 +1,6 @@
 """The messages of the MQTT topics: their fields with meaning, unit and closed sets of words."""
 
-from typing import Annotated, Final, Self
+from typing import Annotated, Any, Final
 
 from pydantic import Field, model_validator
 
@@ -205,6 +205,20 @@ class ContactEvent(Measured):
     )
 
 
+def _of_one_shape(first: str, *others: str) -> Any:
+    """Return a validator that refuses arrays of another shape than that of the first key."""
+
+    def check(message: Message) -> Message:
+        shape = getattr(message, first).shape
+        for name in others:
+            array = getattr(message, name)
+            if array is not None and array.shape != shape:
+                raise ValueError(f"{name} has shape {array.shape}, must be that of {first}, {shape}")
+        return message
+
+    return model_validator(mode="after")(check)
+
+
 class Signals(Measured):
     """What the sites of a skin sense."""
 
@@ -214,10 +228,7 @@ class Signals(Measured):
     noise_std: SignalArray = Field(description="standard deviation of each, same shape; NaN where not known")
     status: Status = Field(description="of the frame; `ok` alone is fit for decoding")
 
-    @model_validator(mode="after")
-    def _one_shape(self) -> Self:
-        _check_shapes(self, "signals", "noise_std")
-        return self
+    _shapes = _of_one_shape("signals", "noise_std")
 
 
 class Grid(Message):
@@ -242,10 +253,7 @@ class Decoded(Measured):
     grid: Grid | None = Field(description="places of the values; null at scattered points, the sites")
     decoder_id: str | None = optional(_DECODER_ID)
 
-    @model_validator(mode="after")
-    def _one_shape(self) -> Self:
-        _check_shapes(self, "traction_pascal", "traction_std_pascal", "displacement_m")
-        return self
+    _shapes = _of_one_shape("traction_pascal", "traction_std_pascal", "displacement_m")
 
 
 class Patch(Message):
@@ -557,11 +565,3 @@ class DecoderHealth(Message):
 
 
 WITH_ARRAYS: Final = (Signals, Decoded)  # these are CBOR, all others JSON
-
-
-def _check_shapes(message: Message, first: str, *others: str) -> None:
-    shape = getattr(message, first).shape
-    for name in others:
-        array = getattr(message, name)
-        if array is not None and array.shape != shape:
-            raise ValueError(f"{name} has shape {array.shape}, must be that of {first}, {shape}")

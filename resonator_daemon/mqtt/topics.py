@@ -6,30 +6,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Generic, Literal, TypeVar
 
-from resonator_daemon.mqtt.payloads import (
-    WITH_ARRAYS,
-    ContactEvent,
-    Contacts,
-    Decoded,
-    DecodedSummary,
-    DecoderHealth,
-    DecoderState,
-    Forces,
-    Health,
-    Info,
-    Lost,
-    Measured,
-    Message,
-    Signals,
-    State,
-    Tones,
-)
+from resonator_daemon.mqtt import payloads
 
 SCHEMA_VERSION: Final = "2.1"  # of all payloads; minor: keys were added, major: anything else was changed
 JSON: Final = "application/json"
 CBOR: Final = "application/cbor"
 
-MessageT = TypeVar("MessageT", bound=Message)
+MessageT = TypeVar("MessageT", bound=payloads.Message)
 HeaderFields = dict[str, Any]  # of `BoardHeader` or `Measured`, by name
 
 
@@ -62,33 +45,33 @@ class Topic(Generic[MessageT]):
     @cached_property
     def perishable(self) -> bool:
         """Whether a late message is of no use, because the next one replaces it."""
-        return issubclass(self.payload, Measured)
+        return issubclass(self.payload, payloads.Measured)
 
     @cached_property
     def content_type(self) -> str:
-        return CBOR if self.payload in WITH_ARRAYS else JSON
+        return CBOR if self.payload in payloads.WITH_ARRAYS else JSON
 
 
 _STREAM_EXPIRY_S: Final = 10
 _HEALTH_EXPIRY_S: Final = 60
 DECODER_EXPIRY_S: Final = 3600  # of a decoder that is gone, by when nobody asks for it any more
 
-STATE_DAEMON: Final = Topic("state/daemon", State, qos=1, retained=True)
-STATE_LINK: Final = Topic("state/link", State, qos=1, retained=True)
-STATE_SENSOR: Final = Topic("state/sensor", State, qos=1, retained=True)
-INFO: Final = Topic("info", Info, qos=1, retained=True)
-CONTACT_EVENT: Final = Topic("contacts/event", ContactEvent, qos=1)
-FORCES: Final = Topic("forces", Forces, slow_hz=20, expiry_s=_STREAM_EXPIRY_S)
-CONTACTS: Final = Topic("contacts", Contacts, slow_hz=20, expiry_s=_STREAM_EXPIRY_S)
-TONES: Final = Topic("tones", Tones, rate_max_hz=20, expiry_s=_STREAM_EXPIRY_S)
-SIGNALS: Final = Topic("signals", Signals, slow_hz=5, expiry_s=_STREAM_EXPIRY_S)
-DECODED: Final = Topic("decoded", Decoded, slow_hz=5, expiry_s=_STREAM_EXPIRY_S)
-DECODED_SUMMARY: Final = Topic("decoded/summary", DecodedSummary, slow_hz=20, expiry_s=_STREAM_EXPIRY_S)
-HEALTH: Final = Topic("health", Health, expiry_s=_HEALTH_EXPIRY_S)
+STATE_DAEMON: Final = Topic("state/daemon", payloads.State, qos=1, retained=True)
+STATE_LINK: Final = Topic("state/link", payloads.State, qos=1, retained=True)
+STATE_SENSOR: Final = Topic("state/sensor", payloads.State, qos=1, retained=True)
+INFO: Final = Topic("info", payloads.Info, qos=1, retained=True)
+CONTACT_EVENT: Final = Topic("contacts/event", payloads.ContactEvent, qos=1)
+FORCES: Final = Topic("forces", payloads.Forces, slow_hz=20, expiry_s=_STREAM_EXPIRY_S)
+CONTACTS: Final = Topic("contacts", payloads.Contacts, slow_hz=20, expiry_s=_STREAM_EXPIRY_S)
+TONES: Final = Topic("tones", payloads.Tones, rate_max_hz=20, expiry_s=_STREAM_EXPIRY_S)
+SIGNALS: Final = Topic("signals", payloads.Signals, slow_hz=5, expiry_s=_STREAM_EXPIRY_S)
+DECODED: Final = Topic("decoded", payloads.Decoded, slow_hz=5, expiry_s=_STREAM_EXPIRY_S)
+DECODED_SUMMARY: Final = Topic("decoded/summary", payloads.DecodedSummary, slow_hz=20, expiry_s=_STREAM_EXPIRY_S)
+HEALTH: Final = Topic("health", payloads.Health, expiry_s=_HEALTH_EXPIRY_S)
 
 SCHEMA_PATH: Final = "schema"  # retained, QoS 1: the AsyncAPI document of all of this, JSON without a header
 
-TOPICS: Final[dict[str, Topic[Message]]] = {
+TOPICS: Final[dict[str, Topic[payloads.Message]]] = {
     topic.path: topic  # type: ignore[misc]
     for topic in (
         STATE_DAEMON,
@@ -107,8 +90,8 @@ TOPICS: Final[dict[str, Topic[Message]]] = {
 }
 
 # Of a decoder process, below `prefix/decoder/<id>/`.
-DECODER_STATE: Final = Topic("state", DecoderState, qos=1, retained=True, expiry_s=DECODER_EXPIRY_S)
-DECODER_HEALTH: Final = Topic("health", DecoderHealth, expiry_s=_HEALTH_EXPIRY_S)
+DECODER_STATE: Final = Topic("state", payloads.DecoderState, qos=1, retained=True, expiry_s=DECODER_EXPIRY_S)
+DECODER_HEALTH: Final = Topic("health", payloads.DecoderHealth, expiry_s=_HEALTH_EXPIRY_S)
 
 
 def full_topic(prefix: str, name: str, path: str) -> str:
@@ -141,7 +124,7 @@ class Headers:
         Of the board that counts; None before there is one.
     """
 
-    def __init__(self, name: str, daemon_boot_id: str, lost: Callable[[], Lost]) -> None:
+    def __init__(self, name: str, daemon_boot_id: str, lost: Callable[[], payloads.Lost]) -> None:
         self.name = name
         self._daemon_boot_id = daemon_boot_id
         self.lost = lost

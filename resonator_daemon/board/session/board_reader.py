@@ -132,10 +132,6 @@ Replay = Callable[[LinkStateMachine, Callable[[float], object], Callable[[], boo
 """Applies recorded events to a state machine; gets what waits for so many seconds, and what returns True to stop."""
 
 
-def _discard_event(_: WireEvent) -> None:
-    """Discard an event that is not recorded."""
-
-
 class BoardReader:
     """Reader of one board until `stop`; reconnects after each loss of the link.
 
@@ -177,7 +173,7 @@ class BoardReader:
         *,
         step_frames: Sequence[int] = (1,),
         frame_queue_bytes: int = FRAME_QUEUE_BYTES,
-        on_event: Callable[[WireEvent], None] = _discard_event,
+        on_event: Callable[[WireEvent], None] = lambda _: None,
         replay: Replay | None = None,
         backoff_max_s: float = 1.0,
     ) -> None:
