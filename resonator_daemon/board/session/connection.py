@@ -4,17 +4,7 @@ from collections.abc import Sequence
 from itertools import groupby
 from typing import cast
 
-from firmware_protocol.host import (
-    Described,
-    Frame,
-    FramePart,
-    HostEvent,
-    HostSession,
-    Located,
-    Pong,
-    Rebooted,
-    Started,
-)
+from firmware_protocol.host import Described, Frame, FramePart, HostEvent, HostSession, Located, Pong, Rebooted, Started
 from firmware_protocol.layouts import PROTOCOL_MAJOR
 from firmware_protocol.messages import BoardLog, BoardStatus, Configuration, Refusal, RefusalCode
 from firmware_protocol.packets import Damage, ForeignVersion

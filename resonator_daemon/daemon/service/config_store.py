@@ -16,14 +16,7 @@ from resonator_daemon.base.host.files import replace_file
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.base.toml import TomlFile, named, parse_toml, read_toml
 from resonator_daemon.board.config import Config, config_from, load_config
-from resonator_daemon.board.config.values import (
-    Changes,
-    applied,
-    changes,
-    load_plate_text,
-    plate_text,
-    values_in_words,
-)
+from resonator_daemon.board.config.values import Changes, applied, changes, load_plate_text, plate_text, values_in_words
 from resonator_daemon.daemon.monitoring.status import ConfigChange, ConfigStatus
 from resonator_daemon.daemon.service.recordings import as_json_text
 from resonator_daemon.measure.sensors.base import sensor_of

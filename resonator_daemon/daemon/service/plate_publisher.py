@@ -15,14 +15,7 @@ from resonator_daemon.mqtt.daemon_state import DaemonState
 from resonator_daemon.mqtt.event_log import EventPage
 from resonator_daemon.mqtt.payloads import Message, MessageAccount, State
 from resonator_daemon.mqtt.publisher import FRESH_S, Publisher, Subscription
-from resonator_daemon.mqtt.topics import (
-    JSON,
-    SCHEMA_PATH,
-    STATE_DAEMON,
-    TOPICS,
-    Topic,
-    full_topic,
-)
+from resonator_daemon.mqtt.topics import JSON, SCHEMA_PATH, STATE_DAEMON, TOPICS, Topic, full_topic
 
 MakeOffline = Callable[[Reason], State]
 

@@ -13,26 +13,9 @@ from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.frames import BoardOnline, LinkChange, Outage
 from resonator_daemon.estimate.forces.readings import Compensation as AppliedCompensation
 from resonator_daemon.measure.sensors.base import Sensor
+from resonator_daemon.mqtt import payloads
 from resonator_daemon.mqtt.payload_types import UNITS
-from resonator_daemon.mqtt.payloads import (
-    CalibrationInfo,
-    Compensation,
-    Condition,
-    GridInfo,
-    Info,
-    OutageInfo,
-    SiteInfo,
-    SkinInfo,
-    State,
-)
-from resonator_daemon.mqtt.topics import (
-    INFO,
-    SCHEMA_VERSION,
-    STATE_LINK,
-    STATE_SENSOR,
-    Headers,
-    Topic,
-)
+from resonator_daemon.mqtt.topics import INFO, SCHEMA_VERSION, STATE_LINK, STATE_SENSOR, Headers, Topic
 from resonator_daemon.mqtt.verbs import permitted
 
 _VERSION: Final = version("resonatord")  # of this process; an upgrade replaces the file that has it
@@ -61,22 +44,22 @@ class StateMessages:
         self._sensor = sensor
         self._headers = headers
         self.allowed: Collection[str] = config.commands.allow
-        self._last_ns: dict[Topic[State], tuple[int, int]] = {}
+        self._last_ns: dict[Topic[payloads.State], tuple[int, int]] = {}
 
-    def link_state(self, link: LinkChange, outage: Outage | None, boot_count: int) -> State:
+    def link_state(self, link: LinkChange, outage: Outage | None, boot_count: int) -> payloads.State:
         """Return the link's state, with its last outage and the number of boots of the board."""
         last_outage = None
         if outage is not None:
-            last_outage = OutageInfo(
+            last_outage = payloads.OutageInfo(
                 start_t_ns=outage.start_utc_ns,
                 end_t_ns=outage.end_utc_ns,
                 frames_lost=outage.frames_lost,
                 reason_code=outage.reason.code,
                 reason=outage.reason.text,
             )
-        return State(
+        return payloads.State(
             **self._in_order(STATE_LINK, link.utc_ns, link.since_utc_ns),
-            state=Condition(link.state),
+            state=payloads.Condition(link.state),
             reason_code=link.reason.code,
             reason=link.reason.text,
             last_outage=last_outage,
@@ -85,21 +68,21 @@ class StateMessages:
 
     def sensor_state(
         self,
-        condition: Condition,
+        condition: payloads.Condition,
         reason: Reason,
         since_utc_ns: int,
         utc_ns: int,
         compensation: AppliedCompensation | None,
-    ) -> State:
-        return State(
+    ) -> payloads.State:
+        return payloads.State(
             **self._in_order(STATE_SENSOR, utc_ns, since_utc_ns),
             state=condition,
             reason_code=reason.code,
             reason=reason.text,
-            compensation=Compensation(**asdict(compensation)) if compensation is not None else None,
+            compensation=payloads.Compensation(**asdict(compensation)) if compensation is not None else None,
         )
 
-    def _in_order(self, topic: Topic[State], utc_ns: int, since_utc_ns: int) -> dict[str, Any]:
+    def _in_order(self, topic: Topic[payloads.State], utc_ns: int, since_utc_ns: int) -> dict[str, Any]:
         """Return header and `since_t_ns` of a state, neither earlier than in the message before.
 
         A state that frames show bears the time of their gates, one that their absence shows that of the host.
@@ -109,10 +92,10 @@ class StateMessages:
         self._last_ns[topic] = t_ns, since_t_ns
         return {**self._headers.of(topic, t_ns), "since_t_ns": since_t_ns}
 
-    def info(self, board: BoardOnline, utc_ns: int) -> Info:
+    def info(self, board: BoardOnline, utc_ns: int) -> payloads.Info:
         """Return what the plate is."""
         plate = self._plate
-        return Info(
+        return payloads.Info(
             **self._headers.of(INFO, utc_ns),
             schema_version=SCHEMA_VERSION,
             daemon_version=_VERSION,
@@ -132,12 +115,12 @@ class StateMessages:
             outline_m=_pairs(plate.outline_m),
             transducers_m=_pairs(plate.transducers_m),
             sites=tuple(
-                SiteInfo(site=int(site), position_m=position)
+                payloads.SiteInfo(site=int(site), position_m=position)
                 for site, position in zip(plate.site_ids, _pairs(plate.site_positions_m), strict=True)
             ),
             grid=self._grid(),
-            skin=plate.skin and SkinInfo.model_validate(plate.skin, from_attributes=True),
-            calibration=CalibrationInfo(
+            skin=plate.skin and payloads.SkinInfo.model_validate(plate.skin, from_attributes=True),
+            calibration=payloads.CalibrationInfo(
                 **plate.calibration.model_dump(mode="json"), response="on" if plate.response else "off"
             ),
             codes=self._sensor.site_codes,
@@ -153,12 +136,12 @@ class StateMessages:
                 rates_hz[topic.slow_path] = min(rate_hz, topic.slow_hz)
         return rates_hz
 
-    def _grid(self) -> GridInfo | None:
+    def _grid(self) -> payloads.GridInfo | None:
         grid = self._plate.grid
         if grid is None:
             return None
         origin_m, *_ = _pairs(self._plate.site_positions_m)
-        return GridInfo(origin_m=origin_m, pitch_m=grid.pitch_m, shape=grid.shape)
+        return payloads.GridInfo(origin_m=origin_m, pitch_m=grid.pitch_m, shape=grid.shape)
 
 
 def _pairs(positions_m: NDArray[np.float64]) -> tuple[tuple[float, float], ...]:

@@ -19,15 +19,7 @@ from resonator_daemon.measure.sensors.surface_decoding import MakeSurfaceDecodin
 from resonator_daemon.measure.sensors.surface_requests import SurfaceFrame, SurfaceSettings, stated_skin
 from resonator_daemon.mqtt.codec import Encoded
 from resonator_daemon.mqtt.payloads import Condition, ContactEvent, Lost, Message, Signals, Status
-from resonator_daemon.mqtt.topics import (
-    CONTACT_EVENT,
-    CONTACTS,
-    DECODED,
-    DECODED_SUMMARY,
-    SIGNALS,
-    HeaderFields,
-    Topic,
-)
+from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, SIGNALS, HeaderFields, Topic
 
 _SURFACE: Final = (DECODED, DECODED_SUMMARY, CONTACTS)
 _CONDITIONS: Final = {  # while nothing is decoded

@@ -13,32 +13,8 @@ from pydantic import PlainSerializer
 from pydantic.fields import FieldInfo
 
 from resonator_daemon.base.plate import Plate
+from resonator_daemon.mqtt import payloads, topics
 from resonator_daemon.mqtt.payload_types import AXES, NO_UNIT, unit_of, with_axis
-from resonator_daemon.mqtt.payloads import (
-    Compensation,
-    Contact,
-    ContactEvent,
-    Contacts,
-    Decoded,
-    DecodedSummary,
-    Forces,
-    Message,
-    Patch,
-    Signals,
-    SiteForce,
-    State,
-)
-from resonator_daemon.mqtt.topics import (
-    CONTACT_EVENT,
-    CONTACTS,
-    DECODED,
-    DECODED_SUMMARY,
-    FORCES,
-    SIGNALS,
-    STATE_LINK,
-    STATE_SENSOR,
-    Topic,
-)
 
 DataType = Literal["int64", "uint64", "float64", "bool", "text", "float32 array"]
 Value = int | float | bool | str | NDArray[np.float32] | None
@@ -89,7 +65,7 @@ class Source:
 
 
 def sources(
-    model: type[Message], *, prefix: str = "", skip: tuple[str, ...] = (), within: tuple[str, ...] = ()
+    model: type[payloads.Message], *, prefix: str = "", skip: tuple[str, ...] = (), within: tuple[str, ...] = ()
 ) -> Iterator[Source]:
     """Give the columns of a kind of message: parts within it with their key before theirs, vectors by component.
 
@@ -112,7 +88,7 @@ def sources(
             yield from _of_field(prefix + key, (*within, key), _annotation(field), field.description or "")
 
 
-def array_sources(message: Message, keys: tuple[str, ...]) -> Iterator[Source]:
+def array_sources(message: payloads.Message, keys: tuple[str, ...]) -> Iterator[Source]:
     """Give columns for the arrays that a message has, of the shapes they have."""
     for key in keys:
         array = getattr(message, key)
@@ -125,7 +101,7 @@ def array_sources(message: Message, keys: tuple[str, ...]) -> Iterator[Source]:
 def _of_field(name: str, keys: tuple[str, ...], annotation: Any, description: str) -> Iterator[Source]:
     bare, optional = _without_none(annotation)
     unit = unit_of(keys[-1]) or ""
-    if isinstance(bare, type) and issubclass(bare, Message):
+    if isinstance(bare, type) and issubclass(bare, payloads.Message):
         for inner in sources(bare, prefix=f"{name}_", within=keys):
             yield replace(inner, column=replace(inner.column, nullable=inner.column.nullable or optional))
     elif get_origin(bare) is tuple and Ellipsis not in get_args(bare):
@@ -183,7 +159,7 @@ def _follow(*steps: str | int) -> Get:
 _NOTHING_PRESSES: Final = "; missing where nothing presses on the site"
 
 Row = Sequence[Value]
-_MakeTable = Callable[[Plate, Message | None], "Table"]
+_MakeTable = Callable[[Plate, payloads.Message | None], "Table"]
 
 
 class Table:
@@ -204,7 +180,7 @@ class Table:
         self,
         per_message: Sequence[Source],
         per_item: Sequence[Source] = (),
-        items: Callable[[Any], Sequence[Message]] | None = None,
+        items: Callable[[Any], Sequence[payloads.Message]] | None = None,
     ) -> None:
         self._get = tuple(source.get for source in per_message)
         self._get_of_item = tuple(source.get for source in per_item)
@@ -212,7 +188,7 @@ class Table:
         nullable = (replace(source.column, nullable=True) for source in per_item)
         self.columns: tuple[Column, ...] = (*(source.column for source in per_message), *nullable)
 
-    def rows(self, message: Message) -> Iterator[Row]:
+    def rows(self, message: payloads.Message) -> Iterator[Row]:
         """Give the rows of a message, values in the order of the columns."""
         values = [get(message) for get in self._get]
         if self._items is None:
@@ -224,21 +200,21 @@ class Table:
             yield [*values, *(None for _ in self._get_of_item)]
 
 
-def make_table(topic: Topic[Any], plate: Plate, first: Message | None) -> Table:
+def make_table(topic: topics.Topic[Any], plate: Plate, first: payloads.Message | None) -> Table:
     """Return the table of a topic; arrays have the shapes of those in its first message."""
     return _MAKE[topic.path](plate, first)
 
 
-def _forces(plate: Plate, _first: Message | None) -> Table:
-    values = [*sources(Forces, skip=("sites", "beats")), *map(_beats, range(len(plate.transducers_m)))]
+def _forces(plate: Plate, _first: payloads.Message | None) -> Table:
+    values = [*sources(payloads.Forces, skip=("sites", "beats")), *map(_beats, range(len(plate.transducers_m)))]
     return Table([*values, *(source for site in plate.site_ids for source in _of_site(int(site)))])
 
 
 def _of_site(site: int) -> Iterator[Source]:
-    for source in sources(SiteForce, prefix=f"site_{site}_", skip=("site",)):
+    for source in sources(payloads.SiteForce, prefix=f"site_{site}_", skip=("site",)):
         column, get = source.column, source.get
 
-        def of_message(message: Forces, get: Callable[[SiteForce], Value] = get) -> Value:
+        def of_message(message: payloads.Forces, get: Callable[[payloads.SiteForce], Value] = get) -> Value:
             return next((get(force) for force in message.sites if force.site == site), None)
 
         description = column.description + _NOTHING_PRESSES
@@ -254,27 +230,27 @@ def _beats(channel: int) -> Source:
 
 
 def _common_mode(channel: int) -> Source:
-    def get(message: State) -> Value:
+    def get(message: payloads.State) -> Value:
         common_mode = message.compensation.common_mode if message.compensation is not None else ()
         return common_mode[channel] if channel < len(common_mode) else None
 
-    description = Compensation.model_fields["common_mode"].description or ""
+    description = payloads.Compensation.model_fields["common_mode"].description or ""
     name = f"compensation_channel_{channel}_common_mode"
     return Source(Column(name, "float64", True, (), description, NO_UNIT), get)
 
 
-def _sensor_state(plate: Plate, _first: Message | None) -> Table:
-    of_part = sources(Compensation, prefix="compensation_", skip=("common_mode",), within=("compensation",))
+def _sensor_state(plate: Plate, _first: payloads.Message | None) -> Table:
+    of_part = sources(payloads.Compensation, prefix="compensation_", skip=("common_mode",), within=("compensation",))
     return Table(
         [
-            *sources(State, skip=("compensation",)),
+            *sources(payloads.State, skip=("compensation",)),
             *map(_common_mode, range(len(plate.transducers_m))),
             *(replace(source, column=replace(source.column, nullable=True)) for source in of_part),
         ]
     )
 
 
-def _plain(model: type[Message], items: str = "", item: type[Message] | None = None) -> _MakeTable:
+def _plain(model: type[payloads.Message], items: str = "", item: type[payloads.Message] | None = None) -> _MakeTable:
     """Return what makes the table of a kind of message, with a row for each of its items if it has many."""
     per_message = list(sources(model, skip=(items,)))
     if item is None:
@@ -283,22 +259,22 @@ def _plain(model: type[Message], items: str = "", item: type[Message] | None = N
     return lambda _plate, _first: Table(per_message, per_item, attrgetter(items))
 
 
-def _with_arrays(model: type[Message], *keys: str) -> _MakeTable:
+def _with_arrays(model: type[payloads.Message], *keys: str) -> _MakeTable:
     """Return what makes the table of a kind of message with arrays, whose shapes are those of the first message."""
     return lambda _plate, first: Table([*sources(model, skip=keys), *(array_sources(first, keys) if first else ())])
 
 
 _MAKE: Final[Mapping[str, _MakeTable]] = {
-    FORCES.path: _forces,
-    CONTACTS.path: _plain(Contacts, "contacts", Contact),
-    CONTACT_EVENT.path: _plain(ContactEvent),
-    SIGNALS.path: _with_arrays(Signals, "signals", "noise_std"),
-    DECODED.path: _with_arrays(Decoded, "traction_pascal", "traction_std_pascal", "displacement_m"),
-    DECODED_SUMMARY.path: _plain(DecodedSummary, "patches", Patch),
-    STATE_LINK.path: _plain(State, "compensation"),
-    STATE_SENSOR.path: _sensor_state,
+    topics.FORCES.path: _forces,
+    topics.CONTACTS.path: _plain(payloads.Contacts, "contacts", payloads.Contact),
+    topics.CONTACT_EVENT.path: _plain(payloads.ContactEvent),
+    topics.SIGNALS.path: _with_arrays(payloads.Signals, "signals", "noise_std"),
+    topics.DECODED.path: _with_arrays(payloads.Decoded, "traction_pascal", "traction_std_pascal", "displacement_m"),
+    topics.DECODED_SUMMARY.path: _plain(payloads.DecodedSummary, "patches", payloads.Patch),
+    topics.STATE_LINK.path: _plain(payloads.State, "compensation"),
+    topics.STATE_SENSOR.path: _sensor_state,
 }
 WITH_TABLE: Final = tuple(_MAKE)
 """Paths of the topics that have a table."""
-WITH_ARRAYS: Final = (SIGNALS.path, DECODED.path)
+WITH_ARRAYS: Final = (topics.SIGNALS.path, topics.DECODED.path)
 """Those whose tables have arrays."""

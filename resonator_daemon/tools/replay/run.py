@@ -19,12 +19,7 @@ from resonator_daemon.mqtt.payloads import Info
 from resonator_daemon.mqtt.topics import Topic
 from resonator_daemon.tools.command_line import broker_at
 from resonator_daemon.tools.replay.outputs import BrokerOutput, FileOutput
-from resonator_daemon.tools.replay.recorded_pipeline import (
-    Moment,
-    Published,
-    RecordingReplay,
-    open_replay,
-)
+from resonator_daemon.tools.replay.recorded_pipeline import Moment, Published, RecordingReplay, open_replay
 from resonator_daemon.tools.replay.span import Progress, Span, find_span
 
 _AT_ONCE_S: Final = 1e-3  # a wait takes longer than this
