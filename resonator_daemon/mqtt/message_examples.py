@@ -53,8 +53,8 @@ def _value(kind: type[BaseModel], key: str) -> Any:
     return _example(empty) if issubclass(empty, BaseModel) else empty()
 
 
-def _json(message: BaseModel, *, exclude_none: bool = False, **change: Any) -> dict[str, Any]:
-    fields: dict[str, Any] = json.loads(message.model_copy(update=change).model_dump_json(exclude_none=exclude_none))
+def _json(message: BaseModel, *, exclude_none: bool = False) -> dict[str, Any]:
+    fields: dict[str, Any] = json.loads(message.model_dump_json(exclude_none=exclude_none))
     return fields
 
 

@@ -93,10 +93,7 @@ class Status(Word):
     """What a number is worth; where it is not "ok" and no number is given, this is the reason."""
 
     OK = "ok", "as good as its stated uncertainty"
-    SETTLING = (
-        "settling",
-        "the window is not full yet, as after the start and when the captured tone has changed",
-    )
+    SETTLING = "settling", "the window is not full yet, as after the start and when the captured tone has changed"
     CONSTRAINT_DROPPED = "constraint_dropped", "contact physics given up for this frame, the linear map is shown"
     CONTRADICTED = "contradicted", "the signals contradict the model of the contact: errors exceed what is stated"
     AMBIGUOUS = "ambiguous", "two sites explain the readings about equally well"
@@ -110,10 +107,7 @@ class Status(Word):
         "beyond the forces or temperatures that the calibration covers, or later than its expiry: "
         "force and errors are guesses",
     )
-    PRESSED_AT_START = (
-        "pressed_at_start",
-        "touched before the untouched plate was known: no force can be given",
-    )
+    PRESSED_AT_START = "pressed_at_start", "touched before the untouched plate was known: no force can be given"
 
 
 class Baseline(Word):

@@ -18,13 +18,7 @@ from resonator_daemon.base.host.files import replace_file
 from resonator_daemon.base.host.text import page, with_pages
 
 _PROGRAM_IN_UNITS = "/opt/resonatord/bin/resonatord"
-HIDDEN_FROM_SERVICES = (
-    "/home",
-    "/root",
-    "/run/user",
-    "/tmp",
-    "/var/tmp",
-)  # from the service, by ProtectHome= and PrivateTmp=
+HIDDEN_FROM_SERVICES = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # by ProtectHome= and PrivateTmp=
 _PLACES = {
     "resonatord@.service": "/etc/systemd/system/resonatord@.service",
     "resonatord-decode@.service": "/etc/systemd/system/resonatord-decode@.service",

@@ -28,10 +28,6 @@ _AGAIN: Final = 1.1  # so much more room lets a recording go on that ended for w
 LogLine = Callable[[int, str], None]
 
 
-def discard_line(_level: int, _text: str) -> None:
-    """Discard a line for the log."""
-
-
 class NoRoomError(UserError):
     """The disk has less room than is to be kept free."""
 

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple, Self
 
 from resonator_daemon.base.errors import UserError, meaning_of
 from resonator_daemon.base.reasons import Reason, ReasonCode
-from resonator_daemon.board.recording.file_series import DiskSpace, LogLine, NoRoomError, Series, discard_line
+from resonator_daemon.board.recording.file_series import DiskSpace, LogLine, NoRoomError, Series
 from resonator_daemon.board.recording.reader import Mark, Origin
 from resonator_daemon.board.recording.writer import Contents, Published, RecordingWriter
 from resonator_daemon.board.session.clock import HostTime, read_host_time
@@ -108,7 +108,7 @@ class Recorder:
         origin: Origin,
         *,
         queue_bytes: int = QUEUE_BYTES,
-        log_line: LogLine = discard_line,
+        log_line: LogLine = lambda _level, _text: None,
         times: RecorderTimes | None = None,
         needs_frame: bool = False,
     ) -> None:

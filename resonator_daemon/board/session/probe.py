@@ -120,7 +120,10 @@ class _Probe:
             if self._described is not None and now - begun > 2 * ANSWER_S:
                 break  # the board is identified; the rest was not answered in time
             if self._described is not None and now >= next_ping and self._pings < _PINGS:
-                self._ping()
+                opaque, sent_ns = self._pings.to_bytes(8, "little"), time.monotonic_ns()
+                self._pings += 1
+                if self._session.ping(opaque):
+                    self._sent = (opaque, sent_ns)
                 next_ping = now + PING_S
             if self._session.awaits_answer and now - last_sent > _ASK_AGAIN_S:
                 self._session.ask_again()
@@ -142,13 +145,6 @@ class _Probe:
             counting=self._session.messages.frames_outside_run > 0,  # that this session did not start
             refused_to_blink=self._refused_to_blink if self._blink_answered else "it does not answer",
         )
-
-    def _ping(self) -> None:
-        opaque = self._pings.to_bytes(8, "little")
-        sent_ns = time.monotonic_ns()
-        self._pings += 1
-        if self._session.ping(opaque):
-            self._sent = (opaque, sent_ns)
 
     def _handle(self, event: HostEvent, received_ns: int) -> None:
         match event:

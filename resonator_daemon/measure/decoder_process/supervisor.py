@@ -31,10 +31,7 @@ SOUND_S: Final = 60.0  # of running, after which the back-off starts from the be
 _EXIT_S: Final = 1.0  # of a process that has closed its socket
 
 Ending = Literal["crashed", "hung"]
-_ENDINGS: Final[dict[Ending, ReasonCode]] = {
-    "crashed": ReasonCode.DECODER_CRASHED,
-    "hung": ReasonCode.DECODER_HUNG,
-}
+_ENDINGS: Final[dict[Ending, ReasonCode]] = {"crashed": ReasonCode.DECODER_CRASHED, "hung": ReasonCode.DECODER_HUNG}
 
 # More threads of linear algebra cost more in waiting than they save on arrays of this size.
 _ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")

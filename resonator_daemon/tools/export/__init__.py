@@ -13,10 +13,7 @@ from resonator_daemon.base.errors import UsageError
 if TYPE_CHECKING:
     from resonator_daemon.tools.export.output import Output
 
-_OWN: Final = {
-    "csv": ("table_formats", "CsvFormat"),
-    "parquet": ("parquet", "ParquetFormat"),
-}
+_OWN: Final = {"csv": ("table_formats", "CsvFormat"), "parquet": ("parquet", "ParquetFormat")}
 
 
 def formats() -> list[str]:
