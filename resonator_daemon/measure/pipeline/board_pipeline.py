@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Final, Protocol
 
 from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
@@ -292,7 +291,15 @@ class BoardPipeline:
         loss, (dropped, late), skipped = now = self._loss, self._publish_losses(), self.skipped_late
         if now != self._last_loss:  # hundreds of messages a second repeat the last one
             self._last_loss = now
-            self._last_lost = Lost(**asdict(loss), publish_dropped=dropped, skipped_late=late + skipped)
+            self._last_lost = Lost(
+                link_gap=loss.link_gap,
+                damaged=loss.damaged,
+                board_overflow=loss.board_overflow,
+                host_overrun=loss.host_overrun,
+                queue_overflow=loss.queue_overflow,
+                publish_dropped=dropped,
+                skipped_late=late + skipped,
+            )
         return self._last_lost
 
     def _publish_link_state(self, link: LinkChange) -> None:
