@@ -9,7 +9,7 @@ from pathlib import Path
 from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.base.host.text import print_note
 from resonator_daemon.tools.command_line import finish, named_recordings
-from resonator_daemon.tools.export import formats
+from resonator_daemon.tools.export import format_class, formats
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,7 +56,8 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.tools.export.run import export, make_target, recordings_in
 
     target = make_target(arguments.output, arguments.format, arguments.topics)
-    left = "a part of it was written" if takes_a_stream(target.output) else "what was written is removed"
+    kept = format_class(target.form).kept or "what was written is removed"
+    left = "a part of it was written" if takes_a_stream(target.output) else kept
     with interruptible(left), named_recordings():
         config = load_config(arguments.config) if arguments.config is not None else None
         paths, progress = recordings_in(arguments.files), not arguments.json

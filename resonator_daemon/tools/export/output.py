@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Final, Protocol
 
-from resonator_daemon.base.host.files import NewFile
+from resonator_daemon.base.host.files import NewFile, check_new
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.config import Config
 from resonator_daemon.mqtt.codec import decoded
@@ -56,12 +56,15 @@ class Output(ABC):
         Paths of the topics that the format can have.
     file_per_topic : bool
         Whether each topic has a file of its own.
+    kept : str
+        What remains of an export that fails; empty if all is removed.
     rows : Counter
         Number of rows or messages written, by topic.
     """
 
     available: ClassVar[tuple[str, ...]] = WITH_TABLE
     file_per_topic: ClassVar[bool] = False
+    kept: ClassVar[str] = ""
 
     def __init__(self, path: Path, topics: tuple[str, ...], recorded: Recorded) -> None:
         self._path = path
@@ -77,9 +80,19 @@ class Output(ABC):
             return path
         return path.with_name(f"{path.stem}-{topic.replace('/', '-')}{path.suffix}")
 
+    @classmethod
+    def check(cls, path: Path, topics: tuple[str, ...]) -> None:
+        """Check that the output can be made; NoNewFileError if not."""
+        for topic in topics:
+            check_new(cls.place(path, topics, topic))
+
     @abstractmethod
     def begin(self) -> None:
         """Make the files that do not depend on the messages."""
+
+    def start(self, path: Path, span: str, config: Config) -> bool:
+        """Begin a recording, or the span of it in words; return whether its moments are needed."""
+        return True
 
     def add(self, moment: Moment) -> None:
         """Write the messages of a moment."""

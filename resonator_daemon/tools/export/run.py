@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from resonator_daemon.base.errors import ExitCode, UsageError, UserError, meaning_of
-from resonator_daemon.base.host.files import check_new, takes_a_stream
+from resonator_daemon.base.host.files import takes_a_stream
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.config import Config
@@ -104,8 +104,7 @@ def export(
     """
     begun_s = time.monotonic()
     kind = format_class(target.form)
-    for topic in target.topics:
-        check_new(kind.place(target.output, target.topics, topic))
+    kind.check(target.output, target.topics)
     if len(paths) > 1 and (start is not None or end is not None):
         raise UsageError("--from and --until belong to one recording; name one FILE, or leave them out")
     spans = {path: find_span(path, start, end) for path in paths}
@@ -114,7 +113,7 @@ def export(
         metadata = [file_metadata(path, first.config) for path in ordered]
         sources = {key: ",".join(each[key] for each in metadata) for key in ("source", "source_sha256")}
         output = kind(target.output, target.topics, Recorded(first.config, metadata[0] | sources))
-    played = _Played(ordered, spans, config, show_progress=show_progress)
+    played = _Played(ordered, spans, config, output, show_progress=show_progress)
     files = _write(output, target.output, played.moments())
     wrong = list(played.wrong)
     if not output.rows:
@@ -137,9 +136,16 @@ class _Played:
     """Recordings played one after the other, and what came of all of them."""
 
     def __init__(
-        self, paths: Sequence[Path], spans: Mapping[Path, Span], config: Config | None, *, show_progress: bool
+        self,
+        paths: Sequence[Path],
+        spans: Mapping[Path, Span],
+        config: Config | None,
+        output: Output,
+        *,
+        show_progress: bool,
     ) -> None:
         self._paths, self._spans, self._config, self._show_progress = paths, spans, config, show_progress
+        self._output = output
         self.frames = self.differences = 0
         self.damage: str | None = None  # of the first that is damaged
         self.wrong: list[str] = []
@@ -151,6 +157,8 @@ class _Played:
                 if plate is not None and replaying.config.plate != plate:
                     raise UsageError(f"{path} is of another plate, or calibration, than {self._paths[0]}")
                 plate = replaying.config.plate
+                if not self._output.start(path, self._spans[path].words, replaying.config):
+                    continue
                 yield from moments_within(replaying, self._spans[path], progress)
                 self.frames += replaying.counters.frames
                 self.differences += replaying.differences
@@ -169,7 +177,7 @@ def _write(output: Output, path: Path, moments: Iterator[Moment]) -> dict[str, i
         output.discard()
         if not isinstance(error, OSError):
             raise
-        removed = "" if takes_a_stream(path) else "; what was written of it is removed"
+        removed = "" if takes_a_stream(path) else f"; {output.kept or 'what was written of it is removed'}"
         why = f"{path} cannot be written: {meaning_of(error)}{removed}"
         raise UserError(why, code="output", exit_code=ExitCode.FAILED) from error
 
