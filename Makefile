@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-firmware test-browser test-schema test-ros2 coverage bench bench-cost bench-details docs docs-check figures screenshots fuzz soak dist test-dist deb test-deb test-arm64 pins clean
+.PHONY: help setup demo test test-firmware test-browser test-schema test-ros2 test-lerobot coverage bench bench-cost bench-details docs docs-check figures screenshots fuzz soak dist test-dist deb test-deb test-arm64 pins clean
 
 # A user's PATH on Debian lacks the place of mosquitto.
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
@@ -163,6 +163,15 @@ build/pico-sdk:  # the Pico SDK as an npm package, without TinyUSB; PICO_SDK_PAT
 	mv package pico-sdk
 	rm "$$archive"
 
+test-lerobot: .venv/test-stamp build/lerobot  ## exported datasets, each frame read by LeRobot's own loader; installs torch, 8 GB
+	OMP_NUM_THREADS=1 .venv/bin/pytest -o faulthandler_timeout=900 -m lerobot tests/extensions/lerobot
+
+build/lerobot: .ci/requirements/lerobot.txt  # in an environment of its own
+	rm -rf $@.part $@
+	.venv/bin/python -m venv $@.part
+	$@.part/bin/pip install --quiet --no-deps --require-hashes -r $<
+	mv $@.part $@
+
 coverage: .venv/test-stamp  ## all tests, more slowly, and the branches that they do not reach
 	$(debian-packages)
 	debian-packages $(BROKER) $(SYSTEMD) $(USB) $(COMPILER) $(EXAMPLES)
@@ -302,6 +311,7 @@ pins: .venv/run-stamp  ## write .ci/requirements/*.txt from pyproject.toml
 	compile pyproject.toml --extra demo --extra figures --extra test --output-file .ci/requirements/test.txt
 	compile pyproject.toml --extra demo --extra figures --extra test --extra browser --output-file .ci/requirements/browser.txt
 	compile pyproject.toml --extra demo --group dist --output-file .ci/requirements/dist.txt
+	compile --group lerobot --output-file .ci/requirements/lerobot.txt
 	compile --group pins --output-file .ci/requirements/pins.txt
 
 clean:  ## remove everything that the other targets made

@@ -1,0 +1,1 @@
+"""Datasets for LeRobot from recordings: `resonatord export --format lerobot`."""
