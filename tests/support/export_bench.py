@@ -45,6 +45,7 @@ def write(form: str, path: Path, case: str, *more: Moment, times: int = 1) -> Ou
     kind = format_class(form)
     output = kind(path, kind.available, Recorded(played(case).config, METADATA))
     output.begin()
+    output.start(recording(case), "", played(case).config)
     for moment in (*times * played(case).moments, *more):
         output.add(moment)
     output.close()
