@@ -1,6 +1,5 @@
 """Recordings as episodes of a LeRobotDataset: one frame for each reading, and masked frames in place of lost ones."""
 
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
@@ -41,8 +40,7 @@ class Format(Output):
             raise NoNewFileError(f"{path} has files and is no dataset of resonatord; {_ANOTHER}")
 
     def begin(self) -> None:
-        made_by = {"resonatord_version": version("resonatord")}
-        self._dataset = Dataset(self._path, describe(self._recorded.config, self._topics) | made_by)
+        self._dataset = Dataset(self._path, describe(self._recorded.config, self._topics))
         self._dataset.publish()
 
     def start(self, path: Path, span: str, config: Config) -> bool:

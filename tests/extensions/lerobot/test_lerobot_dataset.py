@@ -11,25 +11,31 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from export_bench import recording
+from export_bench import played, recording
 
+from resonator_daemon.board.config.values import plate_text
 from resonator_daemon.commands import main
 from resonator_daemon.tools.replay.recorded_pipeline import RecordingReplay
 
 PYTHON = Path(__file__).parents[3] / "build" / "lerobot" / "bin" / "python"
 
 
-def export(*words: object) -> int:
-    return main(["export", *map(str, words)])
-
-
 def dataset(folder: Path, *words: object) -> int:
-    return export(*words, "--output", folder, "--format", "lerobot")
+    return main(["export", *map(str, words), "--output", str(folder), "--format", "lerobot"])
 
 
 def rows(folder: Path, part: str) -> list[dict[str, Any]]:
     files = sorted((folder / part).glob("*/*.parquet"))
     return [row for file in files for row in pq.read_table(file).to_pylist()]
+
+
+def table(folder: Path, topic: str) -> dict[int, list[dict[str, Any]]]:
+    """Rows of an exported table by time."""
+    found: dict[int, list[dict[str, Any]]] = defaultdict(list)
+    if (file := folder / f"t-{topic}.parquet").exists():
+        for row in pq.read_table(file).to_pylist():
+            found[row["t_ns"]].append(row)
+    return found
 
 
 def same(found: Any, expected: Any) -> None:
@@ -38,47 +44,42 @@ def same(found: Any, expected: Any) -> None:
 
 @pytest.mark.parametrize("case", ["slide", "overload", "lost-bytes", "comb", "skin"])
 def test_each_value_is_that_of_the_tables_and_the_rest_is_masked(case: str, tmp_path: Path) -> None:
-    assert (
-        dataset(tmp_path / "set", recording(case)) == export(recording(case), "--output", tmp_path / "t.parquet") == 0
+    assert main(["export", str(recording(case)), "--output", str(tmp_path / "t.parquet")]) == 0
+    assert dataset(tmp_path / "set", recording(case)) == 0
+    forces, signals, decoded, contacts = (
+        table(tmp_path, name) for name in ("forces", "signals", "decoded", "contacts")
     )
-    tables: dict[str, dict[int, list[dict[str, Any]]]] = defaultdict(lambda: defaultdict(list))
-    for topic in ("forces", "signals", "decoded", "contacts"):
-        if (file := tmp_path / f"t-{topic}.parquet").exists():
-            for row in pq.read_table(file).to_pylist():
-                tables[topic][row["t_ns"]].append(row)
     info = json.loads((tmp_path / "set/meta/info.json").read_text())
-    readings = sorted(tables["forces"] or tables["signals"])
-    frames = rows(tmp_path / "set", "data")
-    assert len(frames) == info["total_frames"] == round((readings[-1] - readings[0]) * 1e-9 * info["fps"]) + 1
-    assert [frame["t_ns"] for frame in frames if frame["t_ns"] in readings] == readings
-    assert (case == "lost-bytes") == (len(frames) > len(readings))
+    frames, times = rows(tmp_path / "set", "data"), sorted(forces or signals)
+    assert len(frames) == info["total_frames"] == round((times[-1] - times[0]) * 1e-9 * info["fps"]) + 1
+    assert [frame["t_ns"] for frame in frames if frame["t_ns"] in times] == times
+    assert (case == "lost-bytes") == (len(frames) > len(times))
     for number, frame in enumerate(frames):
         assert frame["frame_index"] == frame["index"] == number
         assert frame["timestamp"] == np.float32(number / info["fps"])
-        found = {key.removeprefix("observation.tactile."): value for key, value in frame.items()}
-        of = {topic: tables[topic].get(frame["t_ns"], []) for topic in tables}
-        if "force" in found:
+        found, t_ns = {key.removeprefix("observation.tactile."): value for key, value in frame.items()}, frame["t_ns"]
+        if forces:
+            (row,) = forces.get(t_ns, [{"status": "lost"}])
+            unlisted = 0.0 if row["status"] == "ok" else np.nan
             names = info["features"]["observation.tactile.force"]["names"]
-            first = of["forces"][0] if of["forces"] else {"status": "lost"}
-            listed = [first.get(f"{name}_force_newton") for name in names]
-            same(found["force"], [(0 if first["status"] == "ok" else np.nan) if f is None else f for f in listed])
+            listed = [row.get(f"{name}_force_newton") for name in names]
+            same(found["force"], [unlisted if force is None else force for force in listed])
             assert found["valid"] == bool(np.isfinite(found["force"]).all())
-        for topic, key in (("signals", "signals"), ("decoded", "traction_pascal")):
-            if topic in tables:
-                name = key.removesuffix("_pascal")
-                same(found[name], of[topic][0][key] if of[topic] else np.full(np.size(found[name]), np.nan))
-        if case == "skin":
-            assert found["valid"] == bool(of["decoded"])
-        touching = [row for row in of["contacts"] if row["contact_id"] is not None]
-        largest = max(touching, key=lambda row: row["contact_force_z_newton"], default=defaultdict(lambda: np.nan))
-        at_rest = bool(of["contacts"]) and of["contacts"][0]["status"] == "ok" and not touching
-        axes = "xyz" if case == "skin" else "z"
-        force = [0.0 if at_rest else largest[f"contact_force_{axis}_newton"] for axis in axes]
-        same(found["contact.force"], force)
-        if not np.isnan(force).any():
-            same(found["contact.position"], [largest["contact_position_x_m"], largest["contact_position_y_m"]])
-        if case == "skin":
-            same(found["contact.slip_margin"], [largest["contact_slip_margin"]])
+        for name, key, by_time in (("signals", "signals", signals), ("traction", "traction_pascal", decoded)):
+            if by_time:
+                same(found[name], by_time[t_ns][0][key] if t_ns in by_time else np.full(np.size(found[name]), np.nan))
+                assert name == "signals" or found["valid"] == (t_ns in decoded)
+        of_frame = contacts.get(t_ns, [])
+        unknown: Any = defaultdict(lambda: np.nan)
+        touching = [row for row in of_frame if row["contact_id"] is not None]
+        largest = max(touching, key=lambda row: row["contact_force_z_newton"], default=unknown)
+        at_rest = not touching and bool(of_frame) and of_frame[0]["status"] == "ok"
+        axes = "xyz" if signals else "z"
+        same(found["contact.force"], [0.0 if at_rest else largest[f"contact_force_{axis}_newton"] for axis in axes])
+        known = largest if np.isfinite(largest["contact_force_z_newton"]) else unknown
+        same(found["contact.position"], [known[f"contact_position_{axis}_m"] for axis in "xy"])
+        if signals:
+            same(found["contact.slip_margin"], known["contact_slip_margin"])
 
 
 def test_an_interrupted_export_is_completed_by_repeating_it(
@@ -103,38 +104,36 @@ def test_an_interrupted_export_is_completed_by_repeating_it(
     (tmp_path / "set/data/chunk-000/file-001.parquet.part").write_text("left by a killed export")
     assert dataset(tmp_path / "set", *both) == dataset(tmp_path / "set", *both) == 0
     files = [path.relative_to(tmp_path / "set") for path in (tmp_path / "set").rglob("*.*")]
-    assert len(files) == 7
-    assert [
-        path for path in files if (tmp_path / "set" / path).read_bytes() != (tmp_path / "whole" / path).read_bytes()
-    ] == []
+    assert [f for f in files if (tmp_path / "set" / f).read_bytes() != (tmp_path / "whole" / f).read_bytes()] == []
     episodes, frames = rows(tmp_path / "set", "meta/episodes"), rows(tmp_path / "set", "data")
     assert [row["tasks"] for row in episodes] == [["half time"], ["recording"]]
     assert [(row["dataset_from_index"], row["dataset_to_index"]) for row in episodes] == [(0, 106), (106, len(frames))]
     assert [frame["task_index"] for frame in frames] == [frame["episode_index"] for frame in frames]
     statistics = json.loads((tmp_path / "set/meta/stats.json").read_text())["observation.tactile.force"]
     force = np.array([frame["observation.tactile.force"] for frame in frames])
-    for name, of_known in (("min", np.nanmin), ("max", np.nanmax), ("mean", np.nanmean), ("std", np.nanstd)):
-        np.testing.assert_allclose(statistics[name], of_known(force, axis=0), rtol=1e-6)
+    for name in ("min", "max", "mean", "std"):
+        np.testing.assert_allclose(statistics[name], getattr(np, f"nan{name}")(force, axis=0), rtol=1e-6)
 
 
-def test_mistakes_are_one_message_and_change_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_mistakes_change_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("mine")
-    (tmp_path / "faster.toml").write_text("")
+    (tmp_path / "plate.toml").write_text(plate_text(played("touches").config.plate))
+    broker = 'plate = "plate.toml"\nlink = "tcp://127.0.0.1:1"\n[mqtt]\nurl = "mqtt://127.0.0.1"\n'
+    (tmp_path / "faster.toml").write_text(f"{broker}[measurement]\nwindow_ms = 10\nstep_ms = 10\n")
     assert dataset(tmp_path / "set", recording("slide")) == 0
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()}
-    for code, words in (
-        (78, (tmp_path / "mine", recording("slide"))),
-        (78, (tmp_path / "mine" / "notes.txt", recording("slide"))),
-        (2, (tmp_path / "set", recording("skin"))),
-        (2, (tmp_path / "set", recording("touches"), "--topics", "forces")),
-        (2, (tmp_path / "new", recording("slide"), recording("skin"))),
-        (1, (tmp_path / "none", recording("refused"))),
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
+    for code, text, *words in (
+        (78, "is no dataset", "mine", recording("slide")),
+        (78, "exists already", "mine/notes.txt", recording("slide")),
+        (2, "robot_type is small-skin, not quartz16", "set", recording("skin")),
+        (2, "features", "set", recording("touches"), "--topics", "forces"),
+        (2, "fps is 100, not 50", "set", recording("touches"), "--config", tmp_path / "faster.toml"),
+        (1, "was refused", "none", recording("refused")),
     ):
-        capsys.readouterr()
-        assert dataset(*words) == code
-    after = {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()}
-    assert before.items() <= after.items()
+        assert dataset(tmp_path / str(words[0]), *words[1:]) == code
+        assert text in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == before
 
 
 @pytest.mark.lerobot
