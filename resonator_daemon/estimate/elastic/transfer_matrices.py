@@ -105,11 +105,7 @@ def sensor_of_traction(y: Symbols) -> Complexes:
     c, s, t = y.c, y.s, y.t
     return _matrix(
         y.e / (2 * y.mu),
-        [
-            [1j * c, 1j * s, -1],
-            [-(1 - c * c * t), c * s * t, 1j * c * t],
-            [c * s * t, -(1 - s * s * t), 1j * s * t],
-        ],
+        [[1j * c, 1j * s, -1], [-(1 - c * c * t), c * s * t, 1j * c * t], [c * s * t, -(1 - s * s * t), 1j * s * t]],
     )
 
 

@@ -41,11 +41,7 @@ class StreamingDecoder:
     """
 
     def __init__(
-        self,
-        skin: Skin,
-        options: DecodingOptions,
-        progress: Callable[[str], None],
-        last_contact_id: int = 0,
+        self, skin: Skin, options: DecodingOptions, progress: Callable[[str], None], last_contact_id: int = 0
     ) -> None:
         self._skin = skin
         self._options = options

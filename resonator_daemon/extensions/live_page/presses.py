@@ -83,10 +83,7 @@ class Emulators:
     """
 
     def __init__(
-        self,
-        paths: Collection[Path],
-        on_change: Callable[[], None],
-        on_truth: Callable[[Board, dict[str, Any]], None],
+        self, paths: Collection[Path], on_change: Callable[[], None], on_truth: Callable[[Board, dict[str, Any]], None]
     ) -> None:
         self.boards: dict[Board, Path] = {}
         self.wanted: Collection[Board] = ()

@@ -59,12 +59,7 @@ _DEFINITIONS: Final = Path(__file__).with_name("resonator_msgs") / "msg"  # fiel
 DIAGNOSTICS_TOPIC: Final = "/diagnostics"
 
 _TOPICS: Final = {
-    "contacts": (
-        ("contacts", CONTACTS),
-        ("wrench", WRENCH),
-        ("contacts/wrench", WRENCH),
-        ("/tf", TRANSFORMS),
-    ),
+    "contacts": (("contacts", CONTACTS), ("wrench", WRENCH), ("contacts/wrench", WRENCH), ("/tf", TRANSFORMS)),
     "contacts/event": (("contacts/event", EVENT),),
     "forces": (("forces", FORCES), ("forces/cloud", CLOUD)),
     "signals": (("signals/cloud", CLOUD),),
@@ -101,13 +96,7 @@ class Translation:
         Types of the messages; the default is that of `make_typestore`.
     """
 
-    def __init__(
-        self,
-        name: str,
-        geometry: Geometry,
-        namespace: str = "",
-        store: Typestore | None = None,
-    ) -> None:
+    def __init__(self, name: str, geometry: Geometry, namespace: str = "", store: Typestore | None = None) -> None:
         self.frame_id = ros_name(name)
         self._base = f"{namespace}/{self.frame_id}"
         self._geometry = geometry

@@ -77,12 +77,7 @@ class ForceMessages:
         return encode_fields(Forces, fields)
 
     def contacts(self, header: dict[str, Any], reading: ForceReading, gate_middle: Instant) -> Encoded:
-        fields = {
-            "name": header["name"],
-            "seq": self._headers.next_seq(CONTACTS),
-            **header,
-            "contacts": (),
-        }
+        fields = {"name": header["name"], "seq": self._headers.next_seq(CONTACTS), **header, "contacts": ()}
         if reading.contacts:
             fields["contacts"] = tuple([self._contact(contact, gate_middle) for contact in reading.contacts])
         return encode_fields(Contacts, fields)

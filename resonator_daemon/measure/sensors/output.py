@@ -216,12 +216,7 @@ class MessageOutput:
     """
 
     def __init__(
-        self,
-        config: Config,
-        headers: Headers,
-        state: SensorState,
-        publish: Publish,
-        is_late: Callable[[Instant], bool],
+        self, config: Config, headers: Headers, state: SensorState, publish: Publish, is_late: Callable[[Instant], bool]
     ) -> None:
         self.headers = headers
         self.state = state

@@ -163,11 +163,7 @@ class SkinProcessing:
         return self._untouched_readings >= REST_READINGS
 
     def push(
-        self,
-        sequence: int,
-        board_ticks: int,
-        offset_hz16: NDArray[np.integer],
-        variance_hz2: Floats,
+        self, sequence: int, board_ticks: int, offset_hz16: NDArray[np.integer], variance_hz2: Floats
     ) -> SkinReading:
         """Process one frame, each array (4, t): offsets in 2^-16 Hz, and their variance, infinite where not known."""
         np.multiply(offset_hz16, 2.0**-16, out=self._offset_hz)

@@ -139,11 +139,7 @@ class SurfaceMessages:
         if event.event != "release":
             self.present[contact.id] = described
         return ContactEvent(
-            **header,
-            event=event.event,
-            **reason_fields(event.reason),
-            contact=described,
-            decoder_id=self._decoder_id,
+            **header, event=event.event, **reason_fields(event.reason), contact=described, decoder_id=self._decoder_id
         )
 
     def _contact(self, contact: "SkinContact") -> dict[str, Any]:

@@ -47,10 +47,7 @@ class SurfaceWorker:
     """
 
     def __init__(
-        self,
-        settings: SurfaceSettings,
-        send: Callable[[Reply], None],
-        serve_waiting: Callable[[], None] = lambda: None,
+        self, settings: SurfaceSettings, send: Callable[[Reply], None], serve_waiting: Callable[[], None] = lambda: None
     ) -> None:
         self._settings = settings
         self._send = send

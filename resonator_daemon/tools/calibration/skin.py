@@ -173,12 +173,7 @@ def calibrate_skin(config_path: Path, request: BallRequest, ending: Ending) -> N
         )
     for what, value, std, was in (
         ("depth, mm", 1e3 * found.skin.depth_m, 1e3 * found.skin.depth_std_m, stated.depth_mm),
-        (
-            "modulus, Pa",
-            body.youngs_modulus_pascal,
-            found.skin.modulus_std_pascal,
-            stated.youngs_modulus_pascal,
-        ),
+        ("modulus, Pa", body.youngs_modulus_pascal, found.skin.modulus_std_pascal, stated.youngs_modulus_pascal),
         ("gain", gain, gain_std, 1.0),
     ):
         print_note(f"{what}: {value:.5g} ± {std:.2g} (was {was:g})")

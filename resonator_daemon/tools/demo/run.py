@@ -164,12 +164,7 @@ class _Demo:
         daemon = await start_daemon(name, emulator.link, broker_url, folder)
         stack.push_async_callback(daemon.stop)
         truth = TruthTable(emulator.truth)
-        score = PlateScore(
-            truth,
-            plate.counter.frame_rate_hz,
-            plate.site_positions_m,
-            touched_anywhere=plate.decodable,
-        )
+        score = PlateScore(truth, plate.counter.frame_rate_hz, plate.site_positions_m, touched_anywhere=plate.decodable)
         self._stations[name] = _Station(plate, emulator, daemon, truth, score, PlateView(name))
 
     async def _open_live_page(self, broker_url: str, folder: Path, stack: AsyncExitStack) -> None:

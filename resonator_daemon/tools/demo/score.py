@@ -11,15 +11,7 @@ from numpy.typing import NDArray
 
 from resonator_daemon.mqtt.codec import read_arrays
 from resonator_daemon.mqtt.payloads import Lost
-from resonator_daemon.mqtt.topics import (
-    CONTACT_EVENT,
-    CONTACTS,
-    DECODED,
-    FORCES,
-    HEALTH,
-    STATE_DAEMON,
-    TOPICS,
-)
+from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, DECODED, FORCES, HEALTH, STATE_DAEMON, TOPICS
 from resonator_daemon.tools.demo.truth import TruthLine, TruthTable, site_traction, surface_traction
 from simulators.presses import FIRST_ID
 

@@ -18,11 +18,7 @@ from resonator_daemon.tools.python_api import readable_errors
 
 
 async def subscribe(
-    url: str | Mqtt,
-    plate: str | None = None,
-    topics: Collection[str] | str | None = None,
-    *,
-    full_rate: bool = True,
+    url: str | Mqtt, plate: str | None = None, topics: Collection[str] | str | None = None, *, full_rate: bool = True
 ) -> AsyncGenerator[Received]:
     """Yield the messages of a plate as they come, those that the broker retains first, for ever.
 

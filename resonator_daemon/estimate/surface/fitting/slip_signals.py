@@ -106,11 +106,7 @@ class SlipSignals:
         stuck, by_stuck = self._hermite(ratio * radius, stuck_knot)
         # Of values and slopes at two radii: the functions, by the radius, by the margin
         shear = np.array(
-            [
-                [(1.0 + excess) * w for w in whole],
-                [(1.0 + excess) * w for w in by_whole],
-                [change * w for w in whole],
-            ]
+            [[(1.0 + excess) * w for w in whole], [(1.0 + excess) * w for w in by_whole], [change * w for w in whole]]
         )
         held = np.array(
             [
