@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -37,11 +38,12 @@ from resonator_daemon.extensions.live_page.protocol import (
 )
 from resonator_daemon.mqtt.payloads import Condition
 from resonator_daemon.mqtt.requests import request as send_command
-from resonator_daemon.mqtt.topics import INFO, STATE_DAEMON, TOPICS
+from resonator_daemon.mqtt.topics import CONTACT_EVENT, DECODED, INFO, STATE_DAEMON, TOPICS
 
 COMMANDS: Final = ("tare", "mark", "start_recording", "stop_recording")
 
 _REPORT_S: Final = 1.0
+_MAP_S: Final = 0.05  # between maps of a plate, but for the first after an event
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,7 @@ class Hub:
         self._sources = sources
         self._browsers: set[Browser] = set()
         self._retained: dict[tuple[str, str], bytes] = {}  # by plate and path: messages to the page
+        self._next_map_s: dict[str, float] = {}  # by plate
         self._boards: dict[str, Board] = {}  # by plate: the boards of those that are online, and no replay
         self._status: dict[str, Any] = {"connected": False, "reason_code": CONNECTING, "reason": ""}
         broker = sources.broker
@@ -155,7 +158,14 @@ class Hub:
         message = payload_frame(LIVE, plate, path, payload)
         if message is None:
             return
+        if path == CONTACT_EVENT.path:
+            self._next_map_s.pop(plate, None)
         if not TOPICS[path].qos:
+            if path == DECODED.path:
+                now_s = time.monotonic()
+                if now_s < self._next_map_s.get(plate, 0.0):
+                    return
+                self._next_map_s[plate] = now_s + _MAP_S
             stream = f"{LIVE}/{plate}/{path}"
             for browser in self._browsers:
                 if browser.watches(LIVE, plate, path):

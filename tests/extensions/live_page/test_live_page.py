@@ -5,6 +5,7 @@ import json
 import os
 import socket
 import threading
+import time
 from contextlib import AsyncExitStack
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import brokers
 import pytest
 from brokers import Mosquitto, client_of
 from emulation import emulated
-from page_client import Browser, browser, served
+from page_client import Browser, Frame, browser, served
 from wire_host import opened
 
 from resonator_daemon.base.errors import ExitCode
@@ -72,13 +73,13 @@ async def subscribed(broker: Mosquitto, tab: Browser, path: str) -> None:
 async def test_a_browser_that_does_not_read_delays_nobody_and_misses_only_streams(mosquitto: Mosquitto) -> None:
     frames, size = 60, 1 << 20  # far more than buffers hold
     async with served(Sources(Mqtt(url=mosquitto.url))) as url, browser(url) as stalled, browser(url) as reading:
-        await stalled.watch("left", "decoded")
-        await reading.watch("left", "decoded")
-        await subscribed(mosquitto, reading, "left/decoded")
+        await stalled.watch("left", "signals")
+        await reading.watch("left", "signals")
+        await subscribed(mosquitto, reading, "left/signals")
         async with client_of(mosquitto.url) as client:
             for number in range(frames):
-                await client.publish("resonator/left/decoded", bytes((number,)) * size)
-                await reading.frame("live/left/decoded", lambda it, number=number: it[0] == number and len(it) == size)
+                await client.publish("resonator/left/signals", bytes((number,)) * size)
+                await reading.frame("live/left/signals", lambda it, number=number: it[0] == number and len(it) == size)
             await publish(mosquitto, "left/contacts/event", b"last")
         received = 0
         while True:  # it reads again: the event, and of the stream the newest
@@ -88,8 +89,25 @@ async def test_a_browser_that_does_not_read_delays_nobody_and_misses_only_stream
                 if message.get("clients", {}).get("skipped", 0) and received:
                     break
             else:
-                received += message.address == "live/left/decoded"
+                received += message.address == "live/left/signals"
         assert 0 < received < frames // 2
+
+
+async def test_a_browser_gets_20_maps_a_second_and_the_first_after_an_event_at_once(mosquitto: Mosquitto) -> None:
+    async with served(Sources(Mqtt(url=mosquitto.url))) as url, browser(url) as tab, client_of(mosquitto.url) as client:
+        await tab.watch("left", "decoded", "forces")
+        await subscribed(mosquitto, tab, "left/forces")
+        maps, began_s = 0, time.monotonic()
+        for number in range(60):
+            for path in ("decoded", "forces"):
+                await client.publish(f"resonator/left/{path}", str(number))
+            while (message := await tab.receive()) != Frame("live/left/forces", str(number).encode()):
+                maps += isinstance(message, Frame) and message.address == "live/left/decoded"
+        assert 0 < maps <= 2 + 20 * (time.monotonic() - began_s)
+        await publish(mosquitto, "left/contacts/event", b"1")
+        await tab.frame("live/left/contacts/event")
+        await client.publish("resonator/left/decoded", "after")
+        assert await tab.frame("live/left/decoded", lambda it: not it.isdigit()) == b"after"
 
 
 async def test_a_queue_that_would_lose_more_than_streams_ends() -> None:
