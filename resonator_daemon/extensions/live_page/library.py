@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final
 
+from mcap.writer import MCAP0_MAGIC
+
 from resonator_daemon.base.errors import meaning_of
 from resonator_daemon.base.host.signals import ended_with_parent
 from resonator_daemon.extensions.live_page.protocol import RefusedRequest
@@ -22,7 +24,6 @@ from resonator_daemon.mqtt.topics import TOPICS
 OPEN_MAX: Final = 4  # of all browsers together: each is decoded by a process into a temporary file
 LISTED_MAX: Final = 1000
 
-_SUFFIX: Final = ".mcap"
 _WORKER: Final = "resonator_daemon.extensions.live_page.recording_worker"
 _ENDED: Final = "its decoding ended before its end; all before that is shown"
 _UNREAD: Final = "its decoding ended before anything was read"
@@ -212,12 +213,8 @@ class Library:
         RefusedRequest
             There is none of a name.
         """
-        if not names:
-            return []
-        files = await self._files()
-        for name in names:
-            if name not in files:
-                raise RefusedRequest("unknown_recording", f"{name!r} is no recording of this directory any more")
+        for name in set(names).difference(await self._files() if names else ()):
+            raise RefusedRequest("unknown_recording", f"{name!r} is no recording of this directory any more")
         return [Path(self._directory or "", name) for name in names]
 
     def exchange(self, before: Sequence[Path], after: Sequence[Path]) -> list[Recorded]:
@@ -266,10 +263,16 @@ class Library:
 
 
 def _recordings(directory: Path) -> dict[str, os.stat_result]:
-    """Return the regular files of a directory that have the suffix of recordings; links are none."""
+    """Return the regular files of a directory that have suffix and first bytes of a recording; links are none."""
     with os.scandir(directory) as entries:
         return {
             entry.name: entry.stat(follow_symlinks=False)
             for entry in entries
-            if entry.name.endswith(_SUFFIX) and entry.is_file(follow_symlinks=False)
+            if entry.name.endswith(".mcap") and entry.is_file(follow_symlinks=False) and _is_mcap(entry.path)
         }
+
+
+def _is_mcap(path: str) -> bool:
+    with suppress(OSError), open(path, "rb") as file:
+        return file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+    return False

@@ -62,13 +62,14 @@ async def test_recordings_of_a_directory_are_opened_compared_and_closed(tmp_path
     shutil.copy(WHOLE, tmp_path / "whole.mcap")
     shutil.copy(CUT_OFF, tmp_path / "cut-off.mcap")
     (tmp_path / "text.mcap").write_text("no recording")
+    (tmp_path / "bare.mcap").write_bytes(WHOLE.read_bytes()[:8])
     (tmp_path / "link.mcap").symlink_to(WHOLE)
     async with served(Sources(None, directory=tmp_path)) as url, browser(url) as tab, browser(url) as other:
         hello = await tab.key("hello")
         assert (hello["sources"], hello["directory"]) == ([], tmp_path.name)
         listed = (await tab.ask({"id": 1, "recordings": {}}))["recordings"]
-        assert {it["name"] for it in listed} == {"whole.mcap", "cut-off.mcap", "text.mcap"}
-        for name in (f"../{tmp_path.name}/whole.mcap", str(WHOLE), "link.mcap", "gone.mcap"):
+        assert {it["name"] for it in listed} == {"whole.mcap", "cut-off.mcap", "bare.mcap"}
+        for name in (f"../{tmp_path.name}/whole.mcap", str(WHOLE), "link.mcap", "gone.mcap", "text.mcap"):
             assert await tab.refusal({"open": {"names": [name]}}) == "unknown_recording"
         assert (await tab.ask({"id": 2, "open": {"names": ["whole.mcap"]}}))["ok"]
         await tab.key("position", lambda it: it["decoded_s"] > 1.0)
@@ -79,7 +80,7 @@ async def test_recordings_of_a_directory_are_opened_compared_and_closed(tmp_path
         one = await tab.key("position", lambda it: it["source"] == "a" and not it["playing"])
         two = await tab.key("position", lambda it: it["source"] == "b" and not it["playing"])
         assert abs(one["t_s"] - two["t_s"]) < 0.1
-        assert (await tab.ask({"id": 4, "open": {"names": ["text.mcap"]}}))["ok"]
+        assert (await tab.ask({"id": 4, "open": {"names": ["bare.mcap"]}}))["ok"]
         (failed,) = (await tab.key("hello", lambda it: it["sources"] and it["sources"][0]["failure"]))["sources"]
         assert "no recording" in failed["failure"]
         assert str(tmp_path) not in failed["failure"]
