@@ -33,9 +33,9 @@ CLEAR: Final = """() => { const { root, model } = resonatord.views[0];
     && model.newest('contacts').contacts.length === 1 && (model.isSkin || corners === 4); }"""
 PRESSES_MAX: Final = 12
 CASES: Final = {  # plate, width, height, colours
-    "live-page-quartz16": ("quartz16", 1280, 1500, "light"),  # with the ladders of tones
-    "live-page-skin32": ("skin32", 1280, 860, "light"),
-    "live-page-dark": ("skin32", 1280, 860, "dark"),
+    "live-page-quartz16": ("quartz16", 1400, 900, "light"),
+    "live-page-skin32": ("skin32", 1400, 900, "light"),
+    "live-page-dark": ("skin32", 1400, 900, "dark"),
     "live-page-phone": ("skin32", 390, 844, "light"),
 }
 

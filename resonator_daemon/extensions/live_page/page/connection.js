@@ -10,7 +10,7 @@ export class Connection {
   #waiting = new Map();
 
   /**
-   * handlers: payload(source, plate, path, bytes), message(key, content), and state("connecting" | "open" | "closed", retryMs).
+   * handlers: payload(source, plate, path, bytes), message(key, content), and state("connecting" | "open" | "closed").
    */
   constructor(url, handlers) {
     this.url = url;
@@ -19,21 +19,20 @@ export class Connection {
   }
 
   #open() {
-    this.handlers.state("connecting", 0);
+    this.handlers.state("connecting");
     const socket = new WebSocket(this.url);
     this.#socket = socket;
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
       this.#attempts = 0;
-      this.handlers.state("open", 0);
+      this.handlers.state("open");
     };
     socket.onmessage = ({ data }) => (typeof data === "string" ? this.#text(data) : this.#binary(new Uint8Array(data)));
     socket.onclose = () => {
       for (const settle of this.#waiting.values()) settle(refusal("not_connected", "The connection to the server ended."));
       this.#waiting.clear();
-      const retryMs = RETRY_MS[Math.min(this.#attempts++, RETRY_MS.length - 1)];
-      this.handlers.state("closed", retryMs);
-      setTimeout(() => this.#open(), retryMs);
+      this.handlers.state("closed");
+      setTimeout(() => this.#open(), RETRY_MS[Math.min(this.#attempts++, RETRY_MS.length - 1)]);
     };
   }
 

@@ -1,6 +1,6 @@
 // Contacts as numbers: force, position, moments, slip margin, next to the ground truth; events; force over a minute.
 
-import { UNKNOWN, absence, clockTime, fixed, make, metres, plusMinus, quantity, setRows, setText, words } from "./text.js";
+import { UNKNOWN, absence, clockTime, fixed, make, metres, normalForce, plusMinus, quantity, setRows, setText, words } from "./text.js";
 import { onTheme, theme } from "./colours.js";
 
 const CARDS = 6;
@@ -11,6 +11,15 @@ const EVENT_NAMES = {
   incipient_slip: "begins to slip",
   gross_slip: "slips",
 };
+
+/** The slip margin in words: {text, word, kind}; null where the plate has none. */
+export function slipState({ hasSlip, slipMargin, slipMarginStd, slipReason }) {
+  if (!hasSlip) return null;
+  const unknown = `not known${slipReason ? `: ${words(slipReason)}` : ""}`;
+  if (!Number.isFinite(slipMargin)) return { text: unknown, word: unknown, kind: "off" };
+  const word = slipMargin <= 0 ? "slips" : slipMargin < INCIPIENT ? "begins to slip" : "sticks";
+  return { text: `${plusMinus(slipMargin, slipMarginStd, "")}, ${word}`, word, kind: slipMargin < INCIPIENT ? "bad" : "good" };
+}
 
 export class ContactsPanel {
   constructor(root) {
@@ -27,7 +36,7 @@ export class ContactsPanel {
     new ResizeObserver(() => this.chart?.setSize(this.#size())).observe(this.chartRoot);
   }
 
-  describe(model) {
+  describe(model, isStale) {
     const message = model.newest("contacts");
     const contacts = message?.contacts ?? [];
     const truths = [...(model.truthAt(message?.time ?? Infinity)?.contacts ?? [])];
@@ -36,54 +45,54 @@ export class ContactsPanel {
       const card = this.cards.children[index] ?? this.cards.appendChild(this.template.content.firstElementChild.cloneNode(true));
       this.#fill(card, contact, takeNearest(truths, contact.position));
     });
-    setText(this.more, contacts.length > CARDS ? `and ${contacts.length - CARDS} more` : contacts.length ? "" : absence(message));
+    setText(this.more, contacts.length > CARDS ? `and ${contacts.length - CARDS} more` : contacts.length ? "" : absence(model));
     this.#describeEvents(model);
-    this.#drawChart(model);
+    this.#drawChart(model, isStale || model.isOffline);
   }
 
   #fill(card, contact, truth) {
-    const { force, noise, systematic, position, covariance, moment, momentStd } = contact;
+    const { force, noise, position, covariance, moment, momentStd } = contact;
     const hasShear = Number.isFinite(force[0]) && Number.isFinite(force[1]);
-    const std = Math.hypot(noise[2], systematic || 0);
-    const normal = Number.isFinite(contact.atLeast) ? `> ${fixed(contact.atLeast, 1)} N` : plusMinus(force[2], std, "N");
     setText(card.querySelector("h4"), `Contact ${contact.id ?? UNKNOWN}, site ${contact.site ?? UNKNOWN}`);
     setText(card.querySelector(".status"), contact.status === "ok" ? "" : words(contact.status) + (contact.reasonCode ? `: ${words(contact.reasonCode)}` : ""));
-    setText(card.querySelector(".normal"), normal);
+    setText(card.querySelector(".normal"), normalForce(contact));
     const difference = truth ? force[2] - truth.force[2] : NaN;
     setText(card.querySelector(".true"), truth ? `true ${quantity(truth.force[2], 3, "N")}${Number.isFinite(difference) ? `, off by ${quantity(1e3 * difference, 0, "mN")}` : ""}` : "");
     drawVector(card.querySelector("svg"), force, truth);
     const rows = [];
     if (hasShear) {
-      rows.push(["Force x", plusMinus(force[0], noise[0], "N")], ["Force y", plusMinus(force[1], noise[1], "N")]);
+      rows.push(["Force x, y", `${fixed(force[0], 3)}, ${plusMinus(force[1], Math.max(noise[0], noise[1]), "N")}`]);
       if (truth) rows.push(["true x, y", `${fixed(truth.force[0], 3)}, ${fixed(truth.force[1], 3)} N`, "truth"]);
     }
     rows.push(["Position", `${fixed(1e3 * position[0], 2)}, ${fixed(1e3 * position[1], 2)} mm ± ${metres(Math.sqrt(Math.max(covariance[0], covariance[2])))}`]);
     if (truth) rows.push(["true position", `${fixed(1e3 * truth.position[0], 2)}, ${fixed(1e3 * truth.position[1], 2)} mm`, "truth"]);
     if (moment) {
-      rows.push(["Moment x, y, z", `${moment.map((value) => fixed(1e3 * value, 3)).join(", ")} mN m`]);
+      rows.push(["Moment", `${moment.map((value) => fixed(1e3 * value, 3)).join(", ")} mN m`]);
       rows.push(["± moment", `${momentStd.map((value) => fixed(1e3 * value, 3)).join(", ")} mN m`]);
     }
     if (contact.hasSlip) {
-      rows.push(["Friction coefficient", plusMinus(contact.friction, contact.frictionStd, "")]);
+      rows.push(["Friction", plusMinus(contact.friction, contact.frictionStd, "")]);
       rows.push(["χ² of the fit", fixed(contact.chi2, 2)]);
     }
     setRows(card.querySelector("dl"), rows);
     this.#fillGauge(card.querySelector(".gauge"), contact);
   }
 
-  #fillGauge(gauge, { hasSlip, slipMargin, slipMarginStd, slipReason }) {
-    gauge.hidden = !hasSlip;
-    if (!hasSlip) return;
-    const known = Number.isFinite(slipMargin);
+  #fillGauge(gauge, contact) {
+    const slip = slipState(contact);
+    gauge.hidden = !slip;
+    if (!slip) return;
+    const isKnown = Number.isFinite(contact.slipMargin);
     const bar = gauge.querySelector(".bar");
-    const shown = Math.max(0, Math.min(1, known ? slipMargin : 0));
+    const shown = Math.max(0, Math.min(1, isKnown ? contact.slipMargin : 0));
     bar.firstElementChild.style.width = `${100 * shown}%`;
-    const word = !known ? `not known${slipReason ? `: ${words(slipReason)}` : ""}` : slipMargin <= 0 ? "slips" : slipMargin < INCIPIENT ? "begins to slip" : "sticks";
-    gauge.dataset.kind = !known ? "off" : slipMargin < INCIPIENT ? "bad" : "good";
-    setText(gauge.querySelector("output"), known ? `${plusMinus(slipMargin, slipMarginStd, "")}, ${word}` : word);
-    if (known) bar.setAttribute("aria-valuenow", shown.toFixed(2));
+    gauge.style.setProperty("--tick", `${100 * INCIPIENT}%`);
+    gauge.dataset.kind = slip.kind;
+    setText(gauge.querySelector("small"), `${INCIPIENT}: below, it begins to slip`);
+    setText(gauge.querySelector("output"), slip.text);
+    if (isKnown) bar.setAttribute("aria-valuenow", shown.toFixed(2));
     else bar.removeAttribute("aria-valuenow");
-    bar.setAttribute("aria-valuetext", known ? `${fixed(slipMargin, 2)}, ${word}` : word);
+    bar.setAttribute("aria-valuetext", isKnown ? `${fixed(contact.slipMargin, 2)}, ${slip.word}` : slip.word);
   }
 
   #describeEvents(model) {
@@ -103,7 +112,7 @@ export class ContactsPanel {
   }
 
   #size() {
-    return { width: Math.max(120, this.chartRoot.clientWidth), height: 170 };
+    return { width: Math.max(120, this.chartRoot.clientWidth), height: Math.max(110, this.chartRoot.clientHeight) };
   }
 
   #makeChart() {
@@ -117,8 +126,8 @@ export class ContactsPanel {
         legend: { show: false },
         scales: { x: { time: false, range: [-60, 0] }, y: { range: (_, low, high) => [Math.min(0, low ?? 0), Math.max(0.1, 1.1 * (high ?? 0))] } },
         axes: [
-          { ...axis, values: (_, ticks) => ticks.map((tick) => (tick ? `${tick} s` : "now")) },
-          { ...axis, size: 66, values: (_, ticks) => ticks.map((tick) => `${tick} N`) },
+          { ...axis, size: 30, values: (_, ticks) => ticks.map((tick) => (tick ? `${tick} s` : this.isPast ? "last" : "now")) },
+          { ...axis, size: 58, space: 34, values: (_, ticks) => ticks.map((tick) => `${tick} N`) },
         ],
         series: [
           {},
@@ -139,10 +148,12 @@ export class ContactsPanel {
     return [0, 1, 2, 3, 4, 5].map((index) => rows[index] ?? []);
   }
 
-  #drawChart(model) {
+  /** Draw what changed; isPast: the newest value is not the present one. */
+  #drawChart(model, isPast) {
     const { history } = model;
     if (!this.chart) this.#makeChart();
-    if (history === this.history && history.version === this.historyVersion) return;
+    if (history === this.history && history.version === this.historyVersion && isPast === this.isPast) return;
+    this.isPast = isPast;
     this.history = history;
     this.historyVersion = history.version;
     const { length } = history;
@@ -161,7 +172,7 @@ export class ContactsPanel {
       force[at] = isKnown ? normal[at] : null;
     }
     this.chart.setData(this.columns);
-    setText(this.root.querySelector(".chart-summary"), length ? `normal force now ${fixed(normal[length - 1], 2)} N` : "");
+    setText(this.root.querySelector(".chart-summary"), length ? `normal force ${isPast ? "last" : "now"} ${fixed(normal[length - 1], 2)} N` : "");
   }
 }
 

@@ -1,7 +1,7 @@
 // Health of the daemon: situation, three states with their reasons, rates, losses, latency, clock, calibration.
 
 import { situation } from "./situation.js";
-import { UNKNOWN, bytes, duration, fixed, make, plusMinus, quantity, setRows, setText, words } from "./text.js";
+import { UNKNOWN, bytes, duration, fixed, make, plusMinus, quantity, setRows, setText, sinceTime, words } from "./text.js";
 
 const KINDS = { online: "good", starting: "note", offline: "off", waiting: "warn", stalled: "bad", lost: "bad", drifting: "warn", pressed_at_start: "warn", uncalibrated: "warn", refused: "bad" };
 const SIGNS = { good: "✓", note: "…", off: "■", warn: "!", bad: "✕" };
@@ -35,11 +35,13 @@ export class HealthPanel {
   constructor(root, banner) {
     this.root = root;
     this.banner = banner;
+    this.details = root.querySelector("details");
+    this.details.addEventListener("toggle", () => root.scrollIntoView({ block: "nearest" }));
     this.rates = new Map();
   }
 
-  describe(model, page, nowMs, hasBroker) {
-    const found = situation(model.states, model.source === "live", hasBroker);
+  describe(model, app, nowMs) {
+    const found = situation(model, app);
     const { banner } = this;
     if (banner.dataset.situation !== found.code) {
       banner.dataset.situation = found.code;
@@ -47,24 +49,34 @@ export class HealthPanel {
       banner.querySelector("use").setAttribute("href", `#icon-${found.icon}`);
     }
     setText(banner.querySelector("strong"), found.title);
-    setText(banner.querySelector(".detail"), found.detail);
-    this.#describeStates(model, nowMs / 1000);
-    setRows(this.root.querySelector(".figures"), this.#figures(model, page, nowMs));
-    this.#describeLosses(model);
+    const since = Number.isFinite(found.since) ? `${sinceTime(found.since)}. ` : "";
+    setText(banner.querySelector(".detail"), since + found.detail);
+    this.#describeStates(model, nowMs / 1000, found);
+    if (this.details.open) setRows(this.root.querySelector(".figures"), this.#figures(model, app.page, nowMs));
+    const { frameRate } = model.health ?? {};
+    const frames = Number.isFinite(frameRate) ? `${fixed(frameRate, 0)} of ${quantity(model.info?.frameRate, 0, "frames/s")}` : "frames not known";
+    setText(this.root.querySelector(".summary"), `${frames} · ${this.#describeLosses(model)}`);
   }
 
-  #describeStates(model, now) {
+  #describeStates(model, now, found) {
+    const isCut = ["no_server", "no_broker"].includes(found.code);
     const list = this.root.querySelector(".states");
+    let isWrong = false;
     ["daemon", "link", "sensor"].forEach((part, index) => {
       const item = list.children[index];
       const state = model.states[part];
-      const kind = state ? (KINDS[state.state] ?? "warn") : "off";
+      const isPast = isCut || (part !== "daemon" && model.isOffline); // the last one that was published
+      const kind = state && !isPast ? (KINDS[state.state] ?? "warn") : "off";
       item.dataset.kind = kind;
+      isWrong ||= kind !== "good" && (state || model.source === "live");
       setText(item.querySelector(".sign"), SIGNS[kind]);
       setText(item.querySelector("b"), `${part} ${state ? words(state.state) : "unknown"}`);
-      const since = state && Number.isFinite(state.since) && now >= state.since ? `, for ${duration(now - state.since)}` : "";
-      setText(item.querySelector("span:last-child"), state ? `${state.reason || words(state.reasonCode)}${since}` : model.source === "live" ? "nothing was published" : "not recorded");
+      const since = state && !isPast && Number.isFinite(state.since) && now >= state.since ? `for ${duration(now - state.since)}` : "";
+      const reason = state?.reason || words(state?.reasonCode ?? "");
+      const text = isPast ? "as last published" : `${found.title} ${found.detail}`.includes(reason) ? "" : reason; // the headline has it
+      setText(item.querySelector("span:last-child"), state ? [text, since].filter(Boolean).join(", ") : model.source === "live" ? "nothing was published" : "not recorded");
     });
+    this.root.classList.toggle("wrong", isWrong);
   }
 
   /** Messages of a stream that the plate makes a second, from the steps of `seq`. */
@@ -105,7 +117,10 @@ export class HealthPanel {
       rows.push(["Processor", `${quantity(health.cpu, 0, "% of a core")}${decoder}; ${quantity(health.memory, 0, "MB")}`]);
       rows.push(["Recording", health.recording.failure || (health.recording.file ? `${health.recording.file}, ${bytes(health.recording.bytes)}` : "no"), health.recording.failure ? "bad" : ""]);
     }
-    if (info) rows.push(["Link", info.link]);
+    if (info) {
+      rows.push(["Plate", [info.plate, `${info.sites.length} ${info.skin ? "sites under a skin" : "force sites"}`, info.counter, info.product].filter(Boolean).join(" · ")]);
+      rows.push(["Link", info.link]);
+    }
     rows.push(["This page", `${page.clients} open, ${page.skipped} frames skipped as newer ones came${model.unreadable ? `, ${model.unreadable} unreadable` : ""}`]);
     return rows;
   }
@@ -119,8 +134,9 @@ export class HealthPanel {
   }
 
   #describeLosses(model) {
-    const lost = (model.newest("forces") ?? model.newest("contacts") ?? model.health)?.lost ?? {};
-    const causes = Object.entries(lost).filter(([, count]) => count > 0);
+    const lost = (model.newest("forces") ?? model.newest("contacts") ?? model.health)?.lost;
+    const none = lost ? "nothing was lost" : "losses not known";
+    const causes = Object.entries(lost ?? {}).filter(([, count]) => count > 0);
     const most = Math.max(1, ...causes.map(([, count]) => count));
     const list = this.root.querySelector(".losses");
     while (list.children.length > Math.max(1, causes.length)) list.lastChild.remove();
@@ -129,8 +145,9 @@ export class HealthPanel {
       const item = list.children[index] ?? list.appendChild(make("li"));
       if (!item.firstChild) item.append(make("b"), " ", make("span"), make("i"));
       setText(item.children[0], cause ? `${count}` : "");
-      setText(item.children[1], cause ? (EXPLAINED[cause] ?? words(cause)) : "Nothing was lost.");
+      setText(item.children[1], cause ? (EXPLAINED[cause] ?? words(cause)) : none);
       item.children[2].style.width = cause ? `${100 * (Math.log1p(count) / Math.log1p(most))}%` : "0";
     });
+    return causes[0][0] ? causes.map(([cause, count]) => `${count} ${EXPLAINED[cause] ?? words(cause)}`).join(", ") : none;
   }
 }

@@ -1,15 +1,16 @@
 // How a site is identified: for each corner the ladder of codes, and on it the tone that the corner captured.
 
-import { UNKNOWN, fixed, make, plusMinus, setText, words } from "./text.js";
+import { fixed, make, plusMinus, setText, words } from "./text.js";
 
 const SVG = "http://www.w3.org/2000/svg";
-const ROW = 74; // height of a corner: its ladder, and below it the band of its site, magnified
+const ROW = 66; // height of a corner: its ladder, and below it the band of its site, magnified
 const LADDER_Y = 34;
 const ZOOM_Y = 58;
 const SIDE = 14; // next to the outermost codes
 const ZOOM_FROM = 0.16; // of the width: the magnified band
 const ZOOM_TO = 0.84;
 const LABEL_PX = 13; // of a site's number, at least
+const NARROW_PX = 540; // below, a tone is a line of the list, not next to its corner
 
 function shape(parent, tag, attributes, text = "") {
   const element = parent.appendChild(document.createElementNS(SVG, tag));
@@ -45,6 +46,7 @@ export class Ladder {
     const { codes, pilot } = this.info;
     const corners = codes[0].f0.length;
     this.svg.setAttribute("viewBox", `0 0 ${width} ${ROW * corners}`);
+    this.svg.classList.toggle("narrow", width < NARROW_PX);
     this.svg.style.height = `${ROW * corners}px`;
     for (let corner = 0; corner < corners; corner++) this.rows.push(this.#drawRow(corner, codes, pilot));
   }
@@ -57,7 +59,9 @@ export class Ladder {
     const scale = (width - 2 * SIDE) / (high - low || 1);
     const x = (hertz) => SIDE + scale * (hertz - low);
     shape(row, "text", { class: "name", x: 0, y: 11 }, `Corner ${corner + 1}`);
-    shape(row, "text", { class: "range", x: width, y: 11 }, `${fixed(low / 1e6, 3)} to ${fixed(high / 1e6, 3)} MHz`);
+    const said = shape(row, "text", { class: "said", x: 66, y: 11 });
+    shape(row, "text", { x: 0, y: LADDER_Y + 18 }, `${fixed(low / 1e6, 3)} MHz`);
+    shape(row, "text", { class: "range", x: width, y: LADDER_Y + 18 }, `${fixed(high / 1e6, 3)} MHz`);
     shape(row, "line", { class: "axis", x1: 0, x2: width, y1: LADDER_Y, y2: LADDER_Y });
     const places = codes.map(({ f0 }) => x(f0[corner])).sort((a, b) => a - b);
     const gap = Math.min(...places.slice(1).map((place, index) => place - places[index]));
@@ -88,16 +92,21 @@ export class Ladder {
       shape(mark, "line", { class: "noise", y1: 0, y2: 0 });
       shape(mark, "path", { d: "M0 -6L5 0L0 6L-5 0Z" });
     }
-    return { x, scale, rungs, zoom, marks };
+    return { x, scale, rungs, zoom, marks, said };
   }
 
   /** Show the tones of a message, null if there is none. */
   describe(tones) {
     const corners = this.info ? (tones?.corners ?? []) : [];
     while (this.list.children.length > corners.length) this.list.lastChild.remove();
+    const reasons = new Set(); // each once
     corners.forEach((tone, corner) => {
       const item = this.list.children[corner] ?? this.list.appendChild(make("li"));
-      setText(item, this.#sentence(tone, corner));
+      const reasonCode = reasons.has(tone.reasonCode) ? "" : tone.reasonCode;
+      reasons.add(tone.reasonCode);
+      const sentence = this.#sentence({ ...tone, reasonCode }, corner);
+      setText(item, `Corner ${corner + 1}: ${sentence}`);
+      if (this.rows[corner]) setText(this.rows[corner].said, sentence);
     });
     this.rows.forEach((row, corner) => this.#mark(row, corners[corner], corner));
     const summary = corners.map(({ captured, site }, corner) => `corner ${corner + 1} ${captured === "site" ? `site ${site}` : captured}`);
@@ -136,15 +145,14 @@ export class Ladder {
   }
 
   #sentence({ captured, site, frequency, noise, residual, reasonCode }, corner) {
-    const name = `Corner ${corner + 1}: `;
-    if (captured === "none") return `${name}no tone${reasonCode ? `, ${words(reasonCode)}` : ""}.`;
-    const hertz = Number.isFinite(frequency) ? plusMinus(frequency, noise, "Hz", 1) : `frequency not known, ${words(reasonCode) || UNKNOWN}`;
-    if (captured === "pilot") return `${name}${hertz}, the pilot: not touched.`;
-    if (captured !== "site") return `${name}${hertz}, of no site alone.`;
+    if (captured === "none") return `no tone${reasonCode ? `, ${words(reasonCode)}` : ""}.`;
+    const hertz = Number.isFinite(frequency) ? plusMinus(frequency, noise, "Hz", 1) : `frequency not known${reasonCode ? `, ${words(reasonCode)}` : ""}`;
+    if (captured === "pilot") return `${hertz}, the pilot: not touched.`;
+    if (captured !== "site") return `${hertz}, of no site alone.`;
     const f0 = this.#code(site)?.f0[corner];
     const shift = Number.isFinite(f0) ? `, ${fixed(1e6 * (frequency / f0 - 1), 1)} ppm from the code of site ${site}` : `, site ${site}`;
     const off = Number.isFinite(residual) ? `; off the fitted force by ${fixed(residual, 1)} σ` : "";
-    return `${name}${hertz}${shift}${off}.`;
+    return `${hertz}${shift}${off}.`;
   }
 }
 

@@ -5,7 +5,7 @@ import { Connection } from "./connection.js";
 import { Library } from "./library.js";
 import { readTruth } from "./payloads.js";
 import { PlateModel } from "./plate_model.js";
-import { UNKNOWN, make, setText } from "./text.js";
+import { UNKNOWN, make, setText, sinceTime } from "./text.js";
 import { View } from "./view.js";
 
 const TEXT_PERIOD_MS = 200;
@@ -18,7 +18,7 @@ class App {
     this.hello = { sources: [], commands: [], press: [], directory: null };
     this.page = { clients: 1, skipped: 0 };
     this.broker = { connected: true };
-    this.link = { state: "connecting", retryMs: 0 };
+    this.link = { state: "connecting", since: Date.now() / 1000 };
     this.draws = 0;
     const address = new URL("ws", location.href);
     address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
@@ -26,7 +26,7 @@ class App {
     this.connection = new Connection(address.href, {
       payload: (source, plate, path, bytes) => this.model(source, plate).receive(path, bytes, performance.now()),
       message: (key, content) => this.#receive(key, content),
-      state: (state, retryMs) => this.#setLink(state, retryMs),
+      state: (state) => this.#setLink(state),
     });
     this.library = new Library(document.querySelector("#library"), this.connection, (text) => this.announce(text));
     document.addEventListener("visibilitychange", () => this.views.forEach((view) => view.watch()));
@@ -64,8 +64,9 @@ class App {
     setText(document.querySelector("#announcements"), text);
   }
 
-  #setLink(state, retryMs) {
-    this.link = { state, retryMs };
+  #setLink(state) {
+    const isSame = (state === "open") === this.isOpen;
+    this.link = { state, since: isSame ? this.link.since : Date.now() / 1000 };
     if (state === "open") {
       this.views.forEach((view) => view.watch());
       this.library.reopen();
@@ -75,7 +76,7 @@ class App {
 
   #receive(key, content) {
     if (key === "hello") this.#setHello(content);
-    else if (key === "broker") this.broker = content;
+    else if (key === "broker") this.broker = { ...content, since: content.connected === this.broker.connected ? this.broker.since : Date.now() / 1000 };
     else if (key === "clients") this.page = { clients: content.count ?? 1, skipped: content.skipped ?? 0 };
     else if (key === "truth") {
       const truth = readTruth(content);
@@ -147,16 +148,15 @@ class App {
   #describe() {
     const notice = document.querySelector("#notice");
     let text = "";
-    if (this.link.state === "closed") text = "No connection to the page's server; trying again. The last values are shown.";
-    else if (this.link.state === "connecting") text = "Connecting…";
+    if (this.views.some(({ model }) => model)) text = ""; // its headline says it
+    else if (!this.isOpen && !this.sourceKey) text = "Connecting…";
+    else if (!this.isOpen) text = `No connection to the page's server ${sinceTime(this.link.since)}; trying again.`;
     else if (!this.hasBroker && this.views.some(({ isLive }) => isLive)) {
       const reason = this.broker.reason || this.broker.reason_code || "no reason given";
-      const hasPlates = this.plates("live").length > 0;
-      text = `No connection to the MQTT broker (${reason}); trying again. ${hasPlates ? "The last values are shown." : "Plates appear when it answers; --url of resonatord view selects another broker."}`;
+      text = `No connection to the MQTT broker ${sinceTime(this.broker.since)} (${reason}); trying again. --url of resonatord view selects another broker.`;
     }
     setText(notice, text);
     notice.hidden = !text;
-    document.body.dataset.link = this.link.state;
     const live = this.hello.sources.find(({ source }) => source === "live");
     setText(document.querySelector("#address"), live?.url ?? "");
   }

@@ -105,9 +105,22 @@ function cornerTone(value) {
 
 const code = (value) => ({ site: object(value).site, f0: vector(object(value).f0_hz, CORNERS), full: vector(object(value).full_load_hz, CORNERS) });
 
+/** Radius in m within which a touch counts as one of a site: 0.4 of the least distance between two, at most 1.5 mm. */
+function targetRadius(sites) {
+  let least = 0.00375;
+  if (sites.length > 256) return NaN; // drawn as dots
+  sites.forEach(({ position: [x, y] }, index) => {
+    for (const { position } of sites.slice(0, index)) least = Math.min(least, Math.hypot(x - position[0], y - position[1]));
+  });
+  return 0.4 * least;
+}
+
 function info(payload) {
   const version = text(payload.schema_version);
   const calibration = object(payload.calibration);
+  const sites = list(payload.sites)
+    .map((site) => ({ site: object(site).site, position: vector(object(site).position_m, 2) }))
+    .filter((site) => site.position.every(Number.isFinite));
   return {
     ...header(payload),
     supported: version === "" || version.split(".")[0] === MAJOR_VERSION,
@@ -126,9 +139,9 @@ function info(payload) {
     forceMax: payload.force_max_newton > 0 ? payload.force_max_newton : NaN,
     outline: points(payload.outline_m),
     transducers: points(payload.transducers_m),
-    sites: list(payload.sites)
-      .map((site) => ({ site: object(site).site, position: vector(object(site).position_m, 2) }))
-      .filter((site) => site.position.every(Number.isFinite)),
+    sites,
+    places: new Map(sites.map(({ site, position }) => [site, position])),
+    target: targetRadius(sites),
     grid: grid(payload.grid),
     codes: list(payload.codes).map(code).filter(({ f0, full }) => [...f0, ...full].every(Number.isFinite)),
     pilot: number(payload.pilot_hz),

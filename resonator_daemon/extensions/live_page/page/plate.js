@@ -2,32 +2,37 @@
 
 import { MAPS, css, theme } from "./colours.js";
 import { Ladder } from "./ladder.js";
-import { Scene } from "./scene.js";
-import { UNKNOWN, absence, fixed, make, plusMinus, setText, words } from "./text.js";
+import { TRAIL_S } from "./plate_model.js";
+import { BOLD, Scene } from "./scene.js";
+import { absence, fixed, make, plusMinus, setText, words } from "./text.js";
 
 const NUMBERED_SITES = 64;
+const TWICE = [["#000a", 2], ["#fff", 0]]; // colours of a line, and how much wider it is
 const SHEAR_PX = 60; // of the largest force of the plate
 
 export class PlatePanel {
-  constructor(root) {
-    this.root = root;
-    this.scene = new Scene(root.querySelector("canvas"), (context, scene) => this.#drawStill(context, scene));
+  constructor(root, identification) {
+    this.scene = new Scene(root.querySelector(".scene"), (context, scene) => this.#drawStill(context, scene));
+    this.over = null; // the site under the pointer
+    for (const type of ["pointermove", "pointerdown", "pointerleave"]) {
+      this.scene.canvas.addEventListener(type, (event) => {
+        const over = this.info && type !== "pointerleave" ? siteAt(this.info, this.scene.position(event)) : null;
+        if (over !== this.over) (this.over = over), (this.scene.changed = true);
+      });
+    }
     this.touched = root.querySelector(".touched");
-    this.identification = root.querySelector(".identification");
+    this.identification = identification;
     this.ladder = new Ladder(this.identification);
     this.caption = root.querySelector(".caption");
-    this.byNumber = new Map();
     this.info = null;
   }
 
   setInfo(info) {
     this.info = info;
-    this.byNumber = new Map(info?.sites.map(({ site, position }) => [site, position]));
-    if (info) this.scene.show([...info.outline, ...info.transducers, ...info.sites.map(({ position }) => position)]);
+    this.over = null;
+    if (info) this.scene.show(extent(info));
     else this.scene.invalidate();
-    const size = info?.sites.length ?? 0;
-    const parts = info ? [info.plate, `${size} ${info.skin ? "sites under a skin" : "force sites"}`, info.counter, info.product] : [];
-    setText(this.caption, info ? parts.filter(Boolean).join(" · ") : "No description of this plate was published yet.");
+    setText(this.caption, info ? "" : "No description of this plate was published yet.");
     this.identification.hidden = !info || info.skin !== null; // sites under a skin are not identified by codes
     this.ladder.setInfo(info);
   }
@@ -35,15 +40,8 @@ export class PlatePanel {
   #drawStill(context, scene) {
     const { info } = this;
     if (!info) return;
-    if (info.outline.length) {
-      scene.polygon(context, info.outline);
-      context.fillStyle = theme.plate;
-      context.fill();
-      context.strokeStyle = theme.ink;
-      context.lineWidth = 1.5;
-      context.stroke();
-    }
-    const radius = Math.max(0.6, Math.min(9, 0.9 * Math.sqrt((scene.width * scene.height) / Math.max(1, info.sites.length)) / 6));
+    drawOutline(context, scene, info);
+    const radius = Math.max(0.6, Math.min(11, 1.1 * Math.sqrt((scene.width * scene.height) / Math.max(1, info.sites.length)) / 6));
     this.radius = radius;
     context.fillStyle = theme.site;
     for (const { position } of info.sites) {
@@ -53,20 +51,18 @@ export class PlatePanel {
     }
     context.textAlign = "center";
     context.textBaseline = "middle";
-    context.fillStyle = theme.ink;
     if (info.sites.length <= NUMBERED_SITES) {
-      for (const { site, position } of info.sites) context.fillText(`${site}`, scene.x(position[0]), scene.y(position[1]));
+      context.strokeStyle = theme.site;
+      context.lineWidth = 1;
+      for (const { site, position } of info.sites) {
+        const [x, y] = [scene.x(position[0]), scene.y(position[1])];
+        circle(context, x, y, scene.scale * info.target); // where a press counts as one of this site
+        context.stroke();
+        context.fillStyle = theme.ink;
+        context.fillText(`${site}`, x, y);
+      }
     }
-    context.strokeStyle = theme.accent;
-    info.transducers.forEach(([x, y], index) => {
-      context.fillStyle = theme.panel;
-      context.beginPath();
-      context.rect(scene.x(x) - 8, scene.y(y) - 8, 16, 16);
-      context.fill();
-      context.stroke();
-      context.fillStyle = theme.accent;
-      context.fillText(`${index + 1}`, scene.x(x), scene.y(y));
-    });
+    drawTransducers(context, scene, info);
   }
 
   draw(model, presses) {
@@ -74,20 +70,34 @@ export class PlatePanel {
     if (!context || !this.info) return;
     const forces = model.newest("forces");
     const contacts = model.newest("contacts");
-    if (!this.info.skin) for (const force of forces?.sites ?? []) this.#drawSite(context, force);
+    if (this.over !== null) this.#drawTarget(context, this.info.places.get(this.over));
+    drawTrails(context, this.scene, model);
+    for (const force of forces?.sites ?? []) this.#drawSite(context, force);
     for (const contact of contacts?.contacts ?? []) this.#drawContact(context, contact);
-    if (!this.info.skin) for (const force of forces?.sites ?? []) this.#labelSite(context, force);
-    drawTruth(context, this.scene, model.truthAt(contacts?.time ?? Infinity), this.info.skin ? null : (force) => this.#siteRadius(force) + 14);
+    for (const force of forces?.sites ?? []) this.#labelSite(context, force);
+    drawSuspects(context, this.scene, this.info, model.suspects);
+    drawTruth(context, this.scene, model.truthAt(contacts?.time ?? Infinity), (force) => this.#siteRadius(force) + 16);
     drawPresses(context, this.scene, presses);
+  }
+
+  #drawTarget(context, [x, y]) {
+    circle(context, this.scene.x(x), this.scene.y(y), this.scene.scale * this.info.target);
+    context.fillStyle = theme.accent;
+    context.globalAlpha = 0.22;
+    context.fill();
+    context.globalAlpha = 1;
+    context.strokeStyle = theme.accent;
+    context.lineWidth = 2;
+    context.stroke();
   }
 
   #siteRadius(force) {
     const most = this.info.forceMax || 10;
-    return this.radius + (Math.min(46, this.scene.width / 9) - this.radius) * Math.sqrt(Math.max(0, Math.min(1, force / most)));
+    return this.radius + (Math.min(60, this.scene.width / 9) - this.radius) * Math.sqrt(Math.max(0, Math.min(1, force / most)));
   }
 
   #drawSite(context, { site, force, std, status }) {
-    const position = this.byNumber.get(site);
+    const position = this.info.places.get(site);
     if (!position) return;
     const [x, y] = [this.scene.x(position[0]), this.scene.y(position[1])];
     const radius = Number.isFinite(force) ? this.#siteRadius(force) : this.radius + 6;
@@ -119,12 +129,12 @@ export class PlatePanel {
   }
 
   #labelSite(context, { site, force, std, atLeast, status }) {
-    const position = this.byNumber.get(site);
+    const position = this.info.places.get(site);
     if (!position) return;
     const y = this.scene.y(position[1]);
-    const offset = this.#siteRadius(Number.isFinite(force) ? force : 0) + 14;
+    const offset = this.#siteRadius(Number.isFinite(force) ? force : 0) + 16;
     const text = Number.isFinite(atLeast) ? `> ${fixed(atLeast, 1)} N` : Number.isFinite(force) ? plusMinus(force, std, "N") : words(status);
-    this.scene.label(context, text, this.scene.x(position[0]), y + (y > this.scene.height / 2 ? -offset : offset));
+    this.scene.label(context, text, this.scene.x(position[0]), y + (y > this.scene.height / 2 ? -offset : offset), theme.ink, BOLD);
     context.fillStyle = theme.ink;
     this.scene.label(context, `${site}`, this.scene.x(position[0]), y);
   }
@@ -147,28 +157,18 @@ export class PlatePanel {
     const pixels = (2 * SHEAR_PX) / (this.info.forceMax || 5);
     if (Number.isFinite(force[0]) && Number.isFinite(force[1])) scene.arrow(context, x, y, pixels * force[0], pixels * force[1]);
     context.stroke();
-    if (this.info.skin && Number.isFinite(force[2])) {
-      scene.label(context, plusMinus(force[2], contact.noise[2], "N"), x, y + (y > scene.height / 2 ? -20 : 20));
-    }
   }
 
   /** Text next to the drawing, a few times a second. */
   describe(model) {
-    const { info } = this;
     const rows = [];
-    if (!info?.skin) {
-      for (const { site, force, std, bound, atLeast, status } of model.newest("forces")?.sites ?? []) {
-        const value = Number.isFinite(atLeast) ? `more than ${fixed(atLeast, 1)} N` : plusMinus(force, std, "N");
-        const extra = bound > 0 ? `; beside the site at most ${fixed(bound, 2)} N would not be detected` : "";
-        rows.push([`Site ${site}`, `${value}${extra}`, status === "ok" ? "" : words(status)]);
-      }
-    } else {
-      for (const { id, site, force, noise, status } of model.newest("contacts")?.contacts ?? []) {
-        rows.push([`Contact ${id ?? UNKNOWN}`, `${plusMinus(force[2], noise[2], "N")} near site ${site}`, status === "ok" ? "" : words(status)]);
-      }
+    for (const { site, force, std, bound, atLeast, status } of model.newest("forces")?.sites ?? []) {
+      const value = Number.isFinite(atLeast) ? `more than ${fixed(atLeast, 1)} N` : plusMinus(force, std, "N");
+      const extra = bound > 0 ? `; beside the site at most ${fixed(bound, 2)} N would not be detected` : "";
+      rows.push([`Site ${site}`, `${value}${extra}`, status === "ok" ? "" : words(status)]);
     }
     while (this.touched.children.length > Math.max(1, rows.length)) this.touched.lastChild.remove();
-    if (!rows.length) rows.push([absence(model.newest("contacts")), "", ""]);
+    if (!rows.length) rows.push([absence(model), "", ""]);
     rows.forEach(([name, value, status], index) => {
       const item = this.touched.children[index] ?? this.touched.appendChild(make("li"));
       if (!item.firstChild) item.append(make("b"), " ", make("span"), " ", make("em", "status"));
@@ -182,12 +182,12 @@ export class PlatePanel {
   #describeIdentification(model) {
     const forces = model.newest("forces");
     const shifts = model.states.sensor?.compensation?.commonMode ?? [];
-    const corners = shifts.map((shift, index) => `corner ${index + 1}: ${fixed(1e6 * shift, 2)} ppm`).join(", ");
+    const corners = shifts.map((shift) => fixed(1e6 * shift, 2)).join(", ");
     setText(this.identification.querySelector(".result"), forces?.reason || identified(forces, model.newest("contacts")));
     const tones = model.newest("tones");
     this.ladder.describe(tones);
     this.identification.classList.toggle("without-tones", !tones || !this.info.codes.length);
-    setText(this.identification.querySelector(".corners"), corners ? `Common shift of the tones, taken out: ${corners}.` : "");
+    setText(this.identification.querySelector(".corners"), corners ? `Common shift of the tones, taken out: ${corners} ppm.` : "");
   }
 }
 
@@ -196,6 +196,90 @@ function identified(forces, contacts) {
   if (!sites.length) return "No site is identified: no corner detects a tone of a pressed site.";
   const names = sites.length === 1 ? `site ${sites[0]}` : `sites ${sites.join(", ")}`;
   return forces?.status === "ok" ? `The tones at the corners agree on ${names}.` : `Tones of ${names} are detected: ${words(forces?.status ?? "")}.`;
+}
+
+/** What a picture of the plate shows, as points in metres. */
+export const extent = ({ outline, transducers, sites }) => [...outline, ...transducers, ...sites.map(({ position }) => position)];
+
+function circle(context, x, y, radius) {
+  context.beginPath();
+  context.arc(x, y, radius, 0, 7);
+}
+
+/** Number of the site that a press at a position counts as one of; null between sites. */
+export function siteAt({ sites, target }, [x, y]) {
+  return sites.find(({ position }) => Math.hypot(x - position[0], y - position[1]) <= target)?.site ?? null;
+}
+
+export function drawOutline(context, scene, { outline }) {
+  if (!outline.length) return;
+  scene.polygon(context, outline);
+  context.fillStyle = theme.plate;
+  context.fill();
+  context.strokeStyle = theme.muted;
+  context.lineWidth = 1.5;
+  context.stroke();
+}
+
+export function drawTransducers(context, scene, { transducers }) {
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  context.strokeStyle = theme.accent;
+  context.lineWidth = 1.5;
+  transducers.forEach(([x, y], index) => {
+    context.fillStyle = theme.panel;
+    context.beginPath();
+    context.rect(scene.x(x) - 9, scene.y(y) - 9, 18, 18);
+    context.fill();
+    context.stroke();
+    context.fillStyle = theme.accent;
+    context.fillText(`${index + 1}`, scene.x(x), scene.y(y));
+  });
+}
+
+/** The path of each contact over the last seconds: the older, the fainter. */
+export function drawTrails(context, scene, { trails, sampled }) {
+  for (const [colour, width] of TWICE) {
+    context.strokeStyle = colour;
+    context.lineWidth = width + 2;
+    for (const trail of trails.values()) {
+      for (let at = 1; at < trail.length; at++) {
+        context.beginPath();
+        for (const { position } of [trail[at - 1], trail[at]]) context.lineTo(scene.x(position[0]), scene.y(position[1]));
+        context.globalAlpha = Math.max(0, 1 - (sampled.time - trail[at].time) / TRAIL_S);
+        context.stroke();
+      }
+    }
+  }
+  context.globalAlpha = 1;
+}
+
+/** Sites that contradict all others: crossed out, and named. */
+export function drawSuspects(context, scene, { places }, suspects) {
+  for (const site of suspects) {
+    const position = places.get(site);
+    if (!position) continue;
+    const [x, y] = [scene.x(position[0]), scene.y(position[1])];
+    circle(context, x, y, 9);
+    context.moveTo(x - 6, y + 6);
+    context.lineTo(x + 6, y - 6);
+    context.strokeStyle = theme.panel;
+    context.lineWidth = 6;
+    context.stroke();
+    context.strokeStyle = theme.warn;
+    context.lineWidth = 2.5;
+    context.stroke();
+    scene.label(context, `site ${site} suspect`, x, y - 18, theme.warn);
+  }
+}
+
+/** Stroke a path that is readable on dark and on bright colours. */
+export function twice(context, width) {
+  for (const [colour, wider] of TWICE) {
+    context.strokeStyle = colour;
+    context.lineWidth = width + wider;
+    context.stroke();
+  }
 }
 
 /** Touches as an emulator applies them: hollow diamonds, with a label at `offset(force)` pixels unless it is null. */

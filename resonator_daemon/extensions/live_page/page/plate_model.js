@@ -8,6 +8,8 @@ const HISTORY_POINTS = 1200;
 const EVENTS = 50;
 const TRUTHS = 64;
 const STALE_S = 1.5;
+export const TRAIL_S = 2;
+const TRAIL_STEP_S = 0.04;
 export const STREAMS = ["forces", "contacts", "tones", "decoded", "decoded/summary", "health"];
 
 /** Force over the last minute, oldest first: rows of time, normal force, its standard deviation, shear, true force. */
@@ -56,6 +58,7 @@ export class PlateModel {
     this.events = [];
     this.eventVersion = 0;
     this.history = new History();
+    this.trails = new Map(); // by contact: {time, position}, oldest first
     this.health = null;
     this.previousHealth = null;
     this.arrived = -Infinity;
@@ -93,9 +96,10 @@ export class PlateModel {
   }
 
   #setState(part, payload) {
+    if (part === "daemon" && this.states.daemon && !(payload.since > 0)) payload.since = Date.now() / 1000; // a last will has no time
     this.states[part] = payload;
     if (part === "daemon" && payload.run && payload.run !== this.run) this.#clearRun(payload.run);
-    if (part === "daemon" && payload.state === "offline") this.streams = {};
+    if (part === "daemon" && payload.state === "offline") (this.streams = {}), (this.health = null), this.trails.clear();
   }
 
   #read(path, bytes) {
@@ -110,6 +114,7 @@ export class PlateModel {
   /** Remove what came before a jump in a recording. */
   clearPast() {
     this.history.clear();
+    this.trails.clear();
     this.events = [];
     this.eventVersion += 1;
   }
@@ -143,6 +148,7 @@ export class PlateModel {
     const contacts = this.newest("contacts");
     if (!contacts || !(contacts.time > 0) || contacts === this.sampled) return;
     this.sampled = contacts;
+    this.#trace(contacts);
     let normal = contacts.contacts.length || isMeasured(contacts) ? 0 : NaN; // a gap in the curve
     let variance = 0;
     let x = normal;
@@ -158,8 +164,32 @@ export class PlateModel {
     this.history.add(contacts.time, normal, Math.sqrt(variance), Math.hypot(x, y), applied);
   }
 
+  #trace({ time, contacts }) {
+    for (const [id, trail] of this.trails) {
+      while (trail.length && !(Math.abs(time - trail[0].time) < TRAIL_S)) trail.shift();
+      if (!trail.length) this.trails.delete(id);
+    }
+    for (const { id, position } of contacts) {
+      if (!position.every(Number.isFinite)) continue;
+      if (!this.trails.has(id)) this.trails.set(id, []);
+      const trail = this.trails.get(id);
+      if (!(time - trail.at(-1)?.time < TRAIL_STEP_S)) trail.push({ time, position });
+    }
+  }
+
   isStale(nowMs) {
     return nowMs - this.arrived > STALE_S * 1000;
+  }
+
+  get isOffline() {
+    return this.states.daemon?.state === "offline";
+  }
+
+  /** Numbers of the sites that contradict all others, which the reason names. */
+  get suspects() {
+    const { reasonCode, reason } = this.states.sensor ?? {};
+    const named = reasonCode === "sensor_suspect" && !this.isOffline ? /\bsites? (\d+(?:, \d+)*)/.exec(reason) : null;
+    return named ? named[1].split(", ").map(Number) : [];
   }
 
   get isSkin() {

@@ -1,5 +1,6 @@
 // Press an emulated plate by mouse, touch or keys: hold to press harder, drag to shear until it slips.
 
+import { siteAt } from "./plate.js";
 import { fixed, setText } from "./text.js";
 
 const START = 0.05; // of the plate's largest force, at once
@@ -9,6 +10,8 @@ const STIFFNESS_PER_SIZE = 3; // N: dragging by the plate's width shears by this
 const BEYOND = 1.02; // of friction, so that the emulator reports a slide
 const KEY_STEP = 1 / 40; // of the plate's width
 const IN_FLIGHT = 2;
+// What a plate of force sites can and cannot find out about a press beside them.
+const BETWEEN = ": between the sites. The plate measures on its sites only: it reports what loads a site, at that site's place, and nothing of the rest.";
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 export class Presser {
@@ -21,6 +24,7 @@ export class Presser {
     this.output = output;
     this.announce = announce;
     this.plate = null;
+    this.isMoved = false; // marks changed since the last drawing
     window.addEventListener("blur", () => this.releaseAll());
     document.addEventListener("visibilitychange", () => document.hidden && this.releaseAll());
   }
@@ -75,6 +79,7 @@ export class Presser {
     if (step) {
       const from = held ? held.pointer : (this.#cursor ?? this.middle);
       const moved = this.#inside([from[0] + step[0] * this.size * KEY_STEP, from[1] + step[1] * this.size * KEY_STEP]);
+      this.isMoved = true;
       if (held) held.pointer = moved;
       else this.#cursor = moved;
     } else if ([" ", "Enter"].includes(event.key)) {
@@ -93,6 +98,7 @@ export class Presser {
 
   release(name) {
     if (!this.#touches.delete(name) || !this.plate) return;
+    this.isMoved = true;
     this.connection.request({ release: { plate: this.plate.name, name } });
     this.announce("Released");
   }
@@ -165,6 +171,7 @@ export class Presser {
     const parts = [`You press ${fixed(z, 2)} N`];
     if (this.plate.info.skin && shear > 0.005) parts.push(`drag ${fixed(shear, 2)} N`);
     parts.push(`at ${fixed(1e3 * touch.position[0], 1)}, ${fixed(1e3 * touch.position[1], 1)} mm`);
-    setText(this.output, parts.join(", ") + (touch.slides ? ": it slips" : ""));
+    const isBetween = !this.plate.info.skin && siteAt(this.plate.info, touch.position) === null;
+    setText(this.output, parts.join(", ") + (isBetween ? BETWEEN : touch.slides ? ": it slips" : ""));
   }
 }

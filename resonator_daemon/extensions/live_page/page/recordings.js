@@ -112,9 +112,9 @@ export class CommandPanel {
     for (const [selector, verb] of [[".tare", "tare"], [".record", record], [".mark", "mark"]]) {
       const button = this.root.querySelector(selector);
       if (button.disabled === can(verb)) button.disabled = !can(verb);
+      button.title = can(verb) ? "" : "[commands] allow of the daemon does not list it";
     }
-    const hint = permitted.length ? "Buttons are disabled where the daemon's [commands] allow does not list them." : "Read-only. Start resonatord view with --allow-commands to send commands.";
-    setText(this.root.querySelector(".hint"), hint);
+    this.root.hidden = !this.root.querySelector("button:enabled");
   }
 
   async #send(verb, args) {

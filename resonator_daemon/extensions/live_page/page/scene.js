@@ -2,8 +2,8 @@
 
 import { onTheme, theme } from "./colours.js";
 
-const MARGIN = { left: 44, top: 10, right: 12, bottom: 36 };
-const BORDER = 0.06; // of the plate's size, around it
+const MARGIN = { left: 42, top: 4, right: 4, bottom: 34 };
+const BORDER = 0.05; // of the plate's size, around it
 
 function niceStep(span, count) {
   const raw = span / count;
@@ -47,7 +47,7 @@ export class Scene {
     }
     const border = BORDER * Math.max(right - left, bottom - top, 1e-4);
     this.bounds = [left - border, top - border, right + border, bottom + border];
-    this.canvas.style.aspectRatio = `${Math.max(0.5, Math.min(2, (right - left) / (bottom - top || 1)))}`;
+    this.canvas.parentElement.style.aspectRatio = `${Math.max(0.5, Math.min(2, (right - left) / (bottom - top || 1)))}`;
     this.#place();
     this.invalidate();
   }
@@ -144,7 +144,7 @@ export class Scene {
     context.translate(x0 - 34, (y0 + this.y(top / 1e3)) / 2);
     context.rotate(-Math.PI / 2);
     context.textAlign = "center";
-    context.fillText("← y (mm)", 0, 0);
+    context.fillText("← y (mm), downwards", 0, 0);
     context.restore();
   }
 
@@ -180,7 +180,8 @@ export class Scene {
   }
 
   /** Text that stays readable on any colour, inside the canvas. */
-  label(context, text, x, y, colour = theme.ink) {
+  label(context, text, x, y, colour = theme.ink, font = FONT) {
+    context.font = font;
     const half = context.measureText(text).width / 2 + 3;
     const inside = Math.max(half, Math.min(this.width - half, x));
     context.textAlign = "center";
@@ -196,4 +197,5 @@ export class Scene {
 }
 
 const FONT = "12px system-ui, sans-serif";
+export const BOLD = "600 17px system-ui, sans-serif"; // for what matters most
 const label = (value) => String(Number(value.toFixed(6))).replace("-", "−");

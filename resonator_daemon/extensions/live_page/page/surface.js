@@ -1,13 +1,17 @@
 // What acts on a skin's surface: a map as colour, shear as arrows, the contact's outline and the zone that sticks.
 
 import { MAPS, theme } from "./colours.js";
-import { drawPresses, drawTruth } from "./plate.js";
-import { Scene } from "./scene.js";
-import { fixed, metres, pascals, setText } from "./text.js";
+import { slipState } from "./contacts.js";
+import { drawOutline, drawPresses, drawSuspects, drawTrails, drawTransducers, drawTruth, extent, twice } from "./plate.js";
+import { BOLD, Scene } from "./scene.js";
+import { metres, normalForce, pascals, setText } from "./text.js";
 
 const OUTLINE = 0.15; // of the peak: what the daemon counts as a part of the contact
 const ARROWS = 18; // along each side of a grid, at most
 const LEAST_SHEAR = 0.08; // of the longest arrow
+const SIGMAS = 3; // of its noise, which a shear exceeds that is drawn
+const OUTSIDE = 1.2; // times a contact's radius: beyond its outline
+const STICK_LABEL_PX = 45; // radius with room for it
 const RASTER = 128; // pixels along each side where sites are scattered
 
 const LAYERS = {
@@ -26,7 +30,7 @@ function niceAbove(value) {
 export class SurfacePanel {
   constructor(root) {
     this.root = root;
-    this.scene = new Scene(root.querySelector("canvas"), (context, scene) => this.#drawStill(context, scene));
+    this.scene = new Scene(root.querySelector(".scene"), (context, scene) => this.#drawStill(context, scene));
     this.picture = document.createElement("canvas");
     this.layer = "traction";
     this.top = LAYERS.traction.least;
@@ -52,18 +56,12 @@ export class SurfacePanel {
     this.info = info;
     this.places = null;
     this.raster = null;
-    if (info?.outline.length) this.scene.show(info.outline);
-    else if (info) this.scene.show(info.sites.map(({ position }) => position));
+    if (info) this.scene.show(extent(info));
     this.scene.invalidate();
   }
 
   #drawStill(context, scene) {
-    if (!this.info?.outline.length) return;
-    scene.polygon(context, this.info.outline);
-    context.fillStyle = theme.plate;
-    context.fill();
-    context.strokeStyle = theme.ink;
-    context.stroke();
+    if (this.info) drawOutline(context, scene, this.info);
   }
 
   #drawBar() {
@@ -163,15 +161,18 @@ export class SurfacePanel {
     const decoded = model.newest("decoded");
     const truth = model.truthAt(decoded?.time ?? Infinity);
     const context = this.scene.begin();
-    if (!context) return;
+    if (!context || !this.info) return;
     this.draws += 1;
+    const contacts = model.newest("contacts")?.contacts ?? [];
+    this.hasContact = contacts.length > 0;
     if (decoded?.traction) {
       this.#setPlaces(decoded);
       if (this.#fill(decoded, truth)) this.#paint(context);
       if (this.places.isGrid) this.#drawOutline(context, decoded.traction.values);
-      if (this.arrows.checked) this.#drawShear(context, decoded.traction.values);
-      this.#drawStick(context, model);
+      if (this.arrows.checked) this.#drawShear(context, decoded.traction.values, decoded.std?.values);
     }
+    drawTransducers(context, this.scene, this.info);
+    drawTrails(context, this.scene, model);
     for (const { position, radius } of truth?.contacts ?? []) {
       if (!(radius > 0)) continue;
       context.strokeStyle = theme.truth;
@@ -183,6 +184,9 @@ export class SurfacePanel {
     }
     drawTruth(context, this.scene, truth, null);
     drawPresses(context, this.scene, presses);
+    drawSuspects(context, this.scene, this.info, model.suspects);
+    const patches = model.newest("decoded/summary")?.patches ?? [];
+    for (const contact of contacts) this.#drawContact(context, contact, patches.find(({ id }) => id === contact.id));
   }
 
   #paint(context) {
@@ -244,11 +248,12 @@ export class SurfacePanel {
     twice(context, 2);
   }
 
-  #drawShear(context, traction) {
+  /** Arrows where the shear exceeds its noise. */
+  #drawShear(context, traction, std) {
     const { count, rows, columns, pitch, isGrid, origin } = this.places;
     let most = 0;
     for (let at = 0; at < count; at++) most = Math.max(most, Math.hypot(traction[at], traction[count + at]) || 0);
-    this.longest = most;
+    this.longest = 0;
     if (!(most > 0) || !this.hasContact) return;
     const stride = isGrid ? Math.max(1, Math.ceil(Math.max(rows, columns) / ARROWS)) : 1;
     const length = (1.6 * stride * this.scene.scale * (isGrid ? pitch : Math.sqrt(this.#area() / count))) / most;
@@ -256,7 +261,9 @@ export class SurfacePanel {
     for (let at = 0; at < count; at++) {
       if (isGrid && ((at % columns) % stride || Math.floor(at / columns) % stride)) continue;
       const [tx, ty] = [traction[at], traction[count + at]];
-      if (!(Math.hypot(tx, ty) > LEAST_SHEAR * most)) continue;
+      const noise = std?.length === traction.length ? SIGMAS * Math.max(std[at], std[count + at]) : 0;
+      if (!(Math.hypot(tx, ty) > Math.max(noise, LEAST_SHEAR * most))) continue;
+      this.longest = Math.max(this.longest, Math.hypot(tx, ty));
       const place = isGrid ? null : this.info.sites[at]?.position;
       if (!isGrid && !place) continue;
       const x = this.scene.x(isGrid ? origin[0] + pitch * (at % columns) : place[0]);
@@ -271,20 +278,28 @@ export class SurfacePanel {
     return (right - left) * (bottom - top);
   }
 
-  /** Dashed circle: radius of the part that sticks, from the ratio and the contact's area. */
-  #drawStick(context, model) {
-    const contacts = model.newest("contacts")?.contacts ?? [];
-    this.hasContact = contacts.length > 0;
-    for (const patch of model.newest("decoded/summary")?.patches ?? []) {
-      const contact = contacts.find(({ id }) => id === patch.id);
-      if (!contact?.position.every(Number.isFinite) || !(patch.stick > 0) || !(patch.area > 0)) continue;
+  /** Force and slip margin above or below the contact; the names of its outline and of the zone that sticks. */
+  #drawContact(context, contact, patch) {
+    if (!contact.position.every(Number.isFinite)) return;
+    const { scene } = this;
+    const [x, y] = contact.position.map((metres, axis) => (axis ? scene.y(metres) : scene.x(metres)));
+    const radius = scene.scale * Math.sqrt(patch?.area / Math.PI) || 10;
+    const stick = patch?.stick * radius;
+    if (stick > 0) {
       context.beginPath();
-      const radius = patch.stick * Math.sqrt(patch.area / Math.PI);
-      context.arc(this.scene.x(contact.position[0]), this.scene.y(contact.position[1]), this.scene.scale * radius, 0, 7);
+      context.arc(x, y, stick, 0, 7);
       context.setLineDash([5, 4]);
       twice(context, 2);
       context.setLineDash([]);
+      if (stick > STICK_LABEL_PX) scene.label(context, "sticks inside", x, y + stick - 12);
     }
+    const edge = OUTSIDE * radius;
+    const above = y - edge - 44 > scene.y(scene.bounds[1]);
+    const first = above ? y - edge - 32 : y + edge + 14;
+    scene.label(context, normalForce(contact), x, first, theme.ink, BOLD);
+    const slip = slipState(contact);
+    if (slip) scene.label(context, `slip margin ${slip.text}`, x, first + 20, slip.kind === "bad" ? theme.bad : theme.ink);
+    if (patch) scene.label(context, `contact ${contact.id}`, x + 0.75 * edge, y + (above ? 0.75 : -0.75) * edge);
   }
 
   /** Scale and legend, a few times a second. */
@@ -304,12 +319,14 @@ export class SurfacePanel {
     }
     const ends = [signed ? -this.top : 0, signed ? 0 : this.top / 2, this.top];
     this.root.querySelectorAll(".scale span").forEach((span, index) => setText(span, unit(ends[index])));
-    setText(this.root.querySelector(".layer-name"), name);
-    setText(this.root.querySelector(".longest"), this.arrows.checked && this.hasContact ? `longest arrow ${pascals(this.longest)}` : "");
+    const arrows = !this.arrows.checked ? "no arrows" : this.longest > 0 ? `longest arrow ${pascals(this.longest)}` : "no shear above its noise";
+    setText(this.root.querySelector(".longest"), this.hasContact ? `outline: ${100 * OUTLINE} % of the peak; ${arrows}` : "");
     const summary = model.newest("decoded/summary");
     const parts = summary ? [summary.decoder, summary.reason || summary.status] : [];
     if (summary?.atBorder) parts.push("contact reaches the border: larger errors");
-    setText(this.root.querySelector(".caption"), parts.filter(Boolean).join(" · ") || "No decoded map was published yet.");
+    const caption = this.root.querySelector(".caption");
+    setText(caption, parts.filter(Boolean).join(" · ") || (model.isOffline ? "" : "No decoded map was published yet."));
+    if (caption.title !== caption.textContent) caption.title = caption.textContent; // where it is cut off
     this.scene.canvas.setAttribute("aria-label", this.#summary(model, name, unit));
   }
 
@@ -317,14 +334,4 @@ export class SurfacePanel {
     const contacts = model.newest("contacts")?.contacts.length ?? 0;
     return `Map of ${name}: largest value ${unit(this.peak ?? NaN)}, ${contacts} contact${contacts === 1 ? "" : "s"}`;
   }
-}
-
-/** Stroke a path that is readable on dark and on bright colours. */
-function twice(context, width) {
-  context.strokeStyle = "#000a";
-  context.lineWidth = width + 2;
-  context.stroke();
-  context.strokeStyle = "#fff";
-  context.lineWidth = width;
-  context.stroke();
 }

@@ -51,14 +51,26 @@ export function clockTime(seconds) {
   return Number.isFinite(seconds) ? new Date(seconds * 1000).toLocaleTimeString([], { hour12: false }) : UNKNOWN;
 }
 
+/** Time of a beginning, with the date unless it is today's. */
+export function sinceTime(seconds) {
+  const date = new Date(seconds * 1000);
+  return `since ${date.toDateString() === new Date().toDateString() ? "" : `${date.toLocaleDateString()} `}${clockTime(seconds)}`;
+}
+
 export const words = (code) => code.replaceAll("_", " ");
 
 /** Statuses of a message without contacts that something touches all the same; the site is not known. */
 const TOUCHED = new Set(["rejected", "ambiguous", "possibly_more"]);
 
-/** What a message of contacts without a contact means; null: there was no message. */
-export function absence(message) {
-  if (!message) return "No contacts were published yet.";
+/** Normal force of a contact with its whole uncertainty. */
+export function normalForce({ atLeast, force, noise, systematic }) {
+  return Number.isFinite(atLeast) ? `> ${fixed(atLeast, 1)} N` : plusMinus(force[2], Math.hypot(noise[2], systematic || 0), "N");
+}
+
+/** What a model without a contact means. */
+export function absence(model) {
+  const message = model.newest("contacts");
+  if (!message) return model.isOffline ? "Contacts are not known: the daemon is offline." : "No contacts were published yet.";
   const { status, reasonCode } = message;
   if (TOUCHED.has(status)) return `Touched, but no site is identified: ${words(reasonCode || status)}. Press on one site, at its centre.`;
   return isMeasured(message) ? "Nothing touches the plate." : `Contacts are not known: ${words(reasonCode || status)}.`;

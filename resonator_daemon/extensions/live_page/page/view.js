@@ -10,8 +10,6 @@ import { situation } from "./situation.js";
 import { SurfacePanel } from "./surface.js";
 import { duration, make, setText } from "./text.js";
 
-const PLATE_PERIOD_MS = 100;
-
 export class View {
   constructor(source, app) {
     this.source = source;
@@ -22,9 +20,10 @@ export class View {
     this.isLive = source.source === "live";
     this.name = this.isLive ? "Live" : `Recording ${source.source.toUpperCase()}`;
     this.root.setAttribute("aria-label", this.name);
-    setText(part("source"), this.isLive ? "" : this.name);
+    setText(part("source"), this.name);
+    part("source").classList.toggle("hidden-text", this.isLive);
     this.tabs = part("plates");
-    this.plate = new PlatePanel(part("plate-panel"));
+    this.plate = new PlatePanel(part("plate-panel"), part("identification"));
     this.surface = new SurfacePanel(part("surface-panel"));
     this.contacts = new ContactsPanel(part("contacts-panel"));
     this.health = new HealthPanel(part("health-panel"), part("situation"));
@@ -37,7 +36,6 @@ export class View {
     this.recording = this.isLive ? null : new RecordingPanel(part("recording-panel"), source, app.connection, () => this.model?.clearPast());
     this.model = null;
     this.selected = null;
-    this.plateDrawnMs = -Infinity;
   }
 
   remove() {
@@ -64,10 +62,6 @@ export class View {
     this.plate.setInfo(model.info);
     this.surface.setInfo(model.info);
     root.dataset.sensor = model.isSkin ? "skin" : "sites";
-    // The plate is drawn large where there is no map.
-    const place = root.querySelector(model.isSkin ? ".side" : ".main");
-    const panel = root.querySelector(".plate-panel");
-    if (panel.parentElement !== place) place.prepend(panel);
   }
 
   #pressable() {
@@ -79,24 +73,17 @@ export class View {
     const { model, presser } = this;
     if (!model) return 0;
     if (this.infoVersion !== model.infoVersion) this.#setInfo();
-    const canPress = this.#pressable();
-    presser.setPlate(canPress ? this.selected : null, model.info);
+    presser.setPlate(this.#pressable() ? this.selected : null, model.info);
     presser.advance(nowMs);
     model.sample();
-    const isChanged = this.drawnVersion !== model.version || this.drawnModel !== model || presser.isActive || canPress;
+    const panel = model.isSkin ? this.surface : this.plate;
+    const isChanged = this.drawnVersion !== model.version || this.drawnModel !== model || presser.isActive || presser.isMoved;
     this.drawnVersion = model.version;
     this.drawnModel = model;
-    let draws = 0;
-    if (isChanged) this.surface.scene.changed = this.plate.scene.changed = true;
-    for (const panel of model.isSkin ? [this.surface, this.plate] : [this.plate]) {
-      if (!panel.scene.changed) continue;
-      // Beside the map, the plate has little that moves.
-      if (panel === this.plate && model.isSkin && nowMs - this.plateDrawnMs < PLATE_PERIOD_MS) continue;
-      if (panel === this.plate) this.plateDrawnMs = nowMs;
-      panel.draw(model, presser.marks());
-      draws += 1;
-    }
-    return draws;
+    presser.isMoved = false;
+    if (!isChanged && !panel.scene.changed) return 0;
+    panel.draw(model, presser.marks());
+    return 1;
   }
 
   /** Text, a few times a second. */
@@ -111,18 +98,18 @@ export class View {
     root.querySelector(".situation").hidden = !model;
     if (!model) return;
     const isPlaying = this.isLive || this.recording.position.playing;
-    const isStale = isPlaying && model.arrived > -Infinity && model.isStale(nowMs);
-    root.classList.toggle("stale", isStale);
-    const { supported, version } = model.info ?? { supported: true };
-    const staleFor = isStale ? `No new data for ${duration((nowMs - model.arrived) / 1000)}: the last values are shown.` : "";
-    setText(root.querySelector(".stale-note"), supported ? staleFor : `Messages of version ${version} may be shown wrongly: this page reads version 2.`);
-    this.plate.describe(model);
+    const isCut = !this.app.isOpen || (this.isLive && !this.app.hasBroker); // whatever happens now, the page does not receive it
+    const hasData = model.arrived > -Infinity && !model.isOffline;
+    const isStale = hasData && (isCut || (isPlaying && model.isStale(nowMs)));
+    root.classList.toggle("stale", isStale || model.isOffline);
+    root.classList.toggle("cut", isCut);
+    setText(root.querySelector(".stale-note"), isStale ? `Last values, ${duration((nowMs - model.arrived) / 1000)} old` : "");
     if (model.isSkin) this.surface.describe(model);
-    this.contacts.describe(model);
-    this.health.describe(model, this.app.page, clockMs, this.app.hasBroker);
+    else this.plate.describe(model);
+    this.contacts.describe(model, isStale);
+    this.health.describe(model, this.app, clockMs);
     this.commands?.describe(this.selected, this.app.hello.commands, model);
-    const canPress = this.#pressable();
-    root.classList.toggle("pressable", canPress);
+    root.classList.toggle("pressable", this.#pressable());
     root.classList.toggle("emulated", model.truths.length > 0);
     this.presser.describe();
   }
@@ -149,7 +136,7 @@ export class View {
     }
     names.forEach((name, index) => {
       const button = this.tabs.children[index];
-      const found = situation(this.app.model(this.source.source, name).states, this.isLive, this.app.hasBroker);
+      const found = situation(this.app.model(this.source.source, name), this.app);
       button.dataset.kind = found.kind;
       if (button.title !== found.title) button.title = found.title;
       button.setAttribute("aria-pressed", name === this.selected);

@@ -48,12 +48,7 @@ async def open_page(browser: "Browser", fake: FakeLivePage) -> "AsyncIterator[Ca
             page.set_default_timeout(20_000)
             page.on("pageerror", lambda error: errors.append(str(error)))
             # A connection that a test ends is not an error of the page.
-            page.on(
-                "console",
-                lambda message: (
-                    errors.append(message.text) if message.type == "error" and "WebSocket" not in message.text else None
-                ),
-            )
+            page.on("console", lambda m: errors.extend([m.text] * (m.type == "error" and "WebSocket" not in m.text)))
             await page.goto(fake.url)
             await asyncio.wait_for(page.wait_for_function("resonatord.isOpen"), 20)
             return page
