@@ -127,7 +127,7 @@ export class ContactsPanel {
         scales: { x: { time: false, range: [-60, 0] }, y: { range: (_, low, high) => [Math.min(0, low ?? 0), Math.max(0.1, 1.1 * (high ?? 0))] } },
         axes: [
           { ...axis, size: 30, values: (_, ticks) => ticks.map((tick) => (tick ? `${tick} s` : this.isPast ? "last" : "now")) },
-          { ...axis, size: 58, space: 34, values: (_, ticks) => ticks.map((tick) => `${tick} N`) },
+          { ...axis, size: 64, space: 34, values: (_, ticks) => ticks.map((tick) => `${tick} N`) },
         ],
         series: [
           {},

@@ -2,7 +2,7 @@
 
 import { MAPS, theme } from "./colours.js";
 import { slipState } from "./contacts.js";
-import { drawOutline, drawPresses, drawSuspects, drawTrails, drawTransducers, drawTruth, extent, twice } from "./plate.js";
+import { drawOutline, drawPresses, drawSuspects, drawTrails, drawTransducers, drawTruth, extent, twice } from "./marks.js";
 import { BOLD, Scene } from "./scene.js";
 import { metres, normalForce, pascals, setText } from "./text.js";
 
@@ -21,6 +21,8 @@ const LAYERS = {
   displacement: { map: MAPS.plasma, unit: metres, name: "indentation", least: 1e-6 },
   error: { map: MAPS.diverging, unit: pascals, name: "estimate minus ground truth, normal traction", least: 1e3, signed: true },
 };
+
+const texts = (contact) => [normalForce(contact), slipState(contact)];
 
 function niceAbove(value) {
   const power = 10 ** Math.floor(Math.log10(value));
@@ -41,6 +43,7 @@ export class SurfacePanel {
     this.bar = root.querySelector(".scale canvas");
     this.info = null;
     this.values = new Float32Array(0);
+    this.texts = new Map(); // by contact, as the list shows them now: two numbers of one quantity would differ
     this.draws = 0;
     this.#drawBar();
   }
@@ -296,8 +299,8 @@ export class SurfacePanel {
     const edge = OUTSIDE * radius;
     const above = y - edge - 44 > scene.y(scene.bounds[1]);
     const first = above ? y - edge - 32 : y + edge + 14;
-    scene.label(context, normalForce(contact), x, first, theme.ink, BOLD);
-    const slip = slipState(contact);
+    const [force, slip] = this.texts.get(contact.id) ?? texts(contact);
+    scene.label(context, force, x, first, theme.ink, BOLD);
     if (slip) scene.label(context, `slip margin ${slip.text}`, x, first + 20, slip.kind === "bad" ? theme.bad : theme.ink);
     if (patch) scene.label(context, `contact ${contact.id}`, x + 0.75 * edge, y + (above ? 0.75 : -0.75) * edge);
   }
@@ -307,6 +310,7 @@ export class SurfacePanel {
     const { unit, name, signed } = LAYERS[this.layer];
     const decoded = model.newest("decoded");
     const truth = model.truths.length > 0;
+    this.texts = new Map(model.newest("contacts")?.contacts.map((contact) => [contact.id, texts(contact)]));
     for (const option of this.select.options) {
       option.disabled =
         (option.value === "error" && !truth) ||

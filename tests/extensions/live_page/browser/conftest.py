@@ -50,7 +50,7 @@ async def open_page(browser: "Browser", fake: FakeLivePage) -> "AsyncIterator[Ca
             # A connection that a test ends is not an error of the page.
             page.on("console", lambda m: errors.extend([m.text] * (m.type == "error" and "WebSocket" not in m.text)))
             await page.goto(fake.url)
-            await asyncio.wait_for(page.wait_for_function("resonatord.isOpen"), 20)
+            await asyncio.wait_for(page.wait_for_function("() => resonatord.isOpen"), 20)
             return page
 
         yield open_page
