@@ -86,7 +86,7 @@ export function situation({ states, source, info }, { link, broker, isOpen, hasB
   const isLive = source === "live";
   const parts = { ...states, daemon: states.daemon ?? (isLive ? undefined : { state: "online" }), server: link, broker };
   let found = code(parts);
-  if (info?.supported === false) found = "other_version";
+  if (info?.supported === false && SITUATIONS[found][2] !== "bad") found = "other_version";
   if (isLive && !hasBroker) found = "no_broker";
   if (!isOpen) found = "no_server";
   const [title, icon, kind] = SITUATIONS[found];
