@@ -117,7 +117,7 @@ def press(presses: int) -> int:
         page.wait_for_selector("canvas:visible")
         time.sleep(2.0)  # the first maps
         paint_ms = page.evaluate("performance.getEntriesByName('first-contentful-paint')[0].startTime")
-        box = page.locator("canvas:visible").first.bounding_box()
+        box = page.locator("canvas.scene:visible").first.bounding_box()
         assert box is not None  # noqa: S101 - it is visible
         for number in range(presses):
             time.sleep(moments.uniform(0.6, 0.7))
