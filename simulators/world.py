@@ -85,6 +85,8 @@ _OTHERS: Final = {"positions_mm": True, "common_walk": True, "oscillator": False
 def with_world(plate: Plate, spec: str) -> World:
     """Return a plate as it is in an emulator's world, such as `depth=1.05,dead=p_n@417`; ValueError for a mistake."""
     table = plate.model_dump(mode="json", exclude_unset=True)
+    if plate.calibration.expiry is not None:
+        table["calibration"]["expiry"] = plate.calibration.expiry  # no text
     world = World(plate)
     for entry in filter(None, spec.split(",")):
         key, _, text = entry.partition("=")
