@@ -186,6 +186,7 @@ class SkinContacts:
         self._skin = skin
         self._noise_std = noise_std
         self._frame_noise_std = noise_std  # gain errors included
+        self._noise_share, self._repeated_share = 1.0, 0.0  # of its square, and of the variance of chi-square
         self._gain_std = skin.gain_std
         self._curvature = 4.0 / 3.0 * skin.half_space.youngs_modulus_pascal / (1.0 - skin.half_space.poisson_ratio**2)
         radius_max_m = RADIUS_SHARE * float(np.ptp(sites_m, axis=0).max())
@@ -214,6 +215,7 @@ class SkinContacts:
         self.friction_estimate = None
         self.offset, self._all_offset = np.zeros((2, 3))
         self._frame_noise_std = self._noise_std
+        self._noise_share, self._repeated_share = 1.0, 0.0
         self._rest = RestScatter()
 
     def update(
@@ -224,21 +226,33 @@ class SkinContacts:
         for missing in self._tracks.keys() - found.keys():
             self._tracks[missing].frames = 0
         real = {i: patch for i, patch in found.items() if self._is_real(i, patch)}
-        if not self._tracks:
-            self._rest.add(signals, self._noise_std)
+        left = None if self._tracks else self._left_at_rest(signals)
         noise_std = self._noise_of(signals)
         slips, slip_events = self._watch.update(signals, noise_std, _starts(real))
-        self._follow_offset(signals, slips.values())
+        self._follow_offset(signals, slips.values(), left)
         self.friction_estimate = _estimated_friction(slips) or self.friction_estimate
-        shares = (self._noise_std / noise_std) ** 2 if real and self._gain_std else np.ones(1)
-        contacts = {i: self._contact(i, patch, slips.get(i), shares) for i, patch in real.items()}
+        contacts = {i: self._contact(i, patch, slips.get(i)) for i, patch in real.items()}
         events = self._follow(contacts)
         events += [SkinEvent(event.event, contacts[event.contact]) for event in slip_events]
         return tuple(contacts.values()), tuple(events)
 
-    def _follow_offset(self, signals: Floats, fits: Collection[PartialSlip]) -> None:
-        """Update `offset` from signals that it was subtracted from; keep it if a fit contradicts its model."""
-        found, left, large = self._watch.offset, None, np.abs(self.offset) > _OFFSET_LARGE
+    def _left_at_rest(self, signals: Floats) -> Floats | None:
+        """Return the mean of each kind of signal in units of its noise, (3,); None if one is not known."""
+        scores = signals / self._noise_std
+        if not np.abs(signals).max() <= SIGNAL_LIMIT:
+            scores[~(np.abs(signals) <= SIGNAL_LIMIT)] = np.nan
+        self._rest.add(scores)
+        left: Floats = scores.mean(axis=1)
+        if np.isfinite(left).all():
+            return left
+        return np.nanmean(scores, axis=1) if np.isfinite(scores).any(axis=1).all() else None
+
+    def _follow_offset(self, signals: Floats, fits: Collection[PartialSlip], left: Floats | None) -> None:
+        """Update `offset` from signals that it was subtracted from, by what is `left` in them at rest or after a fit.
+
+        A fit that contradicts its model keeps it.
+        """
+        found, large = self._watch.offset, np.abs(self.offset) > _OFFSET_LARGE
         if large.any():
             middle = np.nanmedian(signals / self._noise_std, axis=1) + self.offset
             if (
@@ -246,10 +260,7 @@ class SkinContacts:
             ).all():  # the daemon has updated its common mode
                 self.offset, self._all_offset = np.zeros((2, 3))
                 return
-        if not self._tracks:
-            scores = np.where(np.abs(signals) <= SIGNAL_LIMIT, signals / self._noise_std, np.nan)
-            left = np.nanmean(scores, axis=1) if np.isfinite(scores).any(axis=1).all() else None
-        elif found is not None and fits:
+        if self._tracks and found is not None and fits:
             slip = next(iter(fits))
             chi2 = slip.chi2 - found.chi2_decrease / slip.degrees_of_freedom
             if self._rest.quality(chi2, slip.degrees_of_freedom, 1.0).p > P_LEAST:
@@ -267,19 +278,19 @@ class SkinContacts:
         track.frames = track.frames + 1 if _is_significant(patch) else 0
         return track.announced or track.frames >= _ONSET_FRAMES
 
-    def _contact(self, contact: int, patch: Patch, slip: PartialSlip | None, noise_shares: Floats) -> SkinContact:
+    def _contact(self, contact: int, patch: Patch, slip: PartialSlip | None) -> SkinContact:
         track = self._tracks[contact]
         peak_newton = max(track.last.peak_newton, float(patch.force_newton[2]))
         if slip is None or math.isnan(slip.chi2):
             return SkinContact(contact, patch, slip, peak_newton=peak_newton)
         decrease = self._watch.offset.chi2_decrease if self._watch.offset is not None else 0.0
         chi2 = slip.chi2 - decrease / slip.degrees_of_freedom  # systematic errors cover the offset
-        fit = self._rest.quality(chi2, slip.degrees_of_freedom, float(noise_shares.mean()))
+        fit = self._rest.quality(chi2, slip.degrees_of_freedom, self._noise_share)
         track.fits.append(fit)
         found = SkinContact(
             contact, patch, slip, fit, Systematic.of(slip), *self._curvature_m(slip), peak_newton=peak_newton
         )
-        if not contradicts(track.fits, float(np.mean((1.0 - noise_shares) ** 2))):
+        if not contradicts(track.fits, self._repeated_share):
             return found
         return replace(found, status="contradicted", reason=ReasonCode.FIT_CONTRADICTED)
 
@@ -287,9 +298,10 @@ class SkinContacts:
         """Return radius and standard deviation: a^3 = 3 F R (1 - nu^2) / (4 E) (Johnson, Contact Mechanics, 4.2)."""
         force, radius_m = float(slip.force_newton[2]), slip.radius_m
         curvature_m = self._curvature * radius_m**3 / force
-        relative = np.array([3.0 / radius_m, -1.0 / force])
-        places = [RADIUS, FORCE_Z]
-        return curvature_m, curvature_m * math.sqrt(relative @ slip.covariance[np.ix_(places, places)] @ relative)
+        by_radius, by_force, covariance = 3.0 / radius_m, -1.0 / force, slip.covariance
+        variance = by_radius**2 * covariance[RADIUS, RADIUS] + by_force**2 * covariance[FORCE_Z, FORCE_Z]
+        variance += 2.0 * by_radius * by_force * covariance[RADIUS, FORCE_Z]
+        return curvature_m, curvature_m * math.sqrt(variance)
 
     def _noise_of(self, signals: Floats) -> Floats:
         """Return the standard deviation of noise and gain errors, (3, n).
@@ -302,6 +314,8 @@ class SkinContacts:
         noise_std = np.hypot(self._noise_std, self._gain_std * sound)
         if np.abs(noise_std / self._frame_noise_std - 1.0).max() > _NOISE_CHANGE:
             self._frame_noise_std = noise_std
+            shares = (self._noise_std / noise_std) ** 2
+            self._noise_share, self._repeated_share = float(shares.mean()), float(np.mean((1.0 - shares) ** 2))
         return self._frame_noise_std
 
     def _follow(self, contacts: Mapping[int, SkinContact]) -> list[SkinEvent]:

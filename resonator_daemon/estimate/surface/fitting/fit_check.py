@@ -9,9 +9,9 @@ import numpy as np
 from scipy.special import chdtrc
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.surface.decoded import SIGNAL_LIMIT
 
-_MEDIAN_SQUARE: Final = 0.4549364  # of a normal deviate: single dead sites hardly move a median
+_CLIP2: Final = 9.0  # of the mean square: single dead sites hardly move the mean of clipped squares, ...
+_CLIPPED_MEAN: Final = 0.9950073  # ... which is that of normal deviates
 _SCATTER_MAX: Final = 4.0  # a declared noise that is off by more than a factor of two is not that of the signals
 _REST_FRAMES_MIN: Final = 20  # before the scatter at rest counts as known
 _REST_FRAMES: Final = 100  # over which it is averaged
@@ -37,13 +37,13 @@ class RestScatter:
         self._mean = 1.0
         self._frames = 0
 
-    def add(self, signals: Floats, noise_std: Floats) -> None:
-        """Add a frame at rest, both arrays (3, n)."""
-        known = np.abs(signals) <= SIGNAL_LIMIT
-        if known.any():
-            scores = signals[known] / noise_std[known]
+    def add(self, scores: Floats) -> None:
+        """Add a frame at rest: signals in units of their noise, (3, n), NaN where they are not known."""
+        squares = np.square(scores[np.isfinite(scores)])
+        if squares.size:
+            np.minimum(squares, _CLIP2 * self._mean, out=squares)
             self._frames = min(self._frames + 1, _REST_FRAMES)
-            self._mean += (float(np.median(scores**2)) / _MEDIAN_SQUARE - self._mean) / self._frames
+            self._mean += (float(squares.mean()) / _CLIPPED_MEAN - self._mean) / self._frames
 
     def quality(self, chi2: float, degrees_of_freedom: int, noise_share: float) -> FitQuality:
         """Return the goodness of a fit; `noise_share` of the signals' declared variance is noise, the rest gains."""
