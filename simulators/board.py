@@ -146,6 +146,11 @@ class Board:
         return self._session.state is BoardState.RUNNING
 
     @property
+    def gate_ticks(self) -> int:
+        """Length of a gate of the present or the last run; 0 before the first."""
+        return 0 if self._run is None else self._run.gate_ticks
+
+    @property
     def times_located(self) -> int:
         """How often the board was asked, since its boot, to make itself seen."""
         return self._session.located

@@ -321,11 +321,12 @@ class Emulator:
         return [truth_line(frame, round(frame.end_ticks / self._ticks_per_ns) + to_utc_ns) for frame in made]
 
     def _newest_truth(self) -> dict[str, Any] | None:
-        """Return the truth of the newest frame as an object; None before the first."""
+        """Return the truth of the newest frame as an object, with the middle of its gate; None before the first."""
         if self._newest is None:
             return None
         truth: dict[str, Any] = json.loads(self._truth_lines([self._newest])[0])
-        return truth
+        half_gate_ns = self._board.gate_ticks / self._ticks_per_ns / 2.0
+        return truth | {"gate_middle_t_ns": str(int(truth["t_ns"]) - round(half_gate_ns))}
 
     def _wait(self) -> bool:
         """Wait for what is due next, for the link or for `stop`; return whether the link has something to read."""

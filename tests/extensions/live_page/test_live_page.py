@@ -16,7 +16,7 @@ import pytest
 from brokers import Mosquitto, client_of
 from emulation import emulated
 from page_client import Browser, Frame, browser, served
-from wire_host import opened
+from wire_host import opened, truths
 
 from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.board.config.mqtt import Mqtt
@@ -196,8 +196,8 @@ async def test_a_browser_presses_an_emulated_plate_until_it_disconnects(mosquitt
         await publish(mosquitto, f"{plate}/state/daemon", content, retain=True)
     press = {"plate": "left", "name": "mouse", "position_m": [-0.0005, 0.002], "force_newton": [0.0, 0.0, 1.5]}
     async with AsyncExitStack() as stack:
-        stack.enter_context(emulated(EmulatorOptions("quartz16", pty=board, control=control)))
-        host = stack.enter_context(opened(board, 250_000))
+        stack.enter_context(emulated(EmulatorOptions("quartz16", pty=board, control=control, truth=tmp_path / "truth")))
+        host = stack.enter_context(opened(board, 10_000_000))
         over = threading.Event()
         reading = asyncio.create_task(asyncio.to_thread(host.read_until, over.is_set))
         stack.push_async_callback(asyncio.wait, [reading])
@@ -210,9 +210,12 @@ async def test_a_browser_presses_an_emulated_plate_until_it_disconnects(mosquitt
             assert (await tab.ask({"id": 1, "press": press}))["ok"]
             assert await tab.refusal({"press": press | {"plate": "rep"}}) == "not_pressable"
             assert await tab.refusal({"press": press | {"position_m": [1.0, 0.0]}}) == "outside_plate"
-            ((contact,),) = ((await watching.key("truth", lambda it: it["contacts"]))["contacts"],)
+            shown = await watching.key("truth", lambda it: it["contacts"])
+            ((contact,),) = (shown["contacts"],)
             assert (contact["site"], contact["force_newton"]) == (7, [0.0, 0.0, 1.5])
         await watching.key("truth", lambda it: not it["contacts"])  # the other has disconnected
+        middles = [int(line["t_ns"]) - 5_000_000 for line in truths(tmp_path / "truth")]  # a gate lasts 10 ms
+        assert min(abs(middle - int(shown["t_ns"])) for middle in middles) < 3_000_000
 
 
 async def test_who_may_open_the_page(mosquitto: Mosquitto) -> None:
