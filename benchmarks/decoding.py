@@ -181,8 +181,8 @@ def print_contact_errors(draws: int) -> None:
 # What is stated while the model is wrong.
 
 
-class Off(NamedTuple):
-    """A skin that is not as stated: factors, and errors of the sites' places (n, 2) and of the signals (3, n)."""
+class ModelError(NamedTuple):
+    """A skin that is not as stated: factors, and errors of the sites' places and of the signals."""
 
     depth: float = 1.0
     modulus: float = 1.0
@@ -212,20 +212,20 @@ class Off(NamedTuple):
 
 REST, PRESSED = 40, 30  # frames
 MODEL_ERRORS = {
-    "none": Off(),
-    "depth +5 %": Off(depth=1.05),
-    "depth -5 %": Off(depth=0.95),
-    "modulus +5 %": Off(modulus=1.05),
-    "modulus -5 %": Off(modulus=0.95),
-    "Poisson's ratio .45": Off(poisson=0.45),
-    "all gains +5 %": Off(gain=1.05),
-    "sites off by .1 mm": Off(positions_m=1e-4),
-    "common mode .3": Off(common=0.3),
-    "common mode 1": Off(common=1.0),
-    "common walk .05 a frame": Off(walk=0.05),
-    "a dead site": Off(site=0.0),
-    "a site +20 %": Off(site=1.2),
-    "a second contact": Off(second=0.3),
+    "none": ModelError(),
+    "depth +5 %": ModelError(depth=1.05),
+    "depth -5 %": ModelError(depth=0.95),
+    "modulus +5 %": ModelError(modulus=1.05),
+    "modulus -5 %": ModelError(modulus=0.95),
+    "Poisson's ratio .45": ModelError(poisson=0.45),
+    "all gains +5 %": ModelError(gain=1.05),
+    "sites off by .1 mm": ModelError(positions_m=1e-4),
+    "common mode .3": ModelError(common=0.3),
+    "common mode 1": ModelError(common=1.0),
+    "common walk .05 a frame": ModelError(walk=0.05),
+    "a dead site": ModelError(site=0.0),
+    "a site +20 %": ModelError(site=1.2),
+    "a second contact": ModelError(second=0.3),
 }
 
 
@@ -250,15 +250,18 @@ def print_model_errors(draws: int) -> None:
                 if frame < REST + 10 or not reading.contacts:
                     continue
                 contact = max(reading.contacts, key=lambda each: each.patch.force_newton[2])
-                patch, slip, other = contact.patch, contact.slip, contact.systematic
-                told = slip is not None and slip.slip_margin is not None
+                patch, slip, systematic = contact.patch, contact.slip, contact.systematic
+                has_margin = slip is not None and slip.slip_margin is not None
                 error = [*(patch.centroid_m - load.centre_m), *(patch.force_newton - load.force_newton)]
-                error.append(slip.slip_margin - margin if told else np.nan)
-                std = [*patch.centroid_std_m, *patch.force_std_newton, slip.slip_margin_std if told else np.nan]
-                systematic = [*other.position_m, *other.force_newton, other.slip_margin]
-                scores.append(np.abs(np.array(error) / np.hypot(std, systematic)))
+                error.append(slip.slip_margin - margin if has_margin else np.nan)
+                std = [*patch.centroid_std_m, *patch.force_std_newton, slip.slip_margin_std if has_margin else np.nan]
+                shared = [*systematic.position_m, *systematic.force_newton, systematic.slip_margin]
+                scores.append(np.abs(np.array(error) / np.hypot(std, shared)))
                 contradicted.append(contact.status == "contradicted")
             suspects += bool(decoder.suspects)
+        if not scores:
+            print(f"{name:26} no contact was fitted", flush=True)
+            continue
         within = np.sum(np.nan_to_num(scores, nan=9.0) < 2.0, axis=0) / np.isfinite(scores).sum(axis=0)
         shares = f"{within[:2].mean():7.0%} {within[2:5].mean():7.0%} {within[5]:7.0%}"
         print(f"{name:26}{shares}; {np.mean(contradicted):7.0%} {suspects:5} of {draws}", flush=True)

@@ -122,7 +122,7 @@ class Emulator:
         faults = scenario.faults.with_more(options.faults)
         if options.pty is None and any(event.what == "rename" for event in faults.events):
             raise ValueError("faults: rename: only a pseudo-terminal has a name to change; give pty, or leave it out")
-        scenario.physics = _skewed(world.scaled(scenario.physics), faults.skew_ppm)
+        scenario.physics = _skewed(world.with_oscillator_noise(scenario.physics), faults.skew_ppm)
         self.plate_name = plate.name
         seed = scenario.seed if options.seed is None else options.seed
         self._board = emulated_board(

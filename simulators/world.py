@@ -10,45 +10,6 @@ from pydantic import ValidationError
 from resonator_daemon.base.plate import Plate
 from simulators.physics import Physics
 
-Change = Callable[[dict[str, Any], float], None]
-
-
-def _scale_skin(key: str) -> Change:
-    def change(table: dict[str, Any], factor: float) -> None:
-        table["skin"][key] *= factor
-
-    return change
-
-
-def _set_poisson_ratio(table: dict[str, Any], value: float) -> None:
-    table["skin"]["poisson_ratio"] = value
-
-
-def _scale_sensitivities(table: dict[str, Any], factor: float) -> None:
-    for tone in _tones(table):
-        tone["sensitivity"] = [factor * value for value in tone["sensitivity"]]
-
-
-def _shift_frequencies(table: dict[str, Any], share: float) -> None:
-    for tone in _tones(table):
-        tone["f0_hz"] = [(1.0 + share) * value for value in tone["f0_hz"]]
-
-
-def _tones(table: dict[str, Any]) -> list[dict[str, Any]]:
-    if "grid" in table:
-        return [table["grid"]]  # whose frequencies are the board's
-    return [tone for site in table["sites"] for tone in site["tones"]]
-
-
-_CHANGES: Final[dict[str, tuple[bool | None, Change]]] = {  # by key: whether of skins or force sites alone
-    "depth": (True, _scale_skin("depth_mm")),
-    "modulus": (True, _scale_skin("youngs_modulus_pascal")),
-    "poisson": (True, _set_poisson_ratio),
-    "gain": (None, _scale_sensitivities),
-    "k": (None, _scale_sensitivities),
-    "f0": (False, _shift_frequencies),
-}
-
 
 @dataclass
 class World:
@@ -60,7 +21,7 @@ class World:
     positions_mm
         Standard deviation of each coordinate of a skin's sites.
     common_walk
-        Random walk of all frequencies of a skin, relative, by the square root of a second.
+        Random walk that all frequencies of a skin share: relative standard deviation after 1 s.
     oscillator
         Factor of the noise of the oscillators of force sites.
     dead
@@ -73,56 +34,98 @@ class World:
     oscillator: float = 1.0
     dead: list[tuple[int, int]] = field(default_factory=list)
 
-    def scaled(self, physics: Physics) -> Physics:
+    def with_oscillator_noise(self, physics: Physics) -> Physics:
         """Return imperfections of a plate with the oscillators' noise of this world."""
         noise = ("white_fm", "flicker_fm", "random_walk_fm")
         return physics.model_copy(update={key: self.oscillator * getattr(physics, key) for key in noise})
 
 
-_OTHERS: Final = {"positions_mm": True, "common_walk": True, "oscillator": False}  # by key: of skins or force sites
+Change = Callable[[World, dict[str, Any], str], None]
+"""Applies the text of a key to a world, or to the table of its plate; ValueError if it cannot be used."""
+
+
+def _scale_skin(key: str) -> Change:
+    def change(_: World, table: dict[str, Any], text: str) -> None:
+        table["skin"][key] *= float(text)
+
+    return change
+
+
+def _set_poisson_ratio(_: World, table: dict[str, Any], text: str) -> None:
+    table["skin"]["poisson_ratio"] = float(text)
+
+
+def _scale_sensitivities(_: World, table: dict[str, Any], text: str) -> None:
+    for tone in _tones(table):
+        tone["sensitivity"] = [float(text) * value for value in tone["sensitivity"]]
+
+
+def _shift_frequencies(_: World, table: dict[str, Any], text: str) -> None:
+    for tone in _tones(table):
+        tone["f0_hz"] = [(1.0 + float(text)) * value for value in tone["f0_hz"]]
+
+
+def _tones(table: dict[str, Any]) -> list[dict[str, Any]]:
+    if "grid" in table:
+        return [table["grid"]]  # whose frequencies are the board's
+    return [tone for site in table["sites"] for tone in site["tones"]]
+
+
+def _set(key: str) -> Change:
+    def change(world: World, _: dict[str, Any], text: str) -> None:
+        if not 0.0 <= float(text) < math.inf:
+            raise ValueError(text)
+        setattr(world, key, float(text))
+
+    return change
+
+
+def _add_dead(world: World, _table: dict[str, Any], text: str) -> None:
+    signals, sites = world.plate.signals, [str(site) for site in world.plate.site_ids]
+    for name in text.split("+"):
+        signal, _, site = name.partition("@")
+        world.dead.append((signals.index(signal), sites.index(site)))
+
+
+_SKIN, _SITES = "skins", "force sites"
+_CHANGES: Final[dict[str, tuple[str | None, str, Change]]] = {  # by key: of which plates, an example, what it does
+    "depth": (_SKIN, "1.05", _scale_skin("depth_mm")),
+    "modulus": (_SKIN, "1.05", _scale_skin("youngs_modulus_pascal")),
+    "poisson": (_SKIN, "0.45", _set_poisson_ratio),
+    "gain": (None, "1.05", _scale_sensitivities),
+    "k": (None, "1.05", _scale_sensitivities),
+    "f0": (_SITES, "2e-6", _shift_frequencies),
+    "positions_mm": (_SKIN, "0.1", _set("positions_mm")),
+    "common_walk": (_SKIN, "1e-8", _set("common_walk")),
+    "oscillator": (_SITES, "3", _set("oscillator")),
+    "dead": (_SKIN, "p_n@417", _add_dead),
+}
 
 
 def with_world(plate: Plate, spec: str) -> World:
     """Return a plate as it is in an emulator's world, such as `depth=1.05,dead=p_n@417`; ValueError for a mistake."""
-    table = plate.model_dump(mode="json", exclude_unset=True)
-    if plate.calibration.expiry is not None:
-        table["calibration"]["expiry"] = plate.calibration.expiry  # no text
     world = World(plate)
+    if not spec:
+        return world
+    table = plate.model_dump(mode="json", exclude_unset=True)
+    for key in ("date", "expiry"):
+        if (day := getattr(plate.calibration, key)) is not None:
+            table["calibration"][key] = day  # no text
+    kind = _SITES if plate.skin is None else _SKIN
     for entry in filter(None, spec.split(",")):
         key, _, text = entry.partition("=")
-        of_skin = True if key == "dead" else _OTHERS[key] if key in _OTHERS else _CHANGES.get(key, (None,))[0]
-        if key not in ("dead", *_OTHERS, *_CHANGES):
-            raise ValueError(f"--world: {key!r} is unknown; must be one of: {', '.join((*_CHANGES, *_OTHERS, 'dead'))}")
-        if of_skin not in (None, plate.skin is not None):
-            raise ValueError(f"--world: {key} is of {'a skin' if of_skin else 'force sites'}; {plate.name} has none")
-        if key == "dead":
-            world.dead += [_signal_of_site(plate, name) for name in text.split("+")]
-            continue
+        if key not in _CHANGES:
+            raise ValueError(f"--world: {key!r} is unknown; must be one of: {', '.join(_CHANGES)}")
+        of_plates, example, change = _CHANGES[key]
+        if of_plates not in (None, kind):
+            raise ValueError(f"--world: {key} applies to {of_plates}; {plate.name} has {kind}")
         try:
-            value = float(text)
+            change(world, table, text)
         except ValueError:
-            raise ValueError(f"--world: {entry!r} has no number, as {key}=1.05") from None
-        if key in _CHANGES:
-            _CHANGES[key][1](table, value)
-        elif not 0.0 <= value < math.inf:
-            raise ValueError(f"--world: {entry!r} must be 0 or above, and finite")
-        else:
-            setattr(world, key, value)
+            raise ValueError(f"--world: {entry!r} cannot be used; write it as {key}={example}") from None
     try:
         world.plate = Plate.model_validate(table)
     except ValidationError as error:
         first = error.errors()[0]
         raise ValueError(f"--world: {spec!r} makes no plate: {first['loc'][-1]}: {first['msg']}") from None
     return world
-
-
-def _signal_of_site(plate: Plate, name: str) -> tuple[int, int]:
-    """Return the indices of a signal and a site, such as `p_n@417`."""
-    signal, _, site = name.partition("@")
-    sites = [str(number) for number in plate.site_ids]
-    if signal not in plate.signals or site not in sites:
-        raise ValueError(
-            f"--world: dead={name!r} is no signal of a site, as {plate.signals[0]}@{sites[0]}; signals of "
-            f"{plate.name} are {', '.join(plate.signals)}, sites {sites[0]} to {sites[-1]}"
-        )
-    return plate.signals.index(signal), sites.index(site)

@@ -42,8 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--world",
         default="",
         metavar="SPEC",
-        help="by what the plate differs from its file, as depth=1.05,modulus=0.95,dead=p_n@417, or f0=2e-6; the truth "
-        "stays the truth; docs/reference/emulator.md lists all",
+        help="how the emulated plate differs from its file, such as depth=1.05,dead=p_n@417; keys are in "
+        "docs/reference/emulator.md",
     )
     parser.add_argument(
         "--counter",

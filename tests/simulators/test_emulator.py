@@ -177,11 +177,11 @@ def test_a_reader_that_pauses_gets_all_lines_and_one_that_sleeps_only_whole_ones
 
 def test_a_world_changes_the_plate_and_not_its_name() -> None:
     skin = with_world(load_plate("skin32"), "depth=1.05,modulus=0.95,poisson=0.45,gain=1.05").plate
-    until = load_plate("comb16").calibration.model_copy(update={"expiry": date(2030, 1, 1)})
+    until = load_plate("comb16").calibration.model_copy(update={"expiry": date(2030, 1, 1), "date": date(2026, 1, 1)})
     comb = with_world(load_plate("comb16").model_copy(update={"calibration": until}), "k=2,oscillator=3")
     assert (skin.required_skin.depth_mm, skin.tones.sensitivity[0, 0]) == pytest.approx((1.05, -2.1e-11))
     assert comb.plate.tones.sensitivity == pytest.approx(2.0 * load_plate("comb16").tones.sensitivity)
-    assert comb.scaled(Physics()).white_fm == pytest.approx(9e-10)
+    assert comb.with_oscillator_noise(Physics()).white_fm == pytest.approx(9e-10)
     for plate, spec in (("quartz16", "f0=2e-6,depth=1.05"), ("skin32", "dead=p_n@1025"), ("skin32", "common_walk=x")):
         with pytest.raises(ValueError, match=r"depth|p_n@1025|common_walk"):
             with_world(load_plate(plate), spec)

@@ -226,7 +226,7 @@ class SkinContacts:
         for missing in self._tracks.keys() - found.keys():
             self._tracks[missing].frames = 0
         real = {i: patch for i, patch in found.items() if self._is_real(i, patch)}
-        left = None if self._tracks else self._left_at_rest(signals)
+        left = None if self._tracks else self._mean_at_rest(signals)
         noise_std = self._noise_of(signals)
         slips, slip_events = self._watch.update(signals, noise_std, _starts(real))
         self._follow_offset(signals, slips.values(), left)
@@ -236,7 +236,7 @@ class SkinContacts:
         events += [SkinEvent(event.event, contacts[event.contact]) for event in slip_events]
         return tuple(contacts.values()), tuple(events)
 
-    def _left_at_rest(self, signals: Floats) -> Floats | None:
+    def _mean_at_rest(self, signals: Floats) -> Floats | None:
         """Return the mean of each kind of signal in units of its noise, (3,); None if one is not known."""
         scores = signals / self._noise_std
         if not np.abs(signals).max() <= SIGNAL_LIMIT:
@@ -250,7 +250,7 @@ class SkinContacts:
     def _follow_offset(self, signals: Floats, fits: Collection[PartialSlip], left: Floats | None) -> None:
         """Update `offset` from signals that it was subtracted from, by what is `left` in them at rest or after a fit.
 
-        A fit that contradicts its model keeps it.
+        If a fit contradicts its model, `offset` does not change.
         """
         found, large = self._watch.offset, np.abs(self.offset) > _OFFSET_LARGE
         if large.any():

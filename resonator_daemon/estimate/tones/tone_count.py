@@ -40,7 +40,7 @@ HARMONICS_MAX: Final = 512  # enough for jitter above a thousandth of a tick
 HARMONICS_REACH: Final = 0.6  # harmonics beyond reach / s make less than a tenth of the limit with up to 1e7 stamps
 FEW_HARMONICS: Final = 8  # up to so many are added up one by one sooner than as arrays
 RESIDUAL_LIMIT: Final = 8.0  # times what noise and pilot explain: beyond all of 22 000 windows of single touches
-STILL_BEAT: Final = 1e-6  # of a half turn over the window: a beat so slow changes no frequency
+STILL_BEAT: Final = 1e-6  # radians, half of what the beat turns in a window: one so slow changes no frequency
 
 _HARMONICS: Final[Floats] = np.arange(1.0, 1.0 + HARMONICS_MAX)
 _LINES_TICKS2: Final[Floats] = 0.5 / (np.pi * _HARMONICS) ** 2  # powers without jitter
@@ -81,6 +81,8 @@ def count_tone(
         Of the window.
     residual_ticks2
         Mean square that the lines of its gates leave at their ends.
+    pilot_hz
+        As last measured: a beat that turns by half a radian more has another effect.
     over_pilot_db
         By how much more the tone was attenuated, or less, than the pilot when that was counted last: so strong may the
         pilot still be next to it. NaN where it never was.
@@ -198,7 +200,7 @@ def beat_bound_hz(
 def pilot_beat_std_hz(
     ratio: float, frequency_hz: float, pilot_hz: float, stamp_rate_hz: float, window_s: float
 ) -> float:
-    """Return the standard deviation of a regression over a window by the pilot, over all phases of the beat.
+    """Return the standard deviation that the beat with the pilot adds to a window's frequency, over all its phases.
 
     It is 3 r |cos x - sin(x)/x| / (sqrt(2) pi^2 D T^2) with x = pi D T, for the distance D that the stamps see.
     """

@@ -31,10 +31,11 @@ _PLACE: Final = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _FILES_PER_CHUNK: Final = 1000
 _LIMITS: Final = {"chunks_size": _FILES_PER_CHUNK, "data_files_size_in_mb": 100, "video_files_size_in_mb": 200}
 _STATISTICS: Final = ("min", "max", "mean", "std")  # and the count of known values: rows of arrays (5, ...)
+_KNOWN: Final = "known"  # column of an episode: how many values of each element are
 _TASK: Final = {"name": "task", "field_name": "task", "pandas_type": "unicode", "numpy_type": "object"}
 _FOR_PANDAS: Final = json.dumps({"index_columns": ["task"], "column_indexes": [], "columns": [_TASK]})
 _BATCH_BYTES: Final = 1 << 20  # of numbers; Python holds them in ten times as much
-_GAP_MAX_NS: Final = 60_000_000_000
+_GAP_MAX_S: Final = 60.0
 
 
 class Dataset:
@@ -65,7 +66,7 @@ class Dataset:
     """
 
     def __init__(self, path: Path, description: dict[str, Any]) -> None:
-        self._path = path
+        self._path, self._is_new = path, not path.exists()
         path.mkdir(exist_ok=True)
         self._lock = os.open(path, os.O_RDONLY)
         try:
@@ -83,6 +84,9 @@ class Dataset:
         self._statistics: dict[str, Floats] = {}
         for file in sorted(path.glob(f"{_EPISODES}/*/*.parquet")):
             self._count(pq.read_table(file).to_pylist())
+        if self.episodes < self.info.get("total_episodes", 0):
+            os.close(self._lock)
+            raise NoNewFileError(f"{path}: files of {_EPISODES} are missing; restore them, or name another directory")
 
     @property
     def place(self) -> dict[str, int]:
@@ -113,10 +117,10 @@ class Dataset:
         replace_file(self._path / INFO_FILE, json.dumps(info, indent=2).encode())
 
     def release(self) -> None:
-        """Let others write to the directory; remove it if it has no episodes."""
-        os.close(self._lock)
-        if not self.episodes:
+        """Release the lock; remove a directory that was made for nothing."""
+        if self._is_new and not self.episodes:
             shutil.rmtree(self._path)
+        os.close(self._lock)
 
     def _count(self, episodes: list[dict[str, Any]]) -> None:
         """Count the episodes of one file."""
@@ -127,9 +131,8 @@ class Dataset:
             self.tasks.setdefault(row["tasks"][0], len(self.tasks))
             self.sources.add((row["source_sha256"], row["span"]))
             for key in self.info["features"]:
-                parts = np.array([row[f"stats/{key}/{name}"] for name in _STATISTICS], float)
-                count = row[f"stats/{key}/count"][0] * ~np.isnan(parts[:1])
-                _merge(self._statistics, key, np.concatenate([parts, count]))
+                names = [*(f"stats/{key}/{name}" for name in _STATISTICS), f"{_KNOWN}/{key}"]
+                _merge(self._statistics, key, np.array([row[name] for name in names], float))
 
     def _write_table(self, name: str, table: Any) -> None:
         content = io.BytesIO()
@@ -152,32 +155,34 @@ class RecordingWriter:
         self._shapes = {key: one["shape"] for key, one in dataset.info["features"].items() if key not in SINGLES}
         self._batch_rows = max(1, _BATCH_BYTES // (4 * sum(map(math.prod, self._shapes.values()))))
         self._file: NewFile | None = None
+        self._parquet: Any = None
         self._tasks = dict(dataset.tasks)
         self._episodes: list[dict[str, Any]] = []
         self._waiting: list[tuple[int, Values]] = []
         self._fps: float = dataset.info["fps"]
         self._task: str | None = None
-        self._last_ns: int | None = None
+        self._last_s: float | None = None
         self._statistics: dict[str, Floats] = {}
         self._begin = self._end = dataset.frames  # of the episode, as written
         self._episode = dataset.episodes
 
-    def add(self, t_ns: int, values: Values) -> None:
+    def add(self, t_ns: int, board_s: float, values: Values) -> None:
         """Add a frame to the episode, if there is one, and masked frames for those that are missing before it.
 
-        What has no value is unknown. After a gap of more than 60 s, the frame begins another episode.
+        What has no value is unknown. After a gap of more than 60 s by the board's time, or a restart of the board, the
+        frame begins another episode.
         """
         if self._task is None:
             return
-        gap_ns = t_ns - (self._last_ns or t_ns)
-        if gap_ns > _GAP_MAX_NS:
+        gap_s = 0.0 if self._last_s is None else board_s - self._last_s
+        if not 0.0 <= gap_s <= _GAP_MAX_S:
             self.begin_episode(self._task)
-            gap_ns = 0
-        for missing in range(max(0, round(gap_ns * 1e-9 * self._fps) - 1), -1, -1):
+            gap_s = 0.0
+        for missing in range(max(0, round(gap_s * self._fps) - 1), -1, -1):
             self._waiting.append((t_ns - round(missing * 1e9 / self._fps), {} if missing else values))
             if len(self._waiting) >= self._batch_rows:
                 self._flush()
-        self._last_ns = t_ns
+        self._last_s = board_s
 
     def begin_episode(self, task: str | None) -> None:
         """End the present episode, which exists if it has frames, and begin another one; None: none."""
@@ -189,8 +194,9 @@ class RecordingWriter:
                 row |= {f"{folder}/{key}": at for key, at in self._dataset.place.items()}
             for key, statistics in self._statistics.items():
                 row |= {f"stats/{key}/{name}": part for name, part in _stored(statistics).items()}
+                row[f"{_KNOWN}/{key}"] = statistics[-1].tolist()
             self._episodes.append(row | {key: self._source[key] for key in ("source", "source_sha256", "span")})
-        self._task, self._last_ns, self._statistics, self._begin = task, None, {}, self._end
+        self._task, self._last_s, self._statistics, self._begin = task, None, {}, self._end
         self._episode = self._dataset.episodes + len(self._episodes)
 
     def finish(self) -> dict[str, int]:
@@ -206,7 +212,7 @@ class RecordingWriter:
     def discard(self) -> None:
         """Remove what was written of a recording that is not part of the dataset."""
         if self._file is not None:
-            with suppress(OSError):  # it would try when it is collected, and have no file
+            with suppress(OSError, AttributeError):  # it would try when it is collected, and have no file
                 self._parquet.close()
             self._file.discard()
 

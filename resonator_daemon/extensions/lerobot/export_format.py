@@ -7,7 +7,15 @@ from resonator_daemon.base.errors import UsageError
 from resonator_daemon.base.host.files import NoNewFileError
 from resonator_daemon.board.config import Config
 from resonator_daemon.extensions.lerobot.dataset import INFO_FILE, Dataset, RecordingWriter
-from resonator_daemon.extensions.lerobot.features import OURS, Values, describe, frames_a_second, values_of
+from resonator_daemon.extensions.lerobot.features import (
+    COMPARED,
+    PROVENANCE_KEY,
+    SINGLES,
+    Values,
+    describe,
+    frames_a_second,
+    values_of,
+)
 from resonator_daemon.mqtt.codec import decoded
 from resonator_daemon.mqtt.payloads import Forces, Info, Measured, Message, Signals
 from resonator_daemon.mqtt.topics import CONTACTS, DECODED, FORCES, INFO, SIGNALS, Topic
@@ -36,11 +44,14 @@ class Format(Output):
     def check(cls, path: Path, topics: tuple[str, ...]) -> None:
         if not path.is_dir():
             super().check(path, topics)
-        elif any(path.iterdir()) and not ((info := path / INFO_FILE).is_file() and OURS in info.read_text()):
+        elif any(path.iterdir()) and not ((info := path / INFO_FILE).is_file() and PROVENANCE_KEY in info.read_text()):
             raise NoNewFileError(f"{path} has files and is no dataset of resonatord; {_ANOTHER}")
 
     def begin(self) -> None:
-        self._dataset = Dataset(self._path, describe(self._recorded.config, self._topics))
+        stated = describe(self._recorded.config, self._topics)
+        if len(stated["features"]) == len(SINGLES):
+            raise UsageError(f"--topics: plate {self._recorded.plate.name} has none of {', '.join(self._topics)}")
+        self._dataset = Dataset(self._path, stated)
         self._dataset.publish()
 
     def start(self, path: Path, span: str, config: Config) -> bool:
@@ -71,9 +82,10 @@ class Format(Output):
         match message:
             case Info():
                 self._check({"fps": frames_a_second(message.step_s)})
-            case Forces() | Signals():
+            case Forces() | Signals() if message.board_ticks is not None:
                 self._end_reading()
                 self._t_ns, self._values = message.t_ns, {}
+                self._board_s = message.board_ticks / self._recorded.plate.counter.reference_hz
         if self._values is not None and isinstance(message, Measured) and message.t_ns == self._t_ns:
             self._values |= values_of(message, self._recorded.plate)
 
@@ -98,11 +110,14 @@ class Format(Output):
     def _check(self, stated: dict[str, Any]) -> None:
         """Check that the recording belongs into the dataset: same plate, calibration, rate and features."""
         for key, value in stated.items():
-            if value != (there := self._dataset.info[key]):
-                words = f"is {value}, not {there} as" if key in ("robot_type", "fps") else "not the same as"
-                raise UsageError(f"{self._recording}: {key} {words} in {self._path}; {_ANOTHER}")
+            there = self._dataset.info[key]
+            if key == PROVENANCE_KEY:
+                value, there = ({name: one[name] for name in COMPARED} for one in (value, there))
+            if value != there:
+                words = f"{value}, the dataset has {there}" if key != "features" else "other ones than those"
+                raise UsageError(f"{self._recording}: {key}: {words} in {self._path}; {_ANOTHER}")
 
     def _end_reading(self) -> None:
         if self._values is not None and self._writer is not None:
-            self._writer.add(self._t_ns, self._values)
+            self._writer.add(self._t_ns, self._board_s, self._values)
         self._values = None

@@ -14,7 +14,8 @@ from resonator_daemon.mqtt.topics import CONTACTS, DECODED, FORCES, SIGNALS
 Values = dict[str, Any]  # by key; what can be assigned to an array of the feature's shape
 
 PREFIX: Final = "observation.tactile."
-OURS: Final = "resonatord"  # key of info.json
+PROVENANCE_KEY: Final = "resonatord"  # of info.json
+COMPARED: Final = ("plate_sha256", "wire_sha256", "calibration_id")  # of what it states
 _INDICES: Final = ("frame_index", "episode_index", "index", "task_index")
 _TIMES: Final = {"t_ns": "int64", "timestamp": "float32"}
 SINGLES: Final = {f"{PREFIX}valid": "bool", **_TIMES, **dict.fromkeys(_INDICES, "int64")}
@@ -44,7 +45,7 @@ def describe(config: Config, topics: tuple[str, ...]) -> dict[str, Any]:
     }
     features |= {key: {"dtype": kind, "shape": [1], "names": None} for key, kind in SINGLES.items()}
     ours = plate_fingerprints(plate) | {"calibration_id": plate.calibration.id, "units": UNITS}
-    return {"robot_type": plate.name, "fps": frames_a_second(sensor.step_s), "features": features, OURS: ours}
+    return {"robot_type": plate.name, "fps": frames_a_second(sensor.step_s), "features": features, PROVENANCE_KEY: ours}
 
 
 def frames_a_second(step_s: float) -> float:

@@ -43,7 +43,7 @@ from resonator_daemon.mqtt.topics import CONTACT_EVENT, DECODED, INFO, STATE_DAE
 COMMANDS: Final = ("tare", "mark", "start_recording", "stop_recording")
 
 _REPORT_S: Final = 1.0
-_MAP_S: Final = 0.05  # between maps of a plate, but for the first after an event
+_MAP_S: Final = 0.05  # between maps of a plate at least, but for the first after an event
 
 
 @dataclass(frozen=True)
@@ -162,10 +162,10 @@ class Hub:
             self._next_map_s.pop(plate, None)
         if not TOPICS[path].qos:
             if path == DECODED.path:
-                now_s = time.monotonic()
-                if now_s < self._next_map_s.get(plate, 0.0):
+                now_s, next_s = time.monotonic(), self._next_map_s.get(plate, 0.0)
+                if now_s < next_s:
                     return
-                self._next_map_s[plate] = now_s + _MAP_S
+                self._next_map_s[plate] = max(next_s, now_s - _MAP_S) + _MAP_S
             stream = f"{LIVE}/{plate}/{path}"
             for browser in self._browsers:
                 if browser.watches(LIVE, plate, path):

@@ -302,6 +302,7 @@ class SingleToneProcessing(ForceProcessing):
         counts = [NO_TONE] * len(pilot)
         attenuation_db = window.attenuation_db
         residual_ticks2 = window.residual_ticks2
+        pilot_hz = [self._pilot_hz * (1.0 + (g if g == g else 0.0)) for g in self._common_mode.value]
         for channel, (sums, g) in enumerate(zip(window.sums, pilot, strict=True)):
             if sums is not None and math.isnan(g):
                 counts[channel] = count_tone(
@@ -309,7 +310,7 @@ class SingleToneProcessing(ForceProcessing):
                     measured_hz[channel],
                     residual_ticks2[channel],
                     reference_hz=self._reference_hz,
-                    pilot_hz=self._pilot_hz,
+                    pilot_hz=pilot_hz[channel],
                     over_pilot_db=attenuation_db[channel] - self._pilot_attenuation_db[channel],
                     distance_hz=self._distance_hz[channel],
                     window_s=window.frames * self._gate_s,

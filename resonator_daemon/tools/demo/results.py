@@ -77,7 +77,7 @@ def delays(plate: Mapping[str, Any]) -> list[str]:
     frames = plate["frames"]
     if skipped := plate.get("frames_not_decoded"):
         clauses.append(f"{skipped} of {frames} frames not decoded ({100 * skipped / frames:.1f} %)")
-    elif missed := plate["messages_missed"]:
+    if (missed := plate["messages_missed"] - (skipped or 0)) > 0:
         clauses.append(f"{missed} results skipped or not received")
     if late := plate["contacts_late"]:
         most_ms = plate["latest_contact_ms"]
@@ -85,7 +85,7 @@ def delays(plate: Mapping[str, Any]) -> list[str]:
             f"{late} of {plate['contacts_true']} touches more than {_LATE_MS:g} ms late (up to {most_ms:.0f} ms)"
         )
     if plate["latency_ms"] and plate["latency_ms"]["p99"] > _LATE_MS:
-        clauses.append("messages late")
+        clauses.append(f"99 % of messages within {plate['latency_ms']['p99']:.0f} ms")
     return clauses
 
 
@@ -106,7 +106,7 @@ def in_words(result: Mapping[str, Any]) -> str:
     """Return a line of text for each plate, and one for each with touches by hand."""
     lines = []
     for name, plate in result["plates"].items():
-        lost = losses_in_words({cause: count for cause, count in plate["lost"].items() if cause != _SKIPPED})
+        lost = losses_in_words(plate["lost"] | {_SKIPPED: 0, "parts": plate["parts_lost"]})
         at_site = "" if plate["sites_right"] is None else " at the right site"
         clauses = [f"{plate['contacts_found']} of {plate['contacts_true']} touches{at_site}"]
         for what, key, scale, unit in _ERRORS:
@@ -116,7 +116,7 @@ def in_words(result: Mapping[str, Any]) -> str:
             clauses.append(f"latency {latency['p50']} ms (99 %: {latency['p99']} ms)")
         lines.append(f"{name}: {plate['frames']} frames at {plate['frame_rate_hz']}/s, {lost}; {', '.join(clauses)}")
         if by_hand := plate["contacts_by_hand"]:
-            lines.append(f"{name}: {by_hand} touches by hand; they, and touches at the same time, are not scored")
+            lines.append(f"{name}: {by_hand} touches by hand, not scored; nor are others at the same time")
     return "\n".join(lines) + "\n"
 
 

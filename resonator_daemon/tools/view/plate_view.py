@@ -83,7 +83,7 @@ class PlateView:
 
     @property
     def pressed(self) -> Sequence[tuple[int, float]]:
-        """When contacts came in the last `HISTORY_NS`, and the largest normal force in newton, 0 without a contact."""
+        """Arrivals of `contacts` in the last `HISTORY_NS`, and the largest normal force in newton, 0 without one."""
         return self._run.pressed
 
     def add(self, path: str, message: Message, arrived_utc_ns: int) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 from collections import defaultdict
@@ -15,6 +16,8 @@ from export_bench import played, recording
 
 from resonator_daemon.board.config.values import plate_text
 from resonator_daemon.commands import main
+from resonator_daemon.extensions.lerobot.dataset import Dataset, RecordingWriter
+from resonator_daemon.extensions.lerobot.features import describe
 from resonator_daemon.tools.replay.recorded_pipeline import RecordingReplay
 
 PYTHON = Path(__file__).parents[3] / "build" / "lerobot" / "bin" / "python"
@@ -122,18 +125,43 @@ def test_mistakes_change_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[s
     broker = 'plate = "plate.toml"\nlink = "tcp://127.0.0.1:1"\n[mqtt]\nurl = "mqtt://127.0.0.1"\n'
     (tmp_path / "faster.toml").write_text(f"{broker}[measurement]\nwindow_ms = 10\nstep_ms = 10\n")
     assert dataset(tmp_path / "set", recording("slide")) == 0
+    shutil.copytree(tmp_path / "set", tmp_path / "cut")
+    shutil.rmtree(tmp_path / "cut/meta/episodes")
     before = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
     for code, text, *words in (
         (78, "is no dataset", "mine", recording("slide")),
         (78, "exists already", "mine/notes.txt", recording("slide")),
-        (2, "robot_type is small-skin, not quartz16", "set", recording("skin")),
+        (2, "robot_type: small-skin, the dataset has quartz16", "set", recording("skin")),
         (2, "features", "set", recording("touches"), "--topics", "forces"),
-        (2, "fps is 100, not 50", "set", recording("touches"), "--config", tmp_path / "faster.toml"),
+        (2, "fps: 100, the dataset has 50", "set", recording("touches"), "--config", tmp_path / "faster.toml"),
+        (2, "has none of decoded", "none", recording("slide"), "--topics", "decoded"),
+        (78, "meta/episodes are missing", "cut", recording("touches")),
         (1, "was refused", "none", recording("refused")),
     ):
         assert dataset(tmp_path / str(words[0]), *words[1:]) == code
         assert text in capsys.readouterr().err
     assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == before
+
+
+def test_gaps_are_by_the_board_s_time_and_a_long_one_or_a_restart_begins_an_episode(tmp_path: Path) -> None:
+    dataset = Dataset(tmp_path / "set", describe(played("slide").config, ("forces",)))
+    writer = RecordingWriter(dataset, dict.fromkeys(("source", "source_sha256", "span"), "x"))
+    step_s = 1.0 / dataset.info["fps"]
+    writer.add(0, 0.0, {})  # before any episode
+    writer.begin_episode("a")
+    for t_ns, board_s in (
+        (0, 1.0),
+        (-(10**9), 1.0 + step_s),
+        (0, 1.0 + 4.0 * step_s),
+        (0, 82.0),
+        (0, 0.5),
+    ):  # the clock is set back
+        writer.add(t_ns, board_s, {})
+    writer.begin_episode(None)
+    writer.add(0, 0.6, {})
+    assert writer.finish() == {"episodes": 3, "frames": 5 + 1 + 1}
+    dataset.release()
+    assert [row["length"] for row in rows(tmp_path / "set", "meta/episodes")] == [5, 1, 1]
 
 
 @pytest.mark.lerobot

@@ -40,8 +40,8 @@ class RestScatter:
     def add(self, scores: Floats) -> None:
         """Add a frame at rest: signals in units of their noise, (3, n), NaN where they are not known."""
         squares = np.square(scores[np.isfinite(scores)])
-        if squares.size:
-            np.minimum(squares, _CLIP2 * self._mean, out=squares)
+        if squares.any():
+            np.minimum(squares, _CLIP2 * max(self._mean, 1.0 / _SCATTER_MAX), out=squares)
             self._frames = min(self._frames + 1, _REST_FRAMES)
             self._mean += (float(squares.mean()) / _CLIPPED_MEAN - self._mean) / self._frames
 

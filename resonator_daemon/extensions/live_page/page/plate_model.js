@@ -96,7 +96,10 @@ export class PlateModel {
   }
 
   #setState(part, payload) {
-    if (part === "daemon" && this.states.daemon && !(payload.since > 0)) payload.since = Date.now() / 1000; // a last will has no time
+    const before = this.states.daemon;
+    if (part === "daemon" && before && !(payload.since > 0)) {
+      payload.since = before.state === "offline" ? before.since : Date.now() / 1000; // a last will has no time, and may come again
+    }
     this.states[part] = payload;
     if (part === "daemon" && payload.run && payload.run !== this.run) this.#clearRun(payload.run);
     if (part === "daemon" && payload.state === "offline") (this.streams = {}), (this.health = null), this.trails.clear();

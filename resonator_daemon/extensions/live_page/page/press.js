@@ -10,8 +10,7 @@ const STIFFNESS_PER_SIZE = 3; // N: dragging by the plate's width shears by this
 const BEYOND = 1.02; // of friction, so that the emulator reports a slide
 const KEY_STEP = 1 / 40; // of the plate's width
 const IN_FLIGHT = 2;
-// What a plate of force sites can and cannot find out about a press beside them.
-const BETWEEN = ": between the sites. The plate measures on its sites only: it reports what loads a site, at that site's place, and nothing of the rest.";
+const BETWEEN = ": between sites. Each site measures only its share of the force."; // of plates with one tone a corner
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 export class Presser {
@@ -171,7 +170,8 @@ export class Presser {
     const parts = [`You press ${fixed(z, 2)} N`];
     if (this.plate.info.skin && shear > 0.005) parts.push(`drag ${fixed(shear, 2)} N`);
     parts.push(`at ${fixed(1e3 * touch.position[0], 1)}, ${fixed(1e3 * touch.position[1], 1)} mm`);
-    const isBetween = !this.plate.info.skin && siteAt(this.plate.info, touch.position) === null;
+    const { codes, target } = this.plate.info;
+    const isBetween = codes.length && target > 0 && siteAt(this.plate.info, touch.position) === null;
     setText(this.output, parts.join(", ") + (isBetween ? BETWEEN : touch.slides ? ": it slips" : ""));
   }
 }

@@ -114,7 +114,7 @@ export class CommandPanel {
       if (button.disabled === can(verb)) button.disabled = !can(verb);
       button.title = can(verb) ? "" : "[commands] allow of the daemon does not list it";
     }
-    this.root.hidden = !this.root.querySelector("button:enabled");
+    this.root.hidden = !permitted.length;
   }
 
   async #send(verb, args) {

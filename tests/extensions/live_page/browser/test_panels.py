@@ -185,7 +185,8 @@ async def test_situations_differ(fake: FakeLivePage, open_page: Open, states: di
 @pytest.mark.parametrize(("skin", "selector"), [(False, PLATE), (True, SURFACE)])
 async def test_mouse_presses_and_releases(fake: FakeLivePage, open_page: Open, skin: bool, selector: str) -> None:
     fake.hello["press"] = ["p"]
-    await fake.send("info", info(skin=skin))
+    codes = [{"site": 1, "f0_hz": [9.9e6] * 4, "full_load_hz": [9.91e6] * 4}]  # those of one tone for each corner
+    await fake.send("info", info(skin=skin) | {"codes": [] if skin else codes})
     page = await open_page()
     await expect(page.locator(".press-panel")).to_be_visible()
     x, y = await place(page, selector, 0.002, -0.001)
@@ -199,7 +200,7 @@ async def test_mouse_presses_and_releases(fake: FakeLivePage, open_page: Open, s
     if skin:
         await fake.send("decoded", decoded(np.full((3, 32, 32), 4e4)))
     else:
-        await expect(page.locator(".press-output")).to_contain_text("between the sites")
+        await expect(page.locator(".press-output")).to_contain_text("between sites")
         touched = {"site": 1, "force_newton": 9.0, "noise_newton": 0.1, "systematic_newton": 0, "status": "ok"}
         places = [{"site": 1, "position_m": [0.002, -0.001]}]
         await fake.send("info", info(outline_m=[[-0.01, -0.01], [0.01, 0.01]]) | {"sites": places})
