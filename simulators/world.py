@@ -112,8 +112,10 @@ def with_world(plate: Plate, spec: str) -> World:
         if (day := getattr(plate.calibration, key)) is not None:
             table["calibration"][key] = day  # no text
     kind = _SITES if plate.skin is None else _SKIN
-    for entry in filter(None, spec.split(",")):
-        key, _, text = entry.partition("=")
+    entries = [entry.partition("=") for entry in spec.split(",") if entry]
+    if len({key for key, *_ in entries}) < len(entries):
+        raise ValueError(f"--world: {spec!r} has a key twice")
+    for key, _, text in entries:
         if key not in _CHANGES:
             raise ValueError(f"--world: {key!r} is unknown; must be one of: {', '.join(_CHANGES)}")
         of_plates, example, change = _CHANGES[key]
@@ -122,10 +124,11 @@ def with_world(plate: Plate, spec: str) -> World:
         try:
             change(world, table, text)
         except ValueError:
-            raise ValueError(f"--world: {entry!r} cannot be used; write it as {key}={example}") from None
+            raise ValueError(f"--world: '{key}={text}' cannot be used; write it as {key}={example}") from None
     try:
         world.plate = Plate.model_validate(table)
     except ValidationError as error:
         first = error.errors()[0]
-        raise ValueError(f"--world: {spec!r} makes no plate: {first['loc'][-1]}: {first['msg']}") from None
+        place = ".".join(map(str, first["loc"]))
+        raise ValueError(f"--world: {spec!r} makes no plate: {place}: {first['msg']}") from None
     return world

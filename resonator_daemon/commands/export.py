@@ -65,6 +65,6 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     if not arguments.json:
         for file, size_bytes in result["files"].items():
             print_note(f"{file}: {size_bytes / 1e3:.0f} kB")
-        counts = ", ".join(f"{count} of {topic}" for topic, count in result["rows"].items())
-        print_note(f"{result['frames']} frames gave {counts or 'nothing'}")
+        counts = ", ".join(f"{topic}: {count}" for topic, count in result["rows"].items())
+        print_note(f"{result['frames']} frames of the board became {counts or 'nothing'}")
     return finish(arguments, result, wrong)

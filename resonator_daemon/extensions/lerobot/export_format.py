@@ -5,6 +5,7 @@ from typing import Any, Final
 
 from resonator_daemon.base.errors import UsageError
 from resonator_daemon.base.host.files import NoNewFileError
+from resonator_daemon.base.host.text import print_note
 from resonator_daemon.board.config import Config
 from resonator_daemon.extensions.lerobot.dataset import INFO_FILE, Dataset, RecordingWriter
 from resonator_daemon.extensions.lerobot.features import (
@@ -60,7 +61,8 @@ class Format(Output):
         self._check(describe(config, self._topics))
         self._source = file_metadata(path, config) | {"span": span.strip()}
         if (self._source["source_sha256"], self._source["span"]) in self._dataset.sources:
-            self.rows["episodes"] += 0
+            print_note(f"{path}: is in the dataset already")
+            self.rows["episodes"] += 0  # something was asked for, and is there
             return False
         self._writer = RecordingWriter(self._dataset, self._source)
         self._writer.begin_episode(path.stem)

@@ -289,8 +289,6 @@ class _Demo:
         }
 
     def _conclude(self, result: dict[str, Any]) -> ExitCode:
-        if not self._options.json:
-            sys.stdout.write(in_words(result))
         plates = result["plates"].items()
         failed = [f"{name}: {clause}" for name, plate in plates for clause in failures(plate)]
         late = [f"{name}: {', '.join(clauses)}" for name, plate in plates if (clauses := delays(plate))]
@@ -302,10 +300,14 @@ class _Demo:
             f"a daemon waited for a core up to {wait_percent:.0f} % of the time",
             overloaded=any(message["reason_code"] for message in health),
         )
+        remarks = [*late, *why] if late or failed else []
+        if not self._options.json:
+            sys.stdout.write(in_words(result) + "".join(f"{line}\n" for line in remarks))
+            sys.stdout.flush()  # before an error
         if failed:
-            raise LossError(*failed, *late, *why, partial_result=result)
-        for line in [*late, *why] if late else ():
-            print_note(line)
+            raise LossError(*failed, *(remarks if self._options.json else ()), partial_result=result)
         if self._options.json:
+            for line in remarks:
+                print_note(line)
             sys.stdout.write(json.dumps(result) + "\n")
         return ExitCode.DONE

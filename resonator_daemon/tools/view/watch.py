@@ -34,12 +34,13 @@ async def watch(broker: Mqtt, plate: str | None, *, as_json: bool) -> None:
     Streams come as often as people can follow, by their decimated topics.
     """
     console, messages = Console(), subscribe(broker, plate=plate or EVERY_PLATE, full_rate=False)
+    waiting = _waiting(broker, plate)
     if as_json:
         showing = asyncio.create_task(_print_messages(messages))
     elif sys.stdout.isatty() and not console.is_dumb_terminal:
-        showing = asyncio.create_task(_show_page(broker, messages, console))
+        showing = asyncio.create_task(_show_page(broker, messages, console, waiting))
     else:
-        showing = asyncio.create_task(_redraw(messages, _print_lines(broker), _LINES_S))
+        showing = asyncio.create_task(_redraw(messages, _print_lines(waiting), _LINES_S))
     try:
         with on_signals(showing.cancel):
             await asyncio.wait([showing])
@@ -70,24 +71,24 @@ async def _print_messages(received: Messages) -> None:
             sys.stdout.flush()
 
 
-async def _show_page(broker: Mqtt, received: Messages, console: Console) -> None:
+async def _show_page(broker: Mqtt, received: Messages, console: Console, waiting: str) -> None:
     first_notice = f"waiting for a broker at {broker.host}:{broker.port}"
     with _last_log_line(first_notice) as notice, Live(console=console, screen=True, auto_refresh=False) as live:
 
         def draw(views: Sequence[PlateView]) -> None:
             title = f"resonatord watch · {notice()}"
-            page = render(views, {}, time.time_ns(), title=title) if views else Text(f"{title}\n{_waiting(broker)}")
+            page = render(views, {}, time.time_ns(), title=title) if views else Text(f"{title}\n{waiting}")
             live.update(page, refresh=True)
 
         await _redraw(received, draw, _PAGE_S)
 
 
-def _print_lines(broker: Mqtt) -> Draw:
+def _print_lines(waiting: str) -> Draw:
     printed = ""
 
     def draw(views: Sequence[PlateView]) -> None:
         nonlocal printed
-        text = "\n".join(summary_line(view, time.time_ns()) for view in views) or _waiting(broker)
+        text = "\n".join(summary_line(view, time.time_ns()) for view in views) or waiting
         if views or text != printed:
             sys.stdout.write(text + "\n")
             sys.stdout.flush()
@@ -115,8 +116,9 @@ async def _listen(received: Messages, views: dict[str, PlateView]) -> None:
             views.setdefault(plate, PlateView(plate)).add(path, message, time.time_ns())
 
 
-def _waiting(broker: Mqtt) -> str:
-    return f"waiting for a plate to publish below {broker.prefix}/# at {broker.host}:{broker.port}"
+def _waiting(broker: Mqtt, plate: str | None) -> str:
+    who, where = plate or "a plate", f"{broker.prefix}/{plate or '#'}"
+    return f"waiting for {who} to publish below {where} at {broker.host}:{broker.port}"
 
 
 @contextmanager
