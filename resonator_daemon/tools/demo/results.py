@@ -73,8 +73,7 @@ def failures(plate: Mapping[str, Any]) -> list[str]:
 
 def delays(plate: Mapping[str, Any]) -> list[str]:
     """Return a clause for each kind of result that was late or skipped, which is no failure."""
-    clauses = []
-    frames = plate["frames"]
+    clauses, frames = list[str](), plate["frames"]
     if skipped := plate.get("frames_not_decoded"):
         clauses.append(f"{skipped} of {frames} frames not decoded ({100 * skipped / frames:.1f} %)")
     if (missed := plate["messages_missed"] - (skipped or 0)) > 0:
