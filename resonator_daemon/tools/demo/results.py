@@ -11,6 +11,7 @@ from resonator_daemon.tools.view.words import losses_in_words
 _LATE_MS: Final = FOUND_WITHIN_NS * 1e-6
 _SKIPPED: Final = "skipped_late"  # results that newer ones replaced: no frame is lost
 _DROPPED: Final = "publish_dropped"  # counts messages; all other causes count frames
+_FEW: Final = 1e-3  # of the frames: so few that are not decoded need no remedy
 _ERRORS: Final = (  # rms, as text
     ("force", "force_error_newton_rms", 1e3, "mN"),
     ("place", "position_error_mm_rms", 1.0, "mm"),
@@ -74,15 +75,13 @@ def failures(plate: Mapping[str, Any]) -> list[str]:
 def delays(plate: Mapping[str, Any]) -> list[str]:
     """Return a clause for each kind of result that was late or skipped, which is no failure."""
     clauses, frames = list[str](), plate["frames"]
-    if skipped := plate.get("frames_not_decoded"):
+    if (skipped := plate.get("frames_not_decoded") or 0) > _FEW * frames:
         clauses.append(f"{skipped} of {frames} frames not decoded ({100 * skipped / frames:.1f} %)")
-    if (missed := plate["messages_missed"] - (skipped or 0)) > 0:
+    if (missed := plate["messages_missed"] - skipped) > 0:
         clauses.append(f"{missed} results skipped or not received")
     if late := plate["contacts_late"]:
-        most_ms = plate["latest_contact_ms"]
-        clauses.append(
-            f"{late} of {plate['contacts_true']} touches more than {_LATE_MS:g} ms late (up to {most_ms:.0f} ms)"
-        )
+        touches, most_ms = plate["contacts_true"], plate["latest_contact_ms"]
+        clauses.append(f"{late} of {touches} touches more than {_LATE_MS:g} ms late (up to {most_ms:.0f} ms)")
     if plate["latency_ms"] and plate["latency_ms"]["p99"] > _LATE_MS:
         clauses.append(f"99 % of messages within {plate['latency_ms']['p99']:.0f} ms")
     return clauses
@@ -105,7 +104,8 @@ def in_words(result: Mapping[str, Any]) -> str:
     """Return a line of text for each plate, and one for each with touches by hand."""
     lines = []
     for name, plate in result["plates"].items():
-        lost = losses_in_words(plate["lost"] | {_SKIPPED: 0, "parts": plate["parts_lost"]})
+        skipped = {_SKIPPED: 0, "not_decoded": plate["frames_not_decoded"] or 0}
+        lost = losses_in_words(plate["lost"] | skipped | {"parts": plate["parts_lost"]})
         at_site = "" if plate["sites_right"] is None else " at the right site"
         clauses = [f"{plate['contacts_found']} of {plate['contacts_true']} touches{at_site}"]
         for what, key, scale, unit in _ERRORS:
