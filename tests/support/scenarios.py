@@ -17,6 +17,6 @@ def touch_text(start_s: float, force_newton: float, hold_s: float, **keys: objec
 
 
 def press_and_shear(start_s: float, hold_s: float) -> str:
-    """Return a touch of a small skin, beside its middle, whose shear grows while it is held."""
+    """Return a touch of a small skin, next to its middle, whose shear grows while it is held."""
     shear = "{ peak_ratio = 0.9, direction_deg = 30.0 }"
     return touch_text(start_s, 0.3, hold_s, position_mm=[0.2, -0.1], rise_s=0.3, fall_s=0.3, shear=shear)

@@ -10,6 +10,7 @@ from skin_scenes import NOISE, RADIUS_M, SITES_M, SKIN, noisy
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.estimate.surface.fitting.fit_check import RestScatter
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.surface.skin_contacts import SkinContact
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder
@@ -59,6 +60,16 @@ def test_the_chi_square_of_a_right_model_is_one_at_every_noise_and_common_mode(n
     assert contact.fit.degrees_of_freedom == 3 * len(SITES_M) - 7
     assert contact.fit.chi2 == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / contact.fit.degrees_of_freedom))
     assert (contact.status, contact.reason) == ("ok", None)
+
+
+def test_neither_noisy_sites_nor_a_frame_of_zeros_move_the_scatter_at_rest() -> None:
+    scatter, rng = RestScatter(), np.random.default_rng(4)
+    scatter.add(np.zeros((3, 1024)))
+    for _ in range(60):
+        scores = rng.normal(0.0, 1.3, (3, 1024))
+        scores[:, :3] = 50.0
+        scatter.add(scores)
+    assert scatter.quality(1.3**2, 3065, 1.0).chi2 == pytest.approx(1.0, abs=0.04)
 
 
 def test_a_common_mode_that_moved_during_a_touch_shows_no_contact_after_it() -> None:

@@ -18,7 +18,7 @@ from resonator_daemon.board.config.values import plate_text
 from resonator_daemon.commands import main
 from resonator_daemon.extensions.lerobot.dataset import Dataset, RecordingWriter
 from resonator_daemon.extensions.lerobot.features import describe
-from resonator_daemon.tools.replay.recorded_pipeline import RecordingReplay
+from resonator_daemon.tools.replay.recorded_pipeline import Moment, RecordingReplay
 
 PYTHON = Path(__file__).parents[3] / "build" / "lerobot" / "bin" / "python"
 
@@ -162,6 +162,21 @@ def test_gaps_are_by_the_board_s_time_and_a_long_one_or_a_restart_begins_an_epis
     assert writer.finish() == {"episodes": 3, "frames": 5 + 1 + 1}
     dataset.release()
     assert [row["length"] for row in rows(tmp_path / "set", "meta/episodes")] == [5, 1, 1]
+
+
+def test_a_mark_begins_an_episode_and_the_mark_end_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = RecordingReplay.moments
+
+    def marked(replaying: RecordingReplay) -> Any:
+        for number, moment in enumerate(whole(replaying)):
+            if number in (50, 80):
+                yield Moment(moment.now, mark="slip" if number == 50 else "end")
+            yield moment
+
+    monkeypatch.setattr(RecordingReplay, "moments", marked)
+    assert dataset(tmp_path / "set", recording("slide")) == 0
+    (episode,) = rows(tmp_path / "set", "meta/episodes")
+    assert (episode["tasks"], 0 < episode["length"] <= 31) == (["slip"], True)
 
 
 @pytest.mark.lerobot

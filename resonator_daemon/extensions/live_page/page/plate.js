@@ -165,7 +165,7 @@ export class PlatePanel {
     this.texts.clear();
     for (const { site, force, std, bound, atLeast, status } of model.newest("forces")?.sites ?? []) {
       const value = siteForce({ atLeast, force, std, status });
-      const extra = bound > 0 ? `; beside the site at most ${fixed(bound, 2)} N would not be detected` : "";
+      const extra = bound > 0 ? `; a touch next to the site of up to ${fixed(bound, 2)} N would not be detected` : "";
       this.texts.set(site, value);
       rows.push([`Site ${site}`, `${value}${extra}`, ["ok", value].includes(words(status)) ? "" : words(status)]);
     }
