@@ -14,7 +14,7 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 BUSY_PERCENT: Final = 65.0  # eight busy programs on two processors: 70 to 95; `resonatord demo` alone on two: 41
 _NOT_BUSY_PERCENT: Final = 57.0
 _TIME_CONSTANT_NS: Final = 1_200_000_000
-_SAMPLE_NS: Final = 50_000_000
+_SAMPLE_NS: Final = 250_000_000  # a sample reads a file for each thread, in 0.3 ms
 
 REMEDY: Final = (
     "give the daemon precedence (CPUWeight of its unit, or nice), decode on another computer, lower "
@@ -52,7 +52,7 @@ class LoadMeter:
         self._before = time.monotonic_ns(), *self._waited_and_used_ns(), self._pressure_ns()
 
     def sample(self) -> LoadSample:
-        """Return the load since the previous sample; if that is less than 50 ms old, the previous sample."""
+        """Return the load since the previous sample; if that is less than 250 ms old, the previous sample."""
         now_ns = time.monotonic_ns()
         elapsed_ns = now_ns - self._before[0]
         if elapsed_ns >= _SAMPLE_NS:

@@ -33,10 +33,10 @@ def test_the_load_is_measured_from_counters_of_linux(
 
     count(500, 400, 300)
     meter = LoadMeter(tmp_path)
-    count(510, 430, 390)
+    count(510, 430, 570)
     assert meter.sample() == NO_LOAD
-    now_ns += 100_000_000
+    now_ns += 300_000_000
     assert meter.sample() == expected
-    now_ns += 40_000_000
-    count(510, 430, 430)
+    now_ns += 240_000_000
+    count(510, 430, 600)
     assert meter.sample() == expected  # too soon for another one
