@@ -67,6 +67,21 @@ def hertz_parts(
     return np.stack([radius, radius * stick_ratio], axis=-1), forces
 
 
+def punch_parts(
+    force_newton: npt.ArrayLike, radius_m_at_1_newton: npt.ArrayLike, friction_coefficient: npt.ArrayLike
+) -> tuple[Floats, Floats]:
+    """Return the same for a flat punch of the paraboloid's radius: one load, and no other.
+
+    Its shear traction is everywhere the same share of its pressure (Ciavarella 1998): all of it sticks or slides.
+    """
+    radii, forces = hertz_parts(force_newton, radius_m_at_1_newton, friction_coefficient)
+    sticks = radii[..., 1] > 0.0
+    radii[..., 1] = np.where(sticks, radii[..., 0], 0.0)
+    forces[..., 0, :] += forces[..., 1, :]
+    forces[..., 1, :] = 0.0
+    return radii, forces
+
+
 def pixel_tractions(
     force_newton: npt.ArrayLike,
     centre_m: tuple[float, float],

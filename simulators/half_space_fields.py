@@ -14,7 +14,8 @@ depth (Green and Collins; Barber, Elasticity, on axisymmetric contact):
 
     phi = Re integral_0^1 (3/2)(1 - s^2) / sqrt(r^2 + (z + i a s)^2) ds
 
-Its integrand is smooth below the surface, where an integral over the disc would meet the square-root edge.
+Its integrand is smooth below the surface, where an integral over the disc would meet the square-root edge. With 1 in
+place of (3/2)(1 - s^2), the load is that of a flat punch, 1/(2 pi a^2) / sqrt(1 - r^2/a^2).
 """
 
 import functools
@@ -90,15 +91,39 @@ def _check(
         raise ValueError(f"poisson_ratio is {poisson_ratio}, must be above -1 and at most 0.5")
 
 
+def radial_profiles(distances_m: Floats, depth_m: float, radius_m: float, punch: tuple[float, float]) -> Floats:
+    """Return the derivatives of the potential that make the signals at distances (n,), as functions of them alone.
+
+    Parameters
+    ----------
+    distances_m, depth_m
+        Places, relative to the centre of the load.
+    radius_m
+        Radius of the load.
+    punch
+        Shares of a flat punch's distribution in tangential and in normal loads; the rest is Hertz's.
+
+    Returns
+    -------
+    Profiles (5, n), with tangential load along d: those of p_n (times d x), of strains along d and of strains along x
+    (times d x); then, with normal load, those of p_n and of strains along x. Strains along x have a factor 3 z.
+    """
+    shear, normal = (potential_integrals(distances_m**2, depth_m, radius_m, share) for share in punch)
+    return np.stack([shear[0], shear[1] - depth_m * shear[0], shear[2], normal[1], normal[3]])
+
+
 def potential_integrals(
-    distance_squared_m2: Floats, depth_m: float, radius_m: float
+    distance_squared_m2: Floats, depth_m: float, radius_m: float, punch: float = 0.0
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Integrals of 1/R^3, Z/R^3, 1/R^5, Z/R^5 over complex depths Z = z + i a s, where R^2 = r^2 + Z^2, each (n,)."""
+    """Integrals of 1/R^3, Z/R^3, 1/R^5, Z/R^5 over complex depths Z = z + i a s, where R^2 = r^2 + Z^2, each (n,).
+
+    Of the load, the share `punch` is distributed as by a flat punch, the rest as by Hertz.
+    """
     # The integrand's singularities lie at s = (+-r + i z)/a, so Gauss-Legendre on (-1, 1) converges like exp(-2 m q)
     # or faster, sinh q = z/a. The negative half of the rule repeats the positive one conjugated: only that is summed.
     order = 2 * math.ceil(8.0 / math.asinh(depth_m / radius_m)) + 8 if radius_m > 0.0 else 4
     nodes, weights = (half[order // 2 :] for half in _gauss_legendre(order))
-    weights = 1.5 * (1.0 - nodes**2) * weights
+    weights = (punch + (1.0 - punch) * 1.5 * (1.0 - nodes**2)) * weights
     depths = depth_m + 1j * radius_m * nodes
     over_2 = 1.0 / (distance_squared_m2 + (depths**2)[:, np.newaxis])
     over_3 = over_2 * np.sqrt(over_2)

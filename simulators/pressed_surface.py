@@ -1,8 +1,8 @@
-"""Signals below contacts at any place, in every frame: closed-form fields of Hertz loads, tabulated and superposed.
+"""Signals below contacts at any place, in every frame: fields of round loads, tabulated and superposed.
 
-The fields of a Hertz load need four integrals of its potential (`half_space_fields`), which depend on distance and
-radius alone. A table over both thus serves every place. Between knots it is interpolated by cubic polynomials, with
-the slopes of a spline. Contacts add up, and so do the two Hertz loads of partial slip.
+The fields of a round load have five profiles (`half_space_fields`), which depend on distance and radius alone. A table
+over both thus serves every place. Between knots it is interpolated by cubic polynomials, with the slopes of a spline.
+Contacts add up, and so do the two Hertz loads of partial slip.
 """
 
 import math
@@ -14,7 +14,8 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 
 from simulators.arrays import Floats
-from simulators.half_space_fields import potential_integrals, signal_factors
+from simulators.bonded_layer import layer_profiles
+from simulators.half_space_fields import radial_profiles, signal_factors
 
 _KNOTS_PER_DEPTH = 10  # in distance and radius: the fields change over about the depth
 _PLACES_KEPT = 64  # of contacts that stay where they are
@@ -38,19 +39,27 @@ class PressedSurface:
         poisson_ratio: float,
         distance_max_m: float,
         radius_max_m: float,
+        *,
+        punch: tuple[float, float] = (0.0, 0.0),
+        thickness_m: float = math.inf,
     ) -> None:
-        """Tabulate fields for sites (n, 2) that are at most so far from a contact, which is at most so large."""
+        """Tabulate fields for sites (n, 2) that are at most so far from a contact, which is at most so large.
+
+        `punch` is as of `radial_profiles`; the body is a layer of this thickness on a rigid base, or a half-space.
+        """
         self._positions_m = np.asarray(positions_m, dtype=np.float64)
         self._depth_m = depth_m
         self._pressure_factor, self._strain_factor = signal_factors(youngs_modulus_pascal, poisson_ratio)
         distances_m, radii_m = _knots(distance_max_m, depth_m), _knots(radius_max_m, depth_m)
         self._spacing_m = float(distances_m[1]), float(radii_m[1])
         self._ends_m = distance_max_m, radius_max_m
-        # All integrals are even in distance and radius, hence slopes of 0 at the lower ends.
-        values = np.stack([potential_integrals(distances_m**2, depth_m, float(radius)) for radius in radii_m])
+        # All profiles are even in distance and radius, hence slopes of 0 at the lower ends.
+        values = np.stack([radial_profiles(distances_m, depth_m, float(radius), punch) for radius in radii_m])
+        if math.isfinite(thickness_m):
+            values += layer_profiles(distances_m, depth_m, radii_m, poisson_ratio, thickness_m, punch)
         by_distance = _spline_slopes(distances_m, values.transpose(2, 0, 1)).transpose(1, 2, 0)
         fields = np.concatenate([values, by_distance * self._spacing_m[0]], axis=-1)
-        # Radius, value and slope over it, integral, values and then slopes over distance.
+        # Radius, value and slope over it, profile, values and then slopes over distance.
         self._table = np.stack([fields, _spline_slopes(radii_m, fields) * self._spacing_m[1]], axis=1)
         self._below = lru_cache(_PLACES_KEPT)(self._seen_from)
 
@@ -80,12 +89,12 @@ class PressedSurface:
         size_newton = np.hypot(*shear_newton.T)[:, np.newaxis]
         along = np.divide(shear_newton, size_newton, out=np.full_like(shear_newton, [1.0, 0.0]), where=size_newton > 0)
         shears_newton = (forces_newton[..., :2] * along[:, np.newaxis]).sum(axis=2)  # all have the same direction
-        integrals = self._integrals(radii_m.ravel()).reshape(*radii_m.shape, -1)
-        over_3, over_3_depth, over_5, _ = self._loaded(shears_newton, integrals)
-        _, normal_3_depth, _, normal_5_depth = self._loaded(forces_newton[..., 2], integrals)
-        profiles = np.concatenate([over_3, normal_3_depth, over_5, normal_5_depth, over_3_depth - z * over_3])
-        at_sites = np.ascontiguousarray((interpolation @ profiles.T).T)
-        shear_3, normal_3, shear_5, normal_5, isotropic = at_sites.reshape(5, len(along), -1)
+        of_unit = self._profiles(radii_m.ravel()).reshape(*radii_m.shape, 5, -1)
+        profiles = np.concatenate(
+            [_loaded(shears_newton, of_unit[:, :, :3]), _loaded(forces_newton[..., 2], of_unit[:, :, 3:])]
+        )
+        at_sites = np.ascontiguousarray((interpolation @ profiles.reshape(-1, profiles.shape[-1]).T).T)
+        shear_3, isotropic, shear_5, normal_3, normal_5 = at_sites.reshape(5, len(along), -1)
         along_x, along_y = along.T[..., np.newaxis]
         distance_along = along_x * x + along_y * y
         outward = 3.0 * z * (distance_along * shear_5 + normal_5)
@@ -95,12 +104,8 @@ class PressedSurface:
         signals[:, 2] = self._strain_factor * (y * outward + along_y * isotropic)
         return signals
 
-    def _loaded(self, forces_newton: Floats, integrals: Floats) -> Floats:
-        """Return the integrals (4, m, 2 d) of m moments, each a sum of p loads (m, p) with integrals (m, p, 8 d)."""
-        return (forces_newton[:, np.newaxis] @ integrals).reshape(len(integrals), 4, -1).swapaxes(0, 1)
-
-    def _integrals(self, radii_m: Floats) -> Floats:
-        """Return the integrals (p, 4, 2 d) of loads of these radii: values at d distances, then slopes."""
+    def _profiles(self, radii_m: Floats) -> Floats:
+        """Return the profiles (p, 5, 2 d) of unit loads of these radii: values at d distances, then slopes."""
         place = radii_m / self._spacing_m[1]
         knot = np.minimum(place.astype(np.intp), len(self._table) - 2)
         weights = _hermite_weights(place - knot)
@@ -119,6 +124,13 @@ class PressedSurface:
         columns = np.stack([knot, knots + knot, knot + 1, knots + knot + 1], axis=1)
         weights, rows = _hermite_weights(place - knot).T, np.arange(len(knot) + 1) * 4
         return _Below(offset_m, csr_array((weights.ravel(), columns.ravel(), rows), shape=(len(knot), 2 * knots)))
+
+
+def _loaded(forces_newton: Floats, of_unit: Floats) -> Floats:
+    """Return profiles (q, m, 2 d) of m moments, each a sum of p loads (m, p) with profiles (m, p, q, 2 d)."""
+    moments, parts, profiles, _ = of_unit.shape
+    summed: Floats = forces_newton[:, np.newaxis] @ of_unit.reshape(moments, parts, -1)
+    return summed.reshape(moments, profiles, -1).swapaxes(0, 1)
 
 
 def _knots(end_m: float, depth_m: float) -> Floats:

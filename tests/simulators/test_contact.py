@@ -7,7 +7,7 @@ import pytest
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import load_plate
-from simulators.contact import hertz_parts, pixel_tractions, pressed_signals
+from simulators.contact import hertz_parts, pixel_tractions, pressed_signals, punch_parts
 from simulators.pressed_surface import PressedSurface
 
 RADIUS, FRICTION, CENTRE = 2.5e-3, 0.5, (0.3e-3, -0.7e-3)
@@ -95,3 +95,25 @@ def test_what_is_beyond_the_table_is_an_error() -> None:
         surface.signals((0.0, 0.0), *hertz_parts([(0.0, 0.0, 1.0)], 2.1e-3, 0.5))
     with pytest.raises(ValueError, match="site"):
         surface.signals((-2.1e-3, 0.0), *hertz_parts([(0.0, 0.0, 1.0)], 1e-3, 0.5))
+
+
+@pytest.mark.parametrize("adhesion", [None, 0.0, 0.3])
+def test_below_its_centre_a_punch_or_an_adhesive_ball_presses_as_by_their_closed_forms(adhesion: float | None) -> None:
+    nu, depth, a = 0.4, 1e-3, 2e-3
+    punch = (1.0, 1.0) if adhesion is None else (0.0, -adhesion)
+    places_m = [(0.0, 0.0), (30e-3, 0.0)]
+    surface = PressedSurface(places_m, depth, 2e5, nu, 40e-3, 8e-3, punch=punch)
+    load = np.array([[a, 0.0]]), np.array([[[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]])
+    below, far = surface.signals((0.0, 0.0), *load)[0, 0]
+    ball, flat = 3 / a**2 * (1 - depth / a * math.atan(a / depth)), 1 / (a**2 + depth**2)
+    expected = flat if adhesion is None else (1 + adhesion) * ball - adhesion * flat
+    assert below == pytest.approx(-(1 + nu) / (3 * math.pi) * expected, rel=1e-5)
+    point = -(1 + nu) / (3 * math.pi) * depth / math.hypot(30e-3, depth) ** 3
+    assert far == pytest.approx(point, rel=0.01)  # all of the load
+
+
+def test_a_punch_sticks_everywhere_until_it_slides() -> None:
+    radii, forces = punch_parts([[0.3, 0.4, 2.0], [0.6, 0.8, 2.0], [0.9, 1.2, 2.0], [0.1, 0.0, 0.0]], RADIUS, FRICTION)
+    a = RADIUS * 2 ** (1 / 3)
+    assert radii == pytest.approx(np.array([[a, a], [a, 0.0], [a, 0.0], [0.0, 0.0]]))
+    assert forces.sum(axis=1) == pytest.approx(np.array([[0.3, 0.4, 2.0], [0.6, 0.8, 2.0], [0.6, 0.8, 2.0], [0, 0, 0]]))
