@@ -62,7 +62,7 @@ class EmulatorOptions:
     scenario: str | None = None  # None: the one that suits the plate, or no touch where clients may press it
     truth: Path | None = None
     faults: FaultPlan = field(default_factory=FaultPlan)  # in addition to the scenario's
-    world: str = ""  # in what the plate differs from its file
+    world: str = ""  # in what the plate differs from its file, besides the scenario's keys
     counter: Literal["sums", "stamps"] = "sums"  # of a single-tone plate: sums by closed form, or of every stamp
     seed: int | None = None  # None: the scenario's
     speed: float = 1.0
@@ -114,11 +114,11 @@ class Emulator:
             raise ValueError("an emulated board has one link: give one of pty, tcp and usb")
         if not 0.0 < options.speed <= _SPEED_MAX:
             raise ValueError(f"speed must be above 0 and at most {_SPEED_MAX:g}, got {options.speed:g}")
-        world = with_world(load_plate(options.plate), options.world)
-        plate = world.plate = _at_rate(world.plate, options.frame_rate_hz)
+        plate = _at_rate(load_plate(options.plate), options.frame_rate_hz)
         presses = Presses(plate, SERIAL_NUMBER) if options.control else None
         usual = "still" if options.control else default_scenario(plate)
         scenario = load_scenario(options.scenario or usual, plate, presses)
+        world = with_world(plate, options.world, scenario.world)
         faults = scenario.faults.with_more(options.faults)
         if options.pty is None and any(event.what == "rename" for event in faults.events):
             raise ValueError("faults: rename: only a pseudo-terminal has a name to change; give pty, or leave it out")

@@ -1,6 +1,6 @@
 """Scenarios: what every touch of a plate does at any moment, and how warm it is around."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -35,11 +35,13 @@ class Scenario:
         environment_kelvin: Sequence[TimedKelvin] = _EMPTY.environment_kelvin,
         seed: int = _EMPTY.seed,
         faults: FaultPlan = _EMPTY.faults,
+        world: Mapping[str, float | str] = _EMPTY.world,
         presses: Presses | None = None,
     ) -> None:
         self.physics = physics
         self.seed = seed
         self.faults = faults
+        self.world = world
         self._presses = presses
         self.positions_m = np.array([_start_m(touch, plate) for touch in touches]).reshape(-1, 2)
         self.whole_plate = np.array([touch.whole_plate for touch in touches], dtype=np.bool_)
@@ -159,6 +161,7 @@ def load_scenario(name_or_path: str, plate: Plate, presses: Presses | None = Non
         environment_kelvin=file.environment_kelvin,
         seed=file.seed,
         faults=file.faults,
+        world=file.world,
         presses=presses,
     )
 

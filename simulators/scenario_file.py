@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema
 from pydantic_core import ErrorDetails
 
 from resonator_daemon.base.plate import Plate
@@ -15,6 +15,7 @@ from simulators.arrays import Floats
 from simulators.faults import FaultEvent, FaultPlan
 from simulators.findings import message_of, nearest
 from simulators.physics import Physics
+from simulators.world import with_world, world_schema
 
 _ON_SITE_M = 1e-9
 _SHIPPED = Path(__file__).with_name("scenarios")
@@ -50,6 +51,7 @@ KelvinLine = Annotated[
     BeforeValidator(_line, json_schema_input_type=Kelvin | tuple[TimedKelvin, ...]),
     AfterValidator(_rising),
 ]
+WorldKeys = Annotated[dict[str, Any], WithJsonSchema(world_schema())]  # which `with_world` checks
 
 
 class _Table(BaseModel):
@@ -98,6 +100,7 @@ class ScenarioFile(_Table):
         0, description="Of all that is random, where the command line gives none."
     )
     plate: Physics = Field(Physics(), description="Imperfections of plate, oscillators and counter.")
+    world: WorldKeys = Field({}, description="In what plate and touches differ from what the plate file states.")
     faults: FaultPlan = Field(FaultPlan(), description="What goes wrong at the board and on its link.")
     touches: tuple[Touch, ...] = Field((), description="The presses; they may overlap.")
 
@@ -170,6 +173,10 @@ def _findings(content: dict[str, Any], file: ScenarioFile, plate: Plate) -> Iter
         remedy = "leave it out, or take another plate"
         yield f"{', '.join(useless)}: only for plates with {kind}, and {plate.name} has none; {remedy}"
         return
+    try:
+        with_world(plate, table=file.world)
+    except ValueError as error:
+        yield str(error)
     for index, touch in enumerate(file.touches):
         key = f"touches[{index}]"
         yield from _place_findings(key, touch, plate)

@@ -10,7 +10,7 @@ from firmware_protocol.messages import CounterKind, Description
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import Skin
 from simulators.arrays import Floats, Singles
-from simulators.contact import contact_radius_m, hertz_parts, pressed_signals
+from simulators.contact import contact_radius_m, hertz_parts, pressed_signals, punch_parts
 from simulators.normal_noise import normal_noise
 from simulators.plate import (
     REFERENCE_ERROR,
@@ -36,7 +36,7 @@ _PRESSED_AHEAD = 12  # gates: pressing twelve takes hardly longer than pressing 
 
 
 class SkinPlate:
-    """Tones f0/(1 - s x) of sites that sense p_n, eps_xz and eps_yz under a paraboloid's touches.
+    """Tones f0/(1 - s x) of sites that sense p_n, eps_xz and eps_yz under a paraboloid's touches, or a punch's.
 
     The sensitivity s of each tone is off by 1 % rms from that of the plate file. Noise is white. The best
     combination of the corners has a signal-to-noise ratio of 30 dB in the triple [3 p_n/(2 E), eps_xz, eps_yz], all
@@ -85,7 +85,8 @@ class SkinPlate:
         self._still_hz = self._f0_hz - self._oscillator_hz
         self._common_walk, self._common_shift = world.common_walk, 0.0
         off_m = self._world_random.normal(0.0, 1e-3 * world.positions_mm, plate.site_positions_m.shape)
-        self._surface = _surface(plate, skin, scenario, plate.site_positions_m + off_m)
+        self._surface = _surface(world, skin, scenario, plate.site_positions_m + off_m)
+        self._parts = punch_parts if world.flat else hertz_parts
         # glibc keeps freed memory up to twice the largest block freed so far; else each frame faults its pages in anew.
         np.empty(_KEPT_BYTES, dtype=np.uint8)
         level_db = corner_levels_db(plate.site_positions_m[tones.site_index], plate.transducers_m, self._random).T
@@ -120,7 +121,7 @@ class SkinPlate:
         if self._scenario.fixed:
             frames = max(frames, _PRESSED_AHEAD)
         pressing = self._scenario.at(gate_middles_s(scenario_ticks, self._gate_ticks, frames, self._tick_rate_hz))
-        radii_m, parts_newton = hertz_parts(
+        radii_m, parts_newton = self._parts(
             pressing.force_newton, pressing.radius_m_at_1_newton, pressing.friction_coefficient
         )
         true_hz = [self._still_hz] * frames
@@ -198,8 +199,9 @@ def _alike(channels: Floats) -> Floats:
     return channels[:1] if (channels == channels[0]).all() else channels
 
 
-def _surface(plate: Plate, skin: Skin, scenario: Scenario, positions_m: Floats) -> PressedSurface:
+def _surface(world: World, skin: Skin, scenario: Scenario, positions_m: Floats) -> PressedSurface:
     """Return the surface of a skin with sites at `positions_m` (n, 2), for contacts anywhere within the outline."""
+    plate = world.plate
     places = np.concatenate([plate.outline_m, positions_m])
     force_max_newton = max([FORCE_RANGE * plate.force_max_newton, *scenario.peak_newton])
     return PressedSurface(
@@ -209,4 +211,6 @@ def _surface(plate: Plate, skin: Skin, scenario: Scenario, positions_m: Floats) 
         skin.poisson_ratio,
         float(np.hypot(*np.ptp(places, axis=0))),
         max(RADIUS_MAX_M, float(contact_radius_m(force_max_newton, RADIUS_M_AT_1_NEWTON))),
+        punch=(1.0, 1.0) if world.flat else (0.0, -world.adhesion),
+        thickness_m=1e-3 * world.layer,
     )

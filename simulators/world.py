@@ -1,13 +1,15 @@
 """A plate that differs from its file: what an emulator has in place of what the daemon assumes."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple
 
 from pydantic import ValidationError
 
 from resonator_daemon.base.plate import Plate
+from simulators.findings import nearest
 from simulators.physics import Physics
 
 
@@ -24,6 +26,13 @@ class World:
         Random walk that all frequencies of a skin share: relative standard deviation after 1 s.
     oscillator
         Factor of the noise of the oscillators of force sites.
+    layer
+        Thickness in mm of a skin that is bonded to a rigid plate; infinite: a half-space.
+    adhesion
+        Share of the load with which the rim of a contact pulls (JKR): as much less presses as a flat punch does, and as
+        much more as a ball does.
+    flat
+        Whether a flat punch touches a skin, in place of a ball.
     dead
         Indices of signals and sites whose tones no load shifts.
     """
@@ -32,6 +41,9 @@ class World:
     positions_mm: float = 0.0
     common_walk: float = 0.0
     oscillator: float = 1.0
+    layer: float = math.inf
+    adhesion: float = 0.0
+    flat: bool = False
     dead: list[tuple[int, int]] = field(default_factory=list)
 
     def with_oscillator_noise(self, physics: Physics) -> Physics:
@@ -40,29 +52,36 @@ class World:
         return physics.model_copy(update={key: self.oscillator * getattr(physics, key) for key in noise})
 
 
-Change = Callable[[World, dict[str, Any], str], None]
-"""Applies the text of a key to a world, or to the table of its plate; ValueError if it cannot be used."""
+Value = float | str
+Change = Callable[[World, dict[str, Any], Value], None]
+"""Applies the value of a key to a world, or to the table of its plate; ValueError if it cannot be used."""
+
+
+def _number(value: Value, low: float = -math.inf, high: float = math.inf) -> float:
+    if isinstance(value, str | bool) or not (math.isfinite(value) and low <= value <= high):
+        raise ValueError(value)
+    return float(value)
 
 
 def _scale_skin(key: str) -> Change:
-    def change(_: World, table: dict[str, Any], text: str) -> None:
-        table["skin"][key] *= float(text)
+    def change(_: World, table: dict[str, Any], value: Value) -> None:
+        table["skin"][key] *= _number(value)
 
     return change
 
 
-def _set_poisson_ratio(_: World, table: dict[str, Any], text: str) -> None:
-    table["skin"]["poisson_ratio"] = float(text)
+def _set_poisson_ratio(_: World, table: dict[str, Any], value: Value) -> None:
+    table["skin"]["poisson_ratio"] = _number(value)
 
 
-def _scale_sensitivities(_: World, table: dict[str, Any], text: str) -> None:
+def _scale_sensitivities(_: World, table: dict[str, Any], value: Value) -> None:
     for tone in _tones(table):
-        tone["sensitivity"] = [float(text) * value for value in tone["sensitivity"]]
+        tone["sensitivity"] = [_number(value) * each for each in tone["sensitivity"]]
 
 
-def _shift_frequencies(_: World, table: dict[str, Any], text: str) -> None:
+def _shift_frequencies(_: World, table: dict[str, Any], value: Value) -> None:
     for tone in _tones(table):
-        tone["f0_hz"] = [(1.0 + float(text)) * value for value in tone["f0_hz"]]
+        tone["f0_hz"] = [(1.0 + _number(value)) * each for each in tone["f0_hz"]]
 
 
 def _tones(table: dict[str, Any]) -> list[dict[str, Any]]:
@@ -71,64 +90,112 @@ def _tones(table: dict[str, Any]) -> list[dict[str, Any]]:
     return [tone for site in table["sites"] for tone in site["tones"]]
 
 
-def _set(key: str) -> Change:
-    def change(world: World, _: dict[str, Any], text: str) -> None:
-        if not 0.0 <= float(text) < math.inf:
-            raise ValueError(text)
-        setattr(world, key, float(text))
+def _set(key: str, high: float = math.inf) -> Change:
+    def change(world: World, _: dict[str, Any], value: Value) -> None:
+        setattr(world, key, _number(value, 0.0, high))
 
     return change
 
 
-def _add_dead(world: World, _table: dict[str, Any], text: str) -> None:
+def _set_shape(world: World, _: dict[str, Any], value: Value) -> None:
+    world.flat = ("ball", "punch").index(str(value)) == 1
+
+
+def _add_dead(world: World, _table: dict[str, Any], value: Value) -> None:
     signals, sites = world.plate.signals, [str(site) for site in world.plate.site_ids]
-    for name in text.split("+"):
+    for name in str(value).split("+"):
         signal, _, site = name.partition("@")
         world.dead.append((signals.index(signal), sites.index(site)))
 
 
-_SKIN, _SITES = "skins", "force sites"
-_CHANGES: Final[dict[str, tuple[str | None, str, Change]]] = {  # by key: of which plates, an example, what it does
-    "depth": (_SKIN, "1.05", _scale_skin("depth_mm")),
-    "modulus": (_SKIN, "1.05", _scale_skin("youngs_modulus_pascal")),
-    "poisson": (_SKIN, "0.45", _set_poisson_ratio),
-    "gain": (None, "1.05", _scale_sensitivities),
-    "k": (None, "1.05", _scale_sensitivities),
-    "f0": (_SITES, "2e-6", _shift_frequencies),
-    "positions_mm": (_SKIN, "0.1", _set("positions_mm")),
-    "common_walk": (_SKIN, "1e-8", _set("common_walk")),
-    "oscillator": (_SITES, "3", _set("oscillator")),
-    "dead": (_SKIN, "p_n@417", _add_dead),
+class _Key(NamedTuple):
+    plates: str | None  # that have it; None: all
+    example: Value
+    meaning: str
+    change: Change
+
+
+_SKIN, _SITES = "a skin", "force sites"
+_KEYS: Final[dict[str, _Key]] = {
+    "depth": _Key(_SKIN, 1.05, "a factor of the skin's depth", _scale_skin("depth_mm")),
+    "modulus": _Key(_SKIN, 1.05, "a factor of the skin's modulus", _scale_skin("youngs_modulus_pascal")),
+    "poisson": _Key(_SKIN, 0.45, "Poisson's ratio of the skin", _set_poisson_ratio),
+    "layer": _Key(_SKIN, 10.0, "the thickness in mm, above its depth, of a skin on a rigid plate", _set("layer")),
+    "adhesion": _Key(_SKIN, 0.1, "adhesion (JKR) as a share of the load, 0 to 1", _set("adhesion", 1.0)),
+    "shape": _Key(_SKIN, "punch", "ball or punch, which touches the skin", _set_shape),
+    "gain": _Key(None, 1.05, "a factor of all sensitivities", _scale_sensitivities),
+    "k": _Key(None, 1.05, "a factor of all sensitivities", _scale_sensitivities),
+    "f0": _Key(_SITES, 2e-6, "a relative shift of all frequencies", _shift_frequencies),
+    "positions_mm": _Key(_SKIN, 0.1, "a standard deviation of the coordinates of sites", _set("positions_mm")),
+    "common_walk": _Key(_SKIN, 1e-8, "a relative random walk of all frequencies in 1 s", _set("common_walk")),
+    "oscillator": _Key(_SITES, 3.0, "a factor of the noise of the oscillators", _set("oscillator")),
+    "dead": _Key(_SKIN, "p_n@417", "signals that no load changes, joined by +", _add_dead),
 }
 
 
-def with_world(plate: Plate, spec: str) -> World:
-    """Return a plate as it is in an emulator's world, such as `depth=1.05,dead=p_n@417`; ValueError for a mistake."""
-    world = World(plate)
-    if not spec:
-        return world
-    table = plate.model_dump(mode="json", exclude_unset=True)
-    for key in ("date", "expiry"):
-        if (day := getattr(plate.calibration, key)) is not None:
-            table["calibration"][key] = day  # no text
-    kind = _SITES if plate.skin is None else _SKIN
+def world_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a table of keys."""
+    properties = {
+        key: {"type": "string" if isinstance(known.example, str) else "number", "description": known.meaning}
+        for key, known in _KEYS.items()
+    }
+    return {"type": "object", "additionalProperties": False, "properties": properties}
+
+
+def with_world(plate: Plate, spec: str = "", table: Mapping[str, Value] = MappingProxyType({})) -> World:
+    """Return a plate as it is in an emulator's world.
+
+    Parameters
+    ----------
+    plate
+        As its file has it.
+    spec
+        Keys of a command line, such as `depth=1.05,dead=p_n@417`.
+    table
+        Keys of a scenario; those of the command line have precedence.
+
+    Raises
+    ------
+    ValueError
+        Unknown key, a key twice, or a value that cannot be used.
+    """
     entries = [entry.partition("=") for entry in spec.split(",") if entry]
     if len({key for key, *_ in entries}) < len(entries):
-        raise ValueError(f"--world: {spec!r} has a key twice")
-    for key, _, text in entries:
-        if key not in _CHANGES:
-            raise ValueError(f"--world: {key!r} is unknown; must be one of: {', '.join(_CHANGES)}")
-        of_plates, example, change = _CHANGES[key]
-        if of_plates not in (None, kind):
-            raise ValueError(f"--world: {key} applies to {of_plates}; {plate.name} has {kind}")
+        raise ValueError(f"world: {spec!r} has a key twice; give it once")
+    given = {**table, **{key: _value(text) for key, _, text in entries}}
+    world = World(plate)
+    if not given:
+        return world
+    content = plate.model_dump(mode="json", exclude_unset=True)
+    for key in ("date", "expiry"):
+        if (day := getattr(plate.calibration, key)) is not None:
+            content["calibration"][key] = day  # no text
+    kind = _SITES if plate.skin is None else _SKIN
+    for key, value in given.items():
+        if key not in _KEYS:
+            raise ValueError(f"world.{key}: unknown key; {nearest(key, tuple(_KEYS))}")
+        plates, example, meaning, change = _KEYS[key]
+        if plates not in (None, kind):
+            raise ValueError(f"world.{key}: only for plates with {plates}, and {plate.name} has none; leave it out")
         try:
-            change(world, table, text)
-        except ValueError:
-            raise ValueError(f"--world: '{key}={text}' cannot be used; write it as {key}={example}") from None
+            change(world, content, value)
+        except (TypeError, ValueError):
+            raise ValueError(f"world.{key}: got {value!r}; must be {meaning}, such as {key}={example}") from None
     try:
-        world.plate = Plate.model_validate(table)
+        world.plate = Plate.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
-        raise ValueError(f"--world: {spec!r} makes no plate: {place}: {first['msg']}") from None
+        raise ValueError(f"world: {given} makes no plate: {place}: {first['msg']}") from None
+    if world.plate.skin is not None and world.layer <= (depth_mm := world.plate.skin.depth_mm):
+        raise ValueError(f"world.layer: got {world.layer:g}; must be above the depth of the sites, {depth_mm:g} mm")
+    if world.flat and world.adhesion:
+        raise ValueError("world.adhesion: changes the pressure of a ball alone; leave it out, or shape=punch")
     return world
+
+
+def _value(text: str) -> Value:
+    try:
+        return float(text)
+    except ValueError:
+        return text

@@ -1,5 +1,6 @@
 """The emulated plates whose tones are all read: signal, noise, phase, gain and warmth, from their records."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ from simulators.comb_plate import CombPlate
 from simulators.contact import pressed_signals
 from simulators.physics import Physics
 from simulators.plate import EmulatedPlate, record_type
+from simulators.presses import Presses
 from simulators.scenario import Scenario
 from simulators.scenario_file import Touch
 from simulators.skin_plate import SkinPlate
@@ -163,6 +165,33 @@ def test_a_world_has_dead_signals_sites_elsewhere_and_a_common_walk() -> None:
     walk = (offsets_hz("common_walk=1e-6") - usual) / SKIN.tones.f0_hz[:, 0]
     assert np.diff(walk.mean(axis=1)).std() == pytest.approx(1e-6 * np.sqrt(0.01), rel=0.3)
     assert walk.std(axis=1).max() < 1e-9
+
+
+def test_a_world_has_another_pressure_and_a_rigid_plate_below_the_skin() -> None:
+    site = int(SKIN.site_ids[520])
+    (tone,) = np.flatnonzero((SKIN.tones.signal_index == 0) & (SKIN.tones.site_index == 520))
+
+    def pressed(spec: str) -> tuple[float, tuple[float | None, float | None]]:
+        """Return the shift of p_n below a contact of 1 N, which is sheared by .1 N, and its radii."""
+        presses = Presses(SKIN, "EMU-0001")
+        plate = SkinPlate(with_world(SKIN, spec), Scenario((), None, SKIN, presses=presses), seed=4)
+        still_hz = count(plate, 40)["offset_hz16"][:, 0, tone].mean()
+        press = {"press": "a", "position_m": SKIN.site_positions_m[520].tolist(), "force_newton": [0.1, 0.0, 1.0]}
+        assert presses.request(1, json.dumps(press).encode())["ok"]
+        (contact,) = plate.count(0, 10**9, 2_500_000, 1)[0].contacts
+        assert contact.site == site
+        pressed_hz = count(plate, 40)["offset_hz16"][:, 0, tone].mean()
+        return float(pressed_hz - still_hz), (contact.radius_m, contact.stick_radius_m)
+
+    ball, radii_m = pressed("")
+    assert radii_m == pytest.approx((2.5e-3, 2.5e-3 * 0.8 ** (1 / 3)))
+    punch, radii_m = pressed("shape=punch")
+    assert radii_m == (2.5e-3, 2.5e-3)
+    of_ball, of_punch = 3 / 2.5**2 * (1 - np.arctan(2.5) / 2.5), 1 / (2.5**2 + 1)  # at 1 mm, by Johnson's closed forms
+    assert punch / ball == pytest.approx(of_punch / of_ball, rel=0.01)
+    assert pressed("adhesion=0.3")[0] / ball == pytest.approx(1.3 - 0.3 * of_punch / of_ball, rel=0.01)
+    assert pressed("layer=1000")[0] / ball == pytest.approx(1.0, rel=1e-3)
+    assert pressed("layer=2")[0] / ball > 1.05
 
 
 ROOT = Path(__file__).parents[2]

@@ -4,6 +4,7 @@ import os
 import socket
 import threading
 import time
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 
@@ -182,6 +183,27 @@ def test_a_world_changes_the_plate_and_not_its_name() -> None:
     assert (skin.required_skin.depth_mm, skin.tones.sensitivity[0, 0]) == pytest.approx((1.05, -2.1e-11))
     assert comb.plate.tones.sensitivity == pytest.approx(2.0 * load_plate("comb16").tones.sensitivity)
     assert comb.with_oscillator_noise(Physics()).white_fm == pytest.approx(9e-10)
-    for plate, spec in (("quartz16", "f0=2e-6,depth=1.05"), ("skin32", "dead=p_n@1025"), ("skin32", "common_walk=x")):
-        with pytest.raises(ValueError, match=r"depth|p_n@1025|common_walk"):
+    for plate, spec, key in (
+        ("quartz16", "f0=2e-6,depth=1.05", "depth"),
+        ("skin32", "dead=p_n@1025", "dead"),
+        ("skin32", "common_walk=x", "common_walk"),
+        ("skin32", "dept=1.05", "dept"),
+        ("skin32", "layer=1", "layer"),
+        ("skin32", "adhesion=1.1", "adhesion"),
+        ("skin32", "adhesion=0.1,shape=punch", "adhesion"),
+        ("skin32", "shape=cone", "shape"),
+    ):
+        with pytest.raises(ValueError, match=rf"^world\.{key}: "):
             with_world(load_plate(plate), spec)
+
+
+def test_the_world_of_a_scenario_yields_to_that_of_the_command_line(tmp_path: Path) -> None:
+    skin = with_world(load_plate("skin32"), "depth=1.1", {"depth": 1.05, "modulus": 0.9}).plate.required_skin
+    assert (skin.depth_mm, skin.youngs_modulus_pascal) == pytest.approx((1.1, 1.8e5))
+    scenario = tmp_path / "mine.toml"
+    scenario.write_text("[world]\nlayer = 1.2\n")
+    options = EmulatorOptions("skin32", tcp=("127.0.0.1", 0), scenario=str(scenario), world="depth=1.3")
+    with pytest.raises(ValueError, match=r"^world\.layer: "), emulated(options):
+        pass
+    with emulated(replace(options, world="depth=1.3,layer=1.4")) as emulator:
+        assert emulator.plate_name == "skin32"

@@ -157,6 +157,10 @@ EVENT = "[[faults.events]]\nat_s = 1\n"
         (f"{EVENT}what = 'freeze'\nfor_s = 0.5\n", []),
         (f"{EVENT}what = 'rename'\nto = 'board.1'\n", []),
         (f"{EVENT}what = 'tick_step'\nticks = -5\n", []),
+        ("[world]\nk = 1.02\nf0 = 2e-6\n", []),
+        ("[world]\nkk = 1.02\n", ["world.kk"]),
+        ("[world]\nk = '1.02'\n", ["world.k"]),
+        ("[world]\noscillator = true\n", ["world.oscillator"]),
         ("period = 3\nperiod_s = 0\nseed = -1\n", ["period", "period_s", "seed"]),
         ("[plate]\nideal = 1\ncrep_fraction = 1\n", ["plate.crep_fraction", "plate.ideal"]),
         (
@@ -187,6 +191,8 @@ def test_schema_and_emulator_accept_the_same_and_every_mistake_is_named(
     ("text", "keys"),
     [
         ("environment_kelvin = []\n", ["environment_kelvin"]),
+        ("[world]\nlayer = 10\n", ["world.layer"]),
+        ("[world]\noscillator = -1\n", ["world.oscillator"]),
         ("environment_kelvin = [[5, 300], [5, 301]]\n", ["environment_kelvin"]),
         (f"{TOUCH}site = 17\n", ["touches[0].site"]),
         (f"{TOUCH}position_mm = [11, 0]\n", ["touches[0].position_mm"]),
