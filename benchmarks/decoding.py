@@ -30,8 +30,9 @@ from resonator_daemon.estimate.surface.open_plane.decoder import OpenPlaneDecode
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder
 from resonator_daemon.measure.sensors.surface_requests import stated_skin
-from simulators.contact import hertz_parts, pixel_tractions
+from simulators.contact import hertz_parts, pixel_tractions, punch_parts
 from simulators.half_space_fields import hertz_fields
+from simulators.pressed_surface import PressedSurface
 
 YOUNGS_PASCAL, NU, DEPTH_M, PITCH_M = 2e5, 0.5, 1e-3, 4e-4
 RADIUS_M, FRICTION = 2.5e-3, 0.5  # of contact at 1 N
@@ -193,18 +194,26 @@ class ModelError(NamedTuple):
     walk: float = 0.0  # of the noise, a frame
     site: float = 1.0  # factor of the signals of the site next to the contact
     second: float = 0.0  # share of the force that acts 4 mm away
+    layer: float = np.inf  # thickness of the skin on a rigid plate, in depths
+    adhesion: float = 0.0  # share of the load
+    flat: bool = False  # a punch and no ball
 
-    def signals(self, load: Load, noise: float, frame: int, rng: np.random.Generator) -> Floats:
+    def surface(self) -> PressedSurface:
         sites_m = SITES_M + self.positions_m * np.random.default_rng(2).standard_normal(SITES_M.shape)
+        body = self.depth * DEPTH_M, self.modulus * YOUNGS_PASCAL, self.poisson
+        punch = (1.0, 1.0) if self.flat else (0.0, -self.adhesion)
+        return PressedSurface(sites_m, *body, 30e-3, 5e-3, punch=punch, thickness_m=self.layer * DEPTH_M)
+
+    def signals(
+        self, surface: PressedSurface, load: Load, noise: float, frame: int, rng: np.random.Generator
+    ) -> Floats:
         x, y = load.centre_m
         centres_m = (load.centre_m, (x - 4e-3 if x > 0.0 else x + 4e-3, y))
         total = np.zeros((3, len(SITES_M)))
         for centre_m, share in zip(centres_m, (1.0, self.second), strict=True):
-            radii, forces = hertz_parts(share * np.array(load.force_newton), RADIUS_M, FRICTION)
-            if share:
-                depth_m, pascal = self.depth * DEPTH_M, self.modulus * YOUNGS_PASCAL
-                fields = hertz_fields(sites_m - centre_m, depth_m, radii, pascal, self.poisson)
-                total += np.einsum("kf,kfsn->sn", forces, fields) * TO_TRIPLE
+            force_newton = share * np.array([load.force_newton])
+            loads = (punch_parts if self.flat else hertz_parts)(force_newton, RADIUS_M, FRICTION)
+            total += surface.signals(centre_m, *loads)[0] * TO_TRIPLE
         total[:, np.hypot(*(SITES_M - load.centre_m).T).argmin()] *= self.site
         common = noise * (self.common * (frame > REST) + self.walk * frame)
         return np.asarray(self.gain * total + common + noise * rng.standard_normal(total.shape))
@@ -226,6 +235,10 @@ MODEL_ERRORS = {
     "a dead site": ModelError(site=0.0),
     "a site +20 %": ModelError(site=1.2),
     "a second contact": ModelError(second=0.3),
+    "layer of 10 depths": ModelError(layer=10.0),
+    "adhesion .1": ModelError(adhesion=0.1),
+    "adhesion .3": ModelError(adhesion=0.3),
+    "flat punch": ModelError(flat=True),
 }
 
 
@@ -238,13 +251,14 @@ def print_model_errors(draws: int) -> None:
     noise_std, skin = np.full((3, len(SITES_M)), noise), shipped("skin32")
     for name, off in MODEL_ERRORS.items():
         rng, scores, contradicted, suspects = np.random.default_rng(3), [], [], 0
+        surface = off.surface()
         for _ in range(draws):
             load = random_load(rng)
             decoder = SkinDecoder(skin, DecodingOptions(), noise_std, lambda _: None)
             margin = 1.0 - float(np.hypot(*load.force_newton[:2])) / (FRICTION * load.force_newton[2])
             for frame in range(REST + PRESSED):
                 pressed = load if frame > REST else Load(load.centre_m, (0.0, 0.0, 0.0))
-                reading = decoder.decode(off.signals(pressed, noise, frame, rng), noise_std)
+                reading = decoder.decode(off.signals(surface, pressed, noise, frame, rng), noise_std)
                 if frame in (REST + 15, REST + 22, REST + 29):
                     decoder.check_sites()
                 if frame < REST + 10 or not reading.contacts:
