@@ -324,6 +324,7 @@ class State(BoardHeader):
     compensation: Compensation | None = optional(
         "of `state/sensor` of force sites: what was taken out before frequencies became forces; sent again each second"
     )
+    suspect_sites: tuple[int, ...] | None = optional("of `state/sensor`, with `sensor_suspect`: numbers of these sites")
 
 
 class SiteInfo(Message):

@@ -420,7 +420,7 @@ class Service:
             self._decoder.info() if self._decoder is not None else None,
             messages=self._plate_publisher.account,
             clock_drift_ppm=self._reader.clock_rate_ppm,
-            sites_suspect=self._pipeline.sensor.sites_suspect,
+            sites_suspect=len(self._pipeline.sensor.suspect_sites),
             records_unusable=self._pipeline.sensor.records_unusable,
             latency=self._pipeline.output.latencies.info(),
             recording=recording_info(self._recording),

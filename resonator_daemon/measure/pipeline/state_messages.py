@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.base.reasons import Reason
+from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.session.frames import BoardOnline, LinkChange, Outage
 from resonator_daemon.estimate.forces.readings import Compensation as AppliedCompensation
@@ -80,6 +80,7 @@ class StateMessages:
             reason_code=reason.code,
             reason=reason.text,
             compensation=payloads.Compensation(**asdict(compensation)) if compensation is not None else None,
+            suspect_sites=self._sensor.suspect_sites if reason.code is ReasonCode.SENSOR_SUSPECT else None,
         )
 
     def _in_order(self, topic: Topic[payloads.State], utc_ns: int, since_utc_ns: int) -> dict[str, Any]:

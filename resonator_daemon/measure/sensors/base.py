@@ -169,9 +169,9 @@ class Sensor(ABC, Generic[Reading]):
         return 0
 
     @property
-    def sites_suspect(self) -> int:
-        """Number of sites whose signals contradict those of all others."""
-        return 0
+    def suspect_sites(self) -> tuple[int, ...]:
+        """Numbers of the sites whose signals contradict those of all others."""
+        return ()
 
     async def run(self) -> None:
         """Decode until cancelled; return at once if nothing is decoded."""

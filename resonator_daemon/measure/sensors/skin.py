@@ -192,8 +192,8 @@ class SkinSensor(Sensor[SkinReading]):
         return len(_SURFACE) * self._decoding.frames_late if self._decoding is not None else 0
 
     @property
-    def sites_suspect(self) -> int:
-        return len(self._decoding.suspects) if self._decoding is not None else 0
+    def suspect_sites(self) -> tuple[int, ...]:
+        return self._decoding.suspects if self._decoding is not None else ()
 
     async def run(self) -> None:
         if self._decoding is not None:

@@ -157,6 +157,7 @@ def _follow(*steps: str | int) -> Get:
 
 
 _NOTHING_PRESSES: Final = "; missing where nothing presses on the site"
+_NO_COLUMNS: Final = ("compensation", "suspect_sites")  # of a state; the reason names the second
 
 Row = Sequence[Value]
 _MakeTable = Callable[[Plate, payloads.Message | None], "Table"]
@@ -243,7 +244,7 @@ def _sensor_state(plate: Plate, _first: payloads.Message | None) -> Table:
     of_part = sources(payloads.Compensation, prefix="compensation_", skip=("common_mode",), within=("compensation",))
     return Table(
         [
-            *sources(payloads.State, skip=("compensation",)),
+            *sources(payloads.State, skip=_NO_COLUMNS),
             *map(_common_mode, range(len(plate.transducers_m))),
             *(replace(source, column=replace(source.column, nullable=True)) for source in of_part),
         ]
@@ -271,7 +272,7 @@ _MAKE: Final[Mapping[str, _MakeTable]] = {
     topics.SIGNALS.path: _with_arrays(payloads.Signals, "signals", "noise_std"),
     topics.DECODED.path: _with_arrays(payloads.Decoded, "traction_pascal", "traction_std_pascal", "displacement_m"),
     topics.DECODED_SUMMARY.path: _plain(payloads.DecodedSummary, "patches", payloads.Patch),
-    topics.STATE_LINK.path: _plain(payloads.State, "compensation"),
+    topics.STATE_LINK.path: lambda *_: Table(list(sources(payloads.State, skip=_NO_COLUMNS))),
     topics.STATE_SENSOR.path: _sensor_state,
 }
 WITH_TABLE: Final = tuple(_MAKE)

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -193,3 +194,12 @@ def test_states_never_go_back_in_time(messages: Messages) -> None:
         (2_100, 2_000),
         (1_000, 1_000),
     ]
+
+
+def test_suspect_sites_are_in_the_state_that_names_them(tmp_path: Path) -> None:
+    decoding = SimpleNamespace(suspects=(3, 7))
+    states = Messages(configured(tmp_path, "skin32"), make_decoding=lambda *_: decoding).states
+    suspect = Reason(ReasonCode.SENSOR_SUSPECT, "sites 3, 7")
+    named, other = (literal(states.sensor_state(Condition.ONLINE, why, 1, 1, None)) for why in (suspect, WHY))
+    assert named["suspect_sites"] == [3, 7]
+    assert "suspect_sites" not in other

@@ -166,6 +166,7 @@ function state(payload) {
     boots: number(payload.boot_count),
     connections: number(payload.connections),
     connected: seconds(payload.connected_t_ns),
+    suspects: list(payload.suspect_sites),
     outage: payload.last_outage ? { end: seconds(outage.end_t_ns), reason: text(outage.reason) } : null,
     compensation: payload.compensation
       ? {

@@ -188,11 +188,9 @@ export class PlateModel {
     return this.states.daemon?.state === "offline";
   }
 
-  /** Numbers of the sites that contradict all others, which the reason names. */
+  /** Numbers of the sites that contradict all others. */
   get suspects() {
-    const { reasonCode, reason } = this.states.sensor ?? {};
-    const named = reasonCode === "sensor_suspect" && !this.isOffline ? /\bsites? (\d+(?:, \d+)*)/.exec(reason) : null;
-    return named ? named[1].split(", ").map(Number) : [];
+    return this.isOffline ? [] : (this.states.sensor?.suspects ?? []);
   }
 
   get isSkin() {

@@ -91,7 +91,7 @@ async def test_surface_has_the_colours_of_its_scale(fake: FakeLivePage, open_pag
     assert await page.locator("option[value=displacement]").is_disabled()
     await fake.send("decoded", decoded(hertz(1.0, 0.0025), traction_std_pascal=array(np.full((3, 32, 32), 1e5))))
     await expect(page.locator(".longest")).to_contain_text("no shear above its noise")
-    reason = {"reason_code": "sensor_suspect", "reason": "site 2: the signals differ"}
+    reason = {"reason_code": "sensor_suspect", "reason": "why", "suspect_sites": [2]}
     before = await colour(page, SURFACE, 0.008, 0.004)
     await send_states(fake, ONLINE | {"sensor": {"state": "online"} | reason})
     await drawn(page)
