@@ -315,8 +315,11 @@ async def test_connects_again_and_watches_again(fake: FakeLivePage, open_page: O
     await expect(page.locator(".situation")).to_contain_text("No connection to the page's server since")
     await fake.until("watch", watched + 1)
     await expect(page.locator(".situation")).to_have_attribute("data-situation", "never_started")
-    await fake.send_text(broker={"connected": False, "reason_code": "no_broker", "reason": "no broker answers"})
+    gone = {"connected": False, "reason_code": "no_broker", "reason": "no broker answers", "since_s": 1_789_000_000.0}
+    await fake.send_text(broker=gone)
     await expect(page.locator(".situation")).to_contain_text("No connection to the MQTT broker since")
+    since = await page.evaluate("new Date(1789000000000).toLocaleTimeString([], { hour12: false })")
+    await expect(page.locator(".situation")).to_contain_text(since)
     await expect(page.locator(".situation")).to_contain_text("no broker answers")
     await fake.send_text(broker={"connected": True, "reason_code": "connected", "reason": ""})
     await fake.send("info", b"")  # the broker has lost it
