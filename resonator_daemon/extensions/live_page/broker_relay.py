@@ -51,8 +51,8 @@ class BrokerRelay:
         self._streams: BrokerConnection | None = None  # while connected
         self._streams_version: MQTTProtocolVersion | None = MQTT_3  # its packets cost half of those of version 5
         self._connected = False
-        self._retained: set[tuple[str, str]] = set()  # plate and path: relayed, and not cleared since
-        self._delivered: set[tuple[str, str]] = set()  # of these, what this connection has delivered
+        # By plate and path, for what was relayed and not cleared since: whether this connection has delivered it.
+        self._retained: dict[tuple[str, str], bool] = {}
 
     async def run(self) -> None:
         """Relay until cancelled."""
@@ -102,14 +102,14 @@ class BrokerRelay:
     async def _serve_states(self, connection: BrokerConnection) -> None:
         topics = [topic for topic in TOPICS.values() if topic.qos]
         filters = topic_filters(self._broker.prefix, topics, plate=EVERY_PLATE, full_rate=True)
-        self._delivered = set()
+        self._retained = dict.fromkeys(self._retained, False)
         for topic_filter, qos in filters.items():
             connection.subscribe(topic_filter, qos)
         self._connected = True
         self._set_status(True, CONNECTED, "")
         over, _ = await asyncio.wait([connection.lost], timeout=RETAINED_S)
         if not over:
-            for plate, path in self._retained - self._delivered:  # the broker has lost them
+            for plate, path in [it for it, delivered in self._retained.items() if not delivered]:  # lost
                 self._relay(plate, path, b"")
             await asyncio.wait([connection.lost])
 
@@ -130,12 +130,10 @@ class BrokerRelay:
             self._relay(plate, path, message.payload)
 
     def _relay(self, plate: str, path: str, payload: bytes) -> None:
-        if TOPICS[path].retained:
-            self._delivered.add((plate, path))
-            if payload:
-                self._retained.add((plate, path))
-            else:
-                self._retained.discard((plate, path))
+        if not payload:
+            self._retained.pop((plate, path), None)
+        elif TOPICS[path].retained:
+            self._retained[plate, path] = True
         self._on_message(plate, path, payload)
 
     def _failed(self, error: Exception) -> None:

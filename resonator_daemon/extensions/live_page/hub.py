@@ -203,8 +203,7 @@ class Hub:
     def _send_truth(self, board: Board, truth: dict[str, Any]) -> None:
         for plate in [plate for plate, its_board in self._boards.items() if its_board == board]:
             t_ns, contacts = truth["gate_middle_t_ns"], truth["contacts"]  # as messages of measured values
-            content = {"plate": plate, "t_ns": t_ns, "contacts": contacts, "traction_pascal": None}
-            message = text_frame("truth", content)
+            message = text_frame("truth", {"plate": plate, "t_ns": t_ns, "contacts": contacts, "traction_pascal": None})
             for browser in self._browsers:
                 if (watched := browser.watched.get(LIVE)) is not None and watched[0] == plate:
                     browser.outgoing.put_newest("truth", message)
