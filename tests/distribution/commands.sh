@@ -58,7 +58,7 @@ for source in "--url $url" run.mcap; do
   "$python" - <<'READ'
 import json, urllib.request
 page = json.loads(open("page.json").readline())["url"]
-for name in ("", "main.js", "style.css", "uplot/uPlot.iife.min.js"):
+for name in ("", "main.js", "style.css", "uplot/uPlot.iife.min.js", "three/three.module.min.js"):
     assert urllib.request.urlopen(page + name).status == 200
 READ
   kill -INT $page

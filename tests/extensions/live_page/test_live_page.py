@@ -1,12 +1,15 @@
 """The live page of a broker: what browsers receive and may do, through its WebSocket."""
 
 import asyncio
+import hashlib
 import json
 import os
+import re
 import socket
 import threading
 import time
 from contextlib import AsyncExitStack
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -246,6 +249,15 @@ async def test_who_may_open_the_page(mosquitto: Mosquitto) -> None:
             assert (response.status, response.url.path) == (200, "/")
         assert all(port in cookie.key for cookie in session.cookie_jar)  # the host's other ports have their own
         assert await status() == (200, None)  # by the cookie
+
+
+def test_files_of_others_are_those_whose_origin_is_stated() -> None:
+    folder = resources.files("resonator_daemon.extensions.live_page")
+    stated = dict(re.findall(r"^\| `([\w./]+)` \|.*\| `([0-9a-f]{64})` \|$", (folder / "README.md").read_text(), re.M))
+    files = [file for name in ("three", "uplot") for file in (folder / "page" / name).iterdir()]
+    of_others = {f"{Path(str(file)).parent.name}/{file.name}": file for file in files if file.name != "LICENSE"}
+    assert len(files) == len(of_others) + 2
+    assert {name: hashlib.sha256(file.read_bytes()).hexdigest() for name, file in of_others.items()} == stated
 
 
 @pytest.mark.parametrize(
