@@ -3,6 +3,7 @@
 import { MAPS, theme } from "./colours.js";
 import { slipState } from "./contacts.js";
 import { drawOutline, drawPresses, drawSuspects, drawTrails, drawTransducers, drawTruth, extent, twice } from "./marks.js";
+import { ReliefPanel } from "./relief.js";
 import { BOLD, Scene } from "./scene.js";
 import { metres, normalForce, pascals, setText } from "./text.js";
 
@@ -33,6 +34,7 @@ export class SurfacePanel {
   constructor(root) {
     this.root = root;
     this.scene = new Scene(root.querySelector(".scene"), (context, scene) => this.#drawStill(context, scene));
+    this.relief = new ReliefPanel(root, () => (this.scene.changed = true));
     this.picture = document.createElement("canvas");
     this.layer = "traction";
     this.top = LAYERS.traction.least;
@@ -59,7 +61,7 @@ export class SurfacePanel {
     this.info = info;
     this.places = null;
     this.raster = null;
-    if (info) this.scene.show(extent(info));
+    if (info) this.scene.show(extent(info)), this.relief.setPlate(info, extent(info));
     this.scene.invalidate();
   }
 
@@ -163,11 +165,12 @@ export class SurfacePanel {
   draw(model, presses) {
     const decoded = model.newest("decoded");
     const truth = model.truthAt(decoded?.time ?? Infinity);
+    const contacts = model.newest("contacts")?.contacts ?? [];
+    this.hasContact = contacts.length > 0;
+    if (this.relief.isShown && this.info) return this.#drawRelief(model, decoded, truth, contacts, presses);
     const context = this.scene.begin();
     if (!context || !this.info) return;
     this.draws += 1;
-    const contacts = model.newest("contacts")?.contacts ?? [];
-    this.hasContact = contacts.length > 0;
     if (decoded?.traction) {
       this.#setPlaces(decoded);
       if (this.#fill(decoded, truth)) this.#paint(context);
@@ -192,10 +195,34 @@ export class SurfacePanel {
     for (const contact of contacts) this.#drawContact(context, contact, patches.find(({ id }) => id === contact.id));
   }
 
-  #paint(context) {
+  /** The displacement as height, coloured as the flat map. */
+  #drawRelief(model, decoded, truth, contacts, presses) {
+    this.scene.changed = false;
+    this.draws += 1;
+    let map = null;
+    if (decoded?.traction && decoded.displacement?.values.length === decoded.traction.values.length) {
+      this.#setPlaces(decoded);
+      if (this.#fill(decoded, truth)) this.#colour();
+      const { count, rows, columns, pitch, isGrid, origin, corner } = this.places;
+      const depths = new Float32Array(rows * columns);
+      const normal = decoded.displacement.values.subarray(2 * count);
+      for (let at = 0; at < depths.length; at++) depths[at] = normal[this.raster ? this.raster[at] : at] ?? NaN;
+      map = { rows, columns, pitch, corner: isGrid ? origin : corner, depths, pixels: this.pixels };
+    }
+    const label = (kind, all, text) => all.map((item, index) => ({ kind, text: text(item, index), position: item.position ?? item }));
+    const labels = [
+      ...label("transducer", this.info.transducers, (_, index) => `${index + 1}`),
+      ...label("truth", truth?.contacts ?? [], () => ""),
+      ...label("suspect", model.suspects.map((site) => ({ site, position: this.info.places.get(site) })), ({ site }) => `site ${site} suspect`),
+      ...label("contact", contacts, (contact) => (this.texts.get(contact.id) ?? texts(contact))[0]),
+    ];
+    this.relief.draw(map, labels.filter(({ position }) => position?.every(Number.isFinite)), presses);
+  }
+
+  /** Fill `pixels` with the colours of `values`. */
+  #colour() {
     const { map, least, signed } = LAYERS[this.layer];
     const { values, pixels, raster } = this;
-    const { rows, columns, pitch, isGrid } = this.places;
     let most = 0;
     for (let at = 0; at < values.length; at++) most = Math.max(most, signed ? Math.abs(values[at]) || 0 : values[at] || 0);
     this.peak = most;
@@ -208,6 +235,11 @@ export class SurfacePanel {
       const value = at < 0 ? NaN : values[at];
       pixels[pixel] = value === value ? map[Math.max(0, Math.min(255, (offset + factor * value) | 0))] : 0;
     }
+  }
+
+  #paint(context) {
+    this.#colour();
+    const { rows, columns, pitch, isGrid } = this.places;
     this.picture.getContext("2d").putImageData(this.image, 0, 0);
     const [x, y] = isGrid ? this.places.origin : this.places.corner;
     context.imageSmoothingEnabled = false;
@@ -324,7 +356,8 @@ export class SurfacePanel {
     const ends = [signed ? -this.top : 0, signed ? 0 : this.top / 2, this.top];
     this.root.querySelectorAll(".scale span").forEach((span, index) => setText(span, unit(ends[index])));
     const arrows = !this.arrows.checked ? "no arrows" : this.longest > 0 ? `longest arrow ${pascals(this.longest)}` : "no shear above its noise";
-    setText(this.root.querySelector(".longest"), this.hasContact ? `outline: ${100 * OUTLINE} % of the peak; ${arrows}` : "");
+    const legend = this.hasContact ? `outline: ${100 * OUTLINE} % of the peak; ${arrows}` : "";
+    setText(this.root.querySelector(".longest"), this.relief.isShown ? this.relief.describe(name, decoded !== null) : legend);
     const summary = model.newest("decoded/summary");
     const parts = summary ? [summary.decoder, summary.reason || summary.status] : [];
     if (summary?.atBorder) parts.push("contact reaches the border: larger errors");

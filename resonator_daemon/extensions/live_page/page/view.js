@@ -29,7 +29,7 @@ export class View {
     this.health = new HealthPanel(part("health-panel"), part("situation"));
     const announce = (text) => app.announce(text);
     this.presser = new Presser(app.connection, part("press-output"), announce);
-    for (const scene of [this.plate.scene, this.surface.scene]) this.presser.attach(scene);
+    for (const scene of [this.plate.scene, this.surface.scene, this.surface.relief]) this.presser.attach(scene);
     this.commands = this.isLive ? new CommandPanel(part("command-panel"), app.connection, announce) : null;
     part("command-panel").hidden = !this.isLive;
     part("recording-panel").hidden = this.isLive;
@@ -40,6 +40,7 @@ export class View {
 
   remove() {
     this.presser.releaseAll();
+    this.surface.relief.remove();
     this.root.remove();
   }
 

@@ -1,5 +1,6 @@
 """What each part of the page shows of payloads whose values are known, and what it asks the server for."""
 
+import re
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -96,6 +97,124 @@ async def test_surface_has_the_colours_of_its_scale(fake: FakeLivePage, open_pag
     await send_states(fake, ONLINE | {"sensor": {"state": "online"} | reason})
     await drawn(page)
     assert (await colour(page, SURFACE, 0.008, 0.004) != before).any()
+
+
+RELIEF = ".relief canvas"
+
+
+def pressed(depth_m: float) -> bytes:
+    """Return a map whose skin is pressed in by so much at the origin."""
+    displacement = np.zeros((3, 32, 32))
+    displacement[2] = depth_m * hertz(1.0, 0.003)[2] / hertz(1.0, 0.003)[2].max()
+    return decoded(hertz(1.0, 0.003), displacement_m=array(displacement))
+
+
+async def show_relief(page: Page) -> None:
+    await page.locator(".relief-switch").evaluate("it => it.click()")  # also while a force plate is shown
+    await page.wait_for_function("() => resonatord.views[0].surface.relief.isShown")
+
+
+async def height_px(page: Page, kind: str) -> float:
+    """Return where the mark of this kind is drawn, in pixels from above."""
+    return float(await page.locator(f".relief-labels .{kind}").evaluate("it => parseFloat(it.style.top)"))
+
+
+async def test_relief_is_loaded_when_chosen_and_shows_the_displacement(fake: FakeLivePage, open_page: Open) -> None:
+    requested: list[str] = []
+    await fake.send("info", info(skin=True))
+    page = await open_page()
+    page.on("request", lambda request: requested.append(request.url))
+    await page.reload()
+    await page.wait_for_function("() => resonatord.isOpen")
+    await fake.send("decoded", pressed(0.2e-3))
+    await expect(page.locator(".scale")).to_contain_text("kPa")
+    assert [url for url in requested if "three" in url] == []
+    assert len([url for url in requested if "main.js" in url]) == 1
+    await show_relief(page)
+    assert len([url for url in requested if "three" in url]) == 1
+    await expect(page.locator(SURFACE)).to_be_hidden()
+    text = page.locator(".longest")
+    await expect(text).to_contain_text("height \N{MULTIPLICATION SIGN} 20, deepest 0.200 mm (200 µm)")
+    await fake.send_text(truth={"plate": "p", "contacts": [{"position_m": [0, 0], "force_newton": [0, 0, 1]}]})
+    shallow = await height_px(page, "truth")
+    before = await page.locator(RELIEF).screenshot()
+    await fake.send("decoded", pressed(0.215e-3))
+    await expect(text).to_contain_text("height \N{MULTIPLICATION SIGN} 20, deepest 0.215 mm (215 µm)")
+    label = page.get_by_role("img", name="Relief of the skin")
+    await expect(label).to_have_attribute("aria-label", re.compile("deepest 0.215 mm"))
+    assert await height_px(page, "truth") > shallow
+    assert await page.locator(RELIEF).screenshot() != before
+    await fake.send("decoded", pressed(0.3e-3))  # too deep for that exaggeration
+    await expect(text).to_contain_text("height \N{MULTIPLICATION SIGN} 10, deepest 0.300 mm (300 µm)")
+    await fake.send("decoded", decoded(hertz(1.0, 0.003)))
+    await expect(text).to_contain_text("no displacement was published")
+    await expect(page.locator(".view")).to_have_class(re.compile("stale"))
+    assert float(await page.locator(".relief").evaluate("it => getComputedStyle(it.parentElement).opacity")) < 1
+    await page.locator(".relief-switch").uncheck()
+    await expect(page.locator(SURFACE)).to_be_visible()
+    await expect(page.locator(RELIEF)).to_be_hidden()
+
+
+async def test_relief_is_turned_by_the_right_button_and_keys_and_pressed_by_the_left(
+    fake: FakeLivePage, open_page: Open
+) -> None:
+    fake.hello["press"] = ["p"]
+    await fake.send("info", info(skin=True))
+    page = await open_page()
+    await fake.send("decoded", pressed(0.2e-3))
+    await show_relief(page)
+    relief = page.locator(RELIEF)
+    await expect(page.locator(".press-panel")).to_be_visible()
+    box = await relief.bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2  # the middle of the plate
+    first = page.locator(".relief-labels .transducer").first
+    at = await first.bounding_box()
+    await page.mouse.move(x, y)
+    await page.mouse.down(button="right")
+    await page.mouse.move(x + 60, y, steps=3)
+    await expect(relief).to_have_attribute("data-azimuth", "-50")  # half a degree a pixel
+    await drawn(page)
+    assert await first.bounding_box() != at
+    await page.mouse.move(x + 60, y - 20, steps=3)
+    await page.mouse.up(button="right")
+    await expect(relief).to_have_attribute("data-elevation", "30")
+    assert fake.asked("press") == []
+    await page.mouse.move(x, y)
+    await page.mouse.down()
+    press = (await fake.until("press"))[0]
+    await page.mouse.up()
+    assert press["position_m"] == pytest.approx([0, 0], abs=2e-4)
+    await relief.focus()
+    for _ in range(3):
+        await page.keyboard.press("ArrowLeft")
+    await page.keyboard.press("ArrowUp")
+    await expect(relief).to_have_attribute("data-azimuth", "-80")
+    await expect(relief).to_have_attribute("data-elevation", "35")
+    for _ in range(20):
+        await page.keyboard.press("ArrowUp")
+    await expect(relief).to_have_attribute("data-elevation", "90")
+    await page.keyboard.press("Home")
+    await expect(relief).to_have_attribute("data-azimuth", "-20")
+    count = len(fake.asked("press"))
+    await page.keyboard.down("Space")  # where the keys have moved no cursor
+    assert (await fake.until("press", count + 1))[-1]["position_m"] == pytest.approx([0, 0])
+    await page.keyboard.up("Space")
+    await fake.until("release", 2)
+
+
+async def test_a_browser_without_webgl_keeps_the_flat_map(fake: FakeLivePage, open_page: Open) -> None:
+    await fake.send("info", info(skin=True))
+    page = await open_page()
+    await fake.send("decoded", pressed(0.2e-3))
+    await page.evaluate("""() => { const { prototype } = HTMLCanvasElement, { getContext } = prototype;
+      prototype.getContext = function (kind, ...more) {
+        return kind === "webgl2" ? null : getContext.call(this, kind, ...more);
+      }; }""")
+    await page.locator(".relief-switch").click()
+    await expect(page.locator(".relief-note")).to_contain_text("WebGL 2")
+    await expect(page.locator(".relief-switch")).not_to_be_checked()
+    await expect(page.locator(SURFACE)).to_be_visible()
 
 
 async def test_error_against_the_truth_is_zero_where_the_map_is_right(fake: FakeLivePage, open_page: Open) -> None:
@@ -367,8 +486,9 @@ ODD: list[tuple[str, Any]] = [
     ("contacts/event", {"event": "unheard_of", "contact": None}),
     ("state/link", {"state": "unheard_of", "last_outage": {}, "new_key": 1}),
     ("info", info(skin=True, sites=10_000, schema_version="3.0")),
-    ("decoded", decoded(np.ones((3, 10_000)), grid=None)),
-    ("decoded", decoded(np.ones((3, 9, 9)))),
+    ("decoded", decoded(np.ones((3, 10_000)), grid=None, displacement_m=array(1e-4 * np.ones((3, 10_000))))),
+    ("decoded", decoded(np.ones((3, 9, 9)), displacement_m=array(np.full((3, 9, 9), np.nan)))),
+    ("decoded", decoded(np.ones((3, 1, 1)), displacement_m=array(np.ones((3, 1, 1))))),
     ("info", info(sites=0, outline_m=None, transducers_m=[[None, 1]], force_max_newton=None, calibration=None)),
     ("info", b""),
     ("state/daemon", b""),
@@ -378,10 +498,13 @@ ODD: list[tuple[str, Any]] = [
 ]
 
 
-async def test_nothing_throws(fake: FakeLivePage, open_page: Open) -> None:
+@pytest.mark.parametrize("relief", [False, True])
+async def test_nothing_throws(fake: FakeLivePage, open_page: Open, relief: bool) -> None:
     """Missing fields, null, NaN, messages cut off, plates that change: `open_page` asserts no error."""
     fake.hello["press"] = ["p"]
     page = await open_page()
+    if relief:
+        await show_relief(page)
     await fake.send("state/daemon", header(state="online"))
     for path, payload in ODD:
         await fake.send(path, payload)
@@ -412,6 +535,10 @@ async def test_phone_width_and_accessibility(fake: FakeLivePage, open_page: Open
     await fake.send("tones", header(status="ok", corners=[TONE] * 4))
     await expect(page.locator(".card")).to_be_visible()
     await expect(page.locator(".ladder .zoom:visible")).to_have_count(0 if skin else 4)
+    if skin:
+        await fake.send("decoded", pressed(0.2e-3))
+        await show_relief(page)
+        await expect(page.locator(".relief-labels .contact")).to_be_visible()
     assert await page.evaluate("document.documentElement.scrollWidth") <= 360
     await page.evaluate(AXE.read_text())  # `make test-browser` installs it
     found = await page.evaluate("axe.run()")

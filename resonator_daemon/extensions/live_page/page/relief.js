@@ -1,0 +1,159 @@
+// Relief of a pressed skin in place of its flat map: the switch, what is loaded when it is first chosen, turning, text.
+
+import { fixed, setText } from "./text.js";
+
+const KEYS = { ArrowLeft: [-10, 0], ArrowRight: [10, 0], ArrowUp: [0, 5], ArrowDown: [0, -5] }; // degrees
+const DEGREES_PER_PX = 0.5;
+const START = { azimuth: -20, elevation: 40 };
+const ELEVATIONS = [20, 90]; // from the side, from above; lower, rays of the picture's upper edge would miss the plate
+const HIGHEST = 0.22; // of the plate's size: the exaggerated depth at most
+const LOWEST = 0.07; // at least, before the exaggeration grows
+const LEAST = 10e-6; // m: smaller displacements are not exaggerated further
+const HALVED_MS = 5000; // time in which half of a past displacement still counts: touches in turn have one exaggeration
+const NO_WEBGL = "The relief needs WebGL 2, which this browser does not have; the flat map has the same values.";
+
+/** The largest of 1, 2, 5, 10, 20… that is not above a value; at least 1. */
+function niceBelow(value) {
+  const power = 10 ** Math.floor(Math.log10(Math.max(1, value)));
+  return [5, 2, 1].map((factor) => factor * power).find((step) => step <= Math.max(1, value));
+}
+
+const inBothUnits = (depth) => `${fixed(1e3 * depth, 3)} mm (${fixed(1e6 * depth, 0)} µm)`;
+
+export class ReliefPanel {
+  #scene = null;
+  #drag = null;
+
+  /** `onChange` is called when the relief has to be drawn, or the flat map in its place. */
+  constructor(root, onChange) {
+    this.root = root;
+    this.onChange = onChange;
+    this.canvas = root.querySelector(".relief canvas");
+    this.switch = root.querySelector(".relief-switch");
+    this.note = root.querySelector(".relief-note");
+    this.exaggeration = 1;
+    this.depth = NaN;
+    this.switch.addEventListener("change", () => this.#choose());
+    this.#turnTo(START);
+    this.#follow();
+  }
+
+  get isShown() {
+    return this.#scene !== null && this.switch.checked;
+  }
+
+  async #choose() {
+    let text = "";
+    if (this.switch.checked && !this.#scene) {
+      setText(this.note, "Loading the relief…");
+      text = await this.#load();
+    }
+    setText(this.note, text);
+    if (text) this.switch.checked = false;
+    this.root.classList.toggle("in-relief", this.isShown);
+    this.root.querySelector(".relief").hidden = !this.isShown;
+    this.root.querySelector("canvas.scene").hidden = this.isShown;
+    this.onChange();
+  }
+
+  /** Return why the relief cannot be shown, "" if it can. */
+  async #load() {
+    const context = this.canvas.getContext("webgl2", { antialias: true });
+    if (!context) return NO_WEBGL;
+    try {
+      const { ReliefScene } = await import("./relief_scene.js");
+      this.#scene ??= new ReliefScene(this.canvas, context, this.root.querySelector(".relief-labels"), this.onChange);
+      return "";
+    } catch (error) {
+      return `The relief cannot be shown: ${error.message}`;
+    }
+  }
+
+  remove() {
+    this.#scene?.dispose();
+    this.#scene = null;
+  }
+
+  #turnTo({ azimuth, elevation }) {
+    this.azimuth = ((((azimuth + 180) % 360) + 360) % 360) - 180;
+    this.elevation = Math.max(ELEVATIONS[0], Math.min(ELEVATIONS[1], elevation));
+    this.canvas.dataset.azimuth = Math.round(this.azimuth);
+    this.canvas.dataset.elevation = Math.round(this.elevation);
+    this.onChange();
+  }
+
+  #turn(right, up) {
+    this.#turnTo({ azimuth: this.azimuth + right, elevation: this.elevation + up });
+  }
+
+  /** Turn by the right button, by any where the plate cannot be pressed, and by keys. */
+  #follow() {
+    const { canvas } = this;
+    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+    canvas.addEventListener("pointerdown", (event) => {
+      if (event.button !== 2 && canvas.closest(".pressable")) return;
+      canvas.setPointerCapture(event.pointerId);
+      this.#drag = event;
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      if (this.#drag?.pointerId !== event.pointerId) return;
+      const [right, down] = [event.clientX - this.#drag.clientX, event.clientY - this.#drag.clientY];
+      this.#drag = event;
+      this.#turn(-DEGREES_PER_PX * right, DEGREES_PER_PX * down);
+    });
+    for (const type of ["pointerup", "pointercancel", "lostpointercapture"]) canvas.addEventListener(type, () => (this.#drag = null));
+    canvas.addEventListener("keydown", (event) => {
+      if (event.key === "Home") this.#turnTo(START);
+      else if (KEYS[event.key]) this.#turn(...KEYS[event.key]);
+      else return;
+      event.preventDefault();
+      event.stopImmediatePropagation(); // the keys that press a plate are others
+    });
+  }
+
+  /** Position in metres of a pointer event, in the plane of the untouched skin. */
+  position(event) {
+    return this.#scene.position(event);
+  }
+
+  /** The plate that is shown, and points in metres that its picture contains. */
+  setPlate(info, points) {
+    const [xs, ys] = [0, 1].map((axis) => (points.length ? points.map((point) => point[axis]) : [-0.01, 0.01]));
+    this.bounds = [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
+    this.info = info;
+    this.exaggeration = 1;
+    [this.largest, this.drawnMs] = [0, 0]; // displacement in m, as it fades
+  }
+
+  /**
+   * Draw a map and what lies on it.
+   *
+   * map: null, or {rows, columns, pitch, corner, depths, pixels}: of each pixel the displacement into the plate in m, NaN
+   * where it is not known, and the colour; corner is the position of the first. labels: [{position, text, kind}].
+   */
+  draw(map, labels, presses) {
+    const now = performance.now();
+    let largest = this.largest * 0.5 ** ((now - this.drawnMs) / HALVED_MS);
+    this.depth = map ? 0 : NaN;
+    for (const value of map?.depths ?? []) {
+      this.depth = value > this.depth ? value : this.depth;
+      largest = Math.abs(value) > largest ? Math.abs(value) : largest;
+    }
+    [this.largest, this.drawnMs] = [largest, now];
+    const [left, top, right, bottom] = this.bounds;
+    const room = (HIGHEST * Math.max(right - left, bottom - top)) / Math.max(largest, LEAST);
+    const isTooLow = this.exaggeration < (LOWEST / HIGHEST) * room;
+    if (map && (this.exaggeration > room || isTooLow)) this.exaggeration = niceBelow(room);
+    this.#scene.draw(this, map, labels, presses);
+  }
+
+  /** Return the line below the picture, and write the canvas' text alternative. */
+  describe(layer, hasMap) {
+    const absence = hasMap ? "no displacement was published: [decoding] displacement = true publishes it" : "no map yet";
+    const height = Number.isFinite(this.depth) ? `height × ${this.exaggeration}, deepest ${inBothUnits(this.depth)}` : absence;
+    const view = `seen from ${this.canvas.dataset.azimuth}° to the side and ${this.canvas.dataset.elevation}° above`;
+    const label = `Relief of the skin, coloured by ${layer}: ${height}; ${view}. Arrow keys turn it, Home turns it back.`;
+    if (this.canvas.getAttribute("aria-label") !== label) this.canvas.setAttribute("aria-label", label);
+    return height;
+  }
+}
