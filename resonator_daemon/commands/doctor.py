@@ -5,11 +5,10 @@ Example: resonatord doctor left-index.toml
 
 import argparse
 import logging
-from dataclasses import replace
 from typing import Final
 
 from resonator_daemon.base.errors import ExitCode, UsageError
-from resonator_daemon.tools.command_line import add_link, positive, separate_config
+from resonator_daemon.tools.command_line import add_link, options_of, positive, separate_config
 
 _SECONDS: Final = 10.0
 
@@ -42,5 +41,4 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.tools.doctor.run import DoctorOptions, doctor
 
     logging.getLogger().setLevel(logging.ERROR)  # the report has the rest
-    options = DoctorOptions(arguments.config, arguments.link, arguments.seconds, arguments.json)
-    return doctor(replace(options, load_newton=arguments.load, verbose=arguments.verbose))
+    return doctor(options_of(DoctorOptions, arguments, config_path=arguments.config, load_newton=arguments.load))

@@ -18,18 +18,12 @@ from resonator_daemon.mqtt.broker_connection import MQTT_5, BrokerConnection, Co
 from resonator_daemon.mqtt.codec import Incoming
 from resonator_daemon.mqtt.reconnection import keep_connected
 from resonator_daemon.mqtt.topics import full_topic
-from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, downgraded, not_checked
+from resonator_daemon.tools.doctor.finding import Amount, Finding, downgraded, make_check, not_checked
 from resonator_daemon.tools.doctor.host_checks import BusyCheck, Host
 
-LISTENS: Final = Check("broker.listens", Area.SOFTWARE, "broker listens")
-ACCEPTS: Final = Check("broker.accepts", Area.SOFTWARE, "broker takes this user")
-_FIX_ROUND_TRIP: Final = (
-    "set_tcp_nodelay true in mosquitto.conf, or what other brokers call it; or a broker or a network with less load"
-)
-
-ROUND_TRIP: Final = Check(
-    "broker.round_trip", Area.SOFTWARE, "round trip to the broker", _FIX_ROUND_TRIP, warning_above=0.1
-)
+LISTENS: Final = make_check("broker.listens")
+ACCEPTS: Final = make_check("broker.accepts")
+ROUND_TRIP: Final = make_check("broker.round_trip", warning_above=0.1)
 
 _CONNECT_S: Final = 5.0
 ACCEPT_S: Final = 8.0
@@ -109,13 +103,11 @@ class _Probe:
             client.send(self._topic, str(number).encode(), qos=0)
 
     async def _await_rest(self) -> None:
-        try:
+        with contextlib.suppress(TimeoutError):  # what has not come by then is counted as not come
             async with asyncio.timeout(ANSWER_S):
                 while len(self._arrived) < len(self.sent):
                     self._came.clear()
                     await self._came.wait()
-        except TimeoutError:
-            pass  # what has not come by now is counted as not come
 
     def _receive(self, message: Incoming) -> None:
         if message.payload.isdigit():

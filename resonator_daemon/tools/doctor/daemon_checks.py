@@ -12,28 +12,17 @@ from resonator_daemon.board.config import load_config
 from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.daemon.monitoring.status_client import Answer, ask_all
 from resonator_daemon.mqtt.payloads import Condition
-from resonator_daemon.tools.doctor import link_checks, sensor_checks
-from resonator_daemon.tools.doctor.finding import Area, Check, Finding, downgraded, not_checked
+from resonator_daemon.tools.doctor import link_checks
+from resonator_daemon.tools.doctor.finding import SENSOR_STATES, Finding, downgraded, make_check, not_checked
 from resonator_daemon.tools.doctor.link_checks import ERRORS_FAULT
 
-RUNS: Final = Check("daemon.runs", Area.SOFTWARE, "running daemon")
-LINK: Final = Check("daemon.link", Area.WIRING, "link, as the daemon reports it")
-SENSOR: Final = Check("daemon.sensor", Area.SENSOR, "sensor, as the daemon reports it")
+RUNS: Final = make_check("daemon.runs")
+LINK: Final = make_check("daemon.link")
+SENSOR: Final = make_check("daemon.sensor")
 
 _FRAMES_MIN: Final = 100
 _DAMAGE: Final = ("damaged", "link_gap")  # causes of loss that a cable can have
 _WATCHED: Final = (Condition.DRIFTING, Condition.UNCALIBRATED)  # states in which a sensor measures on
-_REMEDIES: Final[Mapping[Any, str]] = {
-    Condition.PRESSED_AT_START: "take everything off the plate: measuring begins once it is untouched",
-    Condition.DRIFTING: "leave the plate untouched, away from heat and draughts, until its temperature is steady",
-    Condition.UNCALIBRATED: sensor_checks.CALIBRATE,
-    ReasonCode.SENSOR_SUSPECT: "calibrate these sites again, or repair them; after 10 s of load they are not used",
-    ReasonCode.FIT_CONTRADICTED: (
-        "hold a ball still on several places. If all places are contradicted, correct depth or modulus with a ball: "
-        f"{page('how-to/calibrate.md')}. If some are, look for faulty sites there. If only a ball that moves is, move "
-        "it more slowly. If only another object is, it is no ball, or touches in several places"
-    ),
-}
 
 
 def check_daemon(answer: Answer) -> Iterator[Finding]:
@@ -63,12 +52,12 @@ def check_daemon(answer: Answer) -> Iterator[Finding]:
 
 def _sensor(sensor: Mapping[str, Any], *, online: bool) -> Finding:
     state = sensor.get("state")
-    remedy = _REMEDIES.get(state, "stop the daemon and retry: then each tone is examined")
+    remedy = SENSOR_STATES.get(state, "stop the daemon and retry: then each tone is examined")
     words = f"{state}: {sensor.get('reason')}"
     if not online:
         return SENSOR.not_checked("no frames come")
     if state == Condition.ONLINE:
-        wrong = _REMEDIES.get(sensor.get("reason_code"))
+        wrong = SENSOR_STATES.get(sensor.get("reason_code"))
         return SENSOR.warning(words, wrong) if wrong else SENSOR.ok(words)
     if state is None or state == Condition.STARTING:
         return SENSOR.not_checked(words if state else "the daemon has not reported it yet")

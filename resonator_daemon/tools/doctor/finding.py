@@ -1,15 +1,16 @@
 """Findings of the doctor: each check as a row, what it found, and the report of all findings with its verdict."""
 
+import json
 import re
 import textwrap
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
+from pathlib import Path
 from typing import Any, Final, NamedTuple, TextIO
 
-from resonator_daemon.base.errors import ExitCode
-from resonator_daemon.base.host.text import Colour, coloured, printable
+from resonator_daemon.base.host.text import Colour, coloured, printable, with_pages
 
 
 class Outcome(StrEnum):
@@ -150,6 +151,27 @@ class Check:
         return Finding(self.id, self.area, self.title, outcome, evidence, remedy, *(amount or Amount(None)))
 
 
+_WORDS: Final = json.loads(Path(__file__).with_name("checks.json").read_text(encoding="utf-8"))
+
+
+def make_check(
+    check_id: str, unit: str = "", *, warning_above: float | None = None, fault_above: float | None = None
+) -> Check:
+    """Return a check whose area, title and remedy are in `checks.json`."""
+    words = _WORDS["checks"][check_id]
+    remedy = _remedy(words.get("remedy", ""))
+    return Check(check_id, Area(words["area"]), words["title"], remedy, unit, warning_above, fault_above)
+
+
+def _remedy(text: str) -> str:
+    """Return the text of a remedy; the id of a check stands for the remedy of that check."""
+    return with_pages(_WORDS["checks"][text]["remedy"] if text in _WORDS["checks"] else text)
+
+
+SENSOR_STATES: Final[Mapping[Any, str]] = {code: _remedy(text) for code, text in _WORDS["sensor_states"].items()}
+"""Remedy for a state of the sensor, by the word of its condition or its reason."""
+
+
 def downgraded(finding: Finding, excuse: str) -> Finding:
     """Return that it could not be checked, where something else than what it names explains what was seen."""
     if not excuse or not finding.bad:
@@ -193,10 +215,6 @@ class Report:
     def cause(self) -> Finding | None:
         """The first fault: what explains the others, where anything does."""
         return next((finding for finding in self.findings if finding.outcome is Outcome.FAULT), None)
-
-    @property
-    def exit_code(self) -> ExitCode:
-        return ExitCode.FAILED if self.faulty else ExitCode.DONE
 
     @property
     def verdict_text(self) -> str:

@@ -14,13 +14,11 @@ from typing import Final, Self
 from resonator_daemon.base.errors import meaning_of
 from resonator_daemon.base.host.load import BUSY_PERCENT, LoadMeter, busy_reason
 from resonator_daemon.board.config.tables import Recording
-from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding
+from resonator_daemon.tools.doctor.finding import Amount, Check, Finding, make_check
 
-_FIX_SYNCHRONISED: Final = "sudo timedatectl set-ntp true, or install chrony; without a network nothing is to be done"
-
-_SYNCHRONISED: Final = Check("clock.synchronised", Area.SOFTWARE, "time synchronisation", _FIX_SYNCHRONISED)
-_STATE: Final = Check("disk.state", Area.SOFTWARE, "space for state")
-_RECORDINGS: Final = Check("disk.recordings", Area.SOFTWARE, "space for recordings")
+_SYNCHRONISED: Final = make_check("clock.synchronised")
+_STATE: Final = make_check("disk.state")
+_RECORDINGS: Final = make_check("disk.recordings")
 
 _PULSE_S: Final = 0.005
 _HALT_S: Final = 0.03  # a program that runs at once is late by a few ms; boards count as silent after some 50 ms

@@ -6,7 +6,6 @@ from typing import Final
 
 from firmware_protocol.messages import ResetCause
 from resonator_daemon.base.host.load import REMEDY
-from resonator_daemon.base.host.text import page
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import ReasonCode
 from resonator_daemon.board.session.clock import TOLERANCE_PPM
@@ -14,70 +13,31 @@ from resonator_daemon.board.session.compatibility import first_of, incompatibili
 from resonator_daemon.board.session.link_state import all_of
 from resonator_daemon.board.session.probe import ProbeResult, TickRate, round_trip_s
 from resonator_daemon.tools.doctor.capture import OPEN_S, Capture
-from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, Outcome, downgraded, not_checked
+from resonator_daemon.tools.doctor.finding import Amount, Area, Finding, Outcome, downgraded, make_check, not_checked
 
-_CAPACITY: Final = (
-    "the link carries less than the board sends: raise the baud rate on both ends, use a quicker port, or lower "
-    "counter.frame_rate_hz of the plate"
-)
-_FIRMWARE: Final = "update the board's firmware: what it sends does not have the form that PROTOCOL.md gives"
-_RIGHT_PLATE: Final = "connect the right board, or name the right plate file"
 ERRORS_FAULT: Final = 1e-3  # frames damaged or lost, of all
 
-OPENS: Final = Check("link.opens", Area.WIRING, "link")
-ANSWERS: Final = Check(
-    "board.answers", Area.WIRING, "board answers", "check power, cable and baud rate, and that it is this port"
-)
+OPENS: Final = make_check("link.opens")
+ANSWERS: Final = make_check("board.answers")
 # The board is there, and answers something else.
 RESPONDS: Final = replace(ANSWERS, area=Area.SENSOR)
 # Intact packets with wrong contents.
-MESSAGES: Final = Check("board.messages", Area.SENSOR, "messages of the board", _FIRMWARE)
-PINGS: Final = Check("board.pings", Area.SENSOR, "answers to pings", _FIRMWARE)
-FITS: Final = Check("board.fits", Area.SENSOR, "board and plate file", _RIGHT_PLATE)
-UNIT: Final = Check("board.unit", Area.SENSOR, "board that was calibrated")
-_FIX_REFERENCE: Final = (
-    "repair the board's reference oscillator, or its frequency in the firmware; check this computer's clock"
-)
-_FIX_ROUND_TRIP: Final = (
-    f"an adapter that collects bytes: shorten its latency timer ({page('how-to/connect.md')}); of TCP, check the "
-    "network"
-)
-_FIX_COUNTS: Final = "restart the board; if that does not help, it or its firmware is broken"
-_FIX_STEADY: Final = "check plug, cable, hub and the board's power: move the cable and watch"
-_FIX_ERRORS: Final = (
-    "exchange the cable, keep it away from motors, ground both ends; on a line with a baud rate, see that both ends "
-    "have the same"
-)
-_FIX_OVERRUN: Final = "relieve the computer: something delays its interrupts"
-
-REFERENCE: Final = Check(
-    "board.reference", Area.SENSOR, "reference of the board", _FIX_REFERENCE, "ppm", fault_above=float(TOLERANCE_PPM)
-)
+MESSAGES: Final = make_check("board.messages")
+PINGS: Final = make_check("board.pings")
+FITS: Final = make_check("board.fits")
+UNIT: Final = make_check("board.unit")
+REFERENCE: Final = make_check("board.reference", "ppm", fault_above=float(TOLERANCE_PPM))
 # median; an FTDI timer of 16 ms, its default, gives 8 ms more
-ROUND_TRIP: Final = Check(
-    "link.round_trip", Area.WIRING, "round trip to the board", _FIX_ROUND_TRIP, "ms", warning_above=5.0
-)
-RESET: Final = Check("board.reset", Area.WIRING, "last reset of the board")
-FRAMES: Final = Check("board.frames", Area.SENSOR, "frames of the board", _FIRMWARE, "packets", fault_above=0.0)
-COUNTS: Final = Check("board.counts", Area.SENSOR, "board sends frames", _FIX_COUNTS)
-STEADY: Final = Check("link.steady", Area.WIRING, "link stays", _FIX_STEADY, "interruptions", fault_above=0.0)
-ERRORS: Final = Check(
-    "link.errors", Area.WIRING, "errors on the cable", _FIX_ERRORS, warning_above=0.0, fault_above=ERRORS_FAULT
-)
-OVERFLOW: Final = Check(
-    "link.overflow",
-    Area.WIRING,
-    "frames that the board dropped",
-    _CAPACITY,
-    "frames",
-    warning_above=0.0,
-    fault_above=ERRORS_FAULT,
-)
+ROUND_TRIP: Final = make_check("link.round_trip", "ms", warning_above=5.0)
+RESET: Final = make_check("board.reset")
+FRAMES: Final = make_check("board.frames", "packets", fault_above=0.0)
+COUNTS: Final = make_check("board.counts")
+STEADY: Final = make_check("link.steady", "interruptions", fault_above=0.0)
+ERRORS: Final = make_check("link.errors", warning_above=0.0, fault_above=ERRORS_FAULT)
+OVERFLOW: Final = make_check("link.overflow", "frames", warning_above=0.0, fault_above=ERRORS_FAULT)
 _OVERFLOW_OF_THIS_COMPUTER: Final = replace(OVERFLOW, area=Area.SOFTWARE, remedy=REMEDY)
-COMPUTER_BUSY: Final = Check(ReasonCode.COMPUTER_BUSY, Area.SOFTWARE, "load of this computer", REMEDY)
-OVERRUN: Final = Check(
-    "host.overrun", Area.SOFTWARE, "bytes that the driver lost", _FIX_OVERRUN, "times", fault_above=0.0
-)
+COMPUTER_BUSY: Final = replace(make_check(ReasonCode.COMPUTER_BUSY), remedy=REMEDY)
+OVERRUN: Final = make_check("host.overrun", "times", fault_above=0.0)
 OF_A_PROBE: Final = (FITS, UNIT, REFERENCE, ROUND_TRIP, RESET)
 OF_A_CAPTURE: Final = (COUNTS, STEADY, ERRORS, OVERFLOW, OVERRUN)
 
@@ -176,7 +136,7 @@ def _nothing_came(capture: Capture) -> Iterator[Finding]:
     if capture.problems:
         codes = [problem.code for problem in capture.problems]
         check = REFERENCE if ReasonCode.WRONG_REFERENCE in codes else FITS
-        yield check.fault(all_of(capture.problems).text, _RIGHT_PLATE)
+        yield check.fault(all_of(capture.problems).text, FITS.remedy)
         yield from not_checked((COUNTS, ERRORS, *rest), "the board does not serve this plate")
     elif counters.bytes_discarded > _GARBAGE_FAULT * max(counters.bytes_received, 1):
         yield _garbage(counters.bytes_discarded, counters.bytes_received, 0, 0)

@@ -11,10 +11,9 @@ from resonator_daemon.mqtt.payloads import Contacts
 from resonator_daemon.mqtt.requests import BrokerUnreachableError, reach
 from resonator_daemon.mqtt.subscriber import EVERY_PLATE, subscribe
 from resonator_daemon.mqtt.topics import CONTACTS, TOPICS
-from resonator_daemon.tools.doctor.finding import Area, Check, Finding
-from resonator_daemon.tools.doctor.sensor_checks import CALIBRATE
+from resonator_daemon.tools.doctor.finding import Finding, make_check
 
-LOAD: Final = Check("sensor.load", Area.SENSOR, "known load", CALIBRATE, "standard deviations", 2.0, 3.0)
+LOAD: Final = make_check("sensor.load", "standard deviations", warning_above=2.0, fault_above=3.0)
 _WAIT_S: Final = 60.0
 _SILENCE_S: Final = 5.0  # in which a daemon publishes
 _STILL_NS: Final = 1_000_000_000  # for which a load must lie
@@ -62,7 +61,7 @@ async def check_load(config: Config, newton: float) -> Finding:
     std = math.hypot(loads[-1].systematic, loads[-1].noise / math.sqrt(len(loads)))
     off = force - newton
     evidence = f"measured {force:.4g} N, load {newton:g} N: {100.0 * off / newton:+.1f} %; stated deviation {std:.2g} N"
-    remedy = "resonatord calibrate skin --ball" if config.plate.skin is not None else CALIBRATE
+    remedy = "resonatord calibrate skin --ball" if config.plate.skin is not None else LOAD.remedy
     return LOAD.judged(abs(off) / std if std > 0.0 else math.inf, evidence, remedy=remedy)
 
 

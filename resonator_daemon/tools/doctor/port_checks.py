@@ -10,27 +10,17 @@ from typing import Final
 from resonator_daemon.base.host.text import page
 from resonator_daemon.board.links.port_holders import Holder, Holders, is_pseudo_terminal
 from resonator_daemon.board.links.target import UsbId
-from resonator_daemon.tools.doctor.finding import Area, Check, Finding, not_checked
+from resonator_daemon.tools.doctor.finding import Finding, make_check, not_checked
 from resonator_daemon.tools.doctor.host_checks import Host
 
 _RULES_FILE: Final = f"the rules of {page('how-to/connect.md')}, or: resonatord install"
-EXISTS: Final = Check("port.exists", Area.WIRING, "port")
-PERMISSION: Final = Check("port.permission", Area.WIRING, "permission on the port")
-HOLDER: Final = Check(
-    "port.holder", Area.WIRING, "who else has the port open", "end that program, or have it use another port"
-)
-_FIX_MODEM_MANAGER: Final = f"{_RULES_FILE}; or, where there is no modem: sudo systemctl disable --now ModemManager"
-_FIX_LATENCY_TIMER: Final = 'a udev rule: ACTION=="add", SUBSYSTEM=="usb-serial", ATTR{latency_timer}="1"'
-_FIX_AUTOSUSPEND: Final = (
-    f'a udev rule: TEST=="power/control", ATTR{{power/control}}="on" ({page("how-to/connect.md")}, or: resonatord '
-    "install)"
-)
-MODEM_MANAGER: Final = Check("port.modem_manager", Area.SOFTWARE, "ModemManager", _FIX_MODEM_MANAGER)
-LATENCY_TIMER: Final = Check(
-    "port.latency_timer", Area.SOFTWARE, "latency timer of the adapter", _FIX_LATENCY_TIMER, "ms", warning_above=1.0
-)
-DEVICE: Final = Check("usb.device", Area.WIRING, "USB device")
-AUTOSUSPEND: Final = Check("usb.autosuspend", Area.SOFTWARE, "USB autosuspend", _FIX_AUTOSUSPEND)
+EXISTS: Final = make_check("port.exists")
+PERMISSION: Final = make_check("port.permission")
+HOLDER: Final = make_check("port.holder")
+MODEM_MANAGER: Final = make_check("port.modem_manager")
+LATENCY_TIMER: Final = make_check("port.latency_timer", "ms", warning_above=1.0)
+DEVICE: Final = make_check("usb.device")
+AUTOSUSPEND: Final = make_check("usb.autosuspend")
 
 _IGNORED: Final = re.compile(r"^E:ID_MM_(PORT|DEVICE)_IGNORE=1$", re.MULTILINE)
 _DEVICES: Final = "/sys/bus/usb/devices"

@@ -83,7 +83,7 @@ def doctor(options: DoctorOptions) -> ExitCode:
     report = Report(found)
     if not options.json:
         report.write(sys.stdout, verbose=options.verbose)
-        return report.exit_code
+        return ExitCode.FAILED if report.faulty else ExitCode.DONE
     if report.cause is not None:
         raise UserError(report.verdict_text, partial_result=report.as_json(), code="fault", exit_code=ExitCode.FAILED)
     sys.stdout.write(json.dumps(report.as_json()) + "\n")

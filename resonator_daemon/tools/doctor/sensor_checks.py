@@ -1,7 +1,7 @@
 """Plate and counter: are all tones there and where they belong, how noisy, how steady, and is the plate at rest."""
 
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Final
 
 import numpy as np
@@ -13,33 +13,18 @@ from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import SKIN_SIGNALS
 from resonator_daemon.measure.sensors.expected_tones import ExpectedTones
 from resonator_daemon.tools.doctor.capture import Capture, PlateReading
-from resonator_daemon.tools.doctor.finding import Amount, Area, Check, Finding, Outcome, not_checked
+from resonator_daemon.tools.doctor.finding import Amount, Finding, Outcome, make_check, not_checked
 
-CALIBRATE: Final = "resonatord calibrate, with known masses"
-_RELEASE: Final = "take everything off the plate and retry"
-
-_FIX_CHANNELS: Final = (
-    "check the transducer, its plug and its amplifier; if all channels are dead, the drive of the plate"
-)
-_FIX_STAMPS: Final = (
-    "correct the firmware: the edge index and the ticks of stamps run on from gate to gate (PROTOCOL.md)"
-)
-_FIX_NOISE: Final = "look for vibration, a loose plate or plug, a supply that hums, a neighbouring motor"
-_FIX_SCATTER: Final = "the signal drowns: look at transducer, amplifier, shield and supply of that channel"
-
-CHANNELS: Final = Check("sensor.channels", Area.SENSOR, "channels", _FIX_CHANNELS)
-STAMPS: Final = Check("board.stamps", Area.SENSOR, "stamps from gate to gate", _FIX_STAMPS)
-AT_REST: Final = Check("sensor.at_rest", Area.SENSOR, "plate at rest", _RELEASE)
-TONES: Final = Check("sensor.tones", Area.SENSOR, "tones")
+CHANNELS: Final = make_check("sensor.channels")
+STAMPS: Final = make_check("board.stamps")
+AT_REST: Final = make_check("sensor.at_rest")
+TONES: Final = make_check("sensor.tones")
 # over what counter and oscillator give
-NOISE: Final = Check(
-    "sensor.noise", Area.SENSOR, "noise floor", _FIX_NOISE, "times", warning_above=3.0, fault_above=10.0
-)
+NOISE: Final = make_check("sensor.noise", "times", warning_above=3.0, fault_above=10.0)
 # What a counter takes for a signal is three times as strong as its noise; where they are equal, edges are lost.
-_SCATTER: Final = Check(
-    NOISE.id, Area.SENSOR, NOISE.title, _FIX_SCATTER, "rad", warning_above=1.0 / 3.0, fault_above=1.0
-)
-CALIBRATION: Final = Check("sensor.calibration", Area.SENSOR, "calibration record", CALIBRATE)
+_FIX_SCATTER: Final = "the signal drowns: look at transducer, amplifier, shield and supply of that channel"
+_SCATTER: Final = replace(NOISE, remedy=_FIX_SCATTER, unit="rad", warning_above=1.0 / 3.0, fault_above=1.0)
+CALIBRATION: Final = make_check("sensor.calibration")
 _OF_TONES: Final = (CHANNELS, TONES, NOISE)
 OF_THE_PLATE: Final = (AT_REST, *_OF_TONES)
 
@@ -113,12 +98,12 @@ def _at_rest(touched: NDArray[np.bool_], shift: Floats, plate: Plate, expected: 
         if abs(force[worst]) > limit_newton:
             return AT_REST.fault(
                 f"{expected.names[worst]} reads {force[worst]:.2g} N, at most {limit_newton:.2g} N is rest",
-                f"{_RELEASE}; where it is bare, calibrate again",
+                f"{AT_REST.remedy}; where it is bare, calibrate again",
                 Amount(float(abs(force[worst])), limit_newton, "N"),
             )
     if touched.any():
         evidence = f"touched {in_readings}, which the checks below leave out"
-        return AT_REST.warning(evidence, f"where nobody meant to touch it: {_RELEASE}")
+        return AT_REST.warning(evidence, f"where nobody meant to touch it: {AT_REST.remedy}")
     return AT_REST.ok("nothing touches it")
 
 

@@ -14,12 +14,8 @@ from resonator_daemon.tools.doctor.finding import Finding, Outcome
 from resonator_daemon.tools.doctor.link_checks import check_probe
 from simulators.emulator import EmulatorOptions
 
+QUARTZ16 = load_plate("quartz16")
 UNCALIBRATED = {"board.unit"}  # what a plate file without a calibration leaves unchecked
-
-
-@pytest.fixture(scope="module")
-def quartz16() -> Plate:
-    return load_plate("quartz16")
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +44,8 @@ def judged(probed: ProbeResult, plate: Plate | None, busy: str = "") -> dict[str
     return by_id(check_probe(probed, plate, busy))
 
 
-def test_a_board_that_is_well_has_nothing_wrong(answers: ProbeResult, quartz16: Plate) -> None:
-    findings = judged(answers, quartz16)
+def test_a_board_that_is_well_has_nothing_wrong(answers: ProbeResult) -> None:
+    findings = judged(answers, QUARTZ16)
     assert bad(findings) == {}
     assert {name for name, f in findings.items() if f.outcome is Outcome.NOT_CHECKED} == UNCALIBRATED
     assert judged(answers, None)["board.fits"].outcome is Outcome.NOT_CHECKED
@@ -57,23 +53,21 @@ def test_a_board_that_is_well_has_nothing_wrong(answers: ProbeResult, quartz16: 
 
 @pytest.mark.parametrize("change", [{"channels": 0}, {"channels": 5}, {"plate": "quartz17"}])
 def test_a_board_without_its_channels_or_of_another_plate_does_not_fit(
-    answers: ProbeResult, quartz16: Plate, change: dict[str, object]
+    answers: ProbeResult, change: dict[str, object]
 ) -> None:
-    assert bad(judged(describing(answers, **change), quartz16)) == {"board.fits": Outcome.FAULT}
+    assert bad(judged(describing(answers, **change), QUARTZ16)) == {"board.fits": Outcome.FAULT}
 
 
-def test_a_board_with_which_the_plate_was_not_calibrated_is_a_fault(answers: ProbeResult, quartz16: Plate) -> None:
+def test_a_board_with_which_the_plate_was_not_calibrated_is_a_fault(answers: ProbeResult) -> None:
     for unit, expected in (("EMU-0001", {}), ("EMU-0002", {"board.unit": Outcome.FAULT})):
-        record = quartz16.calibration.model_copy(update={"unit": unit})
-        assert bad(judged(answers, quartz16.model_copy(update={"calibration": record}))) == expected
+        record = QUARTZ16.calibration.model_copy(update={"unit": unit})
+        assert bad(judged(answers, QUARTZ16.model_copy(update={"calibration": record}))) == expected
 
 
 @pytest.mark.parametrize(("ppm", "outcome"), [(3000.0, Outcome.FAULT), (-3000.0, Outcome.FAULT), (1050.0, Outcome.OK)])
-def test_a_reference_that_must_be_off_is_a_fault(
-    answers: ProbeResult, quartz16: Plate, ppm: float, outcome: Outcome
-) -> None:
+def test_a_reference_that_must_be_off_is_a_fault(answers: ProbeResult, ppm: float, outcome: Outcome) -> None:
     off = answers._replace(tick_rate=TickRate(ppm, 100.0))
-    assert judged(off, quartz16)["board.reference"].outcome is outcome
+    assert judged(off, QUARTZ16)["board.reference"].outcome is outcome
     assert judged(answers._replace(tick_rate=None), None)["board.reference"].outcome is Outcome.NOT_CHECKED
 
 

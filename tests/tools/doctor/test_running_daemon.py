@@ -12,6 +12,7 @@ from observer import Observer, observe
 from service_bench import Bench
 
 from resonator_daemon.base.errors import UserError
+from resonator_daemon.base.reasons import Condition, ReasonCode
 from resonator_daemon.board.links.carriers.serial import SerialTarget
 from resonator_daemon.board.links.carriers.tcp import TcpTarget
 from resonator_daemon.board.links.carriers.usb import UsbTarget
@@ -21,7 +22,7 @@ from resonator_daemon.commands import main
 from resonator_daemon.daemon.monitoring.status_client import Answer, ask_all
 from resonator_daemon.tools.doctor import daemon_checks, run
 from resonator_daemon.tools.doctor.daemon_checks import check_daemon, find_daemon
-from resonator_daemon.tools.doctor.finding import Outcome
+from resonator_daemon.tools.doctor.finding import SENSOR_STATES, Outcome
 from resonator_daemon.tools.doctor.run import DoctorOptions, doctor
 
 STATUS: dict[str, Any] = {
@@ -105,9 +106,7 @@ async def test_a_running_daemon_counts_on_while_the_doctor_looks(
     assert boot["connections"] == after["health"]["connections"] == 1
 
 
-async def test_a_daemon_is_found_by_its_pid_its_file_or_the_link_in_its_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_daemon_is_found_by_pid_file_or_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     link = TcpTarget("127.0.0.1", 9)
     file = tmp_path / "hand.toml"
     file.write_text('plate = "quartz16"\nlink = "tcp://127.0.0.1:9"\n')
@@ -188,7 +187,7 @@ def test_what_a_daemon_says_is_judged(change: dict[str, object], id: str, outcom
     assert judged(**change)[id] is outcome
 
 
-def test_a_daemon_that_does_not_answer_is_a_fault_unless_this_user_may_not_ask(
+def test_a_silent_daemon_is_a_fault_unless_this_user_may_not_ask(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     socket = tmp_path / "status.sock"
@@ -198,3 +197,8 @@ def test_a_daemon_that_does_not_answer_is_a_fault_unless_this_user_may_not_ask(
     monkeypatch.setattr("os.access", lambda _path, _mode: False)
     (finding,) = check_daemon(Answer(socket, None, "this user may not ask it"))
     assert finding.outcome is Outcome.NOT_CHECKED
+
+
+def test_each_remedy_is_of_a_state_or_a_reason_of_the_sensor() -> None:
+    assert SENSOR_STATES.keys() <= {*Condition, *ReasonCode}
+    assert all(" " in remedy for remedy in SENSOR_STATES.values())  # no id of a check

@@ -20,13 +20,9 @@ from resonator_daemon.tools.doctor.link_checks import check_capture
 from resonator_daemon.tools.doctor.sensor_checks import check_calibration, check_plate
 from simulators.emulator import EmulatorOptions
 
+QUARTZ16, COMB16 = load_plate("quartz16"), load_plate("comb16")
 SECONDS = 0.6
 HOST = Host(Path("/none"))  # which tells of no load
-
-
-@pytest.fixture(scope="module")
-def quartz16() -> Plate:
-    return load_plate("quartz16")
 
 
 def listened(plate: str = "quartz16", scenario: str = "still", seconds: float = SECONDS) -> Capture:
@@ -71,28 +67,27 @@ def with_shift(capture: Capture, add: object, tones: object = slice(None), chann
     return changed(capture, shift=shifted)
 
 
-def test_a_plate_that_is_well_has_nothing_wrong(calm: Capture, quartz16: Plate) -> None:
-    findings = judged(calm, quartz16)
+def test_a_plate_that_is_well_has_nothing_wrong(calm: Capture, comb: Capture) -> None:
+    findings = judged(calm, QUARTZ16)
     assert bad(findings) == {}
     assert {finding.outcome for finding in findings.values()} == {Outcome.OK}
     assert {finding.outcome for finding in check_capture(calm)} == {Outcome.OK}
+    assert bad(judged(comb, COMB16)) == {}
 
 
-def test_a_channel_that_hears_nothing_is_dead(calm: Capture, quartz16: Plate) -> None:
+def test_a_channel_that_hears_nothing_is_dead(calm: Capture) -> None:
     deaf = changed(with_shift(calm, np.nan, channels=2), gates_counted=np.array([1.0, 1.0, 0.0, 1.0]))
-    findings = judged(deaf, quartz16)
+    findings = judged(deaf, QUARTZ16)
     assert bad(findings) == {"sensor.channels": Outcome.FAULT}
     assert "channel 2 of 0 to 3" in findings["sensor.channels"].evidence
 
 
 @pytest.mark.parametrize(("times", "outcome"), [(5.0, Outcome.WARNING), (30.0, Outcome.FAULT)])
-def test_a_noise_floor_above_the_counters_own_is_told(
-    calm: Capture, quartz16: Plate, times: float, outcome: Outcome
-) -> None:
+def test_a_noise_floor_above_the_counters_own_is_told(calm: Capture, times: float, outcome: Outcome) -> None:
     def noisy(reading: PlateReading, number: int) -> np.ndarray:
         return reading.shift + (-1) ** number * times * reading.std / np.sqrt(2.0)
 
-    assert bad(judged(changed(calm, shift=noisy), quartz16)) == {"sensor.noise": outcome}
+    assert bad(judged(changed(calm, shift=noisy), QUARTZ16)) == {"sensor.noise": outcome}
 
 
 @pytest.mark.parametrize(
@@ -100,49 +95,44 @@ def test_a_noise_floor_above_the_counters_own_is_told(
     [(0.32, {}), (0.35, {"sensor.noise": Outcome.WARNING}), (1.1, {"sensor.noise": Outcome.FAULT})],
 )
 def test_edges_that_scatter_more_than_those_of_a_signal_do_are_told(
-    calm: Capture, quartz16: Plate, scatter_radian: float, expected: dict[str, Outcome]
+    calm: Capture, scatter_radian: float, expected: dict[str, Outcome]
 ) -> None:
     scatter = np.array([0.1, 0.1, scatter_radian, 0.1])
-    findings = judged(changed(calm, scatter_radian=scatter), quartz16)
+    findings = judged(changed(calm, scatter_radian=scatter), QUARTZ16)
     assert bad(findings) == expected
     assert not expected or "on channel 2" in findings["sensor.noise"].evidence
 
 
-def test_gates_that_do_not_continue_each_other_are_the_firmwares(calm: Capture, quartz16: Plate) -> None:
+def test_gates_that_do_not_continue_each_other_are_the_firmwares(calm: Capture) -> None:
     """An edge index that begins again with each gate: each gate has its tone, and no reading has one."""
     nothing = np.full((1, CHANNEL_COUNT), np.nan)
-    findings = judged(changed(calm, shift=nothing, std=nothing), quartz16)
+    findings = judged(changed(calm, shift=nothing, std=nothing), QUARTZ16)
     assert bad(findings) == {"board.stamps": Outcome.FAULT}
-    silent = judged(changed(calm, shift=nothing, std=nothing, gates_counted=np.zeros(CHANNEL_COUNT)), quartz16)
+    silent = judged(changed(calm, shift=nothing, std=nothing, gates_counted=np.zeros(CHANNEL_COUNT)), QUARTZ16)
     assert bad(silent) == {"sensor.channels": Outcome.FAULT}
 
 
-def test_a_pilot_of_another_plate_is_out_of_place(calm: Capture, quartz16: Plate) -> None:
+def test_a_pilot_of_another_plate_is_out_of_place(calm: Capture) -> None:
     strange = changed(calm, shift=np.full((1, CHANNEL_COUNT), np.nan), strange_hz=np.full(CHANNEL_COUNT, 10_046_000.0))
-    assert bad(judged(strange, quartz16)) == {"sensor.tones": Outcome.FAULT}
+    assert bad(judged(strange, QUARTZ16)) == {"sensor.tones": Outcome.FAULT}
 
 
-def test_a_plate_that_is_pressed_is_told_whether_it_is_released_or_not(calm: Capture, quartz16: Plate) -> None:
-    findings = judged(changed(calm, touched=True), quartz16)
+def test_a_plate_that_is_pressed_is_told_whether_it_is_released_or_not(calm: Capture) -> None:
+    findings = judged(changed(calm, touched=True), QUARTZ16)
     assert bad(findings) == {"sensor.at_rest": Outcome.FAULT}
     assert findings["sensor.noise"].outcome is Outcome.NOT_CHECKED
     released = changed(calm, touched=lambda _reading, number: number == 0)
-    assert bad(judged(released, quartz16)) == {"sensor.at_rest": Outcome.WARNING}
-    later = judged(changed(calm, touched=lambda _reading, number: number == 3), quartz16)
+    assert bad(judged(released, QUARTZ16)) == {"sensor.at_rest": Outcome.WARNING}
+    later = judged(changed(calm, touched=lambda _reading, number: number == 3), QUARTZ16)
     assert bad(later) == {"sensor.at_rest": Outcome.WARNING}
     assert later["sensor.at_rest"].evidence.startswith("touched in 1 of ")
 
 
-def test_an_expired_calibration_is_a_warning(quartz16: Plate) -> None:
-    dated = quartz16.model_copy(update={"calibration": quartz16.calibration.model_copy(update={"id": "abc"})})
-    assert check_calibration(quartz16, "").outcome is Outcome.NOT_CHECKED
+def test_an_expired_calibration_is_a_warning() -> None:
+    dated = QUARTZ16.model_copy(update={"calibration": QUARTZ16.calibration.model_copy(update={"id": "abc"})})
+    assert check_calibration(QUARTZ16, "").outcome is Outcome.NOT_CHECKED
     assert check_calibration(dated, "").outcome is Outcome.OK
     assert check_calibration(dated, "expired").outcome is Outcome.WARNING
-
-
-@pytest.fixture(scope="module")
-def comb16() -> Plate:
-    return load_plate("comb16")
 
 
 @pytest.fixture(scope="module")
@@ -150,27 +140,23 @@ def comb() -> Capture:
     return listened("comb16")
 
 
-def test_a_comb_that_is_well_has_nothing_wrong(comb: Capture, comb16: Plate) -> None:
-    assert bad(judged(comb, comb16)) == {}
-
-
-def test_a_tone_that_no_channel_hears_is_a_fault(comb: Capture, comb16: Plate) -> None:
-    findings = judged(with_shift(comb, np.nan, 4), comb16)
+def test_a_tone_that_no_channel_hears_is_a_fault(comb: Capture) -> None:
+    findings = judged(with_shift(comb, np.nan, 4), COMB16)
     assert findings["sensor.tones"].outcome is Outcome.FAULT
     assert (findings["sensor.tones"].value, findings["sensor.tones"].limit) == (1.0, 0.0)
 
 
-def test_a_site_that_stays_pressed_is_a_fault_of_a_calibrated_plate(comb: Capture, comb16: Plate) -> None:
-    pressed = with_shift(comb, 0.1 * comb16.force_max_newton * comb16.tones.sensitivity[4], 4)
-    dated = comb16.model_copy(update={"calibration": comb16.calibration.model_copy(update={"id": "abc"})})
+def test_a_site_that_stays_pressed_is_a_fault_of_a_calibrated_plate(comb: Capture) -> None:
+    pressed = with_shift(comb, 0.1 * COMB16.force_max_newton * COMB16.tones.sensitivity[4], 4)
+    dated = COMB16.model_copy(update={"calibration": COMB16.calibration.model_copy(update={"id": "abc"})})
     assert judged(pressed, dated)["sensor.at_rest"].outcome is Outcome.FAULT
-    assert judged(pressed, comb16)["sensor.at_rest"].outcome is Outcome.OK
+    assert judged(pressed, COMB16)["sensor.at_rest"].outcome is Outcome.OK
 
 
-def test_a_tone_out_of_its_band_is_named(comb: Capture, comb16: Plate) -> None:
-    findings = judged(with_shift(comb, 2e-4, 4), comb16)
+def test_a_tone_out_of_its_band_is_named(comb: Capture) -> None:
+    findings = judged(with_shift(comb, 2e-4, 4), COMB16)
     assert bad(findings) == {"sensor.tones": Outcome.FAULT}
-    site = comb16.site_ids[comb16.tones.site_index[4]]
+    site = COMB16.site_ids[COMB16.tones.site_index[4]]
     assert f"1 of 16 out of band, the worst is site {site}:" in findings["sensor.tones"].evidence
 
 
@@ -200,9 +186,7 @@ def test_bytes_that_the_driver_lost_are_not_the_cables_fault(calm: Capture) -> N
 
 
 @pytest.mark.parametrize(("busy", "area"), [("", Area.WIRING), ("this computer is busy", Area.SOFTWARE)])
-def test_frames_that_the_board_dropped_are_a_finding_on_a_busy_computer_too(
-    calm: Capture, busy: str, area: Area
-) -> None:
+def test_frames_dropped_by_the_board_are_a_finding_on_a_busy_computer(calm: Capture, busy: str, area: Area) -> None:
     lost = dataclasses.replace(calm.after.lost, board_overflow=calm.before.lost.board_overflow + 20)
     capture = dataclasses.replace(calm, busy=busy, after=dataclasses.replace(calm.after, lost=lost))
     found = by_id(check_capture(capture))["link.overflow"]
@@ -219,9 +203,7 @@ def test_frames_that_the_board_dropped_are_a_finding_on_a_busy_computer_too(
         (0, 1025, Outcome.FAULT),
     ],
 )
-def test_a_packet_that_was_cut_is_no_broken_cable(
-    calm: Capture, damaged: int, discarded: int, outcome: Outcome
-) -> None:
+def test_a_cut_packet_is_no_broken_cable(calm: Capture, damaged: int, discarded: int, outcome: Outcome) -> None:
     lost = dataclasses.replace(calm.after.lost, damaged=calm.before.lost.damaged + damaged)
     counters = dataclasses.replace(calm.after, lost=lost, bytes_discarded=calm.before.bytes_discarded + discarded)
     found = by_id(check_capture(dataclasses.replace(calm, after=counters)))
