@@ -78,13 +78,6 @@ class DifferenceError(UserError):
     code = "differs"
 
 
-class LossError(UserError):
-    """Touches that were missed, or frames or messages that were lost."""
-
-    exit_code = ExitCode.FAILED
-    code = "lost"
-
-
 class UsageError(UserError):
     """Arguments that contradict each other or what they name; one message for each finding."""
 
@@ -128,20 +121,13 @@ _OF_ASYNCIO: Final = "Connect call failed"
 _NUMBER: Final = re.compile(r"\[Errno (\d+)\]")
 
 
-class TooFewFilesError(UserError):
-    """Limit of open files too low for any command."""
-
-    code = "open_files"
-
-
 def check_open_files() -> None:
-    """Raise TooFewFilesError where this process may open too few files."""
+    """Raise UserError where this process may open too few files for any command."""
     most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if 0 <= most < OPEN_FILES_MIN:
-        raise TooFewFilesError(
-            f"this process may have {most} files open, and needs {OPEN_FILES_MIN}; raise the limit "
-            "(ulimit -n 1024, LimitNOFILE= of a systemd unit)"
-        )
+        remedy = "raise the limit (ulimit -n 1024, LimitNOFILE= of a systemd unit)"
+        text = f"this process may have {most} files open, and needs {OPEN_FILES_MIN}; {remedy}"
+        raise UserError(text, code="open_files")
 
 
 def reason_of(error: OSError) -> str:

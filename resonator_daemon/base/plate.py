@@ -59,7 +59,9 @@ def findings(raw: dict[str, Any]) -> Iterator[InitErrorDetails]:
             yield finding(("transducers_mm", index), transducer, "lies outside outline_mm")
     if ("sites" in raw) == ("grid" in raw):
         yield finding(("sites",), None, "a plate has either [[sites]] or a [grid], not both or neither")
-    sites = dict(_sound_sites(raw.get("sites")))
+    listed = raw.get("sites")
+    parsed = {index: _sound(Site, table) for index, table in enumerate(listed if isinstance(listed, list) else [])}
+    sites = {index: site for index, site in parsed.items() if site}
     yield from _site_findings(sites, outline)
     if grid := _sound(Grid, raw.get("grid")):
         yield from _grid_findings(grid, outline)
@@ -87,21 +89,10 @@ def findings(raw: dict[str, Any]) -> Iterator[InitErrorDetails]:
 
 def _sound(kind: Any, raw: object) -> Any:
     """Return the value if it is valid by itself, else None."""
-    return _accepted(TypeAdapter(kind), raw)
-
-
-def _accepted(adapter: TypeAdapter[Any], raw: object) -> Any:
     try:
-        return adapter.validate_python(raw)
+        return TypeAdapter(kind).validate_python(raw)
     except ValidationError:
         return None
-
-
-def _sound_sites(raw: object) -> Iterator[tuple[int, Site]]:
-    adapter = TypeAdapter(Site)
-    for index, table in enumerate(raw if isinstance(raw, list) else []):
-        if site := _accepted(adapter, table):
-            yield index, site
 
 
 def _site_findings(sites: dict[int, Site], outline: tuple[Point, ...]) -> Iterator[InitErrorDetails]:

@@ -19,7 +19,7 @@ import psutil
 from rich.console import Console, RenderableType
 from rich.live import Live
 
-from resonator_daemon.base.errors import ExitCode, InterruptedCommandError, LossError, UserError
+from resonator_daemon.base.errors import ExitCode, InterruptedCommandError, UserError
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.text import print_note
 from resonator_daemon.base.plate import Plate, load_plate
@@ -305,7 +305,8 @@ class _Demo:
             sys.stdout.write(in_words(result) + "".join(f"{line}\n" for line in remarks))
             sys.stdout.flush()  # before an error
         if failed:
-            raise LossError(*failed, *(remarks if self._options.json else ()), partial_result=result)
+            lines = [*failed, *(remarks if self._options.json else ())]
+            raise UserError(*lines, partial_result=result, code="lost", exit_code=ExitCode.FAILED)
         if self._options.json:
             for line in remarks:
                 print_note(line)
