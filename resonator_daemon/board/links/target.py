@@ -20,17 +20,17 @@ class UsbId(NamedTuple):
     serial_number: str | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FoundPort:
     """A port that a board may be connected to; what is not known is None."""
 
     link: str
     kind: str
     device: str
-    by_id: str | None
-    usb_id: str | None
-    serial_number: str | None
-    description: str | None
+    by_id: str | None = None
+    usb_id: str | None = None
+    serial_number: str | None = None
+    description: str | None = None
     held_by: tuple[Holder, ...]
     held_by_all_seen: bool
     permitted: bool

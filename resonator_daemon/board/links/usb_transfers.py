@@ -95,6 +95,11 @@ class BulkReader:
         An open device of that backend, its interface claimed; must stay open until `close` has returned True.
     endpoint
         Address of the bulk-in endpoint.
+
+    Attributes
+    ----------
+    failure
+        Why transfers have ended since `start`; what was received before is still to be taken.
     """
 
     def __init__(self, backend: Any, handle: Any, endpoint: int) -> None:
@@ -103,7 +108,7 @@ class BulkReader:
         self._received: deque[bytes] = deque()
         self._in_flight = 0
         self._started = False
-        self._failure: Failure | None = None
+        self.failure: Failure | None = None
         self._callback = _Callback(self._ended)  # must live as long as the transfers
         self._buffers = [ctypes.create_string_buffer(TRANSFER_BYTES) for _ in range(TRANSFERS)]
         self._transfers = []
@@ -120,14 +125,9 @@ class BulkReader:
             transfer.callback = self._callback
             self._transfers.append(pointer)
 
-    @property
-    def failure(self) -> Failure | None:
-        """Why transfers have ended since `start`; what was received before is still to be taken."""
-        return self._failure
-
     def start(self) -> None:
         """Put all transfers in flight; none may be."""
-        self._failure = None
+        self.failure = None
         self._started = True
         for pointer in self._transfers:
             self._submit(pointer)
@@ -182,8 +182,8 @@ class BulkReader:
             self._received.append(ctypes.string_at(transfer.buffer, transfer.actual_length))
         if transfer.status not in (_COMPLETED, _CANCELLED):
             self._fail(Failure(transfer.status))
-        elif self._started and self._failure is None:
+        elif self._started and self.failure is None:
             self._submit(pointer)
 
     def _fail(self, failure: Failure) -> None:
-        self._failure = self._failure or failure
+        self.failure = self.failure or failure

@@ -39,6 +39,11 @@ class RecordingSwitch:
     ----------
     kept_bytes
         Bound of the memory of what has happened since. Beyond it, a recording begins with the next snapshot.
+
+    Attributes
+    ----------
+    current
+        What is being recorded; None where nothing is.
     """
 
     def __init__(self, *, kept_bytes: int = KEPT_BYTES) -> None:
@@ -48,7 +53,7 @@ class RecordingSwitch:
         self._kept: list[WireEvent] | None = []  # None: too much has happened
         self._size_bytes = 0
         self._board: BoardOnline | None = None
-        self._recorder: Recorder | None = None
+        self.current: Recorder | None = None
         self._last: Recorder | None = None  # that one, or the one that ran last: it still counts while it is closed
         self._before = RecordingCounts()  # of all earlier ones
         self._states: dict[str, Published] = {}
@@ -60,11 +65,11 @@ class RecordingSwitch:
             if isinstance(event, SnapshotTaken):
                 self._kept, self._size_bytes = [], 0
                 self._awaits_snapshot = False
-            if self._recorder is not None:
+            if self.current is not None:
                 if self._awaits_snapshot:
-                    self._recorder.skip(event)
+                    self.current.skip(event)
                 else:
-                    self._recorder.put(event)
+                    self.current.put(event)
             if self._kept is not None:
                 self._kept.append(event)
                 self._size_bytes += EVENT_BYTES + len(event.data) if isinstance(event, Received) else size_bytes(event)
@@ -75,16 +80,16 @@ class RecordingSwitch:
         """Set the board whose identity goes to the metadata of files."""
         with self._lock:
             self._board = board
-            if self._recorder is not None:
-                self._recorder.name_board(board)
+            if self.current is not None:
+                self.current.name_board(board)
 
     def publish(self, message: Published) -> None:
         """Hand a published message to the recording that runs, a retained one also to those that follow."""
         with self._lock:
             if message.retained:
                 self._states[message.topic] = message
-            if self._recorder is not None:
-                self._recorder.publish(message)
+            if self.current is not None:
+                self.current.publish(message)
 
     def start(self, place: Path | Series, origin: Origin) -> None:
         """Begin a recording.
@@ -97,8 +102,8 @@ class RecordingSwitch:
             The file cannot be made, is there already, or there is no room for it, and the series does not begin late.
         """
         with self._switching:
-            if self._recorder is not None:
-                raise RecordingRunningError(f"{self._recorder.path} is being recorded; stop that first")
+            if self.current is not None:
+                raise RecordingRunningError(f"{self.current.path} is being recorded; stop that first")
             recorder = Recorder(place, origin, log_line=log.log)
             with self._lock:
                 for state in self._states.values():
@@ -111,13 +116,13 @@ class RecordingSwitch:
                     recorder.put(event)
                 self._awaits_snapshot = self._kept is None
                 self._before = self._all_counts()
-                self._recorder = self._last = recorder
+                self.current = self._last = recorder
 
     def stop(self) -> Recorder | None:
         """End the recording and return it; waits for the disk. Return None where none ran."""
         with self._switching:
             with self._lock:
-                recorder, self._recorder = self._recorder, None
+                recorder, self.current = self.current, None
             if recorder is not None:
                 recorder.close()
             return recorder
@@ -132,25 +137,20 @@ class RecordingSwitch:
         """
         now = read_host_time()
         with self._lock:
-            if self._recorder is None:
+            if self.current is None:
                 raise NothingRecordedError("nothing is being recorded; start a recording first")
-            if self._recorder.failure is not None:
-                raise NothingRecordedError(self._recorder.failure.text)
-            if not self._recorder.mark(Mark(now, text)):
-                raise NothingRecordedError(f"the disk of {self._recorder.path} is too slow to take the mark; try again")
+            if self.current.failure is not None:
+                raise NothingRecordedError(self.current.failure.text)
+            if not self.current.mark(Mark(now, text)):
+                raise NothingRecordedError(f"the disk of {self.current.path} is too slow to take the mark; try again")
         return now.utc_ns
-
-    @property
-    def current(self) -> Recorder | None:
-        """What is being recorded; None where nothing is."""
-        return self._recorder
 
     @property
     def totals(self) -> RecordingCounts:
         """What all recordings since this was made have come to; `file_bytes` is 0 while nothing is recorded."""
         with self._lock:
             totals = self._all_counts()
-            return totals if self._recorder is not None else totals._replace(file_bytes=0)
+            return totals if self.current is not None else totals._replace(file_bytes=0)
 
     def _all_counts(self) -> RecordingCounts:
         if self._last is None:

@@ -93,7 +93,6 @@ class Connection:
         self._opened_ns = opened.monotonic_ns
         self._next_ask_ns = opened.monotonic_ns + _ASK_AGAIN_NS
         self._next_ping_ns = 0
-        self._clock_counts = (0, 0)  # outliers and restarts of clocks that are gone
         self._counting = False
         self._answered_ns = opened.monotonic_ns
         self._asleep_ns = opened.boottime_less_monotonic_ns
@@ -252,10 +251,12 @@ class Connection:
         counters.messages_malformed += session.messages.malformed
         counters.refusals.update(session.refusals)
         counters.messages_unknown += session.messages.unknown + self._receiver.assembler.unplaced_parts
-        outliers, restarts = self._clock_counts
-        clock = self.clock
-        counters.clock_outliers += outliers + (clock.outliers if clock else 0)
-        counters.clock_restarts += restarts + (clock.restarts if clock else 0)
+        self._add_clock_to(counters)
+
+    def _add_clock_to(self, counters: LinkCounters) -> None:
+        if (clock := self.clock) is not None:
+            counters.clock_outliers += clock.outliers
+            counters.clock_restarts += clock.restarts
 
     def _silence(self) -> Reason:
         """Return why the handshake came to no end."""
@@ -314,9 +315,7 @@ class Connection:
     def _rebooted(self) -> None:
         self._flush_receiver()  # what it holds belongs to the boot, and the clock, before
         self._announce(Condition.LOST, link_state.restarted())
-        if self.clock is not None:
-            outliers, restarts = self._clock_counts
-            self._clock_counts = (outliers + self.clock.outliers, restarts + self.clock.restarts)
+        self._add_clock_to(self._counters)
         self.clock = None
         if self._counting:  # a board that does nothing but restart has the time of one handshake
             self._opened_ns = self._now.monotonic_ns

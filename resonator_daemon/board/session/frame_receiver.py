@@ -208,7 +208,6 @@ class FrameReceiver:
             made.append(ChannelisedFrame(number, ticks, own, frame.tones))
             if len(frame.seen) < frame.parts:
                 self._counters.parts_lost += frame.parts - len(frame.seen)
-                self._counters.frames_incomplete += 1
         self._queue.put_frames(made, middle)
 
     def _accept(self, frame: Frame | AssembledFrame, scale: TickScale, boot_id: int, now: HostTime) -> Accepted | None:

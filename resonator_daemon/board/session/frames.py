@@ -72,7 +72,6 @@ class LinkCounters:
     log_lines_dropped: int = 0  # of the board's log, beyond what anyone would read
     frames: int = 0  # handed on or lost to queue_overflow
     parts_lost: int = 0  # of frames that did arrive
-    frames_incomplete: int = 0
     connections: int = 0
     host_overruns: int = 0  # reports of the host's driver that it had no room
     clock_outliers: int = 0  # pings that contradicted the others

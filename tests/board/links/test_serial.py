@@ -22,7 +22,7 @@ import serial
 from resonator_daemon.base.host.text import page
 from resonator_daemon.base.reasons import Reason
 from resonator_daemon.board.links.carriers import serial as serial_link
-from resonator_daemon.board.links.carriers.serial import SerialTarget, open_serial
+from resonator_daemon.board.links.carriers.serial import SerialTarget
 from resonator_daemon.board.links.link import LinkUnavailableError
 
 DENIED = "permission_denied"
@@ -59,7 +59,7 @@ def port() -> Iterator[Terminal]:
 
 def refusal(path: str | Path, baud: int = BAUD) -> Reason:
     with pytest.raises(LinkUnavailableError) as raised:
-        open_serial(SerialTarget(str(path), baud))
+        SerialTarget(str(path), baud).open()
     return raised.value.reason
 
 
@@ -69,14 +69,13 @@ def open_elsewhere(path: str) -> Iterator[int]:
     program = f"import os; os.open({path!r}, os.O_RDWR | os.O_NOCTTY); print('held', flush=True); os.read(0, 1)"
     command = [sys.executable, "-c", program]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
-        assert holder.stdout is not None
         assert holder.stdout.readline() == "held\n"
         yield holder.pid
 
 
 def test_a_port_is_kept_from_programs_that_do_not_ask_while_it_is_open(port: Terminal) -> None:
     exclusive = array.array("i", [0])
-    link = open_serial(SerialTarget(port.path, BAUD))
+    link = SerialTarget(port.path, BAUD).open()
     fcntl.ioctl(port.slave, TIOCGEXCL, exclusive)
     assert exclusive[0] == 1
     link.close()
@@ -85,15 +84,15 @@ def test_a_port_is_kept_from_programs_that_do_not_ask_while_it_is_open(port: Ter
 
 
 def test_a_busy_port_is_said_to_be_held_and_opens_once_it_is_free(port: Terminal) -> None:
-    held = open_serial(SerialTarget(port.path, BAUD))
+    held = SerialTarget(port.path, BAUD).open()
     code, said = refusal(port.path)
     assert code == "port_in_use"
     assert f"(pid {os.getpid()})" in said
     held.close()
-    open_serial(SerialTarget(port.path, BAUD)).close()
+    SerialTarget(port.path, BAUD).open().close()
 
 
-def test_a_port_that_another_program_has_open_without_a_lock_is_not_shared(
+def test_a_port_that_another_program_holds_unlocked_is_not_shared(
     port: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serial_link, "is_pseudo_terminal", lambda _path: False)
@@ -101,14 +100,14 @@ def test_a_port_that_another_program_has_open_without_a_lock_is_not_shared(
         code, said = refusal(port.path)
         assert code == "port_in_use"
         assert f"(pid {pid})" in said
-    open_serial(SerialTarget(port.path, BAUD)).close()  # this process's own hold counts for nothing
+    SerialTarget(port.path, BAUD).open().close()  # this process's own hold counts for nothing
 
 
 def test_closing_leaves_the_modem_lines_as_they_are(port: Terminal) -> None:
     settings = termios.tcgetattr(port.slave)
     settings[2] |= termios.HUPCL
     termios.tcsetattr(port.slave, termios.TCSANOW, settings)
-    link = open_serial(SerialTarget(port.path, 2_345_678))
+    link = SerialTarget(port.path, 2_345_678).open()
     assert not termios.tcgetattr(port.slave)[2] & termios.HUPCL
     settings2 = bytearray(44)
     fcntl.ioctl(port.slave, TCGETS2, settings2)
@@ -126,7 +125,7 @@ def test_nothing_that_came_before_is_read_or_sent_back(port: Terminal, monkeypat
 
     monkeypatch.setattr(termios, "tcflush", flush)
     os.write(port.master, b"frames of an old run\n")
-    link = open_serial(SerialTarget(port.path, BAUD))
+    link = SerialTarget(port.path, BAUD).open()
     assert link.read(0.0) == b""
     assert flushed == [termios.TCIFLUSH, termios.TCOFLUSH]
     link.close()
@@ -146,7 +145,7 @@ def test_closing_waits_a_moment_for_a_board_to_take_the_last_bytes(
             return 0
         return real(descriptor, asked, *rest)
 
-    link = open_serial(SerialTarget(port.path, BAUD))
+    link = SerialTarget(port.path, BAUD).open()
     monkeypatch.setattr(fcntl, "ioctl", stuck)
     clock = SimpleNamespace(monotonic=lambda: next(instants), sleep=lambda _s: None)
     monkeypatch.setattr(serial_link, "time", clock)
@@ -157,9 +156,7 @@ def test_closing_waits_a_moment_for_a_board_to_take_the_last_bytes(
 
 
 @pytest.mark.parametrize("has_such_a_mode", [True, False])
-def test_the_driver_is_asked_for_low_latency(
-    port: Terminal, monkeypatch: pytest.MonkeyPatch, has_such_a_mode: bool
-) -> None:
+def test_low_latency_mode_is_requested(port: Terminal, monkeypatch: pytest.MonkeyPatch, has_such_a_mode: bool) -> None:
     asked = []
 
     def low_latency(_port: serial.Serial, mode: bool) -> None:
@@ -168,7 +165,7 @@ def test_the_driver_is_asked_for_low_latency(
             raise ValueError("Failed to update ASYNC_LOW_LATENCY flag")
 
     monkeypatch.setattr(serial.Serial, "set_low_latency_mode", low_latency)
-    open_serial(SerialTarget(port.path, BAUD)).close()
+    SerialTarget(port.path, BAUD).open().close()
     assert asked == [True]
 
 
@@ -186,7 +183,7 @@ def test_losses_of_the_driver_are_counted_from_the_opening_on(port: Terminal, mo
         return 0
 
     monkeypatch.setattr(fcntl, "ioctl", counting)
-    link = open_serial(SerialTarget(port.path, BAUD))
+    link = SerialTarget(port.path, BAUD).open()
     assert link.overruns == 0
     overrun, buffer_overrun = -(2**31) + 1, 8  # two more, past the end of the driver's number, and three more
     assert link.overruns == 5
@@ -251,4 +248,4 @@ def test_a_rate_that_the_driver_refuses_is_said(port: Terminal, monkeypatch: pyt
         reason = refusal(port.path, 2_345_678)
     assert reason.code == "port_unusable"
     assert reason.text.startswith(f"{port.path} cannot be set to 2345678 baud")
-    open_serial(SerialTarget(port.path, BAUD)).close()  # the failure left no lock behind
+    SerialTarget(port.path, BAUD).open().close()  # the failure left no lock behind

@@ -65,18 +65,14 @@ def host(board: BoardEnd[UsbLink]) -> Iterator[UsbHost]:
 
 
 def refusal(host: UsbHost, link: str) -> str:
-    with pytest.raises(HostError) as caught:
-        host.run(f"open_link({link!r})")
-    kind, _, text = str(caught.value).partition(": ")
-    assert kind == "LinkUnavailableError"
-    return text
+    return loss(host, f"open_link({link!r})", "LinkUnavailableError")
 
 
-def loss(host: UsbHost, source: str) -> str:
+def loss(host: UsbHost, source: str, kind: str = "LinkLostError") -> str:
     with pytest.raises(HostError) as caught:
         host.run(source)
-    kind, _, text = str(caught.value).partition(": ")
-    assert kind == "LinkLostError"
+    found, _, text = str(caught.value).partition(": ")
+    assert found == kind
     return text
 
 

@@ -61,7 +61,48 @@ class SerialTarget(LinkTarget):
         return cls(path, int(baud))
 
     def open(self) -> "SerialPortLink":
-        return open_serial(self)
+        """Open a serial port for this process alone: raw, its modem lines left as they are, and nothing old in it.
+
+        Raises
+        ------
+        LinkUnavailableError
+            When the port does not exist, is held by another program, is not permitted or is no serial port.
+        """
+        try:
+            # flock keeps out other programs that ask for it, TIOCEXCL those that do not.
+            port = serial.Serial(self.path, self.baud, timeout=0, exclusive=True)
+        except (OSError, ValueError, termios.error) as error:  # SerialException is an OSError, termios.error is none
+            raise LinkUnavailableError(*_why_not(self, error)) from error
+        descriptor = port.fileno()
+
+        def close() -> None:
+            with suppress(OSError):
+                # A pseudo-terminal that its other side keeps alive would stay shut to all but root.
+                fcntl.ioctl(descriptor, termios.TIOCNXCL)
+            with suppress(OSError, termios.error):
+                _discard_output(descriptor)
+            with suppress(OSError, termios.error):
+                port.close()
+
+        try:
+            fcntl.ioctl(descriptor, termios.TIOCEXCL)
+            configure_tty(descriptor)
+            # Until the port was raw, the kernel may have sent back what the board had sent.
+            termios.tcflush(descriptor, termios.TCOFLUSH)
+        except (OSError, termios.error) as error:
+            close()
+            raise LinkUnavailableError(
+                ReasonCode.NO_SUCH_PORT, f"{self.path} went away while it was opened ({error.args[-1]})"
+            ) from error
+        if sharing := _shared_with(self.path):
+            close()
+            raise LinkUnavailableError(
+                ReasonCode.PORT_IN_USE, f"{self.path} is also held by {sharing}; each would get some of the bytes"
+            )
+        with suppress(ValueError):  # a driver without such a mode; its timer, if it has one, is set below
+            port.set_low_latency_mode(True)
+        shorten_latency_timer(self.path)
+        return SerialPortLink(descriptor, close)
 
     def opener(self) -> Callable[[], "SerialPortLink"]:
         """Return a function that opens the port; an adapter that came back under another name is opened there."""
@@ -72,7 +113,7 @@ class SerialTarget(LinkTarget):
             target = self
             if adapter is not None and (moved_to := find_port(adapter, self.path)):
                 target = replace(self, path=moved_to)
-            link = open_serial(target)
+            link = target.open()
             adapter = port_identity(target.path)
             return link
 
@@ -133,51 +174,6 @@ class SerialPortLink(FileDescriptorLink):
         if (count := overrun_count(self._descriptor)) is not None:  # else the port went away
             self._overruns = (count - self._overruns_before) & 0xFFFFFFFF
         return self._overruns
-
-
-def open_serial(target: SerialTarget) -> SerialPortLink:
-    """Open a serial port for this process alone: raw, its modem lines left as they are, and nothing old in it.
-
-    Raises
-    ------
-    LinkUnavailableError
-        When the port does not exist, is held by another program, is not permitted or is no serial port.
-    """
-    try:
-        # flock keeps out other programs that ask for it, TIOCEXCL those that do not.
-        port = serial.Serial(target.path, target.baud, timeout=0, exclusive=True)
-    except (OSError, ValueError, termios.error) as error:  # SerialException is an OSError, termios.error is none
-        raise LinkUnavailableError(*_why_not(target, error)) from error
-    descriptor = port.fileno()
-
-    def close() -> None:
-        with suppress(OSError):
-            # A pseudo-terminal that its other side keeps alive would stay shut to all but root.
-            fcntl.ioctl(descriptor, termios.TIOCNXCL)
-        with suppress(OSError, termios.error):
-            _discard_output(descriptor)
-        with suppress(OSError, termios.error):
-            port.close()
-
-    try:
-        fcntl.ioctl(descriptor, termios.TIOCEXCL)
-        configure_tty(descriptor)
-        # Until the port was raw, the kernel may have sent back what the board had sent.
-        termios.tcflush(descriptor, termios.TCOFLUSH)
-    except (OSError, termios.error) as error:
-        close()
-        raise LinkUnavailableError(
-            ReasonCode.NO_SUCH_PORT, f"{target.path} went away while it was opened ({error.args[-1]})"
-        ) from error
-    if sharing := _shared_with(target.path):
-        close()
-        raise LinkUnavailableError(
-            ReasonCode.PORT_IN_USE, f"{target.path} is also held by {sharing}; each would get some of the bytes"
-        )
-    with suppress(ValueError):  # a driver without such a mode; its timer, if it has one, is set below
-        port.set_low_latency_mode(True)
-    shorten_latency_timer(target.path)
-    return SerialPortLink(descriptor, close)
 
 
 def _discard_output(descriptor: int) -> None:
