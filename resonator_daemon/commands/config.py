@@ -55,12 +55,9 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
 
 def _explain(key: str, verb: str, *, as_json: bool) -> None:
-    from resonator_daemon.board.config.help import UnknownKeyError, explained, explanation, key_list
+    from resonator_daemon.board.config.help import explained, explanation, key_list
 
-    try:
-        keys = explained(key)
-    except UnknownKeyError as error:
-        raise UsageError(str(error)) from None
+    keys = explained(key)
     if as_json:
         print_json({"verb": verb, "keys": [each._asdict() for each in keys]})
         return

@@ -10,6 +10,7 @@ from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
+from resonator_daemon.base.errors import UsageError
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.config.values import takes_live
 
@@ -22,10 +23,6 @@ _LIMITS: Final = {
     "maximum": "at most {}",
     "maxLength": "at most {} characters",
 }
-
-
-class UnknownKeyError(ValueError):
-    """No key or table has this path."""
 
 
 class _TomlSchema(GenerateJsonSchema):
@@ -74,7 +71,7 @@ def explained(path: str) -> tuple[Key, ...]:
 
     Raises
     ------
-    UnknownKeyError
+    UsageError
         There is neither; the nearest is named.
     """
     keys = config_keys()
@@ -83,7 +80,7 @@ def explained(path: str) -> tuple[Key, ...]:
         alike = [key.path for key in keys if key.path.rpartition(".")[2] == path.rpartition(".")[2]]
         alike += get_close_matches(path, [key.path for key in keys], n=1)
         near = f"did you mean {alike[0]}? All" if alike else "all"
-        raise UnknownKeyError(f"no key is called {path!r}; {near} of them: resonatord config explain")
+        raise UsageError(f"no key is called {path!r}; {near} of them: resonatord config explain")
     return found
 
 

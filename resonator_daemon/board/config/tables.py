@@ -1,5 +1,6 @@
 """Tables of a configuration file: commands, recording, metrics, measurement, decoding."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -123,12 +124,10 @@ class Listen:
 def parse_listen(value: object) -> Listen:
     """Return the address that a text names; ValueError where it names none."""
     if isinstance(value, str) and "://" not in value and "@" not in value:
-        try:
+        with suppress(ValueError):  # reported below, with the allowed values
             url = split_url(f"//{value}")
             if url.hostname and url.port and not url.path and not url.query and not url.fragment:
                 return Listen(url.hostname, url.port)
-        except ValueError:
-            pass  # reported below, with the allowed values
     raise ValueError('must be "ADDRESS:PORT" with a port from 1 to 65535, as "127.0.0.1:9464" or "[::1]:9464"')
 
 
