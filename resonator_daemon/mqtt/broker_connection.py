@@ -100,6 +100,8 @@ class BrokerConnection:
         Largest packet that the broker takes, once connected.
     lost
         Done when the connection has ended.
+    socket
+        The open socket, which the event loop watches; None without a connection.
     """
 
     def __init__(
@@ -134,7 +136,7 @@ class BrokerConnection:
         self._on_message = on_message
         self._on_denied = on_denied
         self._sending = False
-        self._socket: socket.socket | None = None  # watched by the event loop
+        self.socket: socket.socket | None = None
         self._received = 0  # messages
         self._writing = False  # the event loop waits until the socket takes more
         self._rest = b""  # of stream packets that are partly written
@@ -157,18 +159,13 @@ class BrokerConnection:
         client.on_message = self._message_received
 
     @property
-    def socket(self) -> socket.socket | None:
-        """The open socket; None without a connection."""
-        return self._socket
-
-    @property
     def connected(self) -> bool:
-        return self._socket is not None
+        return self.socket is not None
 
     @property
     def writable(self) -> bool:
         """Whether a message would be written now, not queued."""
-        return self._socket is not None and not self._rest and not self._client.want_write()
+        return self.socket is not None and not self._rest and not self._client.want_write()
 
     @property
     def messages_in_flight(self) -> int:
@@ -271,14 +268,14 @@ class BrokerConnection:
         sent = self._write(data)
         if sent == len(data):
             return len(packets), len(packets)
-        if self._socket is None:
+        if self.socket is None:
             return 0, 0
         left, complete = sent, 0
         while left >= len(packets[complete]):
             left -= len(packets[complete])
             complete += 1
         # TLS requires the same bytes again, because it may have begun to encrypt any of them.
-        begun = len(packets) if isinstance(self._socket, ssl.SSLSocket) else complete + 1
+        begun = len(packets) if isinstance(self.socket, ssl.SSLSocket) else complete + 1
         self._rest = data[sent : sent - left + sum(map(len, packets[complete:begun]))]
         self._begin(_REST, InFlight(0, self._loop.time(), None, begun - complete))
         self._watch_writable()
@@ -323,7 +320,7 @@ class BrokerConnection:
             raise BrokerError("the broker ended the connection at once")
         for option in (_NO_DELAY, _UNSENT_BYTES_MAX):
             connection.setsockopt(*option)
-        self._socket = connection
+        self.socket = connection
         self._loop.add_reader(connection, self._read_together if self._read_pause_s else self._read)
         self._check = self._loop.call_later(self._times.check_s, self._check_times)
         self._flush()
@@ -346,7 +343,7 @@ class BrokerConnection:
     def _read(self) -> None:
         try:
             self._client.loop_read()
-            while isinstance(self._socket, ssl.SSLSocket) and self._socket.pending():
+            while isinstance(self.socket, ssl.SSLSocket) and self.socket.pending():
                 self._client.loop_read()
         except Exception as error:  # noqa: BLE001 - a defect in a callback; `lost` raises it
             self._end(error)
@@ -359,9 +356,9 @@ class BrokerConnection:
             if self._received == received:
                 break
             received = self._received
-        if self._socket is None:
+        if self.socket is None:
             return
-        number = self._socket.fileno()  # with the socket itself, asyncio makes a text of it each time
+        number = self.socket.fileno()  # with the socket itself, asyncio makes a text of it each time
         if received == before:
             self._loop.add_reader(number, self._read_together)
         else:
@@ -390,31 +387,31 @@ class BrokerConnection:
     def _write(self, data: bytes) -> int:
         """Return how many bytes the socket took."""
         try:
-            return self._socket.send(data) if self._socket is not None else 0
+            return self.socket.send(data) if self.socket is not None else 0
         except OSError:  # it is full, or the connection is lost, which `_read` notices
             return 0
 
     def _watch_writable(self) -> None:
         wanted = bool(self._rest) or self._client.want_write()
-        if self._socket is not None and wanted is not self._writing:
+        if self.socket is not None and wanted is not self._writing:
             self._writing = wanted
             if wanted:
-                self._loop.add_writer(self._socket, self._write_on)
+                self._loop.add_writer(self.socket, self._write_on)
             else:
-                self._loop.remove_writer(self._socket)
+                self._loop.remove_writer(self.socket)
 
     def _write_wanted(self, *_: object) -> None:
         """Write what the library has queued by itself; `connect` does so for CONNECT, which a thread has queued."""
-        if self._socket is not None and not self._sending:
+        if self.socket is not None and not self._sending:
             self._loop.call_soon(self._write_queued)
 
     def _closing(self, _client: object, _userdata: object, connection: Any) -> None:
         """Stop watching the socket, which the library closes next."""
-        if self._socket is not None:
+        if self.socket is not None:
             self._loop.remove_reader(connection)
             if self._writing:
                 self._loop.remove_writer(connection)
-        self._socket, self._writing, self._rest = None, False, b""
+        self.socket, self._writing, self._rest = None, False, b""
         if self._check is not None:
             self._check.cancel()
 

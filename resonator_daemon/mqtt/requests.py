@@ -181,8 +181,13 @@ class NoDaemonError(UserError):
     code = "no_daemon"
 
 
-async def find_plate(broker: Mqtt, name: str) -> State:
+async def find_plate(broker: Mqtt, name: str, look_s: float | None = None) -> State:
     """Return the state of the daemon that publishes under a name, or did; the broker retains it.
+
+    Parameters
+    ----------
+    look_s
+        How long to wait for it; 3 s by default.
 
     Raises
     ------
@@ -190,14 +195,13 @@ async def find_plate(broker: Mqtt, name: str) -> State:
         None has published under it.
     """
     others = set()
-    try:
-        async with asyncio.timeout(LOOK_S), aclosing(subscribe(broker, (TOPICS[STATE_DAEMON.path],))) as messages:
+    subscribed = subscribe(broker, (TOPICS[STATE_DAEMON.path],))
+    with suppress(TimeoutError):
+        async with asyncio.timeout(look_s or LOOK_S), aclosing(subscribed) as messages:
             async for plate, _, message in messages:
                 if plate == name and isinstance(message, State):
                     return message
                 others.add(plate)
-    except TimeoutError:
-        pass
     there = f"these names are there: {', '.join(sorted(others))}" if others else "no other is there"
     where = f"{broker.prefix}/{name} at {broker.host}:{broker.port}"
     raise NoDaemonError(f"no daemon publishes as {where}; {there}; start it: resonatord run")

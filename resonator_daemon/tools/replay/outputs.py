@@ -5,7 +5,6 @@ import contextlib
 import secrets
 import sys
 import time
-from contextlib import aclosing
 from pathlib import Path
 from typing import Final, Literal, Self, TextIO
 
@@ -19,9 +18,8 @@ from resonator_daemon.mqtt.daemon_state import DaemonSnapshot, DaemonState
 from resonator_daemon.mqtt.message_account import Cause
 from resonator_daemon.mqtt.payloads import Condition, Lost, Message, State
 from resonator_daemon.mqtt.publisher import Publisher, Subscription
-from resonator_daemon.mqtt.requests import BrokerUnreachableError, reach
-from resonator_daemon.mqtt.subscriber import subscribe
-from resonator_daemon.mqtt.topics import STATE_DAEMON, TOPICS, Headers, full_topic
+from resonator_daemon.mqtt.requests import BrokerUnreachableError, NoDaemonError, find_plate, reach
+from resonator_daemon.mqtt.topics import STATE_DAEMON, Headers, full_topic
 from resonator_daemon.tools.replay.recorded_pipeline import Published
 
 
@@ -189,18 +187,14 @@ class BrokerOutput:
             await asyncio.sleep(_TURN_S)
 
     async def _refuse_a_taken_name(self) -> None:
-        topics = (TOPICS[STATE_DAEMON.path],)
         try:
-            async with asyncio.timeout(LOOK_S), aclosing(subscribe(self._mqtt, topics)) as messages:
-                async for name, _, message in messages:
-                    if name == self._name and isinstance(message, State) and message.state is not Condition.OFFLINE:
-                        reason = printable(message.reason)
-                        taken = (
-                            f"a daemon publishes as {self._base} ({message.state}: {reason}); stop it, or give --name"
-                        )
-                        raise UserError(taken, code="name_taken", exit_code=ExitCode.UNAVAILABLE)
-        except TimeoutError:
-            pass  # no message of this name came
+            daemon = await find_plate(self._mqtt, self._name, LOOK_S)
+        except NoDaemonError:
+            return
+        if daemon.state is not Condition.OFFLINE:
+            state = f"{daemon.state}: {printable(daemon.reason)}"
+            taken = f"a daemon publishes as {self._base} ({state}); stop it, or give --name"
+            raise UserError(taken, code="name_taken", exit_code=ExitCode.UNAVAILABLE)
 
     def _publish_state(self, snapshot: DaemonSnapshot) -> None:
         self._publisher.publish(self._base, STATE_DAEMON, self._daemon_state(snapshot))
