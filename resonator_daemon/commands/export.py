@@ -8,7 +8,7 @@ from pathlib import Path
 
 from resonator_daemon.base.errors import ExitCode
 from resonator_daemon.base.host.text import print_note
-from resonator_daemon.tools.command_line import finish, named_recordings
+from resonator_daemon.tools.command_line import add_recording_options, finish, named_recordings
 from resonator_daemon.tools.export import format_class, formats
 
 
@@ -38,14 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="MCAP with messages of ROS 2, ends in .mcap",
     )
     parser.add_argument("--topics", metavar="A,B", help="as forces,contacts/event (default: all that the format takes)")
-    parser.add_argument(
-        "--config",
-        type=Path,
-        metavar="FILE",
-        help="configuration to use instead of the plate and settings in the recording",
-    )
-    parser.add_argument("--from", dest="start", metavar="MARK|SECONDS", help="leave out what was before")
-    parser.add_argument("--until", dest="end", metavar="MARK|SECONDS", help="end there")
+    add_recording_options(parser, "leave out what was before")
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end, and nothing else")
 
 

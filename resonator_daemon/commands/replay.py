@@ -12,19 +12,13 @@ from typing import Final
 
 from resonator_daemon.base.errors import ExitCode, UsageError
 from resonator_daemon.base.host.text import print_note
-from resonator_daemon.tools.command_line import finish, named_recordings, number, options_of
+from resonator_daemon.tools.command_line import add_recording_options, finish, named_recordings, number, options_of
 
 _DEFAULT_URL: Final = "mqtt://127.0.0.1:1883"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE", help="a recording, as run.mcap")
-    parser.add_argument(
-        "--config",
-        type=Path,
-        metavar="FILE",
-        help="configuration to use instead of the plate and settings in the recording",
-    )
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--url", metavar="URL", help=f"the broker (default: that of --config, or {_DEFAULT_URL})")
     where.add_argument("--to", type=Path, metavar="FILE.jsonl", help="a line a message instead; - is stdout")
@@ -32,8 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--speed", type=_speed, metavar="X|max", help="times real time (default: 1 to a broker, max to a file)"
     )
-    parser.add_argument("--from", dest="start", metavar="MARK|SECONDS", help="publish nothing of what was before")
-    parser.add_argument("--until", dest="end", metavar="MARK|SECONDS", help="end there")
+    add_recording_options(parser, "publish nothing of what was before")
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end, and nothing else")
 
 

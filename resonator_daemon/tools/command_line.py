@@ -119,6 +119,14 @@ def separate_config(arguments: argparse.Namespace) -> None:
         arguments.config, arguments.link = arguments.link, None
 
 
+def add_recording_options(parser: argparse.ArgumentParser, before: str) -> None:
+    """Add `--config`, `--from` and `--until` of a command that plays a recording; `before` is the help of `--from`."""
+    instead = "configuration to use instead of the plate and settings in the recording"
+    parser.add_argument("--config", type=Path, metavar="FILE", help=instead)
+    parser.add_argument("--from", dest="start", metavar="MARK|SECONDS", help=before)
+    parser.add_argument("--until", dest="end", metavar="MARK|SECONDS", help="end there")
+
+
 @contextmanager
 def named_recordings() -> Iterator[None]:
     """Raise NoRecordingError where a file that the arguments name is no recording."""
@@ -220,7 +228,6 @@ def client_of(arguments: argparse.Namespace) -> "Client":
         They name none, or contradict each other, or the configuration cannot be used.
     """
     from resonator_daemon.board.config.clients import Client, load_client
-    from resonator_daemon.board.config.tables import plate_name
 
     name = arguments.name
     if name is None and arguments.config is None:
@@ -231,11 +238,18 @@ def client_of(arguments: argparse.Namespace) -> "Client":
         arguments.config, name = Path(name), None
     if name is None:
         return load_client(arguments.config).model_copy(update={"mqtt": broker_of(arguments)})
-    try:
-        name = plate_name(name)
-    except ValueError as error:
-        raise UsageError(f"NAME: got {name!r}; {error}") from None
+    name = checked_name(name, "NAME")
     return Client.model_construct(name=name, link=None, mqtt=broker_of(arguments))
+
+
+def checked_name(name: str, named_by: str) -> str:
+    """Return a name that plates can publish under; UsageError, which states `named_by`, where they cannot."""
+    from resonator_daemon.board.config.tables import plate_name
+
+    try:
+        return plate_name(name)
+    except ValueError as error:
+        raise UsageError(f"{named_by}: got {name!r}; {error}") from None
 
 
 def add_published_plate(parser: argparse.ArgumentParser) -> None:

@@ -3,7 +3,6 @@
 import math
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -16,8 +15,6 @@ from resonator_daemon.base.errors import ConfigurationError, ExitCode, Incompati
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
 from resonator_daemon.base.reasons import Condition
-from resonator_daemon.board.config import Config
-from resonator_daemon.board.recording.event_replay import replay_of
 from resonator_daemon.board.session.frames import (
     BoardOnline,
     BoardRefused,
@@ -246,14 +243,8 @@ def _nothing(time_s: float, faults: tuple[str | None, ...]) -> LoadReading:
 OPEN_S: Final = 10.0  # in which a board must answer
 
 
-@contextmanager
-def board_readings(config: Config, timeout_s: float) -> Iterator[Iterator[BoardOnline | ToneReading]]:
-    """Yield an iterator over the board and then its readings."""
-    with ToneCapture(config.link, config.plate, replay=replay_of(config.link, config.plate)) as capture:
-        yield _readings(capture, timeout_s)
-
-
-def _readings(capture: ToneCapture, timeout_s: float) -> Iterator[BoardOnline | ToneReading]:
+def board_readings(capture: ToneCapture, timeout_s: float) -> Iterator[BoardOnline | ToneReading]:
+    """Yield the board, and then its readings; raise an error where it is none for the plate, or none is there."""
     state = LinkChange(Condition.STARTING, OPENING, 0, 0)
     online = False
     last_s = time.monotonic()

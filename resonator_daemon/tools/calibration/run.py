@@ -13,7 +13,9 @@ from resonator_daemon.base.host.signals import interruptible
 from resonator_daemon.base.host.text import print_note
 from resonator_daemon.base.plate_tables import FORCE_SIGNAL
 from resonator_daemon.board.config import load_config
+from resonator_daemon.board.recording.event_replay import replay_of
 from resonator_daemon.board.session.frames import BoardOnline
+from resonator_daemon.measure.pipeline.tone_capture import ToneCapture
 from resonator_daemon.measure.sensors.base import sensor_of
 from resonator_daemon.tools.calibration.load_procedure import LoadProcedure, Prompt
 from resonator_daemon.tools.calibration.load_readings import CapturedLoads, MultitoneLoads, board_readings
@@ -92,8 +94,9 @@ class _Calibration:
     def _capture(self) -> Outcome:
         """Lead through all steps; a load that contradicts the others is asked for once more."""
         outcome: Outcome | None = None
-        with board_readings(self._config, self._ending.timeout_s) as arrivals:
-            for arrival in arrivals:
+        link, plate = self._config.link, self._config.plate
+        with ToneCapture(link, plate, replay=replay_of(link, plate)) as capture:
+            for arrival in board_readings(capture, self._ending.timeout_s):
                 if isinstance(arrival, BoardOnline):
                     self._unit = arrival.identity.serial_number
                 elif (reading := self._loads.read(arrival)) is not None:

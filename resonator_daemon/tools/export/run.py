@@ -4,6 +4,7 @@ import hashlib
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -113,7 +114,7 @@ def export(
         metadata = [file_metadata(path, first.config) for path in ordered]
         sources = {key: ",".join(each[key] for each in metadata) for key in ("source", "source_sha256")}
         output = kind(target.output, target.topics, Recorded(first.config, metadata[0] | sources))
-    played = _Played(ordered, spans, config, output, show_progress=show_progress)
+    played = _Played(ordered, spans, config, output, show_progress)
     files = _write(output, target.output, played.moments())
     wrong = list(played.wrong)
     if not output.rows:
@@ -132,34 +133,30 @@ def export(
     return summary, wrong
 
 
+@dataclass
 class _Played:
     """Recordings played one after the other, and what came of all of them."""
 
-    def __init__(
-        self,
-        paths: Sequence[Path],
-        spans: Mapping[Path, Span],
-        config: Config | None,
-        output: Output,
-        *,
-        show_progress: bool,
-    ) -> None:
-        self._paths, self._spans, self._config, self._show_progress = paths, spans, config, show_progress
-        self._output = output
-        self.frames = self.differences = 0
-        self.damage: str | None = None  # of the first that is damaged
-        self.wrong: list[str] = []
+    paths: Sequence[Path]
+    spans: Mapping[Path, Span]
+    config: Config | None
+    output: Output
+    show_progress: bool
+    frames: int = 0
+    differences: int = 0
+    damage: str | None = None  # of the first that is damaged
+    wrong: list[str] = field(default_factory=list)
 
     def moments(self) -> Iterator[Moment]:
         plate: Plate | None = None
-        for path in self._paths:
-            with open_replay(path, self._config) as replaying, Progress(path, shown=self._show_progress) as progress:
+        for path in self.paths:
+            with open_replay(path, self.config) as replaying, Progress(path, shown=self.show_progress) as progress:
                 if plate is not None and replaying.config.plate != plate:
-                    raise UsageError(f"{path} is of another plate, or calibration, than {self._paths[0]}")
+                    raise UsageError(f"{path} is of another plate, or calibration, than {self.paths[0]}")
                 plate = replaying.config.plate
-                if not self._output.start(path, self._spans[path].words, replaying.config):
+                if not self.output.start(path, self.spans[path].words, replaying.config):
                     continue
-                yield from moments_within(replaying, self._spans[path], progress)
+                yield from moments_within(replaying, self.spans[path], progress)
                 self.frames += replaying.counters.frames
                 self.differences += replaying.differences
                 self.damage = self.damage or replaying.damage

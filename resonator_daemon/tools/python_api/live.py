@@ -7,13 +7,12 @@ from typing import Any
 from resonator_daemon.base.errors import UsageError
 from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.board.config.tables import plate_name
 from resonator_daemon.mqtt.requests import ANSWER_S, execute, find_online, find_plate, reach
 from resonator_daemon.mqtt.subscriber import EVERY_PLATE, Received
 from resonator_daemon.mqtt.subscriber import subscribe as subscribe_at
 from resonator_daemon.mqtt.topics import TOPICS
 from resonator_daemon.mqtt.verbs import Answer
-from resonator_daemon.tools.command_line import broker_at
+from resonator_daemon.tools.command_line import broker_at, checked_name
 from resonator_daemon.tools.python_api import readable_errors
 
 
@@ -61,7 +60,7 @@ async def subscribe(
                 raise UsageError(f"topic {topic!r}: no plate has it; {nearest(topic, tuple(TOPICS))}")
         await reach(broker)
         if plate is not None:
-            await find_plate(broker, _plate(plate))
+            await find_plate(broker, checked_name(plate, "plate"))
     chosen = [TOPICS[topic] for topic in wanted]
     async with aclosing(subscribe_at(broker, chosen, plate=plate or EVERY_PLATE, full_rate=full_rate)) as messages:
         async for received in messages:
@@ -109,16 +108,9 @@ async def command(
     with readable_errors():
         broker = _broker(url)
         await reach(broker)
-        await find_online(broker, _plate(plate))
+        await find_online(broker, checked_name(plate, "plate"))
         return await execute(broker, plate, verb, arguments, answer_s=timeout_s)
 
 
 def _broker(url: str | Mqtt) -> Mqtt:
     return url.with_name("url") if isinstance(url, Mqtt) else broker_at(url, Mqtt().prefix, named_by="url")
-
-
-def _plate(name: str) -> str:
-    try:
-        return plate_name(name)
-    except ValueError as error:
-        raise UsageError(f"plate: got {name!r}; it {error}") from None

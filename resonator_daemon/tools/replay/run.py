@@ -9,15 +9,14 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from resonator_daemon.base.errors import ConfigurationError, InterruptedCommandError, UsageError
+from resonator_daemon.base.errors import ConfigurationError, InterruptedCommandError
 from resonator_daemon.base.host.signals import on_signals
 from resonator_daemon.base.host.text import printable
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.board.config.tables import plate_name
 from resonator_daemon.mqtt.payloads import Info
 from resonator_daemon.mqtt.topics import Topic
-from resonator_daemon.tools.command_line import broker_at
+from resonator_daemon.tools.command_line import broker_at, checked_name
 from resonator_daemon.tools.replay.outputs import BrokerOutput, FileOutput
 from resonator_daemon.tools.replay.recorded_pipeline import Moment, Published, RecordingReplay, open_replay
 from resonator_daemon.tools.replay.span import Progress, Span, find_span
@@ -25,6 +24,7 @@ from resonator_daemon.tools.replay.span import Progress, Span, find_span
 _AT_ONCE_S: Final = 1e-3  # a wait takes longer than this
 
 
+@dataclass
 class AtSpeed:
     """Recorded time passes this many times as fast as it did, from the first moment on.
 
@@ -36,24 +36,18 @@ class AtSpeed:
         Of the present.
     """
 
-    def __init__(
-        self,
-        speed: float,
-        clock_ns: Callable[[], int] = time.monotonic_ns,
-        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
-    ) -> None:
-        self._speed = speed
-        self._clock_ns = clock_ns
-        self._sleep = sleep
-        self._begun: tuple[int, int] | None = None  # on the clock, and in recorded time
+    speed: float
+    clock_ns: Callable[[], int] = time.monotonic_ns
+    sleep: Callable[[float], Awaitable[None]] = asyncio.sleep
+    _begun: tuple[int, int] | None = None  # on the clock, and in recorded time
 
     async def wait_for(self, moment: Moment) -> None:
         if self._begun is None:
-            self._begun = self._clock_ns(), moment.now.monotonic_ns
+            self._begun = self.clock_ns(), moment.now.monotonic_ns
         clock_ns, recorded_ns = self._begun
-        due_ns = clock_ns + (moment.now.monotonic_ns - recorded_ns) / self._speed
-        left_s = (due_ns - self._clock_ns()) * 1e-9
-        await self._sleep(left_s if left_s > _AT_ONCE_S else 0.0)
+        due_ns = clock_ns + (moment.now.monotonic_ns - recorded_ns) / self.speed
+        left_s = (due_ns - self.clock_ns()) * 1e-9
+        await self.sleep(left_s if left_s > _AT_ONCE_S else 0.0)
 
 
 @dataclass
@@ -127,9 +121,8 @@ async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[d
     if options.output is not None:
         output, boot_id, speed = FileOutput(options.output), None, options.speed or math.inf
     else:
-        name = _usable(
-            options.name or _recorded_name(path, config), "--name" if options.name else f"the name in {path}"
-        )
+        by = "--name" if options.name else f"the name in {path}, which --name replaces"
+        name = checked_name(options.name or _recorded_name(path, config), by)
         output = BrokerOutput(_broker(options.url, config), name, path.name)
         boot_id, speed = output.daemon_boot_id, options.speed or 1.0
         summary["name"] = name
@@ -205,10 +198,3 @@ def _recorded_name(path: Path, config: Config | None) -> str:
                 if isinstance(published.message, Info) and published.message.serial_number:
                     return published.message.serial_number
     raise ConfigurationError(f"{path} has neither the name of a daemon nor the serial number of a board; give --name")
-
-
-def _usable(name: str, by: str) -> str:
-    try:
-        return plate_name(name)
-    except ValueError as error:
-        raise UsageError(f"{by}: {name!r} {error}; give another by --name") from error

@@ -3,7 +3,6 @@
 import asyncio
 import json
 import logging
-import os
 import sys
 import time
 from collections.abc import AsyncGenerator, Callable, Iterator, Sequence
@@ -46,8 +45,6 @@ async def watch(broker: Mqtt, plate: str | None, *, as_json: bool) -> None:
             await asyncio.wait([showing])
         if not showing.cancelled():
             showing.result()
-    except BrokenPipeError:
-        _discard_stdout()
     finally:
         showing.cancel()
 
@@ -56,12 +53,6 @@ def json_line(plate: str, path: str, message: Message) -> str:
     """Return a message as one line of JSON: arrays as nested lists, numbers that are not known as null."""
     payload = message.model_dump_json(fallback=lambda array: array.tolist())
     return f'{{"plate": {json.dumps(plate)}, "topic": {json.dumps(path)}, "message": {payload}}}\n'
-
-
-def _discard_stdout() -> None:
-    """Redirect stdout to the null device, so that unread output is flushed at exit without an error."""
-    with open(os.devnull, "wb") as nowhere:
-        os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
 async def _print_messages(received: Messages) -> None:
