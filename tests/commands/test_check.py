@@ -98,18 +98,14 @@ def check_agrees(folder: Path, config: object, plate: object, capsys: pytest.Cap
 
 
 @pytest.mark.parametrize("name", ["quartz16", "comb16", "skin32"])
-def test_a_bad_value_of_the_plate_file_is_refused_by_both(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bad_plate_value_is_refused_by_both(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     good = plate(name)
     assert check_agrees(tmp_path, CONFIG, good, capsys)
     for bad in with_bad_values(good):
         check_agrees(tmp_path, CONFIG, bad, capsys)
 
 
-def test_a_bad_value_of_the_configuration_is_refused_by_both(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bad_value_of_a_configuration_is_refused_by_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for bad in with_bad_values(CONFIG):
         check_agrees(tmp_path, bad, plate("quartz16"), capsys)
 

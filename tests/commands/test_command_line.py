@@ -80,9 +80,7 @@ def test_its_version_is_that_of_the_project(resonatord: Resonatord) -> None:
         ("bridge home-assistant --plate a/#", " bridge home-assistant", ""),
     ],
 )
-def test_usage_errors_exit_with_2_and_the_usage_of_their_command(
-    line: str, usage: str, meant: str, resonatord: Resonatord
-) -> None:
+def test_usage_errors_exit_with_2_and_a_usage(line: str, usage: str, meant: str, resonatord: Resonatord) -> None:
     run = resonatord(*line.split())
     assert (run.returncode, run.stdout) == (2, "")
     assert run.stderr.startswith(f"usage: resonatord{usage} [-h]")
@@ -158,7 +156,6 @@ def test_emulate_states_its_link_first_and_its_accounts_last(tmp_path: Path) -> 
         stderr=subprocess.DEVNULL,
         text=True,
     )
-    assert emulator.stdout is not None
     assert json.loads(emulator.stdout.readline()) == {
         "link": f"serial:{port}?baud=4000000",
         "plate": "quartz16",

@@ -105,8 +105,6 @@ def test_an_output_that_is_there_is_not_overwritten(
 def test_a_reader_that_leaves_ends_it_well(line: str) -> None:
     """As `| head -c 1` does; the rest is more than a pipe holds."""
     command = subprocess.Popen([*PROGRAM, *shlex.split(line)], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    assert command.stdout is not None
-    assert command.stderr is not None
     assert command.stdout.read(1) == b"{"
     command.stdout.close()
     stderr = command.stderr.read()
@@ -121,7 +119,6 @@ def test_ctrl_c_before_a_board_counts_interrupts_a_recording(tmp_path: Path) -> 
     output = tmp_path / "run.mcap"
     command = [*PROGRAM, "record", "--config", str(config), "--output", str(output), "--json"]
     record = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert record.stderr is not None
     for line in record.stderr:
         if "no port" in line:
             break

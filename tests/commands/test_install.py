@@ -70,9 +70,7 @@ def test_a_changed_file_is_kept_and_an_old_one_is_not(tmp_path: Path, capsys: py
     assert (changed.read_text(), old.read_text()) == (as_changed, as_new)
 
 
-def test_uninstall_removes_what_was_installed_and_nothing_else(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_uninstall_removes_the_installed_files_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     installed(tmp_path, capsys)
     (tmp_path / "etc/resonatord/left.toml").write_text("mine")
     (tmp_path / UNIT).write_text("changed")

@@ -57,7 +57,6 @@ def chunks(path: Path) -> list[tuple[int, int]]:
     """Where chunks begin, and their sizes."""
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
-    assert summary is not None
     return [(chunk.chunk_start_offset, chunk.chunk_length) for chunk in summary.chunk_indexes]
 
 

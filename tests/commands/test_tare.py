@@ -69,9 +69,7 @@ def touched(_: Tare) -> TareAnswer:
     raise CommandRefusedError("not_untouched", "site 7 is touched", "release it")
 
 
-async def test_what_the_daemon_did_is_printed(
-    mosquitto: Mosquitto, tare: Ask, capsys: pytest.CaptureFixture[str]
-) -> None:
+async def test_the_answer_is_printed(mosquitto: Mosquitto, tare: Ask, capsys: pytest.CaptureFixture[str]) -> None:
     async with daemon(mosquitto.url, tared):
         assert await tare(mosquitto.url) == (0, "common mode taken as untouched\n", "")
         assert await asyncio.to_thread(exit_code, "tare", "left", "--url", mosquitto.url, "--json") == 0

@@ -301,16 +301,13 @@ def failing(error: Exception) -> Callable[[Tare], Answer]:
     return handler
 
 
-async def test_a_handler_that_fails_is_logged_once_and_ends_nothing(
-    bench: Bench, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_failing_handler_is_logged_once(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
     bench.handlers["ping"] = failing(ZeroDivisionError("by zero"))
     for _ in range(3):
         await bench.ask(incoming())
     assert bench.codes == ["failed"] * 3
     assert bench.said[0]["error"]["message"] == "ping failed in the daemon"  # its own words may be nobody's business
     (record,) = caplog.records
-    assert record.exc_info is not None
     assert record.exc_info[0] is ZeroDivisionError
     bench.handlers["ping"] = failing(KeyError("other"))
     await bench.ask(incoming())

@@ -125,8 +125,6 @@ async def test_the_conflict_is_over_when_the_others_are_offline_or_silent(
         for boot_id in (7, None, "", "x" * 65, "a\nb", ["b"], {"b": 1})
     ],
 )
-async def test_malformed_messages_are_overwritten(
-    state: DaemonState, sent: list[DaemonSnapshot], payload: bytes
-) -> None:
+async def test_malformed_states_are_overwritten(state: DaemonState, sent: list[DaemonSnapshot], payload: bytes) -> None:
     state.receive(Incoming("resonator/hand/state/daemon", payload, False, None, None))
     assert (reason_code(state), sent) == (ReasonCode.MEASURING, [state.snapshot])

@@ -195,9 +195,7 @@ async def test_what_a_damaged_file_had_is_counted_as_lost_where_no_new_file_can_
     assert (left.account.dropped["spool_failed"], left.account.waiting) == (101, 0)
 
 
-async def test_what_was_delivered_is_not_read_again_with_what_memory_cannot_hold(
-    generous: Mosquitto, tmp_path: Path
-) -> None:
+async def test_delivered_events_are_not_read_again_with_those_on_disk(generous: Mosquitto, tmp_path: Path) -> None:
     async with publishing(generous.url, spool_directory=tmp_path / "kept", boot_id="a") as left:
         async with observe(generous.url) as observer:
             await happen(left, range(500))
@@ -316,7 +314,6 @@ async def test_a_run_that_was_killed_is_still_there(mosquitto: Mosquitto, tmp_pa
         writer = subprocess.Popen(
             [sys.executable, "-c", WRITER, mosquitto.url, str(directory)], stdout=subprocess.PIPE, env=paths
         )
-        assert writer.stdout is not None
         assert writer.stdout.readline() == b"acknowledged\n"
         await until(lambda: on_disk(directory) == (set(range(20)), 0, False))
         writer.send_signal(signal.SIGKILL)
@@ -334,7 +331,7 @@ async def test_a_run_that_was_killed_is_still_there(mosquitto: Mosquitto, tmp_pa
     assert left.account.recovered == 0
 
 
-async def test_beyond_the_bound_of_events_the_oldest_go_of_whatever_run(
+async def test_beyond_the_bound_the_oldest_events_of_any_run_go(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(event_file, "STORED_MAX", 20)

@@ -103,7 +103,6 @@ async def test_the_ten_lines_subscribe(mosquitto) -> None:
         reader = await asyncio.create_subprocess_exec(
             sys.executable, "-c", program, stdout=asyncio.subprocess.PIPE, limit=2**20
         )
-        assert reader.stdout is not None
         try:
             async with asyncio.timeout(20):
                 at_first = sorted([await reader.stdout.readline() for _ in range(2)])  # from two connections

@@ -100,7 +100,7 @@ async def test_events_wait_for_the_first_subscriber(mosquitto, tmp_path: Path, l
         ]
 
 
-async def test_a_frozen_broker_stalls_nobody_and_every_message_is_accounted_for(
+async def test_a_frozen_broker_stalls_nothing_and_all_is_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(event_log, "SUBSCRIBERS_S", 0.0)

@@ -114,7 +114,7 @@ async def test_of_too_many_messages_the_oldest_are_dropped() -> None:
             assert numbers == list(range(first, first + count))
 
 
-async def test_messages_beyond_the_brokers_packet_size_are_dropped_and_logged_once_a_topic(
+async def test_too_large_messages_are_dropped_and_logged_once_a_topic(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     async with scripted_broker() as (url, script):
@@ -205,9 +205,7 @@ async def test_answers_of_a_connection_that_is_over_are_withdrawn() -> None:
     assert "asker" not in {message.topic for message in script.received}
 
 
-async def test_drops_are_summed_up_in_one_line_a_minute(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_drops_have_one_line_a_minute(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(message_account, "FIRST_LINE_S", 0.01)
     account = Account()
     for _ in range(30):

@@ -200,9 +200,7 @@ BROKEN_BROKERS: dict[str, Callable[[trustme.CA], trustme.LeafCert]] = {
 
 
 @pytest.mark.parametrize("finding", BROKEN_BROKERS)
-async def test_a_certificate_that_proves_nothing(
-    finding: str, tmp_path: Path, files: Files, logged_once: LoggedOnce
-) -> None:
+async def test_an_invalid_certificate(finding: str, tmp_path: Path, files: Files, logged_once: LoggedOnce) -> None:
     made = files.pair("broken", BROKEN_BROKERS[finding](files.authority))
     async with tls_mosquitto(tmp_path, files, broker=made) as running:
         await logged_once(Mqtt(url=running.tls_url, ca_file=str(files.ca)), finding)
@@ -302,9 +300,7 @@ async def test_a_broker_that_speaks_neither_version(to_5: bytes, logged_once: Lo
     assert {version for version, _ in record} == {4, 5}
 
 
-async def test_who_is_refused_asks_without_a_name_once_only(
-    logged_once: LoggedOnce, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_refused_client_tries_no_name_once(logged_once: LoggedOnce, caplog: pytest.LogCaptureFixture) -> None:
     async with greeted(lambda _: NOT_AUTHORIZED) as (port, record):
         broker = Mqtt(url=f"mqtt://robot:sesame@127.0.0.1:{port}")
         await logged_once(broker, "'robot' (Not authorized); see mqtt.username, mqtt.password_file")

@@ -73,9 +73,7 @@ def test_write_to_a_peer_that_takes_nothing_ends(pair: Pair, monkeypatch: pytest
         pair.link.write(bytes(8 << 20))
 
 
-def test_write_ends_where_a_descriptor_claims_to_be_writable_and_never_is(
-    pair: Pair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_write_ends_where_a_writable_descriptor_takes_nothing(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(_descriptor: int, _data: bytes) -> int:
         raise BlockingIOError
 
@@ -122,9 +120,7 @@ def test_an_error_behind_bytes_is_told_after_them_and_every_time(pair: Pair, mon
             pair.link.read(AMPLE_S)
 
 
-def test_a_descriptor_that_hangs_and_gives_nothing_is_a_loss_and_no_busy_loop(
-    pair: Pair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_descriptor_that_hung_up_is_a_loss_and_no_busy_loop(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     def nothing(_descriptor: int, _buffers: object) -> int:
         raise BlockingIOError
 

@@ -37,9 +37,7 @@ def test_a_port_that_nobody_holds_a_file_and_nothing_have_no_holders(tmp_path: P
             assert port_holders(str(path)) == Holders((), True)
 
 
-def test_processes_that_may_not_be_looked_into_are_told_of(
-    slave: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_processes_without_permission_are_reported(slave: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for pid in ("7", "8", "self"):
         (tmp_path / pid / "fd").mkdir(parents=True)
     (tmp_path / "8" / "fd" / "3").symlink_to(os.ttyname(slave))

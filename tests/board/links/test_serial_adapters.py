@@ -65,9 +65,7 @@ def test_it_is_found_under_its_new_name(present: list[ListPortInfo]) -> None:
     assert find_port(BOARD, GONE) is None
 
 
-def test_a_configured_path_that_is_there_or_belongs_to_udev_is_left_to_itself(
-    present: list[ListPortInfo], tmp_path: Path
-) -> None:
+def test_a_configured_path_that_exists_or_is_of_udev_is_kept(present: list[ListPortInfo], tmp_path: Path) -> None:
     present.append(port("/dev/ttyACM1"))
     assert find_port(BOARD, "/dev/null") is None
     assert find_port(BOARD, "/dev/serial/by-id/usb-RD_board_0042-if00") is None
@@ -79,9 +77,7 @@ def test_a_configured_path_that_is_there_or_belongs_to_udev_is_left_to_itself(
 @pytest.mark.parametrize(
     "error", [OSError("gone"), TypeError("int() argument must not be None"), ValueError("base 16")]
 )
-def test_ports_that_vanish_while_they_are_listed_are_no_crash(
-    monkeypatch: pytest.MonkeyPatch, error: Exception
-) -> None:
+def test_ports_that_vanish_while_listed_are_left_out(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
     def comports() -> list[ListPortInfo]:
         raise error
 

@@ -15,20 +15,9 @@ from resonator_daemon.board.links.carriers.serial import SerialTarget
 from resonator_daemon.board.recording.event_replay import replay_of
 from resonator_daemon.board.recording.reader import Origin, open_recording
 from resonator_daemon.board.recording.recorder import Recorder
+from resonator_daemon.board.session import link_events as wire
 from resonator_daemon.board.session.board_reader import BoardReader
 from resonator_daemon.board.session.frames import Arrival, Gap, LinkChange, Outage, SingleToneFrame
-from resonator_daemon.board.session.link_events import (
-    Closed,
-    Lost,
-    Opened,
-    Received,
-    Refused,
-    Sent,
-    Skipped,
-    StateAnnounced,
-    TimersRun,
-    WireEvent,
-)
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
@@ -65,7 +54,14 @@ FIRST = Reason(ReasonCode.UNPLUGGED, "first")
 
 
 def test_a_replay_can_be_stopped_in_a_long_silence(path: Path) -> None:
-    record(path, [Opened(at(0)), StateAnnounced(at(0), Condition.STALLED, FIRST), TimersRun(at(3_600_000), idle=True)])
+    record(
+        path,
+        [
+            wire.Opened(at(0)),
+            wire.StateAnnounced(at(0), Condition.STALLED, FIRST),
+            wire.TimersRun(at(3_600_000), idle=True),
+        ],
+    )
     woken = threading.Event()
     target = RecordingTarget(str(path))
     reader = BoardReader(target, PLATE, woken.set, replay=replay_of(target, PLATE))
@@ -80,23 +76,26 @@ def last_reason(arrivals: list[Arrival]) -> str:
     return arrivals[-1].reason.text
 
 
-BEGUN = [Opened(at(0)), Sent(at(0), HostSession().data_to_send())]  # which asks who it is
-NO_ANSWER = TimersRun(at(4000), idle=False)  # after which the connection gives up
+BEGUN = [wire.Opened(at(0)), wire.Sent(at(0), HostSession().data_to_send())]  # which asks who it is
+NO_ANSWER = wire.TimersRun(at(4000), idle=False)  # after which the connection gives up
 
 
 @pytest.mark.parametrize(
     ("events", "said"),
     [
-        ([BEGUN[0], Sent(at(1), b"\x07"), Closed(at(2))], "0.001 s after its beginning: 07 was sent, now "),
-        ([BEGUN[0], TimersRun(at(2), idle=True), Closed(at(3))], "nothing was sent, now "),
-        ([*BEGUN, Skipped(at(5), 3, 400), Closed(at(6))], "0.005 s after its beginning: 3 events with 400 bytes are"),
-        ([*BEGUN, Refused(at(5), (FIRST,), False), Closed(at(6))], "closed, first; now: nothing is wrong"),
-        ([*BEGUN, Opened(at(5))], "0.005 s after its beginning: the link is opened twice"),
-        ([Received(at(0), b"abc")], "0.000 s after its beginning: the link is not open"),
-        ([*BEGUN, NO_ANSWER, Lost(at(4001), FIRST), Closed(at(4001))], "first; now: no board answers"),
+        ([BEGUN[0], wire.Sent(at(1), b"\x07"), wire.Closed(at(2))], "0.001 s after its beginning: 07 was sent, now "),
+        ([BEGUN[0], wire.TimersRun(at(2), idle=True), wire.Closed(at(3))], "nothing was sent, now "),
+        (
+            [*BEGUN, wire.Skipped(at(5), 3, 400), wire.Closed(at(6))],
+            "0.005 s after its beginning: 3 events with 400 bytes are",
+        ),
+        ([*BEGUN, wire.Refused(at(5), (FIRST,), False), wire.Closed(at(6))], "closed, first; now: nothing is wrong"),
+        ([*BEGUN, wire.Opened(at(5))], "0.005 s after its beginning: the link is opened twice"),
+        ([wire.Received(at(0), b"abc")], "0.000 s after its beginning: the link is not open"),
+        ([*BEGUN, NO_ANSWER, wire.Lost(at(4001), FIRST), wire.Closed(at(4001))], "first; now: no board answers"),
     ],
 )
-def test_a_difference_is_counted_and_said(path: Path, events: list[WireEvent], said: str) -> None:
+def test_a_difference_is_counted_and_said(path: Path, events: list[wire.WireEvent], said: str) -> None:
     record(path, events)
     arrivals, _, differences = replayed(path)
     assert differences == 1
@@ -109,7 +108,9 @@ def test_a_refusal_is_compared_by_its_codes_not_by_its_words(tmp_path: Path, cod
     with open_recording(str(CORPUS / "refused" / "recording.mcap")) as recording:
         events = list(recording.events())
     reworded = [
-        event._replace(problems=(Reason(ReasonCode(code), "other words"),)) if isinstance(event, Refused) else event
+        event._replace(problems=(Reason(ReasonCode(code), "other words"),))
+        if isinstance(event, wire.Refused)
+        else event
         for event in events
     ]
     record(tmp_path / "run.mcap", reworded)
@@ -117,7 +118,7 @@ def test_a_refusal_is_compared_by_its_codes_not_by_its_words(tmp_path: Path, cod
 
 
 def test_a_recording_cut_off_is_replayed_up_to_there(path: Path) -> None:
-    record(path, [StateAnnounced(at(0), Condition.STARTING, FIRST), Opened(at(1))])
+    record(path, [wire.StateAnnounced(at(0), Condition.STARTING, FIRST), wire.Opened(at(1))])
     content = path.read_bytes()
     path.write_bytes(content[: content.rindex(b"\x0f\x04" + bytes(7))])  # the end of its data
     arrivals, _, differences = replayed(path)

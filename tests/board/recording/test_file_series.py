@@ -70,9 +70,7 @@ def test_a_recording_that_another_program_writes_is_not_removed(tmp_path: Path, 
     assert [path.exists() for path in old] == [True, False]
 
 
-def test_what_cannot_be_removed_is_said_once(
-    tmp_path: Path, own: RecordingWriter, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_removal_is_logged_once(tmp_path: Path, own: RecordingWriter, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[tuple[int, str]] = []
     old = made(tmp_path, 0)
 

@@ -19,39 +19,27 @@ from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.recording import writer as recording_writer
 from resonator_daemon.board.recording.reader import Origin, open_recording
 from resonator_daemon.board.recording.recorder import Recorder, RecorderTimes
+from resonator_daemon.board.session import link_events as wire
 from resonator_daemon.board.session.clock import HostTime
-from resonator_daemon.board.session.link_events import (
-    Closed,
-    Lost,
-    Opened,
-    Overrun,
-    Received,
-    Refused,
-    Sent,
-    Skipped,
-    StateAnnounced,
-    StopRequested,
-    TimersRun,
-    WireEvent,
-    encode,
-)
 
-EVENTS: list[WireEvent] = [
-    StateAnnounced(at(0), Condition.STARTING, Reason(ReasonCode.OPENING, "the link is being opened")),
-    StateAnnounced(at(1), Condition.WAITING, Reason(ReasonCode.NO_SUCH_PORT, "/dev/ttyÿ: no such file — yet")),
-    Opened(at(2)),
-    Sent(at(3), b"\x01\0"),
-    Received(HostTime(at(4).monotonic_ns, -(10**9), -(2**62)), bytes(range(256))),
-    Received(at(5), b""),
-    TimersRun(at(5), idle=False),
-    TimersRun(at(6), idle=True),
-    Overrun(at(7)),
-    StopRequested(at(8)),
-    Lost(at(9), Reason(ReasonCode.UNPLUGGED, "unplugged (hung up)")),
-    Refused(at(10), (Reason(ReasonCode.WRONG_PLATE, "one"), Reason(ReasonCode.WRONG_GATE, "two")), other_protocol=True),
-    Refused(at(10), (), other_protocol=False),
-    Closed(at(11)),
-    Skipped(at(12), 3, 400),
+EVENTS: list[wire.WireEvent] = [
+    wire.StateAnnounced(at(0), Condition.STARTING, Reason(ReasonCode.OPENING, "the link is being opened")),
+    wire.StateAnnounced(at(1), Condition.WAITING, Reason(ReasonCode.NO_SUCH_PORT, "/dev/ttyÿ: no such file — yet")),
+    wire.Opened(at(2)),
+    wire.Sent(at(3), b"\x01\0"),
+    wire.Received(HostTime(at(4).monotonic_ns, -(10**9), -(2**62)), bytes(range(256))),
+    wire.Received(at(5), b""),
+    wire.TimersRun(at(5), idle=False),
+    wire.TimersRun(at(6), idle=True),
+    wire.Overrun(at(7)),
+    wire.StopRequested(at(8)),
+    wire.Lost(at(9), Reason(ReasonCode.UNPLUGGED, "unplugged (hung up)")),
+    wire.Refused(
+        at(10), (Reason(ReasonCode.WRONG_PLATE, "one"), Reason(ReasonCode.WRONG_GATE, "two")), other_protocol=True
+    ),
+    wire.Refused(at(10), (), other_protocol=False),
+    wire.Closed(at(11)),
+    wire.Skipped(at(12), 3, 400),
 ]
 DEADLINE_S = 30.0
 
@@ -66,13 +54,13 @@ def test_every_event_comes_back_exactly(path: Path) -> None:
 
 
 def test_what_does_not_fit_into_the_queue_is_counted_in_its_place(path: Path) -> None:
-    large = Received(at(2), bytes(10_000))
-    events = [Opened(at(1)), large, large, Closed(at(3)), large]
+    large = wire.Received(at(2), bytes(10_000))
+    events = [wire.Opened(at(1)), large, large, wire.Closed(at(3)), large]
     recorder = record(path, events, queue_bytes=5_000)
     kept, _ = read(path)
     *first, last = kept
-    assert first == [Opened(at(1)), Skipped(at(3), 2, 20_000), Closed(at(3))]
-    assert (type(last), last[1:]) == (Skipped, (1, 10_000))
+    assert first == [wire.Opened(at(1)), wire.Skipped(at(3), 2, 20_000), wire.Closed(at(3))]
+    assert (type(last), last[1:]) == (wire.Skipped, (1, 10_000))
     assert recorder.counts.events_missing == 3
 
 
@@ -86,13 +74,12 @@ def test_a_disk_without_room_ends_the_recording_and_not_the_reader(path: Path) -
         with Recorder(path, Origin(PLATE, "tcp://board:1")) as recorder:
             while recorder.failure is None:
                 assert time.monotonic() < deadline
-                recorder.put(Received(at(put), random.randbytes(100_000)))
+                recorder.put(wire.Received(at(put), random.randbytes(100_000)))
                 put += 1
                 threading.Event().wait(0.005)
-            recorder.put(Closed(at(put)))
+            recorder.put(wire.Closed(at(put)))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert recorder.failure is not None
     assert recorder.failure.code == "write_failed"
     events, damage = read(path)
     assert damage == "cut off"
@@ -102,29 +89,26 @@ def test_a_disk_without_room_ends_the_recording_and_not_the_reader(path: Path) -
 
 
 def test_whatever_else_goes_wrong_ends_the_recording_and_is_said(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(event: WireEvent) -> bytes:
-        if isinstance(event, Sent):
+    def broken(event: wire.WireEvent) -> bytes:
+        if isinstance(event, wire.Sent):
             raise RuntimeError("LZ4 has no memory")
-        return encode(event)
+        return wire.encode(event)
 
     monkeypatch.setattr(recording_writer, "encode", broken)
-    recorder = record(path, [Opened(at(0)), Sent(at(1), b"x")])
-    assert recorder.failure is not None
+    recorder = record(path, [wire.Opened(at(0)), wire.Sent(at(1), b"x")])
     assert recorder.failure.code == "write_failed"
     assert recorder.written.events == 0
     assert recorder.counts.events_missing == 2  # the other waited for its chunk to be full
-    recorder.put(Closed(at(2)))
+    recorder.put(wire.Closed(at(2)))
     assert recorder.counts.events_missing == 3
 
 
-def test_what_is_whole_counts_as_written_though_the_end_of_the_file_fails(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_whole_chunks_count_as_written_where_the_end_fails(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(recording_writer.Writer, "finish", full)
-    written: list[WireEvent] = [Opened(at(0)), Received(at(1), b"x"), Closed(at(2))]
+    written: list[wire.WireEvent] = [wire.Opened(at(0)), wire.Received(at(1), b"x"), wire.Closed(at(2))]
     deadline = time.monotonic() + DEADLINE_S
     with Recorder(path, Origin(PLATE, "tcp://board:1"), times=RecorderTimes(flush_s=3600.0)) as recorder:
         recorder.put(written[0])
@@ -133,7 +117,6 @@ def test_what_is_whole_counts_as_written_though_the_end_of_the_file_fails(
             threading.Event().wait(0.01)
         for event in written[1:]:
             recorder.put(event)
-    assert recorder.failure is not None
     assert recorder.failure.code == "disk_full"
     assert read(path)[0] == written
     assert (recorder.written.events, recorder.counts.events_missing) == (3, 0)
@@ -142,7 +125,7 @@ def test_what_is_whole_counts_as_written_though_the_end_of_the_file_fails(
 
 def test_damage_ends_a_recording_where_it_is_found(path: Path) -> None:
     random = Random(3)
-    written: list[WireEvent] = [Received(at(number), random.randbytes(60_000)) for number in range(30)]
+    written: list[wire.WireEvent] = [wire.Received(at(number), random.randbytes(60_000)) for number in range(30)]
     record(path, written, times=ONE_BATCH)
     whole = bytearray(path.read_bytes())
     whole[len(whole) // 2] ^= 4
@@ -150,7 +133,6 @@ def test_damage_ends_a_recording_where_it_is_found(path: Path) -> None:
     events, damage = read(path)
     assert 0 < len(events) < 30
     assert events == written[: len(events)]
-    assert damage is not None
     assert damage.startswith("damaged before byte ")
 
 

@@ -91,7 +91,6 @@ def test_a_recording_begun_while_frames_come_is_replayed_with_their_numbers(path
     events, damage = read(path)
     assert damage is None
     assert isinstance(events[0], link_events.SnapshotTaken)
-    assert summary is not None
     assert (summary.path, summary.all_bytes, summary.failure) == (path, path.stat().st_size, None)
     assert (summary.counts.files, summary.written.events, summary.counts.events_missing) == (1, len(events), 0)
     assert 1.0 < summary.seconds < DEADLINE_S
@@ -108,7 +107,6 @@ def test_one_recording_runs_at_a_time_and_no_file_is_overwritten(tmp_path: Path)
         switch.start(tmp_path / "two.mcap", ORIGIN)
     assert not (tmp_path / "two.mcap").exists()
     now = switch.current
-    assert now is not None
     assert (now.path, now.failure) == (tmp_path / "one.mcap", None)
     assert before_ns <= now.since.utc_ns <= time.time_ns()
     switch.stop()
@@ -126,7 +124,6 @@ def test_a_mark_is_a_line_of_text_at_its_time(path: Path, caplog: pytest.LogCapt
     times_ns = [switch.mark("the finger slips"), switch.mark("¼ N")]
     switch.put(link_events.StateAnnounced(at(1), Condition.WAITING, Reason(ReasonCode.NO_SUCH_PORT, "second")))
     summary = switch.stop()
-    assert summary is not None
     assert (summary.written.events, summary.counts.events_missing) == (2, 0)
     assert marks(path) == list(zip(times_ns, ["the finger slips", "¼ N"], strict=True))
     assert times_ns[0] <= times_ns[1] <= time.time_ns()
@@ -136,9 +133,7 @@ def test_a_mark_is_a_line_of_text_at_its_time(path: Path, caplog: pytest.LogCapt
     assert f"{path}: mark: the finger slips" in caplog.messages
 
 
-def test_a_tap_does_not_wait_for_a_file_that_is_slow_to_be_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_switch_does_not_wait_for_a_slow_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     making, made = threading.Event(), threading.Event()
 
     def slowly(path: Path, origin: Origin, *, log_line: object) -> Recorder:
@@ -172,15 +167,12 @@ def test_what_is_kept_is_bounded_and_a_recording_begins_with_the_next_standing(p
     switch.put(snapshot)
     switch.put(link_events.TimersRun(at(6), idle=True))
     summary = switch.stop()
-    assert summary is not None
     assert (summary.written.events, summary.counts.events_missing) == (2, 1)
     events, _ = read(path)
     assert events == [link_events.Skipped(snapshot.now, 1, 7), snapshot, link_events.TimersRun(at(6), idle=True)]
 
 
-def test_each_file_names_the_board_that_sends_and_has_the_last_states(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_file_has_the_present_board_and_the_last_states(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording, "read_host_time", lambda: at(-1000))
     board = BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False)
     there = running_snapshot(tmp_path)

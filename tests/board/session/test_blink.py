@@ -58,9 +58,7 @@ def test_a_request_that_is_lost_is_repeated(bench: Bench, monkeypatch: pytest.Mo
     assert bench.board.session.located == 1
 
 
-def test_a_board_that_does_not_hear_is_an_answer_and_no_reason_to_stop(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_board_that_does_not_answer_is_reported_and_counts_on(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     deafen(bench.board, monkeypatch)
     bench.connection.blink(bench.host_time())
     bench.run(2990)

@@ -211,7 +211,6 @@ def test_board_that_lies_about_its_reference_is_measured(name: str, ppm: float) 
     clock = BoardClock(REFERENCE_MILLIHERTZ)
     for _ in play(scene(name, ppm), 1, 20.0, clock=clock):
         pass
-    assert clock.rate_beyond_tolerance is not None
     measured_ppm, uncertainty_ppm = clock.rate_beyond_tolerance
     true_ppm = 1e6 * (1 / (1 - ppm * 1e-6) - 1)  # host time per board time
     assert abs(measured_ppm - true_ppm) <= uncertainty_ppm <= 30

@@ -51,9 +51,7 @@ def test_oscillators_lie_on_a_comb() -> None:
         ({"gate_ticks_step": 300_000}, "wrong_gate", ("frame rate", "300000", "1000000")),
     ],
 )
-def test_what_does_not_fit_is_reported_with_both_sides(
-    change: dict[str, object], code: str, words: tuple[str, ...]
-) -> None:
+def test_incompatibilities_have_both_values(change: dict[str, object], code: str, words: tuple[str, ...]) -> None:
     ((found, sentence),) = incompatibilities(replace(QUARTZ_BOARD, **change), QUARTZ)  # type: ignore[arg-type]
     assert found == code
     assert all(word in sentence for word in words)

@@ -5,17 +5,8 @@ import pytest
 
 from resonator_daemon.base.host.load import LoadSample
 from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
+from resonator_daemon.board.session import link_events as wire
 from resonator_daemon.board.session.clock import HostTime
-from resonator_daemon.board.session.link_events import (
-    ControlRequested,
-    Lost,
-    Refused,
-    Skipped,
-    StateAnnounced,
-    TimersRun,
-    decode,
-    encode,
-)
 
 NOW = HostTime(5, 7, 3)
 
@@ -37,7 +28,7 @@ def raw(kind: int, body: object) -> bytes:
 )  # fmt: skip
 def test_what_no_daemon_wrote_is_damage(data: bytes) -> None:
     with pytest.raises((ValueError, RecursionError)) as caught:
-        decode(data, 5, 12)
+        wire.decode(data, 5, 12)
     assert len(str(caught.value)) < 200
     assert "\n" not in str(caught.value)
 
@@ -45,29 +36,31 @@ def test_what_no_daemon_wrote_is_damage(data: bytes) -> None:
 @pytest.mark.parametrize(
     "event",
     [
-        StateAnnounced(NOW, Condition.LOST, Reason(ReasonCode.UNPLUGGED, "/dev/tty\udcff is gone")),
-        Lost(NOW, Reason(ReasonCode.UNPLUGGED, "/dev/tty\udcff is gone")),
-        Refused(NOW, (Reason(ReasonCode.WRONG_PLATE, "a"), Reason(ReasonCode.WRONG_GATE, "/dev/tty\udcff")), False),
-        ControlRequested(NOW, "\udcff", "{}"),
-        Skipped(NOW, 0, 2**63 - 1),
+        wire.StateAnnounced(NOW, Condition.LOST, Reason(ReasonCode.UNPLUGGED, "/dev/tty\udcff is gone")),
+        wire.Lost(NOW, Reason(ReasonCode.UNPLUGGED, "/dev/tty\udcff is gone")),
+        wire.Refused(
+            NOW, (Reason(ReasonCode.WRONG_PLATE, "a"), Reason(ReasonCode.WRONG_GATE, "/dev/tty\udcff")), False
+        ),
+        wire.ControlRequested(NOW, "\udcff", "{}"),
+        wire.Skipped(NOW, 0, 2**63 - 1),
     ],
 )
 def test_a_path_that_is_no_text_is_written_as_one_that_is(
-    event: StateAnnounced | Lost | Refused | ControlRequested | Skipped,
+    event: wire.StateAnnounced | wire.Lost | wire.Refused | wire.ControlRequested | wire.Skipped,
 ) -> None:
-    again = decode(encode(event), 5, 12)
+    again = wire.decode(wire.encode(event), 5, 12)
     assert repr(again) == repr(event).replace("\\udcff", "?")
 
 
 @pytest.mark.parametrize("reason", ["gone", ["a code of a later version", "gone"]])
 def test_a_reason_without_a_code_that_is_known_is_unspecified(reason: object) -> None:
     unspecified = Reason(ReasonCode.UNSPECIFIED, "gone")
-    assert decode(raw(7, [reason]), 5, 12) == Lost(NOW, unspecified)
-    assert decode(raw(8, [[reason], True]), 5, 12) == Refused(NOW, (unspecified,), other_protocol=True)
+    assert wire.decode(raw(7, [reason]), 5, 12) == wire.Lost(NOW, unspecified)
+    assert wire.decode(raw(8, [[reason], True]), 5, 12) == wire.Refused(NOW, (unspecified,), other_protocol=True)
 
 
 @pytest.mark.parametrize(("load", "body"), [(LoadSample(85, 100), b"\1\x55\x64"), (LoadSample(), b"\1")])
 def test_the_load_of_the_host_is_recorded_if_it_is_not_zero(load: LoadSample, body: bytes) -> None:
-    event = TimersRun(NOW, True, load)
-    assert encode(event) == raw(3, body)
-    assert decode(raw(3, body), 5, 12) == event
+    event = wire.TimersRun(NOW, True, load)
+    assert wire.encode(event) == raw(3, body)
+    assert wire.decode(raw(3, body), 5, 12) == event

@@ -71,7 +71,6 @@ def test_the_rate_is_that_between_the_quickest_exchanges_of_both_halves() -> Non
         Exchange(102_000_000, 0, 102_900_000),  # slow
     ]
     rate = tick_rate(exchanges, 10**12)  # a tick a nanosecond
-    assert rate is not None
     elapsed_ns = 101_000_700 - 1_000_500
     assert rate.deviation_ppm == pytest.approx((101_010_700 - 1_000_600) / elapsed_ns * 1e6 - 1e6)
     assert rate.uncertainty_ppm == pytest.approx((1_000 + 1_400) / 2 / elapsed_ns * 1e6)

@@ -77,7 +77,6 @@ def test_narrowed_range_of_rates_narrows_the_excess() -> None:
     it = TickBounds(RATES, 0, 0, 1000)
     assert it.add(S, 0, 2 * MS)
     wide, narrow = it.lines, it.narrowed((-1e-6, 1e-6))
-    assert narrow is not None
     assert narrow.most_rate == 1e-6
     assert narrow.most_ns - narrow.least_ns < 3000 < wide.most_ns - wide.least_ns
     assert it.narrowed((0.005, 0.01)) is None

@@ -32,12 +32,6 @@ class Course:
         return well
 
 
-def test_online_without_frames_is_not() -> None:
-    course = Course()
-    course.healthy_s(Condition.ONLINE, 100, frames=True, turns=True)
-    assert course.healthy_s(Condition.ONLINE, 100, frames=False, turns=True) == 10
-
-
 @pytest.mark.parametrize("state", WAITING)
 def test_a_declared_wait_lasts_as_long_as_it_is_tried(state: Condition) -> None:
     course = Course()
@@ -62,4 +56,5 @@ def test_what_goes_on_again_is_well(caplog: pytest.LogCaptureFixture) -> None:
     assert course.healthy_s(Condition.ONLINE, 50, frames=False, turns=True) == 10
     assert course.healthy_s(Condition.ONLINE, 50, frames=True, turns=True) == 50
     assert [record.levelname for record in caplog.records] == ["ERROR", "INFO"]
+    assert course.healthy_s(Condition.ONLINE, 100, frames=False, turns=True) == 10
     assert "no frame was measured for 11 s (limit 10 s), link online" in caplog.messages[0]

@@ -86,7 +86,6 @@ async def test_a_busy_computer_has_its_code_and_the_share_of_waiting_time(machin
 
 async def test_frames_before_the_decoder_is_ready_are_not_lost() -> None:
     info = status_samples.health().decoder
-    assert info is not None
     info = info.model_copy(update={"skipped": {"not_ready": 178, "newer_frame": 4, "decoder_ended": 2}})
     made = StatusMonitor().health(HEADER, LinkCounters(), HostLoad(), info, **OTHER)
     assert (made.frames_not_decoded, made.decoder) == (6, info)

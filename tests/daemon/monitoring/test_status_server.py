@@ -70,7 +70,7 @@ asyncio.run(StatusServer(path, config, lambda: status_samples.status(instance="o
 """
 
 
-async def test_a_living_daemons_socket_is_not_taken_and_becomes_free_when_it_ends(
+async def test_a_running_daemons_socket_is_not_taken_before_it_ends(
     path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     tests, config = Path(__file__).parents[2] / "support", Path("other/hand.toml")
@@ -96,9 +96,7 @@ async def test_a_living_daemons_socket_is_not_taken_and_becomes_free_when_it_end
             other.kill()
 
 
-async def test_a_path_longer_than_sockets_take_is_reported_once(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_path_too_long_for_sockets_is_reported_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     room = PATH_BYTES_MAX - len(os.fsencode(tmp_path)) - len("//status.sock")
     path = tmp_path / ("é" * (room // 2) + "e" * (room % 2 + 1)) / "status.sock"
     async with serving(path, retry_s=0.001):

@@ -79,9 +79,7 @@ async def test_tare(bench: Bench) -> None:
         ({"window_ms": 1e-300, "step_ms": 5e-324}, "window_ms: got 1e-300; must be a whole number of frame periods"),
     ],
 )
-async def test_a_window_must_fit_as_in_the_configuration(
-    bench: Bench, request_: dict[str, float], sentence: str
-) -> None:
+async def test_a_window_must_fit_as_in_a_configuration(bench: Bench, request_: dict[str, float], sentence: str) -> None:
     refused = await bench.refusal("set_window", **request_)
     assert refused.code == "window"
     assert sentence in refused.message
@@ -98,7 +96,6 @@ async def test_a_disk_that_takes_nothing_is_said(bench: Bench) -> None:
 
 async def test_a_recording_that_has_failed_is_not_taken_for_one_that_runs(bench: Bench) -> None:
     await bench.ask("start_recording")
-    assert bench.daemon.current is not None
     bench.daemon.current.failure = Reason(ReasonCode.DISK_FULL, "disk full")
     for verb, request in (("start_recording", {}), ("mark", {"text": "a"})):
         refused = await bench.refusal(verb, **request)

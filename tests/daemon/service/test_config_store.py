@@ -158,7 +158,6 @@ async def test_what_can_change_live_is_taken_and_the_rest_is_named_until_a_resta
     first = present.sha256
     path.write_text(PLAIN.replace("5000", "5001") + "[measurement]\nwindow_ms = 20\n")
     found = await present.reload()
-    assert found is not None
     assert (found.live, found.restart) == (("measurement.window_ms",), ("link",))
     assert (present.config.measurement.window_ms, str(present.config.link)) == (20.0, "tcp://127.0.0.1:5000")
     assert present.remark == Reason(ReasonCode.RESTART_NEEDED, "restart for changed link")
@@ -176,11 +175,9 @@ async def test_a_daemon_that_began_on_the_last_good_one_says_so_until_the_file_i
     path.write_text(PLAIN + "wrong = 1\n")
     present = in_use(path)
     assert present.status.in_use == "last_good"
-    assert present.remark is not None
     assert present.remark.text.startswith(f"on the last good configuration: {path}:4: wrong: unknown key")
     path.write_text(PLAIN + "worse = 1\n")
     await present.reload()
-    assert present.remark is not None
     assert present.remark.text.startswith(f"on the last good configuration: {path}:4: worse: unknown key")
     path.write_text(PLAIN + "[measurement]\nstep_ms = 2\n")
     await present.reload()

@@ -65,9 +65,7 @@ async def test_a_touch_becomes_messages_on_either_broker(tmp_path: Path, broker:
     assert (info["plate"], info["serial_number"], len(info["sites"])) == ("quartz16", "EMU-0001", 16)
 
 
-async def test_the_log_has_the_states_with_their_codes(
-    bench: Bench, mosquitto: Mosquitto, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_the_log_has_state_codes(bench: Bench, mosquitto: Mosquitto, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     async with bench.emulated(scenario="still"), observe(mosquitto.url) as observer, bench.running(bench.service()):
         for part in ("daemon", "link", "sensor"):

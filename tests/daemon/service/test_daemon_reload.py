@@ -21,9 +21,7 @@ from resonator_daemon.daemon.service.daemon import Service
 RESONATORD = Path(sys.executable).with_name("resonatord")
 
 
-async def test_windows_and_commands_are_taken_live_and_a_bad_file_is_reported(
-    bench: Bench, mosquitto: Mosquitto
-) -> None:
+async def test_windows_and_commands_are_applied_and_a_bad_file_is_reported(bench: Bench, mosquitto: Mosquitto) -> None:
     async with observe(mosquitto.url) as observer, bench.emulated():
         service = bench.service()
         async with bench.running(service):

@@ -45,17 +45,14 @@ async def test_a_recording_without_end_begins_once_and_ends_where_it_is_not_want
     commands = RecordingCommands(endless, "left", switch, daemon_boot_id="b", config_sha256="1")
     await commands.keep_recording()
     now = switch.current
-    assert now is not None
     await commands.keep_recording()
     assert (await commands.start(StartRecording())).was_active
-    assert switch.current is not None
     assert switch.current.path == now.path
     await commands.adopt(config(tmp_path), "2")
     assert switch.current is None
     await commands.adopt(config(tmp_path), "3")
     assert switch.current is None
     await commands.adopt(endless, "4")
-    assert switch.current is not None
     last = switch.current.path
     await commands.stop(StopRecording())
     with open_recording(str(last)) as it:
@@ -64,8 +61,6 @@ async def test_a_recording_without_end_begins_once_and_ends_where_it_is_not_want
             "daemon_boot_id": "b",
             "config_sha256": "4",
         }
-        assert it.plate_text is not None
-        assert it.settings_text is not None
         assert load_plate_text(it.plate_text, last).model_dump_json() == endless.plate.model_dump_json()
         settings = load_settings_text(it.settings_text, last)
         assert (settings.measurement, settings.decoding) == (endless.measurement, endless.decoding)
@@ -84,7 +79,6 @@ async def test_what_a_command_began_goes_on_where_the_configuration_stops_record
     began = await commands.start(StartRecording(label="mine"))
     await commands.adopt(endless, None)
     await commands.adopt(config(tmp_path), None)
-    assert switch.current is not None
     assert str(switch.current.path) == began.file
     assert caplog.messages == []
     assert (await commands.stop(StopRecording())).was_active

@@ -126,9 +126,7 @@ def test_an_accepted_calibration_is_in_the_plate_file(desk: Desk, capsys: pytest
     assert sorted(os.listdir(desk.folder)) == ["board.toml", "plate.toml"]
 
 
-def test_a_new_plate_file_needs_no_consent_and_is_named_by_the_configuration(
-    desk: Desk, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_new_plate_file_needs_no_consent_and_is_configured(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
     before, config = desk.plate.read_text(), desk.config.read_text()
     desk.loads()
     with desk.board():
@@ -161,9 +159,7 @@ def test_killed_at_a_step_everything_is_as_before(desk: Desk) -> None:
 
 
 @pytest.mark.parametrize(("answers", "code"), [(b"yeah\n\ny\n", 0), (b"n\n", 1)])
-def test_a_bad_load_is_asked_for_once_more_and_a_person_is_asked_to_accept(
-    desk: Desk, answers: bytes, code: int
-) -> None:
+def test_a_bad_load_is_requested_again_and_a_person_is_asked_to_accept(desk: Desk, answers: bytes, code: int) -> None:
     before = desk.tree()
     masses = (0.1, 0.2, 0.3, 0.4, 0.5)
     for mass_kg in masses:

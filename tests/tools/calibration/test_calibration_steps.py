@@ -54,7 +54,7 @@ def test_a_sweep_comes_last_with_the_heaviest_mass() -> None:
         ({"kelvin": 290.0, "temperatures_kelvin": (300.0, 300.0)}, "--temperatures-kelvin", ""),
     ],
 )
-def test_what_cannot_be_asked_for_is_refused_with_value_and_limit(
+def test_impossible_requests_are_refused_with_value_and_limit(
     wanted: dict[str, object], option: str, values: str
 ) -> None:
     with pytest.raises(UsageError) as refusal:

@@ -78,7 +78,6 @@ def test_sites_that_were_not_loaded_get_their_f0_and_keep_their_sensitivity(tmp_
 def test_hysteresis_and_creep_are_fitted_though_a_rest_of_them_stays_on_the_untouched_plate(tmp_path: Path) -> None:
     wanted = replace(WANTED, sites=(7, 1), response=True, response_hold_s=20.0)
     _, record, _ = calibrated(wanted, tmp_path, f"{IDEAL}hysteresis_fraction = 0.01\ncreep_fraction = 0.005\n")
-    assert record.response is not None
     assert record.response.hysteresis_newton == pytest.approx(0.1, rel=0.01)
     assert record.response.creep_fraction == pytest.approx(0.005, rel=0.02)
     assert record.response.creep_time_s == pytest.approx(20.0, rel=0.02)

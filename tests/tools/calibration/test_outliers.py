@@ -95,9 +95,7 @@ def test_repeats_of_one_mass_can_contradict_each_other() -> None:
         (replace(ONE, mass_std=0.049, masses_kg=(0.05, 0.2)), {}),
     ],
 )
-def test_a_sensitivity_that_is_known_to_more_than_five_percent_is_refused(
-    wanted: LoadRequest, more: dict[str, Any]
-) -> None:
+def test_a_sensitivity_known_to_more_than_five_percent_is_refused(wanted: LoadRequest, more: dict[str, Any]) -> None:
     refuse_unknown_sensitivity(outcome_of(ONE, 0.015)[0])
     bad, _ = outcome_of(wanted, **more)
     assert bad.sensitivity_std[0] > 0.05

@@ -28,9 +28,7 @@ def output(folder: Path, form: str) -> tuple[object, ...]:
     return ("--ros2", "--output", folder / "out.mcap") if form == "ros2" else ("--output", folder / f"out.{form}")
 
 
-def test_recordings_of_one_plate_become_one_in_the_order_of_time(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_recordings_of_one_plate_become_one_in_time_order(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "recordings"
     folder.mkdir()
     empty = tmp_path / "empty"
@@ -89,9 +87,7 @@ def test_one_topic_is_the_file_that_was_named(tmp_path: Path, capsys: pytest.Cap
     assert f"{path}: " in printed.err
 
 
-def test_of_a_file_that_was_cut_off_all_that_is_whole_is_exported(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_whole_part_of_a_cut_off_file_is_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "forces.csv"
     assert export(recording("cut-off"), "--output", path, "--topics", "forces", "--json") == 1
     printed = capsys.readouterr()

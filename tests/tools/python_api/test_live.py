@@ -64,7 +64,7 @@ async def test_a_command_is_answered_or_refused(broker: Mosquitto, left: Command
     assert codes == ["not_recording", "payload"]
 
 
-async def test_what_cannot_be_reached_has_a_code(
+async def test_unreachable_parts_have_codes(
     broker: Mosquitto, left: Commanded, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(requests, "LOOK_S", 0.3)

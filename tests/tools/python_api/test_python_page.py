@@ -33,9 +33,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-async def test_the_examples_of_the_page_run(
-    mosquitto: Mosquitto, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+async def test_examples_of_the_page_run(mosquitto: Mosquitto, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     examples = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
     names: dict[str, Any] = {}
 

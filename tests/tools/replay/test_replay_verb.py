@@ -87,9 +87,7 @@ async def test_a_replay_at_a_broker_is_like_its_daemon_but_says_that_it_is_none(
     assert ids == {last["daemon_boot_id"]} != {"0123456789abcdef"}
 
 
-async def test_beside_a_live_daemon_a_replay_needs_another_name(
-    mosquitto: Mosquitto, capsys: pytest.CaptureFixture[str]
-) -> None:
+async def test_a_replay_needs_a_name_of_its_own(mosquitto: Mosquitto, capsys: pytest.CaptureFixture[str]) -> None:
     async with commanded(mosquitto.url, {}, name="left-index") as live, observe(mosquitto.url) as heard:
         live.publisher.publish(live.base, STATE_DAEMON, state("online", "measuring"))
         await heard.until_last("resonator/left-index/state/daemon", state="online")

@@ -80,7 +80,6 @@ async def end(process: Process, number: signal.Signals) -> str:
 
 async def test_in_a_pipe_it_prints_a_line_a_plate(mosquitto) -> None:
     async with pressed_plate(mosquitto.url), watching("--url", mosquitto.url) as process:
-        assert process.stdout is not None
         async for line in process.stdout:
             if b"at site 7 1.234 N" in line:
                 break
@@ -92,7 +91,6 @@ async def test_json_is_one_object_a_line(broker) -> None:
     heard = {}
 
     async def hear(process: Process, *paths: str) -> None:
-        assert process.stdout is not None
         while set(paths) - heard.keys():
             line = json.loads(await process.stdout.readline())
             assert set(line) == {"plate", "topic", "message"}
@@ -111,7 +109,6 @@ async def test_json_is_one_object_a_line(broker) -> None:
 
 async def test_streams_come_as_often_as_people_follow(mosquitto) -> None:
     async with plate(mosquitto.url) as publisher, watching("--url", mosquitto.url, "--json") as process:
-        assert process.stdout is not None
         while json.loads(await process.stdout.readline())["topic"] != "info":
             pass
         for seq, later_s in ((1, 0.0), (2, 0.02), (3, 0.04), (4, 0.06)):
