@@ -56,8 +56,8 @@ class ToneReading:
         Whether no frame of the window is missing.
     scatter_radian
         (4,), standard deviation of an edge, as phase of the tone; NaN for a counter without edges.
-    gate_hz, gate_std_hz
-        (k, 4, t): frequency of each gate, NaN where there is none, and its noise.
+    gate_hz
+        (k, 4, t): frequency of each gate, NaN where there is none.
     """
 
     time_s: float
@@ -68,7 +68,6 @@ class ToneReading:
     complete: bool
     scatter_radian: Floats
     gate_hz: Floats
-    gate_std_hz: Floats
 
 
 class ToneDetector(Protocol):
@@ -112,18 +111,17 @@ class CapturedToneDetector:
         self._gate_s = gate_s
         self._windows = ToneWindows(CHANNEL_COUNT, frames, reference_hz, band_hz)
         self._first: int | None = None
-        self._gates: list[tuple[Floats, Floats]] = []
+        self._gates: list[Floats] = []
 
     def push(self, frame: CapturedFrame) -> ToneReading | None:
         """Add a frame; return a reading with the last frame of each window. After a gap it has no frequency."""
         self._first = frame.index if self._first is None else self._first
         window = self._windows.push(frame.payload).window(0, self._frames)
-        gate_hz, gate_std = np.full((2, CHANNEL_COUNT), math.nan)
+        gate_hz = np.full(CHANNEL_COUNT, math.nan)
         for channel, (fault, record) in enumerate(zip(window.faults, frame.records, strict=True)):
             if fault is None:
-                sums = Sums.of(record)
-                gate_hz[channel], gate_std[channel] = frequency_hz(sums, self._reference_hz), counter_std(sums)
-        self._gates.append((gate_hz, gate_std * gate_hz))
+                gate_hz[channel] = frequency_hz(Sums.of(record), self._reference_hz)
+        self._gates.append(gate_hz)
         count = frame.index - self._first + 1
         if count % self._frames:
             return None
@@ -135,7 +133,7 @@ class CapturedToneDetector:
             if sums is not None:
                 hertz[channel], std[channel] = frequency_hz(sums, self._reference_hz), counter_std(sums)
                 scatter_radian[channel] = 2.0 * math.pi * hertz[channel] * stamp_std_ticks(sums) / self._reference_hz
-        gate_hz, gate_std_hz = (np.array(part)[..., None] for part in zip(*self._gates, strict=True))
+        gate_hz = np.array(self._gates)[..., None]
         self._gates.clear()
         return ToneReading(
             time_s,
@@ -149,7 +147,6 @@ class CapturedToneDetector:
             len(gate_hz) == self._frames,
             scatter_radian,
             gate_hz,
-            gate_std_hz,
         )
 
 
@@ -217,5 +214,4 @@ class MultitoneDetector:
             len(self._held) == self._frames,
             np.full(CHANNEL_COUNT, math.nan),
             np.where(known, offset / 2.0**16, math.nan),
-            sigma_hz,
         )

@@ -19,9 +19,8 @@ HERTZ16: Final = 2.0**16  # units of offset in a hertz
 NOISE_SIGMAS: Final = 6.0
 HALF_TURN: Final = 0.5  # phases that may be off by more leave the count of turns in doubt
 RESIDUE_TURN_MAX: Final = 0.25
-CHIRP_SHARE: Final = (
-    0.25  # of a window's range of offsets: two gates' mean is off by less from that between their middles
-)
+# Of a window's range of offsets: two gates' mean is off by less from that between their middles.
+CHIRP_SHARE: Final = 0.25
 
 
 class MergedTones(NamedTuple):

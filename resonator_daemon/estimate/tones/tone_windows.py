@@ -175,13 +175,11 @@ class ToneWindows:
 
     def __init__(self, channels: int, frames: int, reference_hz: float, band_hz: tuple[float, float]) -> None:
         """`band_hz` is the lowest and the highest frequency that the plate could ever send."""
-        if frames < 1:
-            raise ValueError(f"window of {frames} frames, at least 1")
         self.channels = channels
-        self.frames = frames
         self._reference_hz = reference_hz
         self._band_hz = band_hz
         self._gates: list[list[Gate]] = [[] for _ in range(channels)]  # those held, the newest last
+        self.resize(frames)
 
     def restart(self) -> None:
         """Discard all gates, as after a gap."""
