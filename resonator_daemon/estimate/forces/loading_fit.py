@@ -109,8 +109,7 @@ class LoadingProblem:
         intercept, slope = intercept[self.means.site], slope[self.means.site]
         felt = self._felt(_value(fit.response))
         residual = self.means.mean - intercept - slope * self.means.of_steps(felt)[:, None]
-        newton: Floats = (slope * residual).sum(axis=1) / (slope**2).sum(axis=1)
-        return newton
+        return np.asarray((slope * residual).sum(axis=1) / (slope**2).sum(axis=1), np.float64)
 
     def deleted_chi2(self, fit: LoadingFit) -> Floats:
         """Residual (u,) of each step against all others, with the response of `fit` and its scatter, or a little."""
@@ -174,8 +173,7 @@ class LoadingProblem:
     def _from_response(self, response: Response, scatter: float) -> Floats:
         """Covariance (p, p) of the linear unknowns that the response's uncertainty adds."""
         change = _derivatives(lambda moved: self._solution(moved, scatter).value, response.value)
-        added: Floats = change @ response.covariance @ change.T
-        return added
+        return change @ response.covariance @ change.T
 
 
 def _derivatives(function: Callable[[Floats], Floats], response: Floats) -> Floats:

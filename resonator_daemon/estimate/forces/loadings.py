@@ -212,8 +212,7 @@ class LoadingSolution:
         """Residual (u,) of each step against a fit without it; 0 where the fit has nothing else."""
         left = np.eye(self._rows.shape[1]) - self._rows @ self._inverse @ self._rows.swapaxes(1, 2)
         inverse = np.linalg.pinv(left, rcond=1e-6, hermitian=True)
-        result: Floats = np.einsum("tc,tcd,td->t", self._mean_whitened, inverse, self._mean_whitened)
-        return result
+        return np.asarray(np.einsum("tc,tcd,td->t", self._mean_whitened, inverse, self._mean_whitened), np.float64)
 
     @property
     def _mass_whitened(self) -> Floats:
@@ -267,5 +266,4 @@ def _root(variance: Floats, common_variance: Floats) -> Floats:
 
 def _inverse(normal: Floats) -> Floats:
     size = 1.0 / np.sqrt(np.diag(normal))  # unknowns have different units
-    inverse: Floats = size[:, None] * np.linalg.inv(normal * size * size[:, None]) * size
-    return inverse
+    return size[:, None] * np.linalg.inv(normal * size * size[:, None]) * size

@@ -54,10 +54,6 @@ class RandomWalks:
         self.mean[:] = 0.0
         self.variance[:] = self._start_std**2
 
-    def advance(self, step_variance: Floats | float) -> None:
-        """Predict: add `step_variance` to the variances."""
-        self.variance += step_variance
-
     def measure(self, reading: Floats, reading_variance: Floats | float, where: NDArray[np.bool_]) -> None:
         """Update with readings (n,) of the walks in `where`."""
         total = self.variance + reading_variance
@@ -177,8 +173,8 @@ class PlateDrift:
         variance: Floats,
         dt_s: float,
         local_kelvin: Floats | None = None,
-        pressed: Bools | None = None,
-        free: Bools | None = None,
+        pressed: Bools | bool = False,
+        free: Bools | bool = False,
     ) -> DriftReading:
         """Update with one frame.
 
@@ -195,18 +191,13 @@ class PlateDrift:
         """
         detected = self._detected(shift, variance)
         self._advance(dt_s)
-        if pressed is not None:
-            self._in_contact |= pressed
-        if free is not None:
-            self._in_contact &= ~free
+        others = np.logical_not(free)
+        self._in_contact = (self._in_contact | pressed) & others
         presumed, prior = self._presume(shift, variance, detected & ~self._in_contact, dt_s)
         warmth, warmth_variance = self._warmth(local_kelvin, presumed)
         suspicious = self._judge(shift, variance, detected, presumed, warmth, warmth_variance)
-        if pressed is not None:
-            self._in_contact |= pressed
-        if free is not None:
-            self._in_contact &= ~free
-            suspicious &= ~free
+        self._in_contact = (self._in_contact | pressed) & others
+        suspicious &= others
         trusted = detected & ~self._in_contact & ~suspicious & (warmth == 0.0)
         self._common = prior
         if trusted.any():
@@ -233,8 +224,8 @@ class PlateDrift:
     def _advance(self, dt_s: float) -> None:
         mean, covariance = self._common
         self._common = _Common(mean, covariance + dt_s * np.diag([THETA_WALK_KELVIN**2, REFERENCE_WALK**2]))
-        self._offsets.advance(dt_s * OFFSET_WALK**2)
-        self._thermometers.advance(dt_s * THERMOMETER_WALK_KELVIN**2)
+        self._offsets.variance += dt_s * OFFSET_WALK**2
+        self._thermometers.variance += dt_s * THERMOMETER_WALK_KELVIN**2
         self._held_s += dt_s
         self._step_s = dt_s
         trend = max(abs(self._trend_kelvin_per_s) - TREND_FLOOR_KELVIN_PER_S, 0.0)
@@ -320,7 +311,7 @@ class PlateDrift:
             self._start_variance = float(self._common.covariance[0, 0])
             self._common = _Common(self._common.mean, np.zeros((2, 2)))
             self._started = True
-        self._offsets.advance(np.where(trusted, self._drifted(self._common, np.zeros(len(shift))), 0.0))
+        self._offsets.variance += np.where(trusted, self._drifted(self._common, np.zeros(len(shift))), 0.0)
         own_variance = variance + self._common.variance(self._common.slope(self._coefficients))
         self._offsets.measure(shift - self._common.shift(self._coefficients), own_variance, trusted)
         self._anchor_kelvin = np.where(trusted, theta, self._anchor_kelvin)

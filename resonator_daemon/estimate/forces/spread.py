@@ -277,8 +277,7 @@ class SpreadFit:
         variance = (
             data.noise + self._model_error2 * largest**2 + self._share_error2 * float(largest.max(initial=0.0)) ** 2
         )
-        weight: Floats = 1.0 / variance
-        return weight
+        return 1.0 / variance
 
     def _sound(self, touches: Floats, normal: Floats, chi2: float) -> _Fit | None:
         position = touches[:, :2]
