@@ -109,8 +109,6 @@ class FrictionalContact:
     tolerance: float = 1e-8
 
     def __post_init__(self) -> None:
-        if self._profile.shape != self.compliance.shape:
-            raise ValueError(f"profile_m has shape {self._profile.shape}, must be {self.compliance.shape}")
         if np.isnan(self._profile).any() or (self._profile == -np.inf).any():
             raise ValueError("profile_m holds nan or -inf, must be finite, or inf where there is no object")
         if not self._under_object.any():
@@ -242,7 +240,7 @@ class FrictionalContact:
 
     @cached_property
     def _profile(self) -> Floats:
-        return real_array("profile_m", self.profile_m)
+        return real_array("profile_m", self.profile_m, self.compliance.shape)
 
     @cached_property
     def _under_object(self) -> Bools:

@@ -40,10 +40,7 @@ class HalfSpace:
     poisson_ratio: float
 
     def __post_init__(self) -> None:
-        for name, value in (
-            ("youngs_modulus_pascal", self.youngs_modulus_pascal),
-            ("poisson_ratio", self.poisson_ratio),
-        ):
+        for name, value in vars(self).items():
             if np.ndim(value):
                 raise ValueError(f"{name} has shape {np.shape(value)}, must be one number")
         if not 0.0 < self.youngs_modulus_pascal < np.inf:
@@ -196,20 +193,22 @@ def _normal_and_shear(xx: float, zz: float, shear: float) -> Floats:
     return matrix
 
 
-def real_array(name: str, values: ArrayLike) -> Floats:
-    """Return a new array of doubles; a ValueError names what is complex or no number, and shapes that are ragged."""
+def real_array(name: str, values: ArrayLike, shape: tuple[int, ...] | None = None) -> Floats:
+    """Return a new array of doubles; a ValueError names what is complex or no number, and another or a ragged shape."""
     try:
         array = np.array(values)
     except ValueError:
         raise ValueError(f"{name} is no array: its rows differ in length") from None
     if array.dtype.kind not in "fiub":
         raise ValueError(f"{name} holds {array.dtype.name}, must hold real numbers")
+    if shape is not None and array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}, must be {shape}")
     return array.astype(np.float64)
 
 
-def finite_array(name: str, values: ArrayLike) -> Floats:
+def finite_array(name: str, values: ArrayLike, shape: tuple[int, ...] | None = None) -> Floats:
     """`real_array` whose values are all finite, or a ValueError that counts those that are not."""
-    array = real_array(name, values)
+    array = real_array(name, values, shape)
     if not np.isfinite(array).all():
         count = array.size - np.count_nonzero(np.isfinite(array))
         raise ValueError(f"{name} holds {count} values that are not finite; all must be")

@@ -45,9 +45,7 @@ class SurfaceCompliance:
 
         ValueError for another shape or a value that is not finite.
         """
-        traction = finite_array("traction_pascal", traction_pascal)
-        if traction.shape != (3, *self.shape):
-            raise ValueError(f"traction_pascal has shape {traction.shape}, must be {(3, *self.shape)}")
+        traction = finite_array("traction_pascal", traction_pascal, (3, *self.shape))
         return self.convolution((X, Y, Z), (X, Y, Z), self.shape)(traction)
 
     def convolution(self, rows: tuple[int, ...], columns: tuple[int, ...], shape: tuple[int, int]) -> "Convolution":

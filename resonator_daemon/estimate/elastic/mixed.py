@@ -85,10 +85,7 @@ class MixedBoundary:
 
         ValueError also for values of another shape or not finite.
         """
-        values = finite_array("known_values", known_values)
-        expected = (3, *self.grid.shape)
-        if values.shape != expected:
-            raise ValueError(f"known_values have shape {values.shape}, must be {expected}")
+        values = finite_array("known_values", known_values, (3, *self.grid.shape))
         spectrum = np.einsum("yxij,jyx->iyx", self.transfer_matrix(output, depth_m), fft.rfft2(values))
         return np.asarray(fft.irfft2(spectrum, s=self.grid.shape), np.float64)
 
@@ -196,9 +193,7 @@ def solve_regions(
 
 
 def _checked(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
-    array = real_array(name, values)
-    if array.shape != shape:
-        raise ValueError(f"{name} has shape {array.shape}, must be {shape}")
+    array = real_array(name, values, shape)
     if np.isinf(array).any():
         raise ValueError(f"{name} holds an infinite value; must be finite, or NaN where it is not known")
     return array
