@@ -171,7 +171,7 @@ def test_noise_declared_too_small_is_seen_and_widens_the_error_bars():
 def test_anomaly_scores_are_in_standard_deviations(decoder):
     frame = frames(scene(), 1)[0]
     frame[:, 16 * 32 + 15] = np.nan  # under the contact
-    scores = decoder.anomaly_scores(frame)
+    scores, _ = decoder.scores_and_predictions(frame)
     assert np.flatnonzero(np.isnan(scores).all(axis=0)).tolist() == [16 * 32 + 15]
     assert (np.nanmax(np.abs(scores)), np.nanstd(scores)) == (pytest.approx(4.0, abs=1.0), pytest.approx(1.0, abs=0.05))
 
@@ -209,7 +209,7 @@ def test_frames_that_hold_nothing(decoder):
         assert np.isnan(values[:2]).all()
         assert np.isfinite(values[2]).all()
     assert decoder.decode(np.full(GRID, np.nan)).displacement_m is None
-    assert np.isnan(decoder.anomaly_scores(np.full(GRID, np.nan))).all()
+    assert np.isnan(decoder.scores_and_predictions(np.full(GRID, np.nan))).all()
 
 
 def test_what_no_load_makes_is_rejected(decoder):

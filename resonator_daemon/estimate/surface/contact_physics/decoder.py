@@ -201,7 +201,7 @@ class ContactDecoder:
     def _decode(self, signals: Floats, displacement: bool) -> Decoded:
         estimate = self._linear.estimate(signals)
         surface = estimate.surface
-        if surface is None or not shows_load(estimate):
+        if surface is None or not surface.significance >= _SIGNIFICANT:  # no load that is a contact
             self._release()
             return estimate.decoded(displacement)
         self._age += 1
@@ -315,11 +315,6 @@ class ContactDecoder:
             reason=text,
             reason_code=code,
         )
-
-
-def shows_load(estimate: Estimate) -> bool:
-    """Return whether a linear map shows a load to which the physics of a contact applies."""
-    return estimate.surface is not None and estimate.surface.significance >= _SIGNIFICANT
 
 
 def _explained(frame: Decoded, reason: Reason | None) -> Decoded:

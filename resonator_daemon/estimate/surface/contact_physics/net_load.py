@@ -87,7 +87,9 @@ class LoadSums:
             if divided:
                 chosen &= ~np.isin(self._blob_of, list(divided)) | (self._parts == part)
             sums = (self._sums * chosen).reshape(6, -1)
-            answers = _answers(self._problem, sums)
+            unit = np.abs(sums).max(axis=1, keepdims=True)
+            unit[unit == 0.0] = 1.0  # of a single pixel about itself
+            answers = unit * self._problem.solutions(sums / unit)  # a right side times them gives the sums, (6, 3 n)
             self._found[key] = _ContactSum(
                 self._unit * sums @ answers.T * np.outer(_STD_FACTOR, _STD_FACTOR),
                 answers,
@@ -143,14 +145,6 @@ class _ContactSum:
         by_pixels = (_PIXEL_ERROR[_F_Z] * self._radius_m) ** 2
         centroid_std = [math.sqrt(max(part, 0.0) * (noise_std / normal) ** 2 + by_pixels) for part in spread]
         return NetLoad(force, std[:3], moment, std[3:], np.array([x, y]), np.array(centroid_std))
-
-
-def _answers(problem: SupportProblem, sums: Floats) -> Floats:
-    """Return what a right side is multiplied by for sums (k, 3 n) over the traction that it leads to, (k, 3 n)."""
-    unit = np.abs(sums).max(axis=1, keepdims=True)
-    unit[unit == 0.0] = 1.0  # of a single pixel about itself
-    answers: Floats = unit * problem.solutions(sums / unit)
-    return answers
 
 
 def _functionals(arms_m: Floats) -> Floats:

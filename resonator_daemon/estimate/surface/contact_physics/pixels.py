@@ -163,8 +163,7 @@ class PixelPrior:
         """Precision between pixels of flat indices (r,) and (c,), of shape (r, c)."""
         (y, x), (other_y, other_x) = np.divmod(rows, self._width), np.divmod(columns, self._width)
         offsets = np.abs(y[:, None] - other_y) * self._width + np.abs(x[:, None] - other_x)
-        precision: Singles = self._table.take(offsets)
-        return precision
+        return np.asarray(self._table.take(offsets), np.float32)
 
 
 class SurfacePlaces:

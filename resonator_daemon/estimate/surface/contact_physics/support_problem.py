@@ -196,14 +196,12 @@ def cholesky_factor(matrix: Singles) -> Singles:
     factor, failed = lapack.spotrf(matrix.T, clean=0)
     if failed:
         raise np.linalg.LinAlgError("matrix is not positive definite")
-    lower: Singles = factor.T
-    return lower
+    return np.asarray(factor.T, np.float32)
 
 
 def symmetric_product(matrix: Singles, right_sides: Singles) -> Singles:
     """Return a symmetric matrix times right sides (n,) or (n, k); for a single one, half of the matrix is read."""
-    product: Singles = blas.ssymv(1.0, matrix.T, right_sides) if right_sides.ndim == 1 else matrix @ right_sides
-    return product
+    return blas.ssymv(1.0, matrix.T, right_sides) if right_sides.ndim == 1 else matrix @ right_sides
 
 
 def without_rows(inverse_matrix: Singles, kept: Indices, removed: Indices) -> Singles:

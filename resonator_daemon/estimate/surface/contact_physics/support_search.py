@@ -193,12 +193,12 @@ class SupportSearch:
         if (wide & ~seen).any():
             pressure = self._free_pressure(frame, wide, level, pause)
             found = load_support(pressure)
-            if not around.any():
-                std_pascal = _prior_std_pascal(pressure[found], frame.snr)
             if around.any():
                 light = np.where(around, pressure, 0.0)
                 grown = dilated(light > _LIGHT * light.max())
                 found |= grown | seen
+            else:
+                std_pascal = _prior_std_pascal(pressure[found], frame.snr)
         solved = found
         if before is not None:
             solved = swept(found, np.clip(_LEAD * before.moved(frame), -_MOST_LEAD, _MOST_LEAD))

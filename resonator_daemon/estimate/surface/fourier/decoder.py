@@ -32,69 +32,14 @@ from resonator_daemon.estimate.surface.decoded import (
 from resonator_daemon.estimate.surface.fourier.wiener import ExtendedTransform, SpectralWiener, product
 from resonator_daemon.estimate.surface.skin import DEFAULT_PRIOR, Prior
 
-_SCALES = np.logspace(
-    -1.0, 5.0, 30
-)  # standard deviation of the prior over the traction that makes a signal of the noise
+# Standard deviation of the prior over the traction that makes a signal of the noise.
+_SCALES = np.logspace(-1.0, 5.0, 30)
 _PRIOR_LIMIT_PASCAL = 1e30  # keeps squares of it well within double precision
 _BORDER_SHARE = 0.04  # of the energy of f_z on the outermost sites ...
 _BORDER_SIGMAS = 1.5  # ... and their rms over the standard deviation
 
 _FILL_ROUNDS = 20  # most rounds of the model's own prediction ...
 _FILL_TOLERANCE = 0.3  # ... which end when it changes by less than this share of the noise
-
-
-class Imputation:
-    """Imputation of lost signals in frames (3, ny, nx).
-
-    Parameters
-    ----------
-    shape
-        (ny, nx) of the array.
-    transform, wiener
-        The model.
-    noise_variance
-        Mean over the channels.
-    depth_pitches
-        Depth of the sites over their pitch.
-    """
-
-    def __init__(
-        self,
-        shape: tuple[int, int],
-        transform: ExtendedTransform,
-        wiener: SpectralWiener,
-        noise_variance: float,
-        depth_pitches: float,
-    ) -> None:
-        self._shape = shape
-        self._transform = transform
-        self._wiener = wiener
-        self._noise_variance = noise_variance
-        self._neighbours_y, self._neighbours_x = (_kernel(n, 0.5) for n in shape)
-        self._blur_y, self._blur_x = (_kernel(n, 0.5 * max(depth_pitches, 1.0)) for n in shape)
-
-    def fill(self, frame: Floats, known: Bools) -> tuple[Floats, bool]:
-        """Replace lost signals by the model's prediction from the others; False where that has not settled.
-
-        A mean of the neighbours, then expectation and maximisation in turn, with Nesterov's momentum.
-        """
-        total = self._neighbours_y @ np.where(known, frame, 0.0) @ self._neighbours_x
-        filled = predicted = np.where(known, frame, total / (self._neighbours_y @ known @ self._neighbours_x))
-        limit = _FILL_TOLERANCE**2 * self._noise_variance * (known.size - known.sum())
-        for n in range(_FILL_ROUNDS):
-            fit = self._wiener.fit(self._transform.to_spectrum(filled), float(known.mean()))
-            change = np.where(known, 0.0, self._transform.to_space(self._wiener.signals(fit)) - predicted)
-            predicted = predicted + change
-            filled = predicted + n / (n + 3.0) * change
-            if np.sum(change**2) < limit:
-                return predicted, True
-        return predicted, False
-
-    def density(self, known: Bools) -> Floats:
-        """Share of known signals around each site, of the channel that has lost most there."""
-        ones = np.ones(self._shape)
-        shares = (self._blur_y @ known @ self._blur_x) / (self._blur_y @ ones @ self._blur_x)
-        return np.asarray(shares.min(axis=0), np.float64)
 
 
 def _kernel(count: int, width: float) -> Floats:
@@ -161,7 +106,8 @@ class FourierDecoder:
         prior_root = np.sqrt(spectrum[..., None] * prior.powers)
         self._wiener = SpectralWiener(forward, prior_root, bin_std, grid.multiplicity, scales)
         self._noise_variance = float(np.mean(channel_std**2))
-        self._imputation = Imputation(shape, self._transform, self._wiener, self._noise_variance, depth_m / pitch_m)
+        self._neighbours_y, self._neighbours_x = (_kernel(n, 0.5) for n in shape)
+        self._blur_y, self._blur_x = (_kernel(n, 0.5 * max(depth_m / pitch_m, 1.0)) for n in shape)
         compliance = grid.transfer_matrix(half_space, "displacement", "traction", 0.0)
         self._compliance = np.ascontiguousarray(np.moveaxis(compliance.reshape(-1, 3, 3), 0, -1))
         self._border = np.ones(shape, np.bool_)
@@ -214,12 +160,34 @@ class FourierDecoder:
             text = f"{worst:.0%} of a channel known (finite, within {SIGNAL_LIMIT}), needs {KNOWN_LIMIT:.0%}"
             missing = Reason(ReasonCode.SIGNALS_MISSING, text)
             return Decoded.unknown(frame.shape, displacement, np.nan, np.nan, "no_signal", missing)
-        filled, settled = self._imputation.fill(frame, known)
+        filled, settled = self._impute(frame, known)
         reason = f"{known.size - known.sum()} of {known.size} signals lost and filled in"
         reason += "" if settled else "; too many side by side for that to settle"
-        density = self._imputation.density(known)
         lost = Reason(ReasonCode.SIGNALS_LOST, reason)
-        return self._decode_whole(filled, float(known.mean()), density, displacement, lost)
+        return self._decode_whole(filled, float(known.mean()), self._density(known), displacement, lost)
+
+    def _impute(self, frame: Floats, known: Bools) -> tuple[Floats, bool]:
+        """Replace lost signals by the model's prediction from the others; False where that has not settled.
+
+        A mean of the neighbours, then expectation and maximisation in turn, with Nesterov's momentum.
+        """
+        total = self._neighbours_y @ np.where(known, frame, 0.0) @ self._neighbours_x
+        filled = predicted = np.where(known, frame, total / (self._neighbours_y @ known @ self._neighbours_x))
+        limit = _FILL_TOLERANCE**2 * self._noise_variance * (known.size - known.sum())
+        for n in range(_FILL_ROUNDS):
+            fit = self._wiener.fit(self._transform.to_spectrum(filled), float(known.mean()))
+            change = np.where(known, 0.0, self._transform.to_space(self._wiener.signals(fit)) - predicted)
+            predicted = predicted + change
+            filled = predicted + n / (n + 3.0) * change
+            if np.sum(change**2) < limit:
+                return predicted, True
+        return predicted, False
+
+    def _density(self, known: Bools) -> Floats:
+        """Share of known signals around each site, of the channel that has lost most there."""
+        ones = np.ones(self._shape)
+        shares = (self._blur_y @ known @ self._blur_x) / (self._blur_y @ ones @ self._blur_x)
+        return np.asarray(shares.min(axis=0), np.float64)
 
     def _decode_whole(
         self, frame: Floats, known_share: float, density: Floats, displacement: bool, reason: Reason | None

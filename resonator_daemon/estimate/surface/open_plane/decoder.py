@@ -216,15 +216,12 @@ class OpenPlaneDecoder:
         (frame,), _, shape = self._frames(signals)
         return self._map.estimate(frame, shape)
 
-    def anomaly_scores(self, signals: ArrayLike) -> Floats:
-        """Deviation of each signal from what all others predict, in standard deviations, of the shape of the signals.
-
-        A sound site stays within 5. A dead one or a wrong gain shows where a load is near; NaN for lost signals.
-        """
-        return self.scores_and_predictions(signals)[0]
-
     def scores_and_predictions(self, signals: ArrayLike) -> tuple[Floats, Floats]:
-        """Return `anomaly_scores`, and each signal's prediction from all others in the same standard deviations."""
+        """Return the deviation of each signal from what all others predict, and this prediction.
+
+        Both are in standard deviations of the deviation, of the shape of the signals. A sound site stays within 5. A
+        dead one or a wrong gain shows where a load is near; NaN for lost signals.
+        """
         frames, _, _ = self._frames(signals)
         both = np.array([self._map.scores_and_predictions(frame) for frame in frames]).reshape(-1, 2, 3 * self._count)
         scores, predicted = np.moveaxis(both, 1, 0).reshape(2, *np.shape(signals))

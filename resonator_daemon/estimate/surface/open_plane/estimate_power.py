@@ -56,8 +56,7 @@ def unfold(count: int, odd: int) -> Floats:
     for column in range(matrix.shape[1]):
         matrix[column, column] += 1.0
         matrix[count - 1 - column, column] += -1.0 if odd else 1.0
-    unit: Floats = matrix / np.linalg.norm(matrix, axis=0)
-    return unit
+    return np.asarray(matrix / np.linalg.norm(matrix, axis=0), np.float64)
 
 
 def offset_table(
@@ -117,23 +116,11 @@ class EstimatePower:
         self._modes = []
         for odd in (0, 1):
             blocks = {field: _folded(table, field, axis, odd, count) for field, table in tables.items()}
-            scaled = (
-                blocks["sensor"]
-                / np.concatenate(
-                    [np.full(half(count, o), std) for o, std in zip(_odd("sensor", axis, odd), noise_std, strict=True)]
-                )[:, None]
-            )
-            eigenvalues, vectors = np.linalg.eigh(scaled)
-            self._modes.append(
-                (
-                    np.maximum(eigenvalues, 0.0),
-                    {
-                        "sensor": vectors,
-                        "traction": blocks["traction"] @ vectors,
-                        "displacement": blocks["displacement"] @ vectors,
-                    },
-                )
-            )
+            counts_of_channels = [half(count, of_channel) for of_channel in _odd("sensor", axis, odd)]
+            std = np.repeat(noise_std, counts_of_channels)[:, None]
+            eigenvalues, vectors = np.linalg.eigh(blocks["sensor"] / std)
+            surface = {field: block @ vectors for field, block in blocks.items() if field != "sensor"}
+            self._modes.append((np.maximum(eigenvalues, 0.0), {"sensor": vectors} | surface))
 
     def by_channel(self, scale: float) -> dict[Field, AxisPower]:
         """Power in each field at a scale of the prior."""

@@ -70,8 +70,7 @@ class _Synthesis:
         coefficients = np.zeros((block.shape[1], len(x) * 3 * len(y)), np.float32)
         coefficients[:, self._places.reshape(4, -1)[index]] = block.T
         along_y = coefficients.reshape(-1, len(x), 3, len(y)) @ y
-        fields: Singles = np.einsum("rxcy,xn->rcyn", along_y, x, optimize=True)
-        return fields
+        return np.asarray(np.einsum("rxcy,xn->rcyn", along_y, x, optimize=True), np.float32)
 
 
 class GridCovariance:
@@ -179,5 +178,4 @@ class GridModes(Modes):
             self._sensor.x[x][:, :, None] * self._sensor.y[y][:, None, :]
         )
         of_class = coefficients.reshape(signals.size, -1)[:, self._sensor.places].swapaxes(0, 1)
-        rows: Floats = (of_class @ self._rotation).swapaxes(0, 1).reshape(signals.size, -1)
-        return rows
+        return (of_class @ self._rotation).swapaxes(0, 1).reshape(signals.size, -1)

@@ -61,13 +61,10 @@ class LostSignals:
                 tried[scale] = self._judge(scale, modes, energy, floor)
             return tried[scale]
 
-        step = max(self._scale_grid.scales.size // 16, 1)
+        count = self._scale_grid.scales.size
+        step = max(count // 16, 1)
         while True:
-            around = [
-                s
-                for s in (self._scale - step, self._scale, self._scale + step)
-                if 0 <= s < self._scale_grid.scales.size
-            ]
+            around = [s for s in (self._scale - step, self._scale, self._scale + step) if 0 <= s < count]
             best = max(around, key=lambda scale: at(scale)[0].log_evidence)
             if best == self._scale:
                 if step == 1:

@@ -96,8 +96,7 @@ class DenseModes(Modes):
 
 
 def _field(matrix: Singles, modes: Singles) -> Singles:
-    field: Singles = matrix @ modes
-    return field
+    return matrix @ modes
 
 
 @dataclass(frozen=True)
