@@ -18,7 +18,7 @@ from typing import Any
 from urllib.parse import quote
 
 from resonator_daemon.base.errors import ExitCode, UserError, meaning_of
-from resonator_daemon.base.host.files import replace_file
+from resonator_daemon.base.host.files import replace_file, sync_directory
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.recording.reader import STILL_WRITTEN, Recording, open_recording
 from resonator_daemon.extensions.fleet.chunks import Chunk, Job, Span, span_of
@@ -118,7 +118,7 @@ class ChunkFiles:
                 place = self._output / topic / f"plate={plate}" / f"day={day}" / f"{self._key}.parquet"
                 place.parent.mkdir(parents=True, exist_ok=True)
                 os.replace(name, place)
-                _sync_directory(place.parent)
+                sync_directory(place.parent)
                 files[str(place.relative_to(self._output))] = size_bytes
         for place in self._output.glob(f"*/plate={plate}/day=*/{self._key}.parquet"):
             if str(place.relative_to(self._output)) not in files:
@@ -148,14 +148,6 @@ def cannot_write(output: Path, error: OSError) -> OutputFailedError:
     elif error.errno in (errno.ENOSPC, errno.EDQUOT):
         remedy = f"free space there, and {remedy}"
     return OutputFailedError(f"{output} cannot be written: {meaning_of(error)}; {remedy}")
-
-
-def _sync_directory(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 _ID_STEP_NS = 10_000  # contact ids of a chunk count from its UTC in these steps, so that no two chunks share one
