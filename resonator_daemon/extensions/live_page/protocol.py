@@ -178,16 +178,9 @@ class Open(Content):
     names: Annotated[list[str], Field(max_length=2)]
 
 
-KINDS: Final[dict[str, type[Content]]] = {
-    "watch": Watch,
-    "command": Command,
-    "press": Press,
-    "release": Release,
-    "play": Play,
-    "seek": Seek,
-    "recordings": Recordings,
-    "open": Open,
-}
+# The key of a request is the name of its class.
+_CONTENTS: Final = (Watch, Command, Press, Release, Play, Seek, Recordings, Open)
+KINDS: Final[dict[str, type[Content]]] = {content.__name__.lower(): content for content in _CONTENTS}
 
 
 class Request(NamedTuple):
