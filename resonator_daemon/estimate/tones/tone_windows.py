@@ -42,6 +42,12 @@ class GateBlock:
 
     Attributes
     ----------
+    columns
+        Gates by channel.
+    records
+        As on the wire: one of each channel, gate after gate.
+    reference_hz
+        Rate of the board's ticks.
     held
         By gate and channel: how many gates of the same tone there are, up to the length of the window.
     faults
@@ -59,10 +65,10 @@ class GateBlock:
         reference_hz: float,
     ) -> None:
         """Initialise with the gates of each channel, `most` of which make a window."""
-        self._columns = columns
+        self.columns = columns
         self.faults = faults
-        self._records = records
-        self._reference_hz = reference_hz
+        self.records = records
+        self.reference_hz = reference_hz
         self.steady = False
         for _, before, firsts in columns:
             if before != most or firsts[-1]:
@@ -85,22 +91,13 @@ class GateBlock:
         low, high = -tolerance, tolerance
         off = [
             [not low < hertz / pilot_hz - 1.0 < high for _, hertz, _ in gates[before:]]
-            for gates, before, _ in self._columns
+            for gates, before, _ in self.columns
         ]
         return [list(row) for row in zip(*off, strict=True)] if any(map(any, off)) else []
 
     def window(self, gate: int, frames: int) -> "Window":
         """Return the window of `frames` gates that ends with `gate`."""
-        channels = len(self._columns)
-        return Window(
-            self._columns,
-            gate,
-            frames,
-            self.held[gate],
-            [FAULTS[code] for code in self.faults[gate]] if self.faults else [None] * channels,
-            self._records[gate * channels : (gate + 1) * channels],
-            self._reference_hz,
-        )
+        return Window(self, gate, frames)
 
 
 class Window:
@@ -116,36 +113,25 @@ class Window:
         By channel: the fault of the last gate; None where there is none.
     """
 
-    def __init__(
-        self,
-        columns: Sequence[Column],
-        gate: int,
-        frames: int,
-        held: list[int],
-        faults: list[str | None],
-        records: Sequence[tuple[int, ...]],
-        reference_hz: float,
-    ) -> None:
+    def __init__(self, block: GateBlock, gate: int, frames: int) -> None:
         self.frames = frames
-        self.held = held
-        self.faults = faults
-        self._columns = columns
+        self.held = block.held[gate]
+        self.faults = [FAULTS[code] for code in block.faults[gate]] if block.faults else [None] * len(block.columns)
+        self._block = block
         self._gate = gate
-        self._records = records
-        self._reference_hz = reference_hz
         self._sums: list[Sums | None] | None = None
 
     @property
     def frequency_hz(self) -> list[float]:
         """Frequencies by channel; NaN where the window is not held."""
-        return [math.nan if part is None else frequency_hz(part, self._reference_hz) for part in self.sums]
+        return [math.nan if part is None else frequency_hz(part, self._block.reference_hz) for part in self.sums]
 
     @property
     def sums(self) -> list[Sums | None]:
         """Sums by channel; None where the window is not held."""
         if self._sums is None:
             self._sums = []
-            for gates, before, firsts in self._columns:
+            for gates, before, firsts in self._block.columns:
                 end = before + self._gate + 1
                 held = end - firsts[self._gate] >= self.frames
                 self._sums.append(merge_adjacent(map(_SUMS, gates[end - self.frames : end])) if held else None)
@@ -154,13 +140,14 @@ class Window:
     @property
     def attenuation_db(self) -> list[float]:
         """Level of each channel below full scale."""
-        return [record[_ATTENUATION] / 256.0 for record in self._records]
+        first = self._gate * len(self.held)
+        return [record[_ATTENUATION] / 256.0 for record in self._block.records[first : first + len(self.held)]]
 
     @property
     def residual_ticks2(self) -> list[float]:
         """Mean square that the gates' lines leave at their ends, by channel; of channels that hold the window."""
         means = []
-        for gates, before, _ in self._columns:
+        for gates, before, _ in self._block.columns:
             end = before + self._gate + 1
             residuals = [residual for _, _, residual in gates[max(end - self.frames, 0) : end]]
             means.append(sum(residuals) / len(residuals))
