@@ -146,7 +146,9 @@ def site_kernel(
         and not np.ptp(noise_std, axis=1).any()
         and np.ptp(phases, axis=0).max() < _SAME
     ):
-        return _repeated(half_space, first, float(depths_m[0]), noise_std[:, 0], lattice, grid.shape)
+        steps = _OffsetTable(half_space, float(depths_m[0]), lattice, first).at_steps()
+        steps /= noise_std[:, :1, None, None].astype(np.float32)
+        return _repeated(steps, lattice.shape, grid.shape)
     kernel = np.empty((len(positions_m), 3, 3, *lattice.shape), np.float32)
     for depth_m in np.unique(depths_m):
         members = np.flatnonzero(depths_m == depth_m)
@@ -157,23 +159,12 @@ def site_kernel(
     return np.ascontiguousarray(kernel.transpose(2, 3, 4, 1, 0)).reshape(3, *lattice.shape, 3, *sites)
 
 
-def _repeated(
-    half_space: HalfSpace,
-    first: Floats,
-    depth_m: float,
-    noise_std: Floats,
-    lattice: PixelLattice,
-    shape: tuple[int, int],
-) -> Singles:
-    """Return what `site_kernel` does, for sites that are spaced as the pixels are."""
-    table = _OffsetTable(half_space, depth_m, lattice, first).at_steps()
-    table /= noise_std.astype(np.float32)[:, None, None, None]
+def _repeated(table: Singles, pixels: tuple[int, int], sites: tuple[int, int]) -> Singles:
+    """Return what `site_kernel` does, for sites that are spaced as the pixels are, from whitened signals by offset."""
     channel, component, down, right = table.strides
-    ny, nx = shape
+    ny, nx = sites
     last = table[:, :, ny - 1 :, nx - 1 :]  # offsets from the grid's first site, whose pixels lie farthest ahead
-    return as_strided(
-        last, (3, *lattice.shape, 3, ny, nx), (component, down, right, channel, -down, -right), writeable=False
-    )
+    return as_strided(last, (3, *pixels, 3, ny, nx), (component, down, right, channel, -down, -right), writeable=False)
 
 
 class _OffsetTable:

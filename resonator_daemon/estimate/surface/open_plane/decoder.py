@@ -131,17 +131,14 @@ class OpenPlaneDecoder:
         query_positions_m: ArrayLike | None = None,
         prior: Prior = DEFAULT_PRIOR,
     ) -> None:
-        sites = positions("site_positions_m", site_positions_m)
+        sites = self.site_positions_m = positions("site_positions_m", site_positions_m)
         count = len(sites)
-        depths = positive("depth_m", depth_m, (count,))
-        noise = noise_of_signals(noise_std, (count,))
+        depths = self.depths_m = positive("depth_m", depth_m, (count,))
+        noise = self.noise_std = noise_of_signals(noise_std, (count,))
         places = sites if query_positions_m is None else positions("query_positions_m", query_positions_m)
         check_gain(gain_std)
         refuse_duplicates(sites, depths)
         self.half_space = half_space
-        self.site_positions_m = sites
-        self.depths_m = depths
-        self.noise_std = noise
         self.gain_std = gain_std
         self.query_positions_m = places
         self.prior = prior

@@ -41,7 +41,7 @@ _DISPLACEMENT_PART = 0.2  # of the surface's share: most of the power is in long
 class _Synthesis:
     """From modes (4 r,) to a field on the grid, flat (3 ny nx,), or to some of its components."""
 
-    def __init__(self, bases: Bases, blocks: list[Floats], components: tuple[int, ...] = (0, 1, 2)) -> None:
+    def __init__(self, bases: Bases, blocks: Floats, components: tuple[int, ...] = (0, 1, 2)) -> None:
         x, component, y = np.unravel_index(bases.places, (bases.x.shape[1], 3, bases.y.shape[1]))
         asked = np.isin(component, components)
         # Classes keep unequal numbers of products of a component: the surplus goes to a place of its own.
@@ -52,7 +52,7 @@ class _Synthesis:
         inner = np.clip(np.searchsorted(components, component), 0, len(components) - 1)
         places = np.where(asked, np.ravel_multi_index((x, inner, y), shape), self._size)
         self._places = np.take_along_axis(places, rows, axis=1).ravel()
-        self._blocks = np.take_along_axis(np.array(blocks, np.float32), rows[..., None], axis=1)
+        self._blocks = np.take_along_axis(blocks.astype(np.float32), rows[..., None], axis=1)
         self._y = np.ascontiguousarray(bases.y.T, np.float32)
         self._x = np.ascontiguousarray(bases.x.T, np.float32)
 
@@ -115,6 +115,7 @@ class GridModes(Modes):
 
     traction: _Synthesis
     signals: _Synthesis
+    _rotation: Floats  # by class, columns are modes
 
     def __init__(self, covariance: GridCovariance, level: Level) -> None:
         self._grid = covariance.grid
@@ -125,25 +126,18 @@ class GridModes(Modes):
             "displacement": _DISPLACEMENT_PART * level.surface,
         }
         bases = covariance.bases(scale, loss)
-        values_of_class: list[Floats] = []
-        rotations: list[Floats] = []
-        surface: dict[Field, list[Floats]] = {"traction": [], "displacement": []}
-        reductions = {
-            field: Reduction(table, bases[field], bases["sensor"]) for field, table in covariance.tables.items()
-        }
-        for index in range(len(CLASSES)):
-            values, rotation = np.linalg.eigh(reductions["sensor"].block(index))
-            values_of_class.append(np.maximum(values, 0.0))
-            rotations.append(rotation)
-            for field, blocks in surface.items():
-                blocks.append(reductions[field].block(index) @ rotation)
-        self.eigenvalues = np.concatenate(values_of_class)
+        blocks: dict[Field, list[Floats]] = {}  # by class
+        for field, table in covariance.tables.items():
+            reduction = Reduction(table, bases[field], bases["sensor"])
+            blocks[field] = [reduction.block(index) for index in range(len(CLASSES))]
+        values, self._rotation = np.linalg.eigh(np.array(blocks["sensor"]))
+        self.eigenvalues = np.maximum(values, 0.0).ravel()
         self._sensor = bases["sensor"]
-        self._rotation = np.array(rotations)
-        self.traction = _Synthesis(bases["traction"], surface["traction"])
-        self.pressure = _Synthesis(bases["traction"], surface["traction"], (2,))
-        self.displacement = _Synthesis(bases["displacement"], surface["displacement"])
-        self.signals = _Synthesis(bases["sensor"], rotations)
+        traction = np.array(blocks["traction"]) @ self._rotation
+        self.traction = _Synthesis(bases["traction"], traction)
+        self.pressure = _Synthesis(bases["traction"], traction, (2,))
+        self.displacement = _Synthesis(bases["displacement"], np.array(blocks["displacement"]) @ self._rotation)
+        self.signals = _Synthesis(bases["sensor"], self._rotation)
         self._x = np.ascontiguousarray(self._sensor.x.T, np.float32)
         self._y = np.ascontiguousarray(self._sensor.y, np.float32)
         self._to_modes = np.ascontiguousarray(self._rotation.swapaxes(1, 2), np.float32)
