@@ -19,10 +19,19 @@ _OTHERS_WRITE: Final = stat.S_IWGRP | stat.S_IWOTH
 
 def state_directory() -> Path:
     """Return the state directory, which outlives a run: systemd's, else the XDG Base Directory Specification's."""
-    if given := os.environ.get("STATE_DIRECTORY"):
+    return _chosen("STATE_DIRECTORY", "XDG_STATE_HOME", "~/.local/state")
+
+
+def cache_directory() -> Path:
+    """Return the directory of what can be made again: systemd's, else the XDG Base Directory Specification's."""
+    return _chosen("CACHE_DIRECTORY", "XDG_CACHE_HOME", "~/.cache")
+
+
+def _chosen(of_systemd: str, of_user: str, default: str) -> Path:
+    if given := os.environ.get(of_systemd):
         return Path(given.split(":")[0])
-    base = os.environ.get("XDG_STATE_HOME", "")
-    return (Path(base) if os.path.isabs(base) else Path(os.path.expanduser("~/.local/state"))) / "resonatord"
+    base = os.environ.get(of_user, "")
+    return Path(base if os.path.isabs(base) else os.path.expanduser(default)) / _OURS
 
 
 def runtime_directory(instance: str) -> Path:

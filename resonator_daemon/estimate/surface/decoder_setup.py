@@ -20,6 +20,7 @@ import scipy
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.errors import meaning_of, reason_of
+from resonator_daemon.base.host.files import cache_directory
 from resonator_daemon.estimate.surface.skin import DecodingOptions, Skin
 from resonator_daemon.estimate.surface.skin_decoder import SkinDecoder
 
@@ -51,7 +52,7 @@ def cached(depends_on: Any, build: Callable[[], Built]) -> Built:
 
     Whatever is wrong with the cache only costs the time to build.
     """
-    path = _directory() / f"{_hash(depends_on)}.pickle"
+    path = cache_directory() / f"{_hash(depends_on)}.pickle"
     try:
         built: Built = _load(path)
     except FileNotFoundError:
@@ -70,14 +71,6 @@ def cached(depends_on: Any, build: Callable[[], Built]) -> Built:
     # As from the cache: matrices that lie in memory otherwise give results that differ in their last digits.
     rebuilt: Built = pickle.loads(content)
     return rebuilt
-
-
-def _directory() -> Path:
-    """Return systemd's choice, else that of the XDG Base Directory Specification."""
-    if given := os.environ.get("CACHE_DIRECTORY"):
-        return Path(given.split(":")[0])
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(base) if os.path.isabs(base) else Path(os.path.expanduser("~/.cache"))) / "resonatord"
 
 
 def _load(path: Path) -> Any:
