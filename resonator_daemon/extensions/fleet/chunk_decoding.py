@@ -125,7 +125,8 @@ class ChunkFiles:
                 place.unlink(missing_ok=True)
         whole = {**report, "files": files}
         replace_file(report_path(self._output, self._key), json.dumps(whole).encode())
-        self._remove_parts()
+        for part in (self._output / _PARTS).glob(f"{self._key}-*"):  # also those of killed workers
+            shutil.rmtree(part, ignore_errors=True)
         return whole
 
     def discard(self) -> None:
@@ -133,11 +134,6 @@ class ChunkFiles:
         for output in self._days.values():
             output.discard()
         shutil.rmtree(self._parts, ignore_errors=True)
-
-    def _remove_parts(self) -> None:
-        """Remove incomplete files of this chunk, also those of killed workers."""
-        for part in (self._output / _PARTS).glob(f"{self._key}-*"):
-            shutil.rmtree(part, ignore_errors=True)
 
 
 def cannot_write(output: Path, error: OSError) -> OutputFailedError:
@@ -183,7 +179,7 @@ def decode_chunk(chunk: Chunk, job: Job) -> dict[str, Any]:
                 else:
                     report |= _decode(chunk, recording, config, files, span)
                 if report["damage"] is not None:
-                    report["changed_ns"] = chunk.changed_ns
+                    report["changed_ns"] = chunk.outline.changed_ns
                 return files.close(report)
             except BaseException:
                 files.discard()
@@ -201,7 +197,7 @@ def report_of(chunk: Chunk, job: Job) -> dict[str, Any] | None:
     if report is None or not chunk.is_described_by(report):
         return None
     is_done = report["damage"] is None or (
-        report["damage"] != STILL_WRITTEN and report.get("changed_ns") == chunk.changed_ns
+        report["damage"] != STILL_WRITTEN and report.get("changed_ns") == chunk.outline.changed_ns
     )
     return report if is_done else None
 
@@ -212,7 +208,7 @@ _NO_FRAMES: dict[str, Any] = {"frames": 0, "rows": {}, "differences": 0, "damage
 def _decode(chunk: Chunk, recording: Recording, config: Config, files: ChunkFiles, span: Span) -> dict[str, Any]:
     begin, end = span.begin, span.end
     if begin is not None:
-        recording.resume_at(chunk.starts[chunk.number].begin_bytes, chunk.channels)
+        recording.resume_at(chunk.outline.starts[chunk.number].begin_bytes, chunk.outline.channels)
     boot_id = recording.header.get("daemon_boot_id", UNKNOWN_BOOT_ID)
     last_contact_id = chunk.begin_ns // _ID_STEP_NS
 

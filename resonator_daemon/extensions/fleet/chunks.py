@@ -17,7 +17,7 @@ from resonator_daemon.board.recording.reader import Recording, open_recording
 from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
-from resonator_daemon.extensions.fleet.outline import PartStart, read_outline
+from resonator_daemon.extensions.fleet.outline import Outline, read_outline
 from resonator_daemon.measure.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.measure.sensors.base import sensor_of
 from resonator_daemon.tools.replay.recorded_pipeline import recorded_config
@@ -69,53 +69,46 @@ class Chunk:
 
     Parameters
     ----------
-    identity
-        Name of the recording in names of files: a hash of its beginning.
+    path
+        Of the recording.
+    outline
+        Of the recording; its parts are the chunks.
     number
         Number of the chunk in the recording, from 0.
-    starts
-        Starts of all chunks of the recording.
-    size_bytes, changed_ns
-        Size of the recording, and UTC of its last change.
-    channels
-        Topics of the file by channel number.
     """
 
     path: Path
-    identity: str
+    outline: Outline
     number: int
-    starts: tuple[PartStart, ...]
-    size_bytes: int
-    changed_ns: int
-    channels: dict[int, str]
 
     @property
     def key(self) -> str:
         """Name of the chunk; equal recordings and chunk lengths give equal names."""
-        return f"{self.identity}-{self.number:05}"
+        return f"{self.outline.identity}-{self.number:05}"
 
     @property
     def begin_ns(self) -> int:
         """UTC of its first message."""
-        return self.starts[self.number].utc_ns
+        return self.outline.starts[self.number].utc_ns
 
     @property
     def length_bytes(self) -> int:
-        return self.end_bytes(self.number) - self.starts[self.number].begin_bytes
+        return self.end_bytes(self.number) - self.outline.starts[self.number].begin_bytes
 
     def end_bytes(self, number: int) -> int:
         """Return the file position at which a chunk of this recording ends."""
-        return self.starts[number + 1].begin_bytes if number + 1 < len(self.starts) else self.size_bytes
+        starts = self.outline.starts
+        return starts[number + 1].begin_bytes if number + 1 < len(starts) else self.outline.size_bytes
 
     def boundaries_bytes(self, last: int) -> list[int]:
         """Return the file positions at which this chunk begins, and at which it and each chunk up to `last` end."""
         ends = (self.end_bytes(number) for number in range(self.number, last + 1))
-        return [self.starts[self.number].begin_bytes, *ends]
+        return [self.outline.starts[self.number].begin_bytes, *ends]
 
     def is_described_by(self, report: dict[str, Any]) -> bool:
         """Return whether a report is of the same bytes of the recording, or of more, such as a longer copy."""
         reported: list[int] = report["boundaries_bytes"]
-        return reported >= self.boundaries_bytes(len(self.starts) - 1)[: len(reported)]
+        return reported >= self.boundaries_bytes(len(self.outline.starts) - 1)[: len(reported)]
 
 
 class Span(NamedTuple):
@@ -166,11 +159,9 @@ def chunks_of(path: Path, job: Job) -> list[Chunk]:
         config = job.config(recording)
         independent_at_rest = sensor_of(config.plate, config.measurement, config.decoding).independent_at_rest
     outline = read_outline(path, job.chunk_s if independent_at_rest else float("inf"))
-    starts = outline.starts[: None if independent_at_rest else 1]
-    return [
-        Chunk(path, outline.identity, number, starts, outline.size_bytes, outline.changed_ns, outline.channels)
-        for number in range(len(starts))
-    ]
+    if not independent_at_rest:
+        outline = outline._replace(starts=outline.starts[:1])
+    return [Chunk(path, outline, number) for number in range(len(outline.starts))]
 
 
 def plan(paths: Sequence[Path], job: Job) -> tuple[list[Chunk], dict[str, str]]:
@@ -189,9 +180,9 @@ def plan(paths: Sequence[Path], job: Job) -> tuple[list[Chunk], dict[str, str]]:
         if not found:
             refused[str(path)] = f"{path} has no events; record again"
             continue
-        other = recordings.setdefault(found[0].identity, found)
-        if found[0].size_bytes > other[0].size_bytes:
-            recordings[found[0].identity] = found
+        other = recordings.setdefault(found[0].outline.identity, found)
+        if found[0].outline.size_bytes > other[0].outline.size_bytes:
+            recordings[found[0].outline.identity] = found
     return [chunk for chunks in recordings.values() for chunk in chunks], refused
 
 
@@ -202,7 +193,7 @@ def first_rest(chunk: Chunk, number: int, config: Config) -> tuple[HostTime | No
     agree.
     """
     with open_recording(str(chunk.path), config.plate) as recording:
-        recording.resume_at(chunk.starts[number].begin_bytes, chunk.channels)
+        recording.resume_at(chunk.outline.starts[number].begin_bytes, chunk.outline.channels)
         undecoded = config.model_copy(update={"decoding": Decoding(method="off")})
         queue = FrameQueue(1 << 30, lambda: None, ())
         replay = Replay(recording, LinkStateMachine(config.plate, queue, lambda _: None))
@@ -225,8 +216,8 @@ def span_of(chunk: Chunk, config: Config) -> Span:
         begin, damage = first_rest(chunk, chunk.number, config)
         if begin is None:
             return Span(None, None, chunk.boundaries_bytes(chunk.number), is_empty=True, damage=damage)
-    for number in range(chunk.number + 1, len(chunk.starts)):
+    for number in range(chunk.number + 1, len(chunk.outline.starts)):
         end, _ = first_rest(chunk, number, config)
         if end is not None:
             return Span(begin, end, chunk.boundaries_bytes(number))
-    return Span(begin, None, chunk.boundaries_bytes(len(chunk.starts) - 1))
+    return Span(begin, None, chunk.boundaries_bytes(len(chunk.outline.starts) - 1))
