@@ -92,7 +92,6 @@ class RemotePlate:
             decoding.contact_physics,
             decoding.friction_coefficient,
             decoding.displacement,
-            background=True,
         )
         self._make_settings = partial(
             SurfaceSettings,
