@@ -267,6 +267,23 @@ def _published_name(text: str) -> str:
         raise argparse.ArgumentTypeError(f"got {text!r}; {error}") from None
 
 
+def add_listen(parser: argparse.ArgumentParser, port: int, meaning: str) -> None:
+    """Add `--listen`, an address of this computer with this port unless it is given, and `--json` for its URL."""
+    address = f"127.0.0.1:{port}"
+    meaning = f"{meaning}; port 0 selects a free one (default: {address})"
+    parser.add_argument("--listen", type=host_and_port, default=address, metavar="HOST:PORT", help=meaning)
+    parser.add_argument("--json", action="store_true", help='print {"url": ...} on stdout when the server is ready')
+
+
+def print_url(what: str, url: str, *, as_json: bool) -> None:
+    """Print the address of a server that is ready, for programs or for people."""
+    if as_json:
+        print_json({"url": url})
+    else:
+        sys.stdout.write(f"{what}: {url}\nstop with Ctrl-C\n")
+    sys.stdout.flush()
+
+
 def print_json(value: object) -> None:
     """Print a value as one line of JSON."""
     sys.stdout.write(json.dumps(value) + "\n")

@@ -10,26 +10,19 @@ Example: resonatord bridge foxglove --url mqtt://127.0.0.1:1883 --plate left-ind
 """
 
 import argparse
-import sys
+from functools import partial
 
 from resonator_daemon.base.errors import ExitCode, UsageError
-from resonator_daemon.tools.command_line import add_broker, add_published_plate, broker_of, host_and_port, print_json
+from resonator_daemon.tools.command_line import add_broker, add_listen, add_published_plate, broker_of, print_url
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_broker(parser, config_is_argument=True)
     add_published_plate(parser)
-    parser.add_argument(
-        "--listen",
-        type=host_and_port,
-        default=("127.0.0.1", 8765),
-        metavar="ADDRESS:PORT",
-        help="where viewers connect, on this computer; port 0 selects a free one (default: 127.0.0.1:8765)",
-    )
+    add_listen(parser, 8765, "where viewers connect, on this computer")
     parser.add_argument(
         "--decimated", action="store_true", help="at most 20 or 5 a second of each (default: all messages)"
     )
-    parser.add_argument("--json", action="store_true", help='print {"url": ...} on stdout when viewers can connect')
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
@@ -44,14 +37,6 @@ def run(arguments: argparse.Namespace) -> ExitCode:
             f"--listen {listen}: other computers can reach this address, and the server has no password; listen on "
             f"127.0.0.1, and there use `ssh -L {listen.port}:127.0.0.1:{listen.port} HOST` or a reverse proxy"
         )
-
-    def print_address(url: str) -> None:
-        if arguments.json:
-            print_json({"url": url})
-        else:
-            sys.stdout.write(f"Foxglove WebSocket: {url}\nstop with Ctrl-C\n")
-        sys.stdout.flush()
-
-    full_rate = not arguments.decimated
-    asyncio.run(serve(broker_of(arguments), listen, print_address, plate=arguments.plate, full_rate=full_rate))
+    on_ready, full_rate = partial(print_url, "Foxglove WebSocket", as_json=arguments.json), not arguments.decimated
+    asyncio.run(serve(broker_of(arguments), listen, on_ready, plate=arguments.plate, full_rate=full_rate))
     return ExitCode.DONE

@@ -9,12 +9,12 @@ Example: resonatord view --url mqtt://127.0.0.1:1883
 
 import argparse
 import os
-import sys
+from functools import partial
 from pathlib import Path
 
 from resonator_daemon.base.errors import ExitCode, MissingLibraryError, NoRecordingError, UsageError
 from resonator_daemon.base.host.text import how_to_install
-from resonator_daemon.tools.command_line import add_broker, broker_of, host_and_port, named_recordings, print_json
+from resonator_daemon.tools.command_line import add_broker, add_listen, broker_of, named_recordings, print_url
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,13 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="one recording, two to compare, or a directory whose recordings browsers may open",
     )
     add_broker(parser)
-    parser.add_argument(
-        "--listen",
-        type=host_and_port,
-        default=("127.0.0.1", 8600),
-        metavar="HOST:PORT",
-        help="address of the page; port 0 selects a free one (default: 127.0.0.1:8600)",
-    )
+    add_listen(parser, 8600, "address of the page")
     parser.add_argument(
         "--token-file", type=Path, metavar="FILE", help="a secret that browsers have to send, on one line"
     )
@@ -49,7 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--allow-commands", action="store_true", help="browsers may send tare, mark, start_recording and stop_recording"
     )
-    parser.add_argument("--json", action="store_true", help='print {"url": ...} on stdout when the page is there')
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
@@ -79,15 +72,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
         token=None if arguments.token_file is None else read_token(arguments.token_file),
         tls=None if arguments.tls_key is None else tls_of(arguments.tls_certificate, arguments.tls_key),
     )
-
-    def print_address(url: str) -> None:
-        if arguments.json:
-            print_json({"url": url})
-        else:
-            sys.stdout.write(f"live page: {url}\nstop with Ctrl-C\n")
-        sys.stdout.flush()
-
-    asyncio.run(serve(page, print_address))
+    asyncio.run(serve(page, partial(print_url, "live page", as_json=arguments.json)))
     return ExitCode.DONE
 
 
