@@ -384,27 +384,22 @@ class Service:
 
     def _status(self) -> Status:
         """Return how all of this is, for programs on the same computer."""
-        last = self._plate_publisher.last_message
-        return self._monitor.with_ages(
-            Status.model_validate(
-                {
-                    "name": self._name,
-                    "instance": self._instance,
-                    "pid": os.getpid(),
-                    "version": self._version,
-                    "started_t_ns": self._started_utc_ns,
-                    "config": self._store.status,
-                    "daemon": last(STATE_DAEMON.path),
-                    "link": last(STATE_LINK.path),
-                    "sensor": last(STATE_SENSOR.path),
-                    "health": self._health,
-                    "broker": BrokerStatus(
-                        url=self._store.config.mqtt.anonymous().url, connected=self._plate_publisher.connected
-                    ),
-                    "recording": recording_info(self._recording),
-                }
-            )
+        last, url = self._plate_publisher.last_message, self._store.config.mqtt.anonymous().url
+        status = Status(
+            name=self._name,
+            instance=self._instance,
+            pid=os.getpid(),
+            version=self._version,
+            started_t_ns=self._started_utc_ns,
+            config=self._store.status,
+            daemon=last(STATE_DAEMON.path),
+            link=last(STATE_LINK.path),
+            sensor=last(STATE_SENSOR.path),
+            health=self._health,
+            broker=BrokerStatus(url=url, connected=self._plate_publisher.connected),
+            recording=recording_info(self._recording),
         )
+        return self._monitor.with_ages(status)
 
     async def _keep_reporting(self) -> None:
         while True:
