@@ -88,11 +88,6 @@ def known_coefficients(coefficients: Floats) -> Floats:
     return np.where(np.isnan(coefficients), DEFAULT_COEFFICIENTS, coefficients)
 
 
-def force_newton(f0_hz: Floats, frequency_hz: Floats, sensitivity: Floats) -> Floats:
-    """Force by (f - f0) / f = K F, the shift normalised by f, for signed `sensitivity` K in 1/N; shapes broadcast."""
-    return (1.0 - f0_hz / frequency_hz) / sensitivity
-
-
 def positions_inside(outline_m: Floats) -> Floats:
     """Positions of a regular grid inside the polygon `outline_m` (p, 2), as (n, 2)."""
     low, high = outline_m.min(axis=0), outline_m.max(axis=0)

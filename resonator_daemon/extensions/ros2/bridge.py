@@ -7,7 +7,6 @@ marked as stale.
 
 import asyncio
 import dataclasses
-import logging
 import time
 from collections.abc import Iterable
 from contextlib import aclosing, suppress
@@ -48,8 +47,6 @@ SILENT_S: Final = 5.0  # a plate in operation publishes its health each second
 
 _ALWAYS: Final = (CONTACTS.path, CONTACT_EVENT.path)
 _STREAMS: Final = (CONTACTS, FORCES, SIGNALS, DECODED, DECODED_SUMMARY)
-
-log = logging.getLogger(__name__)
 
 
 async def serve(

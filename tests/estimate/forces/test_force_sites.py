@@ -1,5 +1,3 @@
-from fractions import Fraction
-
 import numpy as np
 import pytest
 
@@ -52,16 +50,6 @@ def test_coefficients_that_are_not_given_are_the_default_ones_each_by_itself():
     assert np.isnan(given[1]).all()  # the plate's own array stays as it was
 
 
-@pytest.mark.parametrize("sensitivity", [Fraction(-63, 10**7), Fraction(49, 10**7)])
-@pytest.mark.parametrize("force", [Fraction(1, 50), Fraction(5), Fraction(10)])
-def test_eq_1_round_trip(sensitivity, force):
-    f0 = Fraction(9_996_000)
-    f = f0 / (1 - sensitivity * force)  # solves (f - f0) / f = K F
-    assert (f - f0) / f == sensitivity * force
-    arrays = [np.array([float(x)]) for x in (f0, f, sensitivity)]
-    assert force_sites.force_newton(*arrays)[0] == pytest.approx(float(force), rel=1e-9)
-
-
 def test_positions_lie_inside_an_outline_with_a_notch_from_the_left():
     notched = np.array([[0, 0], [3, 0], [3, 3], [0, 3], [0, 2], [2, 2], [2, 1], [0, 1]], dtype=float)
     positions = force_sites.positions_inside(notched)
@@ -88,16 +76,10 @@ def test_the_bound_holds_for_every_touch_that_loads_the_site_most():
         assert 1 / share[strongest] - 1 <= bound[strongest] * 1.001
 
 
-def test_touches_nearest_to_one_site_spread_like_a_uniform_square():
-    assert force_sites.cell_std_m(np.array([[0.0, 0.0]]), SQUARE_M) == pytest.approx(
-        np.full((1, 2), 0.02 / np.sqrt(12)), rel=1e-3
-    )
-
-
-def test_cells_are_the_nearest_sites():
-    spread = force_sites.cell_std_m(np.array([[-0.005, 0.0], [0.005, 0.0]]), SQUARE_M)
-    expected = [[0.01 / np.sqrt(12), 0.02 / np.sqrt(12)]] * 2
-    assert spread == pytest.approx(np.array(expected), rel=1e-3)
+@pytest.mark.parametrize(("sites_m", "width_m"), [([[0.0, 0.0]], 0.02), ([[-0.005, 0.0], [0.005, 0.0]], 0.01)])
+def test_touches_nearest_to_a_site_spread_uniformly_in_its_rectangle(sites_m, width_m):
+    expected = np.array([[width_m, 0.02]] * len(sites_m)) / np.sqrt(12)
+    assert force_sites.cell_std_m(np.array(sites_m), SQUARE_M) == pytest.approx(expected, rel=1e-3)
 
 
 def tones():
