@@ -8,6 +8,7 @@ from resonator_daemon.estimate.forces.loadings import Readings, Steps
 
 NOISE, OSCILLATOR, COMMON = 5e-10, 3e-10, 1e-8
 MASSES_NEWTON = np.array([1.0, 2.0, 5.0])
+CREEP_S = 20.0
 ONE_BY_ONE = [(), (0,), (), (1,), (), (2,)]
 UP_AND_DOWN = [(0,), (0, 1), (0, 1, 2), (0, 1), (0,), ()]
 
@@ -29,18 +30,7 @@ class Bench:
         self.k *= 1 + 0.02 * self.random.normal(size=self.k.shape)
 
     def calibrate(
-        self,
-        plan,
-        mass_std,
-        *,
-        scatter=0.0,
-        h=0.0,
-        c=0.0,
-        tau_s=20.0,
-        readings=1,
-        wrong=None,
-        mass_error=None,
-        **options,
+        self, plan, mass_std, *, scatter=0.0, h=0.0, c=0.0, readings=1, wrong=None, mass_error=None, **options
     ):
         """Lay on and fit. `wrong` maps a step to the load that lay there in truth."""
         if mass_error is None:
@@ -58,12 +48,12 @@ class Bench:
                 scale = 1 + scatter * self.random.normal(size=4)
                 common = COMMON * self.random.normal()
                 for held_s in np.geomspace(58.0, 2.0, readings) if load else ():
-                    now = newton + (creep - newton) * math.exp(-held_s / tau_s)
+                    now = newton + (creep - newton) * math.exp(-held_s / CREEP_S)
                     felt = (1 - c) * (newton + play) / 2 + c * now
                     frequency = self.f0[site] / (1 - self.k[site] * felt * scale)
                     error = common + OSCILLATOR * self.random.normal() + NOISE * self.random.normal(size=4)
                     rows.append((step, start_s + held_s, 1 - self.nominal_f0[site] / (frequency * (1 + error))))
-                creep = newton + (creep - newton) * math.exp(-length_s / tau_s)
+                creep = newton + (creep - newton) * math.exp(-length_s / CREEP_S)
                 start_s += length_s
         site, since_s, pressing = map(np.array, zip(*step_rows, strict=True))
         steps = Steps(site, since_s, pressing, np.full(len(site), COMMON), np.linspace(297.0, 299.0, len(site)))

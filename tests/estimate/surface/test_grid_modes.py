@@ -55,23 +55,13 @@ def products(bases: Bases, index: int):
     return fields.reshape(-1, channel.size)
 
 
-@pytest.mark.parametrize(
-    ("grid", "noise_std"),
-    [
-        (Grid((10, 12), 4e-4, 3.5e-4), NOISE),
-        (Grid((9, 11), 4e-4, 3.5e-4), NOISE),
-    ],
-)
-def test_reduced_modes_solve_the_dense_system(grid: Grid, noise_std):
+@pytest.mark.parametrize("shape", [(10, 12), (9, 11)])
+def test_reduced_modes_solve_the_dense_system(shape: tuple[int, int]):
     """Any signals, also rough ones, at a scale for which the bases were made."""
-    modes = GridModes(GridCovariance(PRIOR, grid, DEPTH, noise_std, SCALES[-1]), LEVELS[-1])
-    count = grid.shape[0] * grid.shape[1]
-    noise = np.repeat(noise_std, count)
-    signals, traction, displacement = (
-        covariance(grid).signals(),
-        covariance(grid).surface("traction", positions(grid)),
-        covariance(grid).surface("displacement", positions(grid)),
-    )
+    grid, count = Grid(shape, 4e-4, 3.5e-4), shape[0] * shape[1]
+    modes = GridModes(GridCovariance(PRIOR, grid, DEPTH, NOISE, SCALES[-1]), LEVELS[-1])
+    noise, signals = np.repeat(NOISE, count), covariance(grid).signals()
+    traction, displacement = (covariance(grid).surface(field, positions(grid)) for field in FIELDS if field != "sensor")
     scale = 100.0
     frame = np.random.default_rng(0).standard_normal(3 * count) * noise
     power, vectors = np.linalg.eigh(scale * signals)

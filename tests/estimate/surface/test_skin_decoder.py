@@ -193,23 +193,18 @@ def test_sites_too_few_or_too_far_apart_for_a_map_are_refused(side: int, pitch: 
 
 def settled(decoder: SkinDecoder, signals: Floats) -> SurfaceReading:
     """What the decoder makes of a steady load once its matrices are there."""
-    random, noise = np.random.default_rng(3), QUIET[:, : signals.shape[1]]
+    random = np.random.default_rng(3)
+    decoder.reset("test")
     for _ in range(6):
-        reading = decoder.decode(noisy(signals, random, noise), noise)
+        reading = decoder.decode(noisy(signals, random, QUIET), QUIET)
         while decoder.rebuild():
             pass
     return reading
 
 
 @pytest.fixture(scope="module")
-def long_built() -> SkinDecoder:
+def long() -> SkinDecoder:
     return SkinDecoder(SKIN_LONG, PHYSICS, QUIET, [].append)
-
-
-@pytest.fixture
-def long(long_built: SkinDecoder) -> SkinDecoder:
-    long_built.reset("test")
-    return long_built
 
 
 def test_contacts_on_one_support_share_its_load(long: SkinDecoder) -> None:

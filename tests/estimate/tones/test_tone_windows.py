@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from brute_force_board import REFERENCE_HZ, Channel, payload_of, record_of
 
-from firmware_protocol.layouts import RecordFlag, SingleToneRecord
+from firmware_protocol.layouts import RecordFlag
 from resonator_daemon.estimate.tones.frequency_estimators import Sums, frequency_hz, merge_adjacent
 from resonator_daemon.estimate.tones.record_checks import read_gates
 from resonator_daemon.estimate.tones.tone_windows import ToneWindows
@@ -44,10 +44,8 @@ def full_after(slide, records):
 
 @pytest.mark.parametrize("frames", [1, 3, 40, 500])
 def test_a_window_has_the_sums_of_its_last_gates(frames):
-    slide, records = (
-        windows(frames),
-        frames_of([10e6 * (1 + 1e-7 * (k % 7)) for k in range(520)], start_ticks=2**32 - 9),
-    )
+    slide = windows(frames)
+    records = frames_of([10e6 * (1 + 1e-7 * (k % 7)) for k in range(520)], start_ticks=2**32 - 9)
     for start, end in ((0, 1), (1, 510), (510, 515), (515, 520)):
         block = slide.push(payload_of(records[start:end]))
         gates = sorted({0, len(block.held) // 2, len(block.held) - 1})
@@ -69,21 +67,8 @@ def test_a_window_has_the_sums_of_its_last_gates(frames):
 def test_the_largest_gates_that_there_are_do_not_overflow():
     # 65 535 stamps, 65 535 ticks apart: their second sum has 63 bits, that of two gates 66.
     stamps, interval = 65_535, 65_535
-    records = [
-        SingleToneRecord(
-            first_edge=k * stamps % 2**32,
-            first_ticks=k * stamps * interval % 2**32,
-            stamps=stamps,
-            stride_edges=1,
-            span_ticks=(stamps - 1) * interval,
-            s1_ticks=interval * stamps * (stamps - 1) // 2,
-            s2_ticks=interval * (stamps - 1) * stamps * (2 * stamps - 1) // 6,
-            q2_ticks2=0,
-            attenuation_db256=0,
-            flags=0,
-        )
-        for k in range(4)
-    ]
+    first = range(0, 4 * stamps, stamps)
+    records = [record_of(range(k * interval, (k + stamps) * interval, interval), k, 1) for k in first]
     hertz = REFERENCE_HZ / interval
     window = ToneWindows(1, 4, REFERENCE_HZ, (0.9 * hertz, 1.1 * hertz)).push(payload_of(records)).window(3, 4)
     assert without_start(window.sums) == [expected(records)]
