@@ -1,6 +1,7 @@
 """Faults of links and boards: as many as asked for, where they are said to be, and counted exactly."""
 
 from collections import Counter
+from functools import partial
 from typing import get_args
 
 import numpy as np
@@ -165,25 +166,13 @@ def test_random_unplugs_follow_each_other_and_mix_with_the_script() -> None:
 MS = 1_000_000
 
 
-def line(seed: int = 1, **faults: float) -> Line:
-    return Line(FaultPlan.model_validate(faults), seed)
-
-
-def lots_due(held: Line, now_ns: int) -> list[bytes]:
-    return [lot.data for lot in iter(lambda: held.pop(now_ns), None)]
-
-
 def test_clumps_leave_whole_at_multiples_of_their_time() -> None:
-    clumped = line(clump_ms=16.0, delay_ms=2.0)
+    clumped = Line(FaultPlan(clump_ms=16.0, delay_ms=2.0), 1)
     for now_ms in range(40):
         clumped.put(Lot(bytes([now_ms]), frames=1), now_ms * MS)
-    leave = {now_ms: lots_due(clumped, now_ms * MS) for now_ms in range(0, 49)}
-    assert {now_ms: [len(lot) for lot in lots] for now_ms, lots in leave.items() if lots} == {
-        16: [15],
-        32: [16],
-        48: [9],
-    }
-    assert b"".join(b"".join(lots) for lots in leave.values()) == bytes(range(40))
+    left = [(now_ms, lot.data) for now_ms in range(49) for lot in iter(partial(clumped.pop, now_ms * MS), None)]
+    assert [(now_ms, len(data)) for now_ms, data in left] == [(16, 15), (32, 16), (48, 9)]
+    assert b"".join(data for _, data in left) == bytes(range(40))
     assert clumped.frames == 0
 
 

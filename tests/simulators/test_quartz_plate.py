@@ -12,6 +12,8 @@ from scenarios import steady
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag, SingleToneRecord
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate, load_plate
+from resonator_daemon.estimate.tones import frequency_estimators
+from resonator_daemon.estimate.tones.frequency_estimators import Sums, merge_adjacent
 from simulators.oscillator_noise import OscillatorNoise
 from simulators.physics import Physics
 from simulators.quartz_plate import QuartzPlate
@@ -36,24 +38,14 @@ def count(plate: QuartzPlate, at_s: float, frames: int, board_ticks: int = 0) ->
     return [[SingleToneRecord(*SINGLE_TONE_STRUCT.unpack(c)) for c in frame.channels] for frame in counted]
 
 
-def frequency_hz(records: Records, channel: int, reference_hz: float = 1e9) -> float:
-    """Frequency over all frames, by regression of merged sums in exact integers."""
-    n = s1 = s2 = 0
-    start: int | None = None
-    for record in (frame[channel] for frame in records):
-        start = record.first_ticks if start is None else start
-        d = (record.first_ticks - start) % 2**32
-        s2 += record.s2_ticks + n * record.s1_ticks
-        s2 += d * (record.stamps * (record.stamps - 1) // 2) + n * record.stamps * d
-        s1 += record.s1_ticks + record.stamps * d
-        n += record.stamps
-    ticks_per_edge = 6 * (2 * s2 - (n - 1) * s1) / (record.stride_edges * n * (n**2 - 1))
-    return reference_hz / ticks_per_edge
+def frequency_hz(records: Records, channel: int) -> float:
+    """Frequency over all frames as the daemon finds it."""
+    return frequency_estimators.frequency_hz(merge_adjacent(Sums.of(frame[channel]) for frame in records), 1e9)
 
 
-def tone_of(site: int, plate: Plate = PLATE) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    (index,) = np.flatnonzero(plate.site_ids[plate.tones.site_index] == site)
-    return plate.tones.f0_hz[index], plate.tones.sensitivity[index]
+def tone_of(site: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    (index,) = np.flatnonzero(PLATE.site_ids[PLATE.tones.site_index] == site)
+    return PLATE.tones.f0_hz[index], PLATE.tones.sensitivity[index]
 
 
 @pytest.mark.parametrize(("site", "force_newton"), [(7, 5.0), (13, 0.2), (4, 8.0), (6, 14.0)])
@@ -97,13 +89,6 @@ def test_a_plate_of_few_sites_is_counted_while_all_are_touched(sites: int) -> No
     assert all(np.abs(pressed_hz - each).min() < 60.0 for each in hz)
 
 
-S = 1.0  # Allan deviation at 1 s of whatever is on; all is linear in it
-
-
-def oscillators(count: int, white_fm: float, flicker_fm: float, random_walk_fm: float, seed: int) -> OscillatorNoise:
-    return OscillatorNoise(count, white_fm, flicker_fm, random_walk_fm, np.random.default_rng(seed))
-
-
 def overlapping_allan_deviation(shift: Floats, dt_s: float, spans: tuple[int, ...]) -> Floats:
     """Of the mean Allan variance over the oscillators, shift (gates, oscillators)."""
     taus = np.array(spans) * dt_s
@@ -114,15 +99,15 @@ def overlapping_allan_deviation(shift: Floats, dt_s: float, spans: tuple[int, ..
 @pytest.mark.parametrize("dt_s", [1e-3, 5e-3])
 @pytest.mark.parametrize(
     ("levels", "slope"),
-    [((S, 0.0, 0.0), -0.5), ((0.0, S, 0.0), 0.0), ((0.0, 0.0, S), 0.5)],
+    [((1.0, 0.0, 0.0), -0.5), ((0.0, 1.0, 0.0), 0.0), ((0.0, 0.0, 1.0), 0.5)],
     ids=["white", "flicker", "random walk"],
 )
 def test_allan_deviations_have_their_slope_and_level(
     levels: tuple[float, float, float], slope: float, dt_s: float
 ) -> None:
     spans = (1, 2, 4, 8, 16, 32, 64, 128, 256)
-    shift = oscillators(48, *levels, seed=1).advance(dt_s, 2**14).relative_shift
+    shift = OscillatorNoise(48, *levels, np.random.default_rng(1)).advance(dt_s, 2**14).relative_shift
     tau_s = np.array(spans) * dt_s
     deviation = overlapping_allan_deviation(shift, dt_s, spans)
-    assert deviation == pytest.approx(S * tau_s**slope, rel=0.05)
+    assert deviation == pytest.approx(tau_s**slope, rel=0.05)
     assert np.polyfit(np.log(tau_s), np.log(deviation), 1)[0] == pytest.approx(slope, abs=0.02)

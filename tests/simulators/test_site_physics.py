@@ -116,10 +116,6 @@ def test_the_transient_is_the_derivative_of_the_temperature() -> None:
     assert warmth.relative_shift[inside, 0] == pytest.approx(-2e-7 * rate[inside], rel=1e-5, abs=1e-15)
 
 
-def column(values: npt.ArrayLike) -> Floats:
-    return np.asarray(values, dtype=np.float64)[:, np.newaxis]
-
-
 def forces(gates: int, sites: int, seed: int) -> Floats:
     """Presses with reversals of all sizes, from far below the play to far above it."""
     random = np.random.default_rng(seed)
@@ -140,8 +136,8 @@ def test_the_play_is_the_force_less_a_stop_that_gives_way() -> None:
 
 
 def test_creep_under_any_force_is_the_integral_of_its_differential_equation() -> None:
-    force = forces(60, 1, seed=2)[:, 0]
-    felt = PressResponse(1, 0.0, 0.3, 2.0).advance(0.1, column(force))[:, 0]
+    pressed = forces(60, 1, seed=2)
+    felt, force = PressResponse(1, 0.0, 0.3, 2.0).advance(0.1, pressed)[:, 0], pressed[:, 0]
     crept = solve_ivp(
         lambda t, u: (force[min(int(t / 0.1), 59)] - u) / 2.0,
         (0, 6),
