@@ -65,10 +65,8 @@ def test_forces_are_points_at_the_sites(tmp_path: Path) -> None:
     for (_, cloud), message in zip(clouds, played("slide").messages("forces"), strict=True):
         sec, nsec = divmod(message.t_ns, 10**9)
         assert (cloud["timestamp"], cloud["frame_id"]) == ({"sec": sec, "nsec": nsec}, "left-index")
-        assert cloud["pose"] == {
-            "position": dict.fromkeys("xyz", 0.0),
-            "orientation": dict.fromkeys("xyz", 0.0) | {"w": 1.0},
-        }
+        origin = dict.fromkeys("xyz", 0.0)
+        assert cloud["pose"] == {"position": origin, "orientation": origin | {"w": 1.0}}
         found = points(cloud)
         assert found["site"].tolist() == [force.site for force in message.sites]
         assert [[x, y] for x, y in zip(found["x"], found["y"], strict=True)] == [place[f.site] for f in message.sites]

@@ -149,13 +149,8 @@ def test_gaps_are_by_the_board_s_time_and_a_long_one_or_a_restart_begins_an_epis
     step_s = 1.0 / dataset.info["fps"]
     writer.add(0, 0.0, {})  # before any episode
     writer.begin_episode("a")
-    for t_ns, board_s in (
-        (0, 1.0),
-        (-(10**9), 1.0 + step_s),
-        (0, 1.0 + 4.0 * step_s),
-        (0, 82.0),
-        (0, 0.5),
-    ):  # the clock is set back
+    times_ns = (0, -(10**9), 0, 0, 0)  # the clock is set back
+    for t_ns, board_s in zip(times_ns, (1.0, 1.0 + step_s, 1.0 + 4.0 * step_s, 82.0, 0.5), strict=True):
         writer.add(t_ns, board_s, {})
     writer.begin_episode(None)
     writer.add(0, 0.6, {})

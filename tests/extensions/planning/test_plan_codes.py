@@ -1,4 +1,4 @@
-"""`resonatord plan codes` as a user meets it."""
+"""`resonatord plan codes` as a user meets it, and what both planners refuse."""
 
 import json
 from pathlib import Path
@@ -14,6 +14,7 @@ from resonator_daemon.commands import main
 from resonator_daemon.measure.sensors import plate_sites
 
 GRID = ("--grid", "4x4", "--pitch-mm", "5")
+ON_GRID = ("codes", *GRID)
 
 
 def plan(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dict[str, Any], list[str]]:
@@ -160,19 +161,24 @@ def test_the_line_that_is_no_position_is_named(
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        ((), "give --sites or --plate or --grid"),
-        ((*GRID, "--force-max-newton", "10000", "--sensitivity-ppm-per-newton", "100"), "largest shift is 1.3e+06 ppm"),
-        ((*GRID, "--band-ppm", "1000"), "--band-ppm 1000: pilot and largest force alone need 1082"),
-        ((*GRID, "--sensitivity-ppm-per-newton", "0"), "--sensitivity-ppm-per-newton 0"),
-        ((*GRID, "--stamps-per-s", "1e9"), "--stamps-per-s 1e+09: 1e+06 in a frame"),
-        (("--grid", "20x20", "--pitch-mm", "5"), "400 sites; at most 256"),
-        (("--plate", "skin32"), "'skin32' has a channelised counter of p_n, eps_xz, eps_yz"),
+        (("codes",), "give --sites or --plate or --grid"),
+        ((*ON_GRID, "--force-max-newton", "1e4", "--sensitivity-ppm-per-newton", "100"), "shift is 1.3e+06 ppm"),
+        ((*ON_GRID, "--band-ppm", "1000"), "--band-ppm 1000: pilot and largest force alone need 1082"),
+        ((*ON_GRID, "--sensitivity-ppm-per-newton", "0"), "--sensitivity-ppm-per-newton 0"),
+        ((*ON_GRID, "--stamps-per-s", "1e9"), "--stamps-per-s 1e+09: 1e+06 in a frame"),
+        (("codes", "--grid", "20x20", "--pitch-mm", "5"), "400 sites; at most 256"),
+        (("codes", "--plate", "skin32"), "'skin32' has a channelised counter of p_n, eps_xz, eps_yz"),
+        (("sensors", "--set", "p_n,xzz"), "'xzz' is unknown; must be one of: p_n, xx"),
+        (("sensors", "--set", "p_n,p_n"), "'p_n' is named 2 times, must be once"),
+        (("sensors", "--pitch-mm", "30"), "at most four depths, 0.004: a sparser array"),
+        (("sensors", "--depth-mm", "0"), "depth_m is 0, must be from 1e-09 to 1000"),
+        (("sensors", "--snr-db", "101"), "snr_db is 101, must be from -40 to 100"),
     ],
 )
 def test_bad_values_are_usage_errors_of_one_sentence(
     arguments: tuple[str, ...], complaint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert exit_code("plan", "codes", *arguments) == 2
+    assert exit_code("plan", *arguments) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     assert complaint in printed.err.splitlines()[-1]

@@ -7,7 +7,6 @@ import math
 
 import numpy as np
 import pytest
-from command_line import exit_code
 
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.commands import main
@@ -262,20 +261,3 @@ def test_tables_show_what_is_resolved_and_why_not_more(capsys: pytest.CaptureFix
     printed = capsys.readouterr().out
     assert "Rank 2 of 3" in printed
     assert "add p_n" in printed.replace("\n", "")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        (("--set", "p_n,xzz"), "'xzz' is unknown; must be one of: p_n, xx"),
-        (("--set", "p_n,p_n"), "'p_n' is named 2 times, must be once"),
-        (("--pitch-mm", "30"), "at most four depths, 0.004: a sparser array"),
-        (("--depth-mm", "0"), "depth_m is 0, must be from 1e-09 to 1000"),
-        (("--snr-db", "101"), "snr_db is 101, must be from -40 to 100"),
-    ],
-)
-def test_bad_values_are_usage_errors_of_one_sentence(
-    arguments: tuple[str, ...], complaint: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert exit_code("plan", "sensors", *arguments) == 2
-    assert complaint in capsys.readouterr().err.splitlines()[-1]

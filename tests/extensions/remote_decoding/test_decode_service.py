@@ -31,13 +31,13 @@ def seqs(observer: Observer, plate: str, path: str = "decoded") -> list[int]:
     return [cbor2.loads(payload)["seq"] for payload in observer.raw(f"resonator/{plate}/{path}")]
 
 
-async def send_until_decoded(hand: Daemon, observer: Observer, seq: int) -> None:
+async def send_until_decoded(hand: Daemon, observer: Observer, seq: int, plate: str = "hand") -> None:
     """Send a frame more than once where it came too late: its decoder was being set up, or the computer is busy."""
-    while seq not in seqs(observer, "hand"):
-        await hand.send("hand", signals(seq))
+    while seq not in seqs(observer, plate):
+        await hand.send(plate, signals(seq))
         with suppress(TimeoutError):
             async with asyncio.timeout(0.2):
-                await observer.until(lambda: seq in seqs(observer, "hand"))
+                await observer.until(lambda: seq in seqs(observer, plate))
 
 
 async def test_a_followed_plate_is_decoded_and_its_states_and_account_are_reported(
@@ -82,9 +82,7 @@ async def test_one_process_follows_several_plates(tmp_path: Path, mosquitto: Mos
             for name in ("left", "right"):
                 await hand.send_info(name, info())
             for name, seq in (("left", 1), ("right", 2)):
-                while seq not in seqs(observer, name):  # its decoder is being set up
-                    await hand.send(name, signals(seq))
-                    await asyncio.sleep(0.05)
+                await send_until_decoded(hand, observer, seq, name)
             await observer.until_last(STATE, state="online", reason_code="decoding")
             assert_exact(decoder)
     assert (set(seqs(observer, "left")), set(seqs(observer, "right"))) == ({1}, {2})
@@ -168,10 +166,7 @@ async def test_an_event_of_an_outage_arrives_after_it(
                 await again.until_count(events, 1)
     if restarted:
         await mosquitto.start()
-        async with (
-            observe(mosquitto.url) as again,
-            running(process(tmp_path, mosquitto.url, "host-2")),
-        ):
+        async with observe(mosquitto.url) as again, running(process(tmp_path, mosquitto.url, "host-2")):
             await again.until_count(events, 1)
     release = again.payloads(events)[0]
     assert [(event["event"], event["replayed"]) for event in (onset, release)] == [("onset", False), ("release", True)]

@@ -109,11 +109,8 @@ def test_a_channel_that_hears_two_tones_alike_is_named_and_the_touch_possibly_mo
     assert {reading.status for reading in once} == {"ok"}
     crowded = bench.hold(site_hz, 20, (0, CAPTURE_SWITCH, 0, 0))
     reason = crowded[-1].reason
-    assert (crowded[-1].status, reason.code, "channel 1" in reason.text) == (
-        "possibly_more",
-        ReasonCode.TONES_ALIKE,
-        True,
-    )
+    assert (crowded[-1].status, reason.code) == ("possibly_more", ReasonCode.TONES_ALIKE)
+    assert "channel 1" in reason.text
     (force,) = crowded[-1].sites
     assert (force.site, force.status, force.channels) == (3, "possibly_more", (0, 2, 3))
     assert force.force_newton == pytest.approx(2.0, abs=0.02)
@@ -152,10 +149,8 @@ def test_one_channel_that_another_tone_has_captured_is_left_out(odd):
     assert force.site == 3
     assert force.channels == tuple(channel for channel in range(4) if channel != odd)
     assert force.force_newton == pytest.approx(2.0, abs=0.02)
-    assert (last.status, last.reason) == (
-        "ok",
-        Reason(ReasonCode.CHANNEL_LEFT_OUT, f"channel {odd} detects another tone"),
-    )
+    assert last.status == "ok"
+    assert last.reason == Reason(ReasonCode.CHANNEL_LEFT_OUT, f"channel {odd} detects another tone")
 
 
 def beating(jitter_ticks, interval_ticks):
