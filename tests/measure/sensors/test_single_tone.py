@@ -193,17 +193,19 @@ def test_impossible_records_are_counted_and_never_a_force():
 
 
 def eventful_frames():
-    """Frames of touches, two at once, gaps, lost signals, capture switches, stride breaks and nonsense."""
+    """Frames of touches, two at once, changing levels, gaps, silence, capture switches, stride breaks and nonsense."""
     rng, board, frames = np.random.default_rng(4), Bench().board, []
     split = np.where([True, True, False, False], PLATE.loaded_hz(2, 1.0), PLATE.loaded_hz(9, 2.0))
     for hertz in (UNTOUCHED, PLATE.loaded_hz(3, 1.0), PLATE.loaded_hz(8, 20.0), UNTOUCHED, split, UNTOUCHED) * 3:
         for number in range(int(rng.integers(100, 250))):
             flags = rng.choice([0, NO_SIGNAL, 8, 32], 4, p=[0.9985, 0.0005, 0.0005, 0.0005])
-            frame = board.frame(hertz, flags.tolist())
+            sequence, ticks, records = board.frame(hertz, flags.tolist())
+            level = int(rng.integers(2048))  # in 1/256 dB
+            records = [record._replace(attenuation_db256=level) for record in records]
             if rng.random() < 0.003:
-                frame = (*frame[:2], [*frame[2][:3], NONSENSE])
+                records[3] = NONSENSE
             if number < 50 or rng.random() > 0.005:
-                frames.append(frame)
+                frames.append((sequence, ticks, records))
     return frames
 
 
