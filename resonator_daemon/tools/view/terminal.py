@@ -39,7 +39,7 @@ _COLUMNS: Final = ("contact", "site", "x, y in mm", "normal ± noise ± systemat
 def render(views: Sequence[PlateView], truths: Mapping[str, Truth], now_utc_ns: int, *, title: str) -> RenderableType:
     """Return a page with every plate; true contacts stand below the measured ones of the plates that have them."""
     plates = [part for view in views for part in _plate(view, truths.get(view.name, ()), now_utc_ns, len(views))]
-    return Group(Text(title, style="bold", no_wrap=True, overflow="ellipsis"), *plates)
+    return Group(Text(title, style="bold"), *plates)
 
 
 def summary_line(view: PlateView, now_utc_ns: int) -> str:
@@ -53,8 +53,8 @@ def summary_line(view: PlateView, now_utc_ns: int) -> str:
 def _plate(view: PlateView, truth: Truth, now_utc_ns: int, plates: int) -> Iterator[RenderableType]:
     info = view.last(INFO)
     words = [view.name, *((info.plate, info.link) if info else ("plate unknown",))]
-    # A plate may be named after its kind.
-    yield Rule(Text(" · ".join(dict.fromkeys(words)), style="bold"), align="left", style="dim")
+    heading = Text(" · ".join(dict.fromkeys(words)), style="bold")  # a plate may be named after its kind
+    yield _Fitting(heading.cell_len + 2, Rule(heading, align="left", style="dim"), heading)
     yield _states(view, now_utc_ns)
     contacts = _contacts(view, now_utc_ns)
     if contacts or truth:
@@ -62,6 +62,17 @@ def _plate(view: PlateView, truth: Truth, now_utc_ns: int, plates: int) -> Itera
     yield Text(_figures(view, now_utc_ns))
     if view.current(CONTACTS, now_utc_ns) and any(newton > 0.0 for _, newton in view.pressed):
         yield _Graph(view.pressed, now_utc_ns, plates)
+
+
+class _Fitting(NamedTuple):
+    """A renderable for terminals with at least so many columns, and another for narrower ones."""
+
+    columns: int
+    wide: RenderableType
+    narrow: RenderableType
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
+        yield self.wide if options.max_width >= self.columns else self.narrow
 
 
 class _Graph(NamedTuple):
@@ -117,18 +128,26 @@ def _state(name: str, state: State | None, now_utc_ns: int, *, outdated: bool) -
     return text.append(f": {state.reason}")
 
 
-def _table(view: PlateView, contacts: Sequence[Contact], truth: Truth, now_utc_ns: int) -> Table:
-    table = Table(*_COLUMNS, box=None, padding=(0, 2, 0, 0), pad_edge=False)
+def _table(view: PlateView, contacts: Sequence[Contact], truth: Truth, now_utc_ns: int) -> RenderableType:
+    """Return a table with a row for each contact; a paragraph for each where the table would cut its words."""
+    rows = []
     for contact in contacts:
         lasted_s = (now_utc_ns - view.contact_since_t_ns(contact.id, now_utc_ns)) / 1e9
         place, shear = _place(contact.position_m), _shear(contact.force_newton)
         row = (str(contact.id), str(contact.site), place, _normal(contact), shear, _margin(contact), duration(lasted_s))
-        table.add_row(*row)
+        rows.append(row)
     for true in truth:
         site = "between" if true["site"] is None else str(true["site"])
         force = true["force_newton"]
-        table.add_row("true", site, _place(true["position_m"]), newtons(force[2]), _shear(force))
-    return table
+        rows.append(("true", site, _place(true["position_m"]), newtons(force[2]), _shear(force), "", ""))
+    table = Table(*_COLUMNS, box=None, padding=(0, 2, 0, 0), pad_edge=False)
+    for row in rows:
+        table.add_row(*row)
+    word = max(map(len, " ".join(map(" ".join, (_COLUMNS, *rows))).split()))  # rich narrows wide columns to one width
+    widths = (min(max(map(len, column)), word) for column in zip(_COLUMNS, *rows, strict=True))
+    named = (zip(_COLUMNS, row, strict=True) for row in rows)
+    text = "\n".join("; ".join(f"{name} {cell}" for name, cell in row if cell not in ("", UNKNOWN)) for row in named)
+    return _Fitting(sum(widths) + 2 * (len(_COLUMNS) - 1), table, Text(text))
 
 
 def _place(position_m: Sequence[float]) -> str:

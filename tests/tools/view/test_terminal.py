@@ -2,6 +2,7 @@
 
 import io
 import math
+import re
 
 import pytest
 from rich.console import Console
@@ -76,6 +77,19 @@ def test_a_contact_is_a_row_and_the_truth_another() -> None:
     measured, *_ = page(skin32()).splitlines()[4:]
     assert words(measured).startswith("3 7 ")
     assert words(measured).endswith("1.000 N ± 0.6 ± 12 mN 500.0 mN at 30° 0.42 ± 0.02 0.0 s")
+
+
+def test_no_number_is_cut_in_a_narrow_terminal() -> None:
+    truth = ({"site": 13, "position_m": SITES[13], "force_newton": [0.1, 0.0, 0.2]},)
+
+    def numbers(width: int) -> list[str]:
+        text = page(skin32(), truth=truth, width=width, height=60)
+        assert max(map(len, text.splitlines())) <= width
+        return sorted(re.findall(r"[-+]?\d[\d.]*", text))
+
+    assert {"1.000", "500.0", "0.42", "7.00", "127.0.0.1", "5555"} <= set(numbers(200))
+    for width in range(24, 100):
+        assert numbers(width) == numbers(200)
 
 
 def test_a_force_that_is_unknown_is_no_number() -> None:
