@@ -221,8 +221,7 @@ class Report:
         """The verdict in words, with the first fault, or the number of warnings and the first."""
         if self.cause is None:
             bad = [finding for finding in self.findings if finding.bad]
-            number = f"{len(bad)} warning{'s' if len(bad) > 1 else ''}"
-            return f"{self.verdict}, with {number}; first: {bad[0]}" if bad else self.verdict
+            return f"{self.verdict}, with {_number(len(bad), 'warning')}; first: {bad[0]}" if bad else self.verdict
         others = "".join(f", then {area.value}" for area in self.faulty[1:])
         return f"{self.verdict}{others}; first: {self.cause}"
 
@@ -281,9 +280,14 @@ class Report:
     def _counts(self) -> str:
         counts = Counter(finding.outcome for finding in self.findings)
         return (
-            f"{len(self.findings)} checks: {counts[Outcome.FAULT]} faults, {counts[Outcome.WARNING]} warnings, "
-            f"{counts[Outcome.OK]} ok, {counts[Outcome.NOT_CHECKED]} not checked"
+            f"{_number(len(self.findings), 'check')}: {_number(counts[Outcome.FAULT], 'fault')}, "
+            f"{_number(counts[Outcome.WARNING], 'warning')}, {counts[Outcome.OK]} ok, "
+            f"{counts[Outcome.NOT_CHECKED]} not checked"
         )
+
+
+def _number(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def _wrapped(head: str, text: str) -> Iterable[str]:

@@ -54,8 +54,11 @@ def test_the_first_cause_is_the_verdict() -> None:
     assert re.findall(r"(?<=^  FAULT    )\S+", report.as_text(), re.MULTILINE) == ids
     assert (report.cause.id if report.cause else None, report.verdict) == ("broker.listens", "software")
     assert report.faulty == (Area.SOFTWARE, Area.WIRING, Area.SENSOR)
+    assert "5 checks: 5 faults, 0 warnings, 0 ok" in report.as_text()
     report = Report([HOST.warning("h", "do"), WIRE.ok("w"), PLATE.not_checked("p")])
     assert (report.verdict, report.faulty) == (FINE, ())
+    assert "3 checks: 0 faults, 1 warning, 1 ok, 1 not checked" in report.as_text()
+    assert "1 check: 1 fault, 0 warnings" in Report([WIRE.fault("w", "do")]).as_text()
 
 
 def test_a_report_fits_the_terminal_and_cannot_steer_it() -> None:
