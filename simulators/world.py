@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
+import numpy as np
 from pydantic import ValidationError
 
 from resonator_daemon.base.plate import Plate
@@ -191,6 +192,12 @@ def with_world(plate: Plate, spec: str = "", table: Mapping[str, Value] = Mappin
         raise ValueError(f"world.layer: got {world.layer:g}; must be above the depth of the sites, {depth_mm:g} mm")
     if world.flat and world.adhesion:
         raise ValueError("world.adhesion: changes the pressure of a ball alone; leave it out, or shape=punch")
+    width_mm = 1e3 * float(np.ptp(world.plate.outline_m, axis=0).min())
+    if world.positions_mm > width_mm / 10:
+        raise ValueError(
+            f"world.positions_mm: got {world.positions_mm:g}, which moves sites off the plate of {width_mm:g} mm; "
+            f"use at most {width_mm / 10:g}"
+        )
     return world
 
 

@@ -62,7 +62,7 @@ def make_parser(words: Sequence[str] = ()) -> argparse.ArgumentParser:
         prog="resonatord",
         description="Acquisition daemon for a quartz-resonator tactile plate: forces, sites, contacts and surface "
         "traction, published over MQTT.",
-        epilog="Exit codes: 0 done, or stopped by Ctrl-C if the command runs until stopped (or is demo). "
+        epilog="Exit codes: 0 done, or stopped by Ctrl-C if the command runs until stopped. "
         "1 the run failed (touches or frames lost) or was interrupted. "
         "2 wrong usage, or a missing recording. "
         "69 a link, board or broker is missing or unsuitable. "

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from resonator_daemon.base.errors import ExitCode, UsageError, UserError, reason_of
-from resonator_daemon.tools.command_line import check_plate_name, host_and_port, options_of, positive
+from resonator_daemon.tools.command_line import check_plate_name, host_and_port, options_of, positive, whole_number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,7 +51,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="sums",
         help="of a single-tone plate: sums in closed form, or of every time stamp, which is slow (default: sums)",
     )
-    parser.add_argument("--seed", type=int, help="of all that is random (default: the scenario's, or 0)")
+    parser.add_argument(
+        "--seed", type=whole_number(0, 10**18), help="of all that is random (default: the scenario's, or 0)"
+    )
     parser.add_argument(
         "--frame-rate-hz",
         type=positive,

@@ -186,9 +186,12 @@ def test_a_world_changes_the_plate_and_not_its_name() -> None:
         ("skin32", "adhesion=1.1", "adhesion"),
         ("skin32", "adhesion=0.1,shape=punch", "adhesion"),
         ("skin32", "shape=cone", "shape"),
+        ("skin32", "positions_mm=1.29", "positions_mm"),
+        ("fingertip400", "positions_mm=1.41", "positions_mm"),
     ):
         with pytest.raises(ValueError, match=rf"^world\.{key}: "):
             with_world(load_plate(plate), spec)
+    assert with_world(load_plate("skin32"), "positions_mm=1.28").positions_mm == 1.28  # of 12.8 mm
 
 
 def test_the_world_of_a_scenario_yields_to_that_of_the_command_line(tmp_path: Path) -> None:
