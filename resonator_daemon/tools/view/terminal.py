@@ -105,13 +105,9 @@ def _states(view: PlateView, now_utc_ns: int) -> Text:
     daemon, link, sensor = (view.last(topic) for topic in (STATE_DAEMON, STATE_LINK, STATE_SENSOR))
     offline = daemon is not None and daemon.state is Condition.OFFLINE
     silent = view.age_s(now_utc_ns) > _SILENT_S
-    return Text("   ").join(
-        [
-            _state("daemon", daemon, now_utc_ns, outdated=silent and not offline),
-            _state("link", link, now_utc_ns, outdated=silent or offline),
-            _state("sensor", sensor, now_utc_ns, outdated=silent or offline),
-        ]
-    )
+    away = silent or offline
+    parts = (("daemon", daemon, silent and not offline), ("link", link, away), ("sensor", sensor, away))
+    return Text("   ").join(_state(name, state, now_utc_ns, outdated=outdated) for name, state, outdated in parts)
 
 
 def _state(name: str, state: State | None, now_utc_ns: int, *, outdated: bool) -> Text:
