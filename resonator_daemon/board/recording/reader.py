@@ -9,6 +9,7 @@ import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
+from io import BufferedReader
 from itertools import chain, dropwhile
 from pathlib import Path
 from typing import IO, Final, NamedTuple, Self
@@ -16,6 +17,7 @@ from typing import IO, Final, NamedTuple, Self
 from mcap.records import Attachment, Header, McapRecord, Metadata
 
 from resonator_daemon.base.errors import meaning_of
+from resonator_daemon.base.host.files import local_copy
 from resonator_daemon.base.host.text import printable
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import ReasonCode
@@ -286,12 +288,13 @@ def open_recording(path: str, plate: Plate | None = None) -> Recording:
     return Recording(path, header, damaged, attachments, file, records)
 
 
-def open_file(path: str) -> IO[bytes]:
-    """Open a regular file. Raises RecordingUnusableError."""
+def open_file(path: str) -> BufferedReader:
+    """Open a regular file, or a copy of the file at a URL. Raises RecordingUnusableError."""
     try:
+        path = local_copy(path) if "://" in path else path
         if not stat.S_ISREG(os.stat(path).st_mode):  # opening a pipe would block
             raise RecordingUnusableError(f"recording {path} is no regular file")
-        return open(path, "rb")
+        return open(str(path), "rb")  # whose name does not keep the copy
     except OSError as error:
         raise RecordingUnusableError(f"recording {path}: {meaning_of(error)}") from error
 

@@ -19,7 +19,7 @@ from resonator_daemon.tools.command_line import number, print_json, whole_number
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "patterns", nargs="+", metavar="PATTERN", help="recordings, as 'runs/*.mcap', or directories of them"
+        "patterns", nargs="+", metavar="PATTERN", help="recordings, as 'runs/*.mcap', or directories; also as URLs"
     )
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="directory of the results")
     parser.add_argument("--plate", metavar="NAME|FILE", help="plate file, instead of the one in each recording")
@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     # Workers may run in other directories.
     job = Job(arguments.output.absolute(), topics, plate, settings, arguments.chunk_seconds)
     with interruptible("complete chunks are kept; repeat the command to continue"):
-        paths = [path.absolute() for path in recordings_of(arguments.patterns)]
+        paths = recordings_of(arguments.patterns)
         progress = not arguments.json
         result, wrong = decode_all(paths, job, arguments.scheduler, arguments.workers or 1, show_progress=progress)
     if not arguments.json:

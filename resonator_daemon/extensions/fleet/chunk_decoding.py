@@ -161,16 +161,16 @@ def decode_chunk(chunk: Chunk, job: Job) -> dict[str, Any]:
     if done is not None:
         return done
     gc.collect()  # the decoder of the chunk before, 100 MB and more, is part of reference cycles
-    with open_recording(str(chunk.path), job.plate) as recording:
+    with open_recording(chunk.path, job.plate) as recording:
         config = job.config(recording)
         span = span_of(chunk, config)
-        metadata = table_metadata(chunk.path.name, config) | {"source_chunk": chunk.key}
+        metadata = table_metadata(Path(chunk.path).name, config) | {"source_chunk": chunk.key}
         try:
             files = ChunkFiles(job.output, chunk.key, job.topics, Recorded(config, metadata))
             try:
                 report: dict[str, Any] = {
                     "chunk": chunk.key,
-                    "recording": str(chunk.path),
+                    "recording": chunk.path,
                     "boundaries_bytes": span.boundaries_bytes,
                     "plate": config.name or config.plate.name,
                 }

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from resonator_daemon.base.errors import NoRecordingError
+from resonator_daemon.base.host.files import urls_like
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.config.tables import Decoding
@@ -70,14 +71,14 @@ class Chunk:
     Parameters
     ----------
     path
-        Of the recording.
+        File of the recording, or its URL.
     outline
         Of the recording; its parts are the chunks.
     number
         Number of the chunk in the recording, from 0.
     """
 
-    path: Path
+    path: str
     outline: Outline
     number: int
 
@@ -133,19 +134,28 @@ class Span(NamedTuple):
     damage: str | None = None
 
 
-def recordings_of(patterns: Sequence[str]) -> list[Path]:
-    """Return the files that match patterns, and `*.mcap` of directories; NoRecordingError if a pattern matches none."""
-    paths: list[Path] = []
+def recordings_of(patterns: Sequence[str]) -> list[str]:
+    """Return absolute paths, or URLs, of the files that match patterns, and of `*.mcap` in directories.
+
+    Raises
+    ------
+    NoRecordingError
+        A pattern matches no file.
+    MissingLibraryError, OSError
+        The library of a URL is not installed, or its server refuses the list.
+    """
+    paths: list[str] = []
     for pattern in patterns:
-        matches = [Path(name) for name in sorted(glob.glob(pattern, recursive=True))]
-        found = [file for path in matches for file in (sorted(path.glob("*.mcap")) if path.is_dir() else [path])]
+        matches = [Path(name).absolute() for name in sorted(glob.glob(pattern, recursive=True))]
+        found = [str(file) for path in matches for file in (sorted(path.glob("*.mcap")) if path.is_dir() else [path])]
+        found += urls_like(pattern) if "://" in pattern else []
         if not found:
             raise NoRecordingError(f"no file matches {pattern!r}; name recordings, as 'runs/*.mcap'")
         paths += found
     return paths
 
 
-def chunks_of(path: Path, job: Job) -> list[Chunk]:
+def chunks_of(path: str, job: Job) -> list[Chunk]:
     """Return the chunks of a recording; recordings of force plates are one chunk.
 
     Raises
@@ -155,7 +165,7 @@ def chunks_of(path: Path, job: Job) -> list[Chunk]:
     ConfigurationError
         The recording contains no plate or settings, or they are incompatible with those of the job.
     """
-    with open_recording(str(path), job.plate) as recording:
+    with open_recording(path, job.plate) as recording:
         config = job.config(recording)
         independent_at_rest = sensor_of(config.plate, config.measurement, config.decoding).independent_at_rest
     outline = read_outline(path, job.chunk_s if independent_at_rest else float("inf"))
@@ -164,7 +174,7 @@ def chunks_of(path: Path, job: Job) -> list[Chunk]:
     return [Chunk(path, outline, number) for number in range(len(outline.starts))]
 
 
-def plan(paths: Sequence[Path], job: Job) -> tuple[list[Chunk], dict[str, str]]:
+def plan(paths: Sequence[str], job: Job) -> tuple[list[Chunk], dict[str, str]]:
     """Return the chunks of all recordings, and by path the reason why a file cannot be decoded.
 
     Of copies of one recording, the longest counts.
@@ -175,14 +185,14 @@ def plan(paths: Sequence[Path], job: Job) -> tuple[list[Chunk], dict[str, str]]:
         try:
             found = chunks_of(path, job)
         except LinkUnavailableError as error:
-            refused[str(path)] = str(error)
+            refused[path] = str(error)
             continue
         if not found:
-            refused[str(path)] = f"{path} has no events; record again"
+            refused[path] = f"{path} has no events; record again"
             continue
-        other = recordings.setdefault(found[0].outline.identity, found)
-        if found[0].outline.size_bytes > other[0].outline.size_bytes:
-            recordings[found[0].outline.identity] = found
+        other = recordings.get(found[0].outline.identity, found)
+        longest = max(other, found, key=lambda chunks: chunks[0].outline.size_bytes)
+        recordings[found[0].outline.identity] = longest
     return [chunk for chunks in recordings.values() for chunk in chunks], refused
 
 
@@ -192,7 +202,7 @@ def first_rest(chunk: Chunk, number: int, config: Config) -> tuple[HostTime | No
     The time is None if it never is. It depends on the bytes of that chunk alone, so that the chunk and the one before
     agree.
     """
-    with open_recording(str(chunk.path), config.plate) as recording:
+    with open_recording(chunk.path, config.plate) as recording:
         recording.resume_at(chunk.outline.starts[number].begin_bytes, chunk.outline.channels)
         undecoded = config.model_copy(update={"decoding": Decoding(method="off")})
         queue = FrameQueue(1 << 30, lambda: None, ())

@@ -6,7 +6,6 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any, Final
 
 from rich.console import Console
@@ -36,7 +35,7 @@ def chosen_topics(text: str | None) -> tuple[str, ...]:
 
 
 def decode_all(
-    paths: Sequence[Path], job: Job, scheduler: str | None, workers: int, *, show_progress: bool
+    paths: Sequence[str], job: Job, scheduler: str | None, workers: int, *, show_progress: bool
 ) -> tuple[dict[str, Any], list[str]]:
     """Decode recordings; return the summary by the keys of `--json`, and a sentence for each problem.
 

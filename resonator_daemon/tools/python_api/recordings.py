@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from resonator_daemon.base.errors import UsageError
+from resonator_daemon.base.host.files import local_copy
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.config import Config, load_config
@@ -36,8 +37,8 @@ class LoadedRecording(Mapping[str, Table]):
 
     Attributes
     ----------
-    path : Path
-        The file.
+    path : Path or str
+        The file, or its URL.
     name : str
         Name that the plate was published under.
     plate : Plate
@@ -48,7 +49,7 @@ class LoadedRecording(Mapping[str, Table]):
         What is wrong with the recording, a sentence each; empty where all of it was loaded.
     """
 
-    path: Path
+    path: Path | str
     name: str
     plate: Plate
     marks: tuple[Mark, ...]
@@ -130,7 +131,8 @@ def load_recording(
     Parameters
     ----------
     path
-        File that `resonatord record` or a daemon wrote.
+        File that `resonatord record` or a daemon wrote, or its URL, as "s3://bucket/run.mcap": fsspec makes a temporary
+        copy of the file at a URL.
     topics
         Those to load, as `["forces", "contacts/event"]`; None: all but `signals` and `decoded`. These two have
         arrays, which take up to 6 MB for each second of a skin with 1024 sites.
@@ -147,7 +149,7 @@ def load_recording(
     Raises
     ------
     RecordingError
-        There is no such file, or it is no recording.
+        There is no such file, it is no recording, or the server of the URL refuses it.
     UserError
         An argument cannot be used, or the plate and settings in the recording.
 
@@ -160,18 +162,22 @@ def load_recording(
     wanted = DEFAULT_TOPICS if topics is None else tuple(dict.fromkeys([topics] if isinstance(topics, str) else topics))
     with readable_errors():
         _check_topics(wanted)
-        loaded = _load(Path(path), wanted, _text(start), _text(until), load_config(Path(config)) if config else None)
+        try:
+            loaded = _load(os.fspath(path), wanted, start, until, load_config(Path(config)) if config else None)
+        finally:
+            local_copy.cache_clear()
     for problem in loaded.problems:
         warnings.warn(f"{path}: {problem}", RecordingWarning, stacklevel=2)
     return loaded
 
 
 def _load(
-    path: Path, topics: tuple[str, ...], start: str | None, until: str | None, config: Config | None
+    path: str, topics: tuple[str, ...], start: float | str | None, until: float | str | None, config: Config | None
 ) -> LoadedRecording:
-    if not path.exists():
-        raise RecordingError(f"recording {path}: there is no file {path.absolute()}; `resonatord record` makes one")
-    span = find_span(path, start, until)
+    source = path if "://" in path else Path(path)
+    if isinstance(source, Path) and not source.exists():
+        raise RecordingError(f"recording {path}: there is no file {source.absolute()}; `resonatord record` makes one")
+    span = find_span(path, *(None if place is None else str(place) for place in (start, until)))
     with open_replay(path, config) as replaying:
         recorded = Recorded(replaying.config, file_metadata(path, replaying.config))
         output = MemoryOutput(topics, recorded)
@@ -188,14 +194,10 @@ def _load(
         for topic in topics
         if topic in output.tables
     }
-    return LoadedRecording(path, recorded.name, recorded.plate, tuple(marks), tuple(problems), tables)
+    return LoadedRecording(source, recorded.name, recorded.plate, tuple(marks), tuple(problems), tables)
 
 
 def _check_topics(topics: Collection[str]) -> None:
     for topic in topics:
         if topic not in WITH_TABLE:
             raise UsageError(f"topic {topic!r}: no table has this name; {nearest(topic, WITH_TABLE)}")
-
-
-def _text(place: float | str | None) -> str | None:
-    return None if place is None else str(place)

@@ -195,7 +195,7 @@ UNKNOWN_BOOT_ID: Final = "0" * 8  # of a recording that no daemon made
 
 @contextmanager
 def open_replay(
-    path: Path, config: Config | None = None, daemon_boot_id: str | None = None
+    path: Path | str, config: Config | None = None, daemon_boot_id: str | None = None
 ) -> Iterator[RecordingReplay]:
     """Open a recording to be played with what it carries, or with another configuration of the same plate.
 

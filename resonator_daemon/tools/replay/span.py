@@ -45,7 +45,7 @@ class Span:
         return "" if at_ns is None else f" {word} {(at_ns - self.begun.monotonic_ns) * 1e-9:.10g} s"
 
 
-def find_span(path: Path, start: str | None, end: str | None) -> Span:
+def find_span(path: Path | str, start: str | None, end: str | None) -> Span:
     """Look up where a part of a recording begins and ends; a text that is a number means seconds, else it is a mark's.
 
     Raises

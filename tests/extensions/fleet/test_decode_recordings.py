@@ -19,6 +19,7 @@ from recording_bench import PLATE, at
 from scenarios import press_and_shear
 from simulated_recording import record
 from small_disk import small_disk
+from web_server import served
 
 from resonator_daemon.board.config.values import plate_text
 from resonator_daemon.board.recording.reader import Origin
@@ -235,6 +236,29 @@ def test_force_plates_are_decoded_as_replayed_and_damage_is_reported(
         (tmp_path / "runs" / f"{CASES[1].parent.name}.mcap").touch()
     assert decode(CASES[0], "--output", tmp_path / "maps", "--topics", "decoded") == 0
     assert "decoded: no rows" in capsys.readouterr().err
+
+
+def test_recordings_at_urls_give_the_files_of_local_ones(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    runs = tmp_path / "runs"
+    runs.mkdir()
+    for case in CASES:
+        (runs / f"{case.parent.name}.mcap").write_bytes(case.read_bytes())
+    (runs / "no.mcap").write_text("no recording")
+    arguments = ["--topics", "contacts/event", "--json"]
+    assert decode(*CASES, "--output", tmp_path / "local", *arguments) == 0
+    local = json.loads(capsys.readouterr().out)
+    with served(tmp_path) as url:
+        for number, pattern in enumerate(("runs/", "runs/*.mcap")):
+            output = tmp_path / f"remote-{number}"
+            assert decode(url + pattern, "--output", output, *arguments) == 1
+            printed = json.loads(capsys.readouterr().out)
+            assert f"{url}runs/no.mcap is no recording" in printed["error"]["message"]
+            assert (printed["recordings"], printed["rows"]) == (2, local["rows"])
+            np.testing.assert_equal(columns(output, "contacts-event"), columns(tmp_path / "local", "contacts-event"))
+        assert decode(f"{url}runs/gone.mcap", "--output", tmp_path / "none") == 2
+        assert "no file matches" in capsys.readouterr().err
+    assert decode(f"{url}runs/*.mcap", "--output", tmp_path / "none") == 1  # no server
+    assert "Connection refused" in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.mark.parametrize(

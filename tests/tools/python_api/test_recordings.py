@@ -1,14 +1,19 @@
 """`resonatord.load_recording`: the values that are published, as NumPy arrays and DataFrames."""
 
+import gc
+import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
+import fsspec
 import numpy as np
 import pytest
 import resonatord
 from export_bench import played, recording
+from web_server import served
 
 LIBRARIES = {"scipy", "numpy", "pydantic", "paho", "aiomqtt", "mcap", "pandas"}
 
@@ -93,6 +98,41 @@ def test_a_damaged_recording_is_loaded_up_to_the_damage() -> None:
         cut_off = resonatord.load_recording(recording("cut-off"))
     assert cut_off.forces.row_count == len(played("cut-off").messages("forces"))
     assert len(cut_off.problems) == 1
+
+
+def open_below(folder: Path) -> list[str]:
+    """Return what this process has open there, with or without a name."""
+    files = Path("/proc/self/fd")
+    return [name for file in files.iterdir() if (name := os.path.realpath(file)).startswith(f"{folder}/")]
+
+
+def test_a_recording_at_a_url_has_the_same_tables_and_its_copy_is_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    memory = fsspec.filesystem("memory")
+    with served(recording("touches").parent) as url:
+        for case, source in (("touches", f"{url}recording.mcap"), ("slide", "memory://runs/run.mcap")):
+            memory.pipe("/runs/run.mcap", recording(case).read_bytes())
+            loaded = resonatord.load_recording(source)
+            messages = played(case).messages("contacts/event")
+            assert loaded.contact_events["t_ns"].tolist() == [message.t_ns for message in messages] != []
+            assert (loaded.path, loaded.problems, open_below(tmp_path)) == (source, (), [])
+    memory.pipe("/runs/run.mcap", recording("touches").read_bytes())  # what has changed is copied again
+    assert resonatord.load_recording(source).forces.row_count == len(played("touches").messages("forces"))
+    for missing in (f"{url}gone.mcap", "memory://nowhere/run.mcap", "nothing://run.mcap"):
+        with pytest.raises(resonatord.RecordingError):
+            resonatord.load_recording(missing)
+    gc.collect()  # errors keep the copies of what could not be copied
+    assert open_below(tmp_path) == []
+
+
+@pytest.mark.parametrize("missing", ["fsspec", "s3fs"])
+def test_a_url_without_its_library_is_one_message_that_names_it(missing: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(resonatord.UserError, match=f"pip install {missing}$") as caught:
+        resonatord.load_recording("s3://bucket/run.mcap")
+    assert caught.value.code == "missing_library"
 
 
 @pytest.mark.parametrize(
