@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-firmware test-browser test-schema test-ros2 test-lerobot coverage bench bench-cost bench-details docs docs-check figures screenshots fuzz soak dist test-dist deb test-deb test-arm64 pins clean
+.PHONY: help setup demo test test-firmware test-browser test-schema test-ros2 test-lerobot test-notebook coverage bench bench-cost bench-details docs docs-check figures screenshots fuzz soak dist test-dist deb test-deb test-arm64 pins clean
 
 # A user's PATH on Debian lacks the place of mosquitto.
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
@@ -172,6 +172,9 @@ build/lerobot: .ci/requirements/lerobot.txt  # in an environment of its own
 	$@.part/bin/pip install --quiet --no-deps --require-hashes -r $<
 	mv $@.part $@
 
+test-notebook: .venv/notebook-stamp  ## the notebook that predicts slips, executed: presses, export, training; 2 minutes
+	OMP_NUM_THREADS=1 .venv/bin/pytest -o faulthandler_timeout=900 -m notebook tests/test_notebooks.py
+
 coverage: .venv/test-stamp  ## all tests, more slowly, and the branches that they do not reach
 	$(debian-packages)
 	debian-packages $(BROKER) $(SYSTEMD) $(USB) $(COMPILER) $(EXAMPLES)
@@ -310,6 +313,7 @@ pins: .venv/run-stamp  ## write .ci/requirements/*.txt from pyproject.toml
 	compile pyproject.toml --extra demo --extra docs --output-file .ci/requirements/docs.txt
 	compile pyproject.toml --extra demo --extra figures --extra test --output-file .ci/requirements/test.txt
 	compile pyproject.toml --extra demo --extra figures --extra test --extra browser --output-file .ci/requirements/browser.txt
+	compile pyproject.toml --extra demo --extra figures --extra test --extra notebook --output-file .ci/requirements/notebook.txt
 	compile pyproject.toml --extra demo --group dist --output-file .ci/requirements/dist.txt
 	compile --group lerobot --output-file .ci/requirements/lerobot.txt
 	compile --group pins --output-file .ci/requirements/pins.txt
@@ -373,6 +377,11 @@ PATH_FILE := from pathlib import Path; from sysconfig import get_path; \
 .venv/test-stamp: .venv/run-stamp .ci/requirements/test.txt
 	$(pip-install)
 	requirements "packages for tests" test
+	touch $@
+
+.venv/notebook-stamp: .venv/test-stamp .ci/requirements/notebook.txt
+	$(pip-install)
+	requirements "packages for the notebook" notebook
 	touch $@
 
 .venv/browser-stamp: .venv/test-stamp .ci/requirements/browser.txt

@@ -19,6 +19,7 @@ RUN = PROJECT["project"]["dependencies"] + EXTRAS["view"] + [name for name in EX
 FIGURES = RUN + EXTRAS["figures"]
 TEST = FIGURES + EXTRAS["test"]
 BROWSER = TEST + EXTRAS["browser"]
+NOTEBOOK = TEST + EXTRAS["notebook"]
 DIST = RUN + PROJECT["dependency-groups"]["dist"]
 MAKE_PINS = PROJECT["dependency-groups"]["pins"]
 
@@ -45,7 +46,7 @@ def pinned(filename: str) -> dict[str, str]:
     ("filename", "declared"),
     [
         ("build.txt", BUILD), ("run.txt", RUN), ("figures.txt", FIGURES), ("test.txt", TEST),
-        ("browser.txt", BROWSER), ("dist.txt", DIST), ("pins.txt", MAKE_PINS)
+        ("browser.txt", BROWSER), ("notebook.txt", NOTEBOOK), ("dist.txt", DIST), ("pins.txt", MAKE_PINS)
     ],
 )  # fmt: skip
 def test_pins_satisfy_what_the_project_declares(filename: str, declared: list[str]) -> None:
@@ -59,6 +60,7 @@ def test_tests_and_benchmarks_run_on_the_versions_that_users_get() -> None:
     assert pinned("run.txt").items() <= pinned("figures.txt").items()
     assert pinned("figures.txt").items() <= pinned("test.txt").items()
     assert pinned("test.txt").items() <= pinned("browser.txt").items()
+    assert pinned("test.txt").items() <= pinned("notebook.txt").items()
     assert pinned("run.txt").items() <= pinned("dist.txt").items()
 
 

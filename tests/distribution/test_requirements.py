@@ -21,7 +21,7 @@ SEVERAL = ("python3.11", "python3.12", "python3.13")
 PYTHONS = [name for name in SEVERAL if subprocess.run(("sh", "-c", f"{name} -c '' 2>&-"), check=False).returncode == 0]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 ASKED = [text for extra in PROJECT["project"]["optional-dependencies"].values() for text in extra]
-STAMPS = [f".venv/{name}-stamp" for name in ("run", "figures", "test", "browser", "docs", "dist")]
+STAMPS = [f".venv/{name}-stamp" for name in ("run", "figures", "test", "browser", "notebook", "docs", "dist")]
 
 Metadata = dict[str, list[Requirement]]
 
