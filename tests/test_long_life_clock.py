@@ -86,5 +86,5 @@ async def test_jumps_of_the_wall_clock_are_jumps_of_time_stamps_and_nothing_else
     assert {path.name[5:9] for path in recordings} == {"1970", time.strftime("%Y", time.gmtime()), "2038", "2106"}
     plate = load_plate("quartz16")
     for path in recordings:
-        with open_recording(path, plate) as recording:
+        with open_recording(str(path), plate) as recording:
             assert sum(1 for _ in recording.entries()) > 0, path

@@ -40,7 +40,7 @@ def test_carrier_export_finding_and_sensor_of_another_package(tmp_path: Path) ->
     assert [(found["area"], found["outcome"]) for found in findings if found["id"] == "example.room"] == [
         ("sensor", "not_checked")
     ]
-    with open_recording(TOUCHES) as recording:
+    with open_recording(str(TOUCHES)) as recording:
         plate = recording.plate_text
     (tmp_path / "comb.toml").write_text(plate.replace('"channelised"', '"channelised"\nsensor = "largest"'))
     (tmp_path / "comb16.toml").write_text(
