@@ -113,6 +113,7 @@ class SensorState:
         self._announce = announce
         self._well = Reason(ReasonCode.MEASURING, well)
         self._good = Condition.ONLINE, self._well
+        self._note: Reason | None = None
         self._expiry: Reason | None = None
         self._drift = DriftWatch()
         self._current: tuple[Condition, Reason] | None = None
@@ -124,9 +125,9 @@ class SensorState:
     def explain(self, note: Reason | None, condition: Condition = Condition.ONLINE) -> None:
         """Set the condition of a sensor whose frames show nothing wrong, and add to its reason; None takes it back."""
         before = self._best
-        self._good = condition, joined(note, self._well) or self._well
+        self._good, self._note = (condition, joined(note, self._well) or self._well), note
         if self._current == before:
-            same = condition == before[0]
+            same = self._best[0] == before[0]
             self._become(self._best, self._since_utc_ns if same else self._last_utc_ns)
 
     def calibration(self, expiry: str | None, utc_ns: int) -> None:
@@ -140,8 +141,9 @@ class SensorState:
     @property
     def _best(self) -> tuple[Condition, Reason]:
         """The state of a sensor whose frames show nothing wrong."""
-        condition, _ = self._good
-        return (Condition.UNCALIBRATED, self._expiry) if self._expiry and condition == Condition.ONLINE else self._good
+        if self._expiry is None or self._good[0] != Condition.ONLINE:
+            return self._good
+        return Condition.UNCALIBRATED, joined(self._note, self._expiry) or self._expiry
 
     def no_frames(self, reason: Reason, utc_ns: int) -> None:
         """Set the state to waiting: no frames come."""
