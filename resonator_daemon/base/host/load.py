@@ -14,7 +14,8 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 BUSY_PERCENT: Final = 65.0  # eight busy programs on two processors: 70 to 95; `resonatord demo` alone on two: 41
 _NOT_BUSY_PERCENT: Final = 57.0
 _TIME_CONSTANT_NS: Final = 1_200_000_000
-_SAMPLE_NS: Final = 250_000_000  # a sample reads a file for each thread, in 0.3 ms
+_SAMPLE_NS: Final = 50_000_000  # within the shortest silence of a board, which a sample must explain
+_THREADS_NS: Final = 250_000_000  # a file for each thread takes 0.3 ms, the one of the computer a tenth
 
 REMEDY: Final = (
     "give the daemon precedence (CPUWeight of its unit, or nice), decode on another computer, lower "
@@ -49,19 +50,29 @@ class LoadMeter:
     def __init__(self, proc: Path = Path("/proc")) -> None:
         self._threads, self._pressure = proc / "self/task", proc / "pressure/cpu"
         self._last = NO_LOAD
-        self._before = time.monotonic_ns(), *self._waited_and_used_ns(), self._pressure_ns()
+        self._pressure_before = time.monotonic_ns(), self._pressure_ns()
+        self._threads_before = self._pressure_before[0], *self._waited_and_used_ns()
 
     def sample(self) -> LoadSample:
-        """Return the load since the previous sample; if that is less than 250 ms old, the previous sample."""
-        now_ns = time.monotonic_ns()
-        elapsed_ns = now_ns - self._before[0]
-        if elapsed_ns >= _SAMPLE_NS:
-            now = now_ns, *self._waited_and_used_ns(), self._pressure_ns()
-            _, waited_ns, used_ns, pressure_ns = (max(new - old, 0) for new, old in zip(now, self._before, strict=True))
-            waited = 100 * waited_ns // max(waited_ns + used_ns, 1)
-            pressure = min(100 * pressure_ns // elapsed_ns, 100) if now[3] else waited
-            self._last = LoadSample(waited if now[2] else pressure, pressure)
-            self._before = now
+        """Return the load since the previous sample; if that is less than 50 ms old, the previous sample.
+
+        The threads are looked at every 250 ms, or with each sample where the computer's counter is missing.
+        """
+        now_ns, (before_ns, pressure_before_ns) = time.monotonic_ns(), self._pressure_before
+        if now_ns - before_ns < _SAMPLE_NS:
+            return self._last
+        self._pressure_before = now_ns, self._pressure_ns()
+        pressure_ns = max(self._pressure_before[1] - pressure_before_ns, 0)
+        waited, pressure = self._last.waited_percent, min(100 * pressure_ns // (now_ns - before_ns), 100)
+        threads_ns, waited_before_ns, used_before_ns = self._threads_before
+        has_pressure = self._pressure_before[1] > 0
+        if now_ns - threads_ns >= _THREADS_NS or not has_pressure:
+            waited_ns, used_ns = self._waited_and_used_ns()
+            self._threads_before = now_ns, waited_ns, used_ns
+            waited_ns, ran_ns = max(waited_ns - waited_before_ns, 0), max(used_ns - used_before_ns, 0)
+            waited = 100 * waited_ns // max(waited_ns + ran_ns, 1)
+        has_threads = self._threads_before[2] > 0
+        self._last = LoadSample(waited if has_threads else pressure, pressure if has_pressure else waited)
         return self._last
 
     def _pressure_ns(self) -> int:
