@@ -70,7 +70,7 @@ def hertz_parts(
 def punch_parts(
     force_newton: npt.ArrayLike, radius_m_at_1_newton: npt.ArrayLike, friction_coefficient: npt.ArrayLike
 ) -> tuple[Floats, Floats]:
-    """Return the same for a flat punch of the paraboloid's radius: one load, and no other.
+    """Return radii and forces, as `hertz_parts`, of a flat punch as wide as a ball's contact; the second force is zero.
 
     Its shear traction is everywhere the same share of its pressure (Ciavarella 1998): all of it sticks or slides.
     """

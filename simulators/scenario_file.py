@@ -100,7 +100,7 @@ class ScenarioFile(_Table):
         0, description="Of all that is random, where the command line gives none."
     )
     plate: Physics = Field(Physics(), description="Imperfections of plate, oscillators and counter.")
-    world: WorldKeys = Field({}, description="In what plate and touches differ from what the plate file states.")
+    world: WorldKeys = Field({}, description="How the emulated plate and its touches differ from the plate file.")
     faults: FaultPlan = Field(FaultPlan(), description="What goes wrong at the board and on its link.")
     touches: tuple[Touch, ...] = Field((), description="The presses; they may overlap.")
 

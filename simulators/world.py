@@ -30,8 +30,7 @@ class World:
     layer
         Thickness in mm of a skin that is bonded to a rigid plate; infinite: a half-space.
     adhesion
-        Share of the load with which the rim of a contact pulls (JKR): as much less presses as a flat punch does, and as
-        much more as a ball does.
+        Share s of the load (JKR): the pressure is (1 + s) times that of a ball, less s times that of a flat punch.
     flat
         Whether a flat punch touches a skin, in place of a ball.
     dead
@@ -161,6 +160,8 @@ def with_world(plate: Plate, spec: str = "", table: Mapping[str, Value] = Mappin
         Unknown key, a key twice, or a value that cannot be used.
     """
     entries = [entry.partition("=") for entry in spec.split(",") if entry]
+    if any(not key for key, *_ in entries):
+        raise ValueError(f"world: got {spec!r}; must be KEY=VALUE, joined by commas, such as depth=1.05")
     if len({key for key, *_ in entries}) < len(entries):
         raise ValueError(f"world: {spec!r} has a key twice; give it once")
     given = {**table, **{key: _value(text) for key, _, text in entries}}
@@ -180,14 +181,14 @@ def with_world(plate: Plate, spec: str = "", table: Mapping[str, Value] = Mappin
             raise ValueError(f"world.{key}: only for plates with {plates}, and {plate.name} has none; leave it out")
         try:
             change(world, content, value)
-        except (TypeError, ValueError):
+        except (OverflowError, TypeError, ValueError):
             raise ValueError(f"world.{key}: got {value!r}; must be {meaning}, such as {key}={example}") from None
     try:
         world.plate = Plate.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
-        raise ValueError(f"world: {given} makes no plate: {place}: {first['msg']}") from None
+        raise ValueError(f"world: {place}: {first['msg']}; change {', '.join(given)}") from None
     if world.plate.skin is not None and world.layer <= (depth_mm := world.plate.skin.depth_mm):
         raise ValueError(f"world.layer: got {world.layer:g}; must be above the depth of the sites, {depth_mm:g} mm")
     if world.flat and world.adhesion:

@@ -2,8 +2,8 @@
 
 It prints the address of a live page, where the mouse presses the plates; in a terminal it also has a live view.
 
-Ctrl-C ends it early: it prints the result until then, and exits with 0 if nothing was lost or missed, else with 1. If
-Ctrl-C comes before the first frame, there is no result, and it exits with 1.
+Ctrl-C ends it early. It then prints the result so far and exits with 0 if nothing was lost or missed, else with 1.
+Before the first frame there is no result, and it exits with 1.
 
 Example: resonatord demo --plate quartz16 --seconds 20 --json
 """

@@ -187,7 +187,7 @@ async def find_plate(broker: Mqtt, name: str, look_s: float | None = None) -> St
     Parameters
     ----------
     look_s
-        How long to wait for it; 3 s by default.
+        Time to wait; None: `LOOK_S`.
 
     Raises
     ------
@@ -197,7 +197,7 @@ async def find_plate(broker: Mqtt, name: str, look_s: float | None = None) -> St
     others = set()
     subscribed = subscribe(broker, (TOPICS[STATE_DAEMON.path],))
     with suppress(TimeoutError):
-        async with asyncio.timeout(look_s or LOOK_S), aclosing(subscribed) as messages:
+        async with asyncio.timeout(LOOK_S if look_s is None else look_s), aclosing(subscribed) as messages:
             async for plate, _, message in messages:
                 if plate == name and isinstance(message, State):
                     return message

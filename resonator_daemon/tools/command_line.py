@@ -119,11 +119,11 @@ def separate_config(arguments: argparse.Namespace) -> None:
         arguments.config, arguments.link = arguments.link, None
 
 
-def add_recording_options(parser: argparse.ArgumentParser, before: str) -> None:
-    """Add `--config`, `--from` and `--until` of a command that plays a recording; `before` is the help of `--from`."""
+def add_recording_options(parser: argparse.ArgumentParser, start_help: str) -> None:
+    """Add `--config`, `--from` and `--until` of a command that plays a recording; `start_help` is that of `--from`."""
     instead = "configuration to use instead of the plate and settings in the recording"
     parser.add_argument("--config", type=Path, metavar="FILE", help=instead)
-    parser.add_argument("--from", dest="start", metavar="MARK|SECONDS", help=before)
+    parser.add_argument("--from", dest="start", metavar="MARK|SECONDS", help=start_help)
     parser.add_argument("--until", dest="end", metavar="MARK|SECONDS", help="end there")
 
 
@@ -249,7 +249,7 @@ def checked_name(name: str, named_by: str) -> str:
     try:
         return plate_name(name)
     except ValueError as error:
-        raise UsageError(f"{named_by}: got {name!r}; {error}") from None
+        raise UsageError(f"{named_by}: {name!r} {error}") from None
 
 
 def add_published_plate(parser: argparse.ArgumentParser) -> None:
@@ -275,12 +275,12 @@ def add_listen(parser: argparse.ArgumentParser, port: int, meaning: str) -> None
     parser.add_argument("--json", action="store_true", help='print {"url": ...} on stdout when the server is ready')
 
 
-def print_url(what: str, url: str, *, as_json: bool) -> None:
+def print_url(server: str, url: str, *, as_json: bool) -> None:
     """Print the address of a server that is ready, for programs or for people."""
     if as_json:
         print_json({"url": url})
     else:
-        sys.stdout.write(f"{what}: {url}\nstop with Ctrl-C\n")
+        sys.stdout.write(f"{server}: {url}\nstop with Ctrl-C\n")
     sys.stdout.flush()
 
 

@@ -67,7 +67,7 @@ def surface(nu: float, thickness_m: float, punch: tuple[float, float]) -> Presse
 
 @pytest.mark.parametrize("punch", [(0.0, 0.0), (1.0, 1.0), (0.0, -0.3)], ids=["ball", "punch", "adhesion"])
 @pytest.mark.parametrize(("nu", "thickness_m"), [(0.5, 3e-3), (0.3, 2e-3)])
-def test_a_layer_is_as_by_its_equations_of_state(nu: float, thickness_m: float, punch: tuple[float, float]) -> None:
+def test_layer_agrees_with_its_equations_of_state(nu: float, thickness_m: float, punch: tuple[float, float]) -> None:
     load = np.array([[RADIUS_M, 0.0]]), np.array([[FORCE_NEWTON, np.zeros(3)]])
     (found,) = surface(nu, thickness_m, punch).signals((0.0, 0.0), *load)
     expected = expected_signals(nu, thickness_m, punch)

@@ -98,7 +98,7 @@ def test_what_is_beyond_the_table_is_an_error() -> None:
 
 
 @pytest.mark.parametrize("adhesion", [None, 0.0, 0.3])
-def test_below_its_centre_a_punch_or_an_adhesive_ball_presses_as_by_their_closed_forms(adhesion: float | None) -> None:
+def test_pressure_below_punch_and_adhesive_ball_has_its_closed_form(adhesion: float | None) -> None:
     nu, depth, a = 0.4, 1e-3, 2e-3
     punch = (1.0, 1.0) if adhesion is None else (0.0, -adhesion)
     places_m = [(0.0, 0.0), (30e-3, 0.0)]

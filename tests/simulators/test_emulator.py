@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from emulation import add_up, emulated
+from emulation import balanced_report, emulated
 from wire_host import Host, opened, truths, wait_for
 
 from firmware_protocol.host import FramePart
@@ -31,7 +31,7 @@ def test_quartz16_sends_its_frames_in_time_and_writes_the_truth_beside_them(tmp_
         host.read_until(lambda: len(host.frames) >= 300)
         end_ns = time.time_ns()
         wait_for(lambda: len(truths(truth_path)) >= 300)
-    frames, truth, report = host.frames, truths(truth_path), add_up(emulator)
+    frames, truth, report = host.frames, truths(truth_path), balanced_report(emulator)
     assert [frame.sequence for frame in frames] == list(range(len(frames)))
     assert [line["sequence"] for line in truth] == list(range(report["frames_made"]))
     assert [line["board_ticks"] for line in truth[: len(frames)]] == [frame.board_ticks for frame in frames]
@@ -105,7 +105,7 @@ def test_the_scenario_fixes_the_seed_unless_another_is_given(
         with emulated(options) as emulator, opened(tmp_path / "board") as host:
             host.read_until(lambda host=host: bool(host.frames) and host.frames[-1].sequence >= 200)
         lost.append(set(range(200)) - {frame.sequence for frame in host.frames})
-        assert add_up(emulator)["dropped_by_cause"]["drop_rate"] >= len(lost[-1]) > 20
+        assert balanced_report(emulator)["dropped_by_cause"]["drop_rate"] >= len(lost[-1]) > 20
     assert (lost[0] == lost[1]) == seeds_alike
 
 
@@ -194,7 +194,7 @@ def test_a_world_changes_the_plate_and_not_its_name() -> None:
     assert with_world(load_plate("skin32"), "positions_mm=1.28").positions_mm == 1.28  # of 12.8 mm
 
 
-def test_the_world_of_a_scenario_yields_to_that_of_the_command_line(tmp_path: Path) -> None:
+def test_command_line_overrides_the_world_of_a_scenario(tmp_path: Path) -> None:
     skin = with_world(load_plate("skin32"), "depth=1.1", {"depth": 1.05, "modulus": 0.9}).plate.required_skin
     assert (skin.depth_mm, skin.youngs_modulus_pascal) == pytest.approx((1.1, 1.8e5))
     scenario = tmp_path / "mine.toml"

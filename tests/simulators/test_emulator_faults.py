@@ -7,7 +7,7 @@ from collections import Counter
 from itertools import pairwise
 from pathlib import Path
 
-from emulation import add_up, emulated
+from emulation import balanced_report, emulated
 from wire_host import Host, opened, wait_for
 
 from firmware_protocol.host import Described
@@ -37,7 +37,7 @@ def test_all_that_happens_to_bytes_at_once_is_what_the_report_says(tmp_path: Pat
     )
     with emulated(quartz(path, faults, seed=3)) as emulator, opened(path) as host:
         host.read_until(lambda: len(host.frames) >= 600)
-    counts = add_up(emulator)["faults"]
+    counts = balanced_report(emulator)["faults"]
     received = sequences(host)
     # Before, the answer to START may be late; beyond, frames may come later still.
     judged = range(60, max(received) - 40)
@@ -60,7 +60,7 @@ def test_a_brown_out_cuts_a_frame_and_the_board_says_why_it_began_anew(tmp_path:
     first, second = described(host)
     assert (first.identity.reset_cause, second.identity.reset_cause) == (ResetCause.POWER_ON, ResetCause.BROWN_OUT)
     assert first.boot_id != second.boot_id
-    counts = add_up(emulator)["faults"]
+    counts = balanced_report(emulator)["faults"]
     assert counts["brown_outs"] == 1
     assert counts["frame_sequences_cut"] == [before]
     assert sequences(host)[: before + 20] == [*range(before), *range(20)]
@@ -81,7 +81,7 @@ def test_another_board_is_there_for_a_while_and_the_own_one_returns_newly_booted
                     assert host.gone
     assert [board.identity.serial_number for board in boards] == [SERIAL_NUMBER, OTHER_SERIAL_NUMBER, SERIAL_NUMBER]
     assert len({board.boot_id for board in boards}) == 3
-    assert add_up(emulator)["faults"]["wrong_boards"] == 1
+    assert balanced_report(emulator)["faults"]["wrong_boards"] == 1
 
 
 def test_a_port_takes_another_name_and_is_gone_from_the_old_one(tmp_path: Path) -> None:
@@ -95,7 +95,7 @@ def test_a_port_takes_another_name_and_is_gone_from_the_old_one(tmp_path: Path) 
         assert str(new) in emulator.link.address
         with opened(new) as host:
             host.read_until(lambda: len(host.frames) >= 10)
-    assert add_up(emulator)["faults"]["renames"] == 1
+    assert balanced_report(emulator)["faults"]["renames"] == 1
     assert os.listdir(tmp_path) == []
 
 
@@ -108,7 +108,7 @@ def test_the_scenario_s_faults_hold_beside_those_of_the_command_line(tmp_path: P
     options = EmulatorOptions("quartz16", pty=path, scenario=str(scenario), faults=faults)
     with emulated(options) as emulator, opened(path) as host:
         host.read_until(lambda: len(described(host)) >= 2)
-    counts = add_up(emulator)["faults"]
+    counts = balanced_report(emulator)["faults"]
     assert counts["reboots"] == 1
     assert counts["bits_flipped"] == 0
     assert sequences(host)[:4] == [0, 0, 1, 1]
@@ -120,7 +120,7 @@ def test_a_terminal_does_not_show_that_its_host_has_gone(tmp_path: Path) -> None
         with opened(path) as host:
             host.read_until(lambda: len(host.frames) >= 10)
         wait_for(lambda: truth.read_bytes().count(b"\n") >= 3000)  # more than the queue holds
-    dropped = add_up(emulator)["dropped_by_cause"]
+    dropped = balanced_report(emulator)["dropped_by_cause"]
     assert (dropped["queue_full"] > 1000, dropped["discarded"]) == (True, 0)
 
 

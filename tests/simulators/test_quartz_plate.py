@@ -12,8 +12,6 @@ from scenarios import steady
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag, SingleToneRecord
 from resonator_daemon.base.arrays import Floats
 from resonator_daemon.base.plate import Plate, load_plate
-from resonator_daemon.estimate.tones import frequency_estimators
-from resonator_daemon.estimate.tones.frequency_estimators import Sums, merge_adjacent
 from simulators.oscillator_noise import OscillatorNoise
 from simulators.physics import Physics
 from simulators.quartz_plate import QuartzPlate
@@ -39,8 +37,16 @@ def count(plate: QuartzPlate, at_s: float, frames: int, board_ticks: int = 0) ->
 
 
 def frequency_hz(records: Records, channel: int) -> float:
-    """Frequency over all frames as the daemon finds it."""
-    return frequency_estimators.frequency_hz(merge_adjacent(Sums.of(frame[channel]) for frame in records), 1e9)
+    """Frequency over all frames, by regression of merged sums in exact integers."""
+    n = s1 = s2 = 0
+    start = records[0][channel].first_ticks
+    for record in (frame[channel] for frame in records):
+        d = (record.first_ticks - start) % 2**32
+        s2 += record.s2_ticks + n * record.s1_ticks
+        s2 += d * (record.stamps * (record.stamps - 1) // 2) + n * record.stamps * d
+        s1 += record.s1_ticks + record.stamps * d
+        n += record.stamps
+    return 1e9 * record.stride_edges * n * (n**2 - 1) / (6 * (2 * s2 - (n - 1) * s1))
 
 
 def tone_of(site: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

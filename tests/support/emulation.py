@@ -8,7 +8,7 @@ from typing import Any
 from simulators.emulator import Emulator, EmulatorOptions
 
 
-def add_up(emulator: Emulator) -> dict[str, Any]:
+def balanced_report(emulator: Emulator) -> dict[str, Any]:
     """Return the emulator's report, whose counts of frames agree."""
     report = emulator.report()
     assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]

@@ -194,7 +194,7 @@ def _normal_and_shear(xx: float, zz: float, shear: float) -> Floats:
 
 
 def real_array(name: str, values: ArrayLike, shape: tuple[int, ...] | None = None) -> Floats:
-    """Return a new array of doubles; a ValueError names what is complex or no number, and another or a ragged shape."""
+    """Return a new array of doubles. ValueError for complex or non-numeric values, ragged rows, or another `shape`."""
     try:
         array = np.array(values)
     except ValueError:

@@ -11,6 +11,13 @@ STAMPS_MIN: Final = 3  # two give a slope but no estimate of its noise
 LINE_TOLERANCE: Final = 64  # stamps lie within 1/64 of the span of the line through the end points
 NOISE_SIGMAS: Final = 6.0
 
+_FLAGS: Final = (
+    RecordFlag.NO_SIGNAL,
+    RecordFlag.OVERFLOW,
+    RecordFlag.CAPTURE_SWITCH,
+    RecordFlag.LOST_EDGE,
+    RecordFlag.SATURATED,
+)  # the first one that is set counts
 FAULTS_IN_WORDS: Final = {
     "no_signal": "no signal",
     "overflow": "its counter overflowed",
@@ -21,11 +28,10 @@ FAULTS_IN_WORDS: Final = {
     "impossible_frequency": "its frequency is impossible",
 }
 FAULTS: Final = (None, *FAULTS_IN_WORDS)
-"""Faults of records by code; 0: none."""
-CAPTURE_SWITCH, IMPOSSIBLE_COUNTS, IMPOSSIBLE_FREQUENCY = map(FAULTS.index, FAULTS[3:4] + FAULTS[6:])
-
-# Faults that the board flags come first, and have the names of its flags; the first one that is set counts.
-_FLAGS: Final = [RecordFlag[fault.upper()] for fault in FAULTS_IN_WORDS if fault.upper() in RecordFlag.__members__]
+"""Faults of records by code, those of `_FLAGS` first; 0: none."""
+CAPTURE_SWITCH, IMPOSSIBLE_COUNTS, IMPOSSIBLE_FREQUENCY = map(
+    FAULTS.index, ("capture_switch", "impossible_counts", "impossible_frequency")
+)
 _UNUSABLE: Final = sum(map(int, _FLAGS))
 _FAULT_OF_FLAGS: Final = [
     next((code for code, flag in enumerate(_FLAGS, 1) if flags & flag), 0) for flags in range(_UNUSABLE + 1)

@@ -87,7 +87,7 @@ def count_tone(
         By how much more the tone was attenuated, or less, than the pilot when that was counted last: so strong may the
         pilot still be next to it. NaN where it never was.
     distance_hz
-        The least that another tone may be away: where it beats with the gates themselves, these do not scatter.
+        Smallest possible distance of another tone. A beat in step with the gates does not scatter their ends.
     """
     stamps, noise_ticks = sums.stamps, stamp_std_ticks(sums)
     window_std = regression_std(noise_ticks, stamps, sums.span_ticks)
@@ -98,10 +98,10 @@ def count_tone(
     ratio = 1.0 if math.isnan(over_pilot_db) else min(10.0 ** (over_pilot_db / 20.0), 1.0)
     others = has_other_tone(residual_ticks2, noise_ticks2, pilot_residual_ticks2(ratio, frequency_hz, reference_hz))
     beat_hz = pilot_beat_std_hz(ratio, frequency_hz, pilot_hz, frequency_hz / sums.stride_edges, window_s)
-    if others:  # the gates' ends show how strong the other tone is, and the least distance where it may be
+    if others:  # the scatter at the ends of gates bounds the strength of the other tone
         surplus_ticks2 = max(residual_ticks2 - noise_ticks2, 0.0)
-        shown = min(math.sqrt(2.0 * surplus_ticks2) * 2.0 * math.pi * frequency_hz / reference_hz, 1.0)
-        beat_hz = max(beat_hz, 3.0 * shown / (math.pi**2 * distance_hz * window_s**2) / math.sqrt(2.0))
+        other_ratio = min(math.sqrt(2.0 * surplus_ticks2) * 2.0 * math.pi * frequency_hz / reference_hz, 1.0)
+        beat_hz = max(beat_hz, 3.0 * other_ratio / (math.pi**2 * distance_hz * window_s**2) / math.sqrt(2.0))
     std = math.sqrt(window_std**2 * (1.0 + excess) + (beat_hz / frequency_hz) ** 2)
     return ToneCount(frequency_hz, std, others, excess > EXCESS_LIMIT)
 

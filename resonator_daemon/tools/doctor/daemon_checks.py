@@ -13,7 +13,7 @@ from resonator_daemon.board.links.target import LinkTarget
 from resonator_daemon.daemon.monitoring.status_client import Answer, ask_all
 from resonator_daemon.mqtt.payloads import Condition
 from resonator_daemon.tools.doctor import link_checks
-from resonator_daemon.tools.doctor.finding import SENSOR_STATES, Finding, downgraded, make_check, not_checked
+from resonator_daemon.tools.doctor.finding import STATE_REMEDIES, Finding, downgraded, make_check, not_checked
 from resonator_daemon.tools.doctor.link_checks import ERRORS_FAULT
 
 RUNS: Final = make_check("daemon.runs")
@@ -52,12 +52,12 @@ def check_daemon(answer: Answer) -> Iterator[Finding]:
 
 def _sensor(sensor: Mapping[str, Any], *, online: bool) -> Finding:
     state = sensor.get("state")
-    remedy = SENSOR_STATES.get(state, "stop the daemon and retry: then each tone is examined")
+    remedy = STATE_REMEDIES.get(state, "stop the daemon and retry: then each tone is examined")
     words = f"{state}: {sensor.get('reason')}"
     if not online:
         return SENSOR.not_checked("no frames come")
     if state == Condition.ONLINE:
-        wrong = SENSOR_STATES.get(sensor.get("reason_code"))
+        wrong = STATE_REMEDIES.get(sensor.get("reason_code"))
         return SENSOR.warning(words, wrong) if wrong else SENSOR.ok(words)
     if state is None or state == Condition.STARTING:
         return SENSOR.not_checked(words if state else "the daemon has not reported it yet")

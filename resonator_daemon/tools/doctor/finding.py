@@ -159,16 +159,16 @@ def make_check(
 ) -> Check:
     """Return a check whose area, title and remedy are in `checks.json`."""
     words = _WORDS["checks"][check_id]
-    remedy = _remedy(words.get("remedy", ""))
-    return Check(check_id, Area(words["area"]), words["title"], remedy, unit, warning_above, fault_above)
+    return Check(check_id, Area(words["area"]), words["title"], _remedy(words), unit, warning_above, fault_above)
 
 
-def _remedy(text: str) -> str:
-    """Return the text of a remedy; the id of a check stands for the remedy of that check."""
-    return with_pages(_WORDS["checks"][text]["remedy"] if text in _WORDS["checks"] else text)
+def _remedy(words: Mapping[str, str]) -> str:
+    """Return the remedy of an entry: its own, or that of another check."""
+    source = _WORDS["checks"][words["remedy_of"]] if "remedy_of" in words else words
+    return with_pages(source.get("remedy", ""))
 
 
-SENSOR_STATES: Final[Mapping[Any, str]] = {code: _remedy(text) for code, text in _WORDS["sensor_states"].items()}
+STATE_REMEDIES: Final[Mapping[Any, str]] = {code: _remedy(words) for code, words in _WORDS["sensor_states"].items()}
 """Remedy for a state of the sensor, by the word of its condition or its reason."""
 
 

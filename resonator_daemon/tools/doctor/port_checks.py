@@ -7,13 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.base.host.text import page
 from resonator_daemon.board.links.port_holders import Holder, Holders, is_pseudo_terminal
 from resonator_daemon.board.links.target import UsbId
 from resonator_daemon.tools.doctor.finding import Finding, make_check, not_checked
 from resonator_daemon.tools.doctor.host_checks import Host
 
-_RULES_FILE: Final = f"the rules of {page('how-to/connect.md')}, or: resonatord install"
 EXISTS: Final = make_check("port.exists")
 PERMISSION: Final = make_check("port.permission")
 HOLDER: Final = make_check("port.holder")
@@ -76,7 +74,7 @@ def _permission(path: Path, name: str, host: Host) -> Finding:
         group = ""
     evidence = f"{name} may not be opened (mode {stat.S_IMODE(status.st_mode):04o}, group {group or status.st_gid})"
     if group in ("", "root") or not status.st_mode & stat.S_IWGRP:
-        return PERMISSION.fault(evidence, f"give it to a group of this user: {_RULES_FILE}")
+        return PERMISSION.fault(evidence)
     return PERMISSION.fault(evidence, f"sudo usermod -aG {group} $USER, then log in again")
 
 
@@ -165,7 +163,7 @@ def check_usb_link(link: UsbId, host: Host) -> Iterator[Finding]:
     if host.may_use(host.at(node)):
         yield DEVICE.ok(f"{wanted} is there, and this user may open it")
     else:
-        yield DEVICE.fault(f"{wanted} is there, and this user may not open {node}", f"udev rules: {_RULES_FILE}")
+        yield DEVICE.fault(f"{wanted} is there, and this user may not open {node}")
     yield check_usb_device(found[0], host)
 
 

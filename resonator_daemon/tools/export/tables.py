@@ -157,7 +157,10 @@ def _follow(*steps: str | int) -> Get:
 
 
 _NOTHING_PRESSES: Final = "; missing where nothing presses on the site"
-_NO_COLUMNS: Final = ("compensation", "suspect_sites")  # of a state; the reason names the second
+_NO_COLUMNS: Final = (
+    "compensation",
+    "suspect_sites",
+)  # fields without a column; the reason names the second
 
 Row = Sequence[Value]
 _MakeTable = Callable[[Plate, payloads.Message | None], "Table"]

@@ -358,7 +358,7 @@ def test_channels_that_two_sites_explain_alike_are_ambiguous():
     f0 = alike()
     first_hz, far_hz = f0[0, 0] / (1 + 6.3e-6 * 5.0), f0[2, 0] / (1 + 6.3e-6 * 2.0)
     foreign, other = np.array([[first_hz] * 3 + [10.02e6], [far_hz] * 3 + [first_hz]])
-    for frequency in (foreign, other, np.where([True, False, False, True], other, np.nan)):
+    for frequency in (np.full(4, first_hz), foreign, other, np.where([True, False, False, True], other, np.nan)):
         match = Matcher(f0, np.full((3, 4), -6.3e-6), 10.0).match(frequency, *NOISE)
         assert (match.status, match.forces) == ("ambiguous", ())
 

@@ -22,7 +22,7 @@ from resonator_daemon.commands import main
 from resonator_daemon.daemon.monitoring.status_client import Answer, ask_all
 from resonator_daemon.tools.doctor import daemon_checks, run
 from resonator_daemon.tools.doctor.daemon_checks import check_daemon, find_daemon
-from resonator_daemon.tools.doctor.finding import SENSOR_STATES, Outcome
+from resonator_daemon.tools.doctor.finding import STATE_REMEDIES, Outcome
 from resonator_daemon.tools.doctor.run import DoctorOptions, doctor
 
 STATUS: dict[str, Any] = {
@@ -199,6 +199,6 @@ def test_a_silent_daemon_is_a_fault_unless_this_user_may_not_ask(
     assert finding.outcome is Outcome.NOT_CHECKED
 
 
-def test_each_remedy_is_of_a_state_or_a_reason_of_the_sensor() -> None:
-    assert SENSOR_STATES.keys() <= {*Condition, *ReasonCode}
-    assert all(" " in remedy for remedy in SENSOR_STATES.values())  # no id of a check
+def test_remedies_have_known_codes() -> None:
+    assert STATE_REMEDIES.keys() <= {*Condition, *ReasonCode}
+    assert all(" " in remedy for remedy in STATE_REMEDIES.values())  # no id of a check

@@ -89,7 +89,7 @@ class LoadSums:
             sums = (self._sums * chosen).reshape(6, -1)
             unit = np.abs(sums).max(axis=1, keepdims=True)
             unit[unit == 0.0] = 1.0  # of a single pixel about itself
-            answers = unit * self._problem.solutions(sums / unit)  # a right side times them gives the sums, (6, 3 n)
+            answers = unit * self._problem.solutions(sums / unit)  # a right side times these gives the sums, (6, 3 n)
             self._found[key] = _ContactSum(
                 self._unit * sums @ answers.T * np.outer(_STD_FACTOR, _STD_FACTOR),
                 answers,
