@@ -48,6 +48,22 @@ def contact_signals(
     return np.asarray(np.einsum("kf,kfsn->sn", forces, fields) * TO_TRIPLE, np.float64)
 
 
+def summed_points(centre_m: Any, axes_m: Floats, power: float, depth_m: float = DEPTH_M) -> Floats:
+    """Signals (3 forces, 3, n) of unit forces over an ellipse, whose half-axes are the columns of `axes_m` (2, 2).
+
+    Point loads on rings at r = sin(angle); the traction goes as (1 - r^2)^power.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(16)
+    turns = np.arange(40) * 2.0 * np.pi / 40.0
+    total = np.zeros((3, 3, len(SITES_M)))
+    for angle, weight in zip((nodes + 1.0) * np.pi / 4.0, weights * np.pi / 4.0, strict=True):
+        share = 2.0 * (power + 1.0) * weight * np.sin(angle) * np.cos(angle) ** (2.0 * power + 1.0) / len(turns)
+        for turn in turns:
+            place = centre_m + np.sin(angle) * (axes_m @ [np.cos(turn), np.sin(turn)])
+            total += share * hertz(SITES_M, place, 0.0, depth_m)
+    return total
+
+
 def noise_std(signals: Floats, decibel: float) -> float:
     """Noise of a signal-to-noise ratio over all channels and sites."""
     return float(np.sqrt(np.mean(signals**2)) * 10.0 ** (-decibel / 20.0))

@@ -5,10 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from contact_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, Contact, E, noise_std, noisy
+from contact_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, Contact, E, noise_std, noisy, summed_points
 
 from resonator_daemon.base.arrays import Floats
-from resonator_daemon.estimate.elastic.half_space import HalfSpace
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
 from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart, Friction, PartialSlip, stick_ratio
 from resonator_daemon.estimate.surface.fitting.slip_fitter import SlipEvent, SlipFitter, SlipWatch, fit_partial_slip
@@ -83,7 +82,7 @@ def test_without_shear_the_margin_is_unknown_and_the_pose_is_not(discs: DiscMode
 
 
 def test_another_shape_is_unknown(discs: DiscModel) -> None:
-    flat = DiscModel(HalfSpace(E, NU), SITES_M, DEPTH_M, 3e-3, "flat").signals(np.zeros(2), 2.5e-3).value
+    flat = summed_points(np.zeros(2), 2.5e-3 * np.eye(2), -0.5)
     signals = flat[2] + 0.2 * flat[0]
     found = fit_partial_slip(discs, signals, noise_std(signals, 30.0), [ContactStart((2e-4, 0.0), 2e-3)])[0]
     assert found.status == "unknown"

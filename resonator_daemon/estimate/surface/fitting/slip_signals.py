@@ -10,7 +10,6 @@ the sites. Values are extrapolated from the nearest knot by their slope, with er
 the nearest knot, with errors below 1 % that alternate from site to site.
 """
 
-from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -35,36 +34,26 @@ class SlipSignals:
         (n, 2).
     depth_m
         Of all sites.
-    radial
-        As `DiscModel.radial`.
-    reach
-        Largest distance for which `radial` is valid, in depths.
+    knots
+        Distances in depths, as of `distance_knots`.
+    value, slope
+        Integrals pressed, along for p, along for strain, sheared and turned at the knots, and (1/r) d/dr of them:
+        (radii; value, slope by radius times the step; 5; knots).
     radius_step
-        Between its radii, in depths.
+        Between radii, in depths.
     """
 
     def __init__(
-        self,
-        sites_m: Floats,
-        depth_m: float,
-        radial: Callable[[Floats], tuple[Floats, Floats]],
-        reach: float,
-        radius_step: float,
+        self, sites_m: Floats, depth_m: float, knots: Floats, value: Floats, slope: Floats, radius_step: float
     ) -> None:
         self._count = len(sites_m)
         self._per_area = depth_m**-2
         self._depth_m = depth_m
         self._sites = np.ascontiguousarray(sites_m.T / depth_m, np.float32)  # (2, n), in depths
         self._radius_step = radius_step
-        share = np.linspace(0.0, reach**2 / (reach**2 + _HALF_WAY), _KNOTS)
-        self._knots_per_share = (_KNOTS - 1) / float(share[-1])
-        squares = _HALF_WAY * share / (1.0 - share)
+        squares = knots**2
+        self._knots_per_share = (_KNOTS - 1) * float(1.0 + _HALF_WAY / squares[-1])
         self._half_squares = (0.5 * squares).astype(np.float32)
-        knots = np.sqrt(squares)
-        value, slope = radial(knots)  # (radii; value, slope by radius; 5; knots)
-        # (1/r) d/dr; at r = 0 that of the next knot
-        slope[..., 1:] /= knots[1:]
-        slope[..., 0] = slope[..., 1]
         pressed, along_p, along_eps, sheared, turned = np.moveaxis(value, 2, 0)
         of_pressed, of_along_p, of_along_eps, of_sheared, of_turned = np.moveaxis(slope, 2, 0)
         straight = sheared - squares * turned
@@ -180,6 +169,12 @@ class SlipSignals:
         rows[3:5, 0] += force * along[0]
         np.multiply(offset, along[0], out=rows[5:7, 0])
         rows[7, 0] = pressed[0]
+
+
+def distance_knots(reach: float) -> Floats:
+    """Return the distances from 0 to `reach`, in depths, at which the tables of `SlipSignals` have knots."""
+    share = np.linspace(0.0, reach**2 / (reach**2 + _HALF_WAY), _KNOTS)
+    return np.asarray(np.sqrt(_HALF_WAY * share / (1.0 - share)), np.float64)
 
 
 @lru_cache
