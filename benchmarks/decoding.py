@@ -260,7 +260,7 @@ def print_model_errors(draws: int) -> None:
                 pressed = load if frame > REST else Load(load.centre_m, (0.0, 0.0, 0.0))
                 reading = decoder.decode(off.signals(surface, pressed, noise, frame, rng), noise_std)
                 if frame in (REST + 15, REST + 22, REST + 29):
-                    decoder.check_sites()
+                    decoder.check()
                 if frame < REST + 10 or not reading.contacts:
                     continue
                 contact = max(reading.contacts, key=lambda each: each.patch.force_newton[2])

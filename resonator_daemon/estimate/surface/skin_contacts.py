@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -15,8 +15,10 @@ from resonator_daemon.estimate.surface.decoded import SIGNAL_LIMIT
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
 from resonator_daemon.estimate.surface.fitting.fit_check import FRAMES, P_LEAST, FitQuality, RestScatter, contradicts
 from resonator_daemon.estimate.surface.fitting.partial_slip import ContactStart, Friction, PartialSlip
+from resonator_daemon.estimate.surface.fitting.shape_fit import ShapeFit, ShapeFitter
 from resonator_daemon.estimate.surface.fitting.slip_fitter import SlipWatch
 from resonator_daemon.estimate.surface.fitting.slip_signals import FORCE_X, FORCE_Z, MARGIN, RADIUS
+from resonator_daemon.estimate.surface.fitting.systematic import Offset
 from resonator_daemon.estimate.surface.patches import Patch
 from resonator_daemon.estimate.surface.skin import Skin
 
@@ -130,6 +132,14 @@ class SkinContact:
     peak_newton: float = 0.0  # of the normal force so far
     status: Literal["ok", "contradicted"] = "ok"
     reason: ReasonCode | None = None
+    shape: ShapeFit | None = None  # of an object that is no ball: `patch` and `slip` have its numbers
+
+    @property
+    def shape_name(self) -> Literal["ball", "punch", "ellipse"] | None:
+        """The object whose model the signals do not contradict; None while none is known."""
+        if self.shape is not None:
+            return self.shape.shape
+        return "ball" if self.status == "ok" and self.slip is not None and math.isfinite(self.slip.radius_m) else None
 
     @property
     def area_m2(self) -> float:
@@ -157,7 +167,8 @@ class _Track:
     last: SkinContact
     frames: int = 0  # in a row in which it was significant
     announced: bool = False
-    fits: deque[FitQuality] = field(default_factory=lambda: deque(maxlen=FRAMES))
+    fits: deque[FitQuality] = field(default_factory=lambda: deque(maxlen=FRAMES))  # of a ball, or since it is no ball
+    shape: ShapeFit | None = None  # of the last frame, if it is no ball
 
 
 class SkinContacts:
@@ -191,7 +202,6 @@ class SkinContacts:
         self._curvature = 4.0 / 3.0 * skin.half_space.youngs_modulus_pascal / (1.0 - skin.half_space.poisson_ratio**2)
         radius_max_m = RADIUS_SHARE * float(np.ptp(sites_m, axis=0).max())
         self._model = DiscModel(skin.half_space, sites_m, skin.depth_m, radius_max_m)
-        _ = self._model.slip  # made now rather than at the first contact
         known = friction_coefficient
         self._friction = None if known is None else Friction(known, _FRICTION_STD * known)
         self.tracker = PatchTracker()
@@ -200,6 +210,8 @@ class SkinContacts:
         self._rest = RestScatter()
         self.offset, self._all_offset = np.zeros((2, 3))
         self._watch = SlipWatch(self._model, self._friction, skin, noise_std)
+        self._shapes = ShapeFitter(skin, noise_std, radius_max_m)
+        self._contradicted: list[tuple[_Track, Floats, Patch]] = []  # a single contact in the last frame, its signals
 
     def reset(self, reason: Reason) -> tuple[SkinEvent, ...]:
         """End all contacts for this reason: what follows has nothing in common with what was."""
@@ -224,16 +236,22 @@ class SkinContacts:
         """Return the contacts and events of a frame (3, n) and the patches that were found in it."""
         found = self.tracker.update(patches)
         for missing in self._tracks.keys() - found.keys():
-            self._tracks[missing].frames = 0
+            self._tracks[missing].frames, self._tracks[missing].shape = 0, None
         real = {i: patch for i, patch in found.items() if self._is_real(i, patch)}
         left = None if self._tracks else self._mean_at_rest(signals)
         noise_std = self._noise_of(signals)
-        slips, slip_events = self._watch.update(signals, noise_std, _starts(real))
-        self._follow_offset(signals, slips.values(), left)
+        shape = self._followed_shape(real.keys(), signals)
+        if shape is None:
+            slips, offset = self._watch.update(signals, noise_std, _starts(real)), self._watch.offset
+        else:
+            slips, offset = dict.fromkeys(real, shape.slip), shape.offset
+        self._follow_offset(signals, slips.values(), offset, left)
         self.friction_estimate = _estimated_friction(slips) or self.friction_estimate
-        contacts = {i: self._contact(i, patch, slips.get(i)) for i, patch in real.items()}
+        contacts = {i: self._contact(i, patch, slips.get(i), offset, shape) for i, patch in real.items()}
+        wrong = [i for i, contact in contacts.items() if contact.status == "contradicted" and len(contacts) == 1]
+        self._contradicted = [(self._tracks[i], signals, contacts[i].patch) for i in wrong]
         events = self._follow(contacts)
-        events += [SkinEvent(event.event, contacts[event.contact]) for event in slip_events]
+        events += [SkinEvent(event.event, contacts[event.contact]) for event in self._watch.announce(slips)]
         return tuple(contacts.values()), tuple(events)
 
     def _mean_at_rest(self, signals: Floats) -> Floats | None:
@@ -247,12 +265,21 @@ class SkinContacts:
             return left
         return np.nanmean(scores, axis=1) if np.isfinite(scores).any(axis=1).all() else None
 
-    def _follow_offset(self, signals: Floats, fits: Collection[PartialSlip], left: Floats | None) -> None:
+    def _followed_shape(self, contacts: Collection[int], signals: Floats) -> ShapeFit | None:
+        """Return the fit of a single contact that is no ball; None if there is no such contact, or no fit of it."""
+        if len(contacts) != 1 or (track := self._tracks[next(iter(contacts))]).shape is None:
+            return None
+        track.shape = self._shapes.follow(track.shape, signals, self._frame_noise_std)
+        return track.shape
+
+    def _follow_offset(
+        self, signals: Floats, fits: Collection[PartialSlip], found: Offset | None, left: Floats | None
+    ) -> None:
         """Update `offset` from signals that it was subtracted from, by what is `left` in them at rest or after a fit.
 
         If a fit contradicts its model, `offset` does not change.
         """
-        found, large = self._watch.offset, np.abs(self.offset) > _OFFSET_LARGE
+        large = np.abs(self.offset) > _OFFSET_LARGE
         if large.any():
             middle = np.nanmedian(signals / self._noise_std, axis=1) + self.offset
             if (
@@ -275,24 +302,51 @@ class SkinContacts:
         if contact not in self._tracks:
             self._tracks[contact] = _Track(SkinContact(contact, patch))
         track = self._tracks[contact]
-        track.frames = track.frames + 1 if _is_significant(patch) else 0
+        is_significant = patch.force_newton[2] > _SIGNIFICANCE * patch.force_std_newton[2]
+        track.frames = track.frames + 1 if is_significant else 0
         return track.announced or track.frames >= _ONSET_FRAMES
 
-    def _contact(self, contact: int, patch: Patch, slip: PartialSlip | None) -> SkinContact:
+    def _contact(
+        self, contact: int, patch: Patch, slip: PartialSlip | None, offset: Offset | None, shape: ShapeFit | None
+    ) -> SkinContact:
         track = self._tracks[contact]
         peak_newton = max(track.last.peak_newton, float(patch.force_newton[2]))
         if slip is None or math.isnan(slip.chi2):
             return SkinContact(contact, patch, slip, peak_newton=peak_newton)
-        decrease = self._watch.offset.chi2_decrease if self._watch.offset is not None else 0.0
-        chi2 = slip.chi2 - decrease / slip.degrees_of_freedom  # systematic errors cover the offset
-        fit = self._rest.quality(chi2, slip.degrees_of_freedom, self._noise_share)
+        fit = self._quality(slip, offset)
         track.fits.append(fit)
-        found = SkinContact(
-            contact, patch, slip, fit, Systematic.of(slip), *self._curvature_m(slip), peak_newton=peak_newton
-        )
-        if not contradicts(track.fits, self._repeated_share):
+        curvature = self._curvature_m(slip) if shape is None else (math.nan, math.nan)
+        found = SkinContact(contact, patch, slip, fit, Systematic.of(slip), *curvature, peak_newton)
+        if contradicts(track.fits, self._repeated_share):
+            track.shape = None
+            return replace(found, status="contradicted", reason=ReasonCode.FIT_CONTRADICTED)
+        if shape is None:
             return found
-        return replace(found, status="contradicted", reason=ReasonCode.FIT_CONTRADICTED)
+        patch = replace(
+            patch,
+            force_newton=slip.force_newton,
+            force_std_newton=slip.force_std_newton,
+            centroid_m=slip.centre_m,
+            centroid_std_m=slip.centre_std_m,
+        )
+        return replace(found, patch=patch, shape=shape)
+
+    def _quality(self, slip: PartialSlip, offset: Offset | None) -> FitQuality:
+        decrease = offset.chi2_decrease if offset is not None else 0.0
+        chi2 = slip.chi2 - decrease / slip.degrees_of_freedom  # systematic errors cover the offset
+        return self._rest.quality(chi2, slip.degrees_of_freedom, self._noise_share)
+
+    def fit_shapes(self, pause: Callable[[], None]) -> None:
+        """Fit other shapes to a single contact that contradicts the model of a ball in the last frame.
+
+        The best fit is followed from then on, if the signals do not contradict it. `pause` is called between parts,
+        which take about 3 ms each; frames may be decoded there.
+        """
+        for track, signals, patch in self._contradicted:
+            shape = self._shapes.fit(signals, self._frame_noise_std, patch, pause)
+            if shape is not None and self._quality(shape.slip, shape.offset).p >= P_LEAST:
+                track.shape = shape
+                track.fits.clear()
 
     def _curvature_m(self, slip: PartialSlip) -> tuple[float, float]:
         """Return radius and standard deviation: a^3 = 3 F R (1 - nu^2) / (4 E) (Johnson, Contact Mechanics, 4.2)."""
@@ -340,10 +394,6 @@ def _starts(patches: Mapping[int, Patch]) -> dict[int, ContactStart]:
         i: ContactStart((float(patch.centroid_m[0]), float(patch.centroid_m[1])), patch.radius_m)
         for i, patch in patches.items()
     }
-
-
-def _is_significant(patch: Patch) -> bool:
-    return bool(patch.force_newton[2] > _SIGNIFICANCE * patch.force_std_newton[2])
 
 
 def _estimated_friction(slips: Mapping[int, PartialSlip]) -> float | None:

@@ -189,10 +189,14 @@ class SkinDecoder:
             self._physics.friction_estimate = self.contacts.friction_estimate
         return reading
 
-    def check_sites(self, pause: Callable[[], None] = lambda: None) -> None:
-        """Check the sites by the frame that was decoded last, in which something presses them; `pause` as `rebuild`."""
+    def check(self, pause: Callable[[], None] = lambda: None) -> None:
+        """Check the frame that was decoded last, in which something presses: its sites, and the shape of the contact.
+
+        `pause` as of `rebuild`.
+        """
         if self.site_check is not None:
             self.site_check.check(self._frame_of_all_sites, pause)
+        self.contacts.fit_shapes(pause)
 
     @property
     def suspects(self) -> tuple[int, ...]:

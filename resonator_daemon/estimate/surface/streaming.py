@@ -113,12 +113,12 @@ class StreamingDecoder:
         if self._decoder is not None:
             self._decoder.start_cold()
 
-    def check_sites(self, pause: Callable[[], None]) -> None:
-        """Check the sites by the frame that was decoded last, in which something presses them; `pause` as `rebuild`."""
+    def check(self, pause: Callable[[], None]) -> None:
+        """Check sites and contact of the frame that was decoded last, as `SkinDecoder.check`; `pause` as `rebuild`."""
         try:
-            self._present.check_sites(pause)
+            self._present.check(pause)
         except Exception:  # the next check is made all the same
-            log.exception("sites could not be checked")
+            log.exception("sites and contact could not be checked")
 
     @property
     def suspects(self) -> tuple[int, ...]:

@@ -23,7 +23,7 @@ from resonator_daemon.mqtt.payloads import Message
 from resonator_daemon.mqtt.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY
 
 _REBUILD_FRAMES: Final = 3  # between two rebuilds, at least: they take as long as some frames
-_CHECK_NS: Final = 500_000_000  # between two checks of the sites while something presses them
+_CHECK_NS: Final = 500_000_000  # between two checks of sites and contact while something presses them
 _NO_LIMIT_NS: Final = 1 << 62
 
 log = logging.getLogger(__name__)
@@ -55,13 +55,13 @@ class SurfaceWorker:
             settings.skin, settings.options, lambda step: send(SetUpStep(step)), settings.last_contact_id
         )
         self._reporter = settings.messages()
-        self._checked_ns = 0  # time of the frame by which sites were checked last; 0 without a contact
+        self._checked_ns = 0  # time of the frame that was checked last; 0 without a contact
         self.is_behind = self._check_is_due = self._is_updating = False
         self._frames = 0  # since the last rebuild
         self._serve_waiting = serve_waiting
 
     def serve(self, request: Request) -> None:
-        """Serve a request; then, unless it came during an update, check sites and follow contacts that moved."""
+        """Serve a request; then, unless it came during an update, check the model and follow contacts that moved."""
         if isinstance(request, EndContacts):
             self._end_contacts(request)
             return
@@ -123,7 +123,7 @@ class SurfaceWorker:
         self._serve_waiting()
         if self._check_is_due:
             self._check_is_due = False
-            self._decoder.check_sites(self._serve_waiting)
+            self._decoder.check(self._serve_waiting)
         is_due = self._settings.options.background and self._frames >= _REBUILD_FRAMES
         if is_due and self._decoder.rebuild(self._serve_waiting):
             self._frames = 0

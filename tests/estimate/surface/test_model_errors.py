@@ -122,5 +122,5 @@ def test_a_site_that_fails_is_suspect_and_then_not_used(factor: float, std: floa
         assert decoder.suspects == (found if checks >= 2 else ())
         frame = clean if checks != 10 else np.where(is_site, np.nan, clean)  # a lost signal shows nothing
         last = decoder.decode(noisy(frame, np.random.default_rng(checks), NOISE), NOISE).decoded
-        decoder.check_sites()
+        decoder.check()
     assert (last.reason_code == "signals_lost") is bool(found)

@@ -171,8 +171,8 @@ def follow(watch: SlipWatch, share: Floats, seed: int) -> tuple[list[tuple[int, 
     noise = noise_std(frames[0], 20.0)
     events, margins = [], []
     for index, frame in enumerate(frames):
-        fits, news = watch.update(frame + noise * rng.standard_normal(frame.shape), noise, {4: START})
-        events += [(index, event) for event in news]
+        fits = watch.update(frame + noise * rng.standard_normal(frame.shape), noise, {4: START})
+        events += [(index, event) for event in watch.announce(fits)]
         margins.append((fits[4].slip_margin, fits[4].slip_margin_std))
     return events, *np.array(margins).T
 
@@ -208,7 +208,7 @@ def test_announces_again_after_recovery(discs: DiscModel) -> None:
 def test_a_contact_that_is_gone_is_forgotten(discs: DiscModel) -> None:
     watch = SlipWatch(discs)
     follow(watch, np.linspace(0.3, 0.9, 12), 5)
-    assert watch.update(np.zeros((3, len(SITES_M))), 1e-6, {}) == ({}, ())
+    assert watch.update(np.zeros((3, len(SITES_M))), 1e-6, {}) == {}
     _, margins, _ = follow(watch, np.zeros(3), 6)
     assert np.isnan(margins).all()
 
@@ -216,8 +216,8 @@ def test_a_contact_that_is_gone_is_forgotten(discs: DiscModel) -> None:
 def test_an_unknown_frame_does_not_end_it(discs: DiscModel) -> None:
     watch = SlipWatch(discs, Friction(MU, 0.03))
     follow(watch, np.full(3, 0.5), 7)
-    fits, events = watch.update(np.random.default_rng(0).standard_normal((3, len(SITES_M))), 1.0, {4: START})
+    fits = watch.update(np.random.default_rng(0).standard_normal((3, len(SITES_M))), 1.0, {4: START})
     assert fits[4].status == "unknown"
-    assert events == ()
+    assert watch.announce(fits) == ()
     _, margins, _ = follow(watch, np.full(3, 0.5), 8)
     np.testing.assert_allclose(margins, 0.5, atol=0.1)

@@ -136,21 +136,10 @@ def describe(
         slip = (margin, margin_std, *stick_ratio(margin, margin_std), *_friction(one, covariance))
         status, reason = "ok", None
         _, friction_systematic = _friction(one, systematic)
+    pose = one[:RADIUS], std[:RADIUS], float(one[RADIUS]), float(std[RADIUS])
+    force, covariances = (one[FORCE_X:MARGIN], std[FORCE_X:MARGIN]), (covariance, systematic)
     return PartialSlip(
-        one[:RADIUS],
-        std[:RADIUS],
-        float(one[RADIUS]),
-        float(std[RADIUS]),
-        one[FORCE_X:MARGIN],
-        std[FORCE_X:MARGIN],
-        *slip,
-        covariance,
-        systematic,
-        friction_systematic,
-        found.chi2,
-        found.degrees_of_freedom,
-        status,
-        reason,
+        *pose, *force, *slip, *covariances, friction_systematic, found.chi2, found.degrees_of_freedom, status, reason
     )
 
 

@@ -294,12 +294,11 @@ class SlipWatch:
 
     def update(
         self, signals: ArrayLike, noise_std: ArrayLike, contacts: Mapping[int, ContactStart]
-    ) -> tuple[dict[int, PartialSlip], tuple[SlipEvent, ...]]:
-        """Fit a frame; return fits and events by the ids of `contacts`.
+    ) -> dict[int, PartialSlip]:
+        """Fit a frame; return fits by the ids of `contacts`.
 
         A contact is identified by its id; the start it comes with serves while the frame before gives no better. One
-        that is absent is discarded. An event comes once, and again only after the margin has exceeded 0.4.
-        Arguments otherwise and errors as of `fit_partial_slip`.
+        that is absent is discarded. Arguments otherwise and errors as of `fit_partial_slip`.
         """
         for gone in self._followed.keys() - contacts.keys():
             del self._followed[gone]
@@ -309,20 +308,29 @@ class SlipWatch:
             elif not np.isfinite(self._followed[contact].start.radius_m):
                 self._followed[contact].start = replace(start, friction=self._followed[contact].start.friction)
         if not contacts:
-            return {}, ()
+            return {}
         starts = {contact: self._followed[contact].start for contact in contacts}
         fits = self._fitter.fit(signals, noise_std, starts)
-        events = []
         for contact, slip in fits.items():
             followed = self._followed[contact]
-            events += [SlipEvent(event, contact, slip) for event in _announce(followed, slip)]
             followed.start = ContactStart(
                 (float(slip.centre_m[0]), float(slip.centre_m[1])),
                 slip.radius_m,
                 slip.slip_margin,
                 _updated_friction(followed.start.friction, slip),
             )
-        return fits, tuple(events)
+        return fits
+
+    def announce(self, slips: Mapping[int, PartialSlip]) -> tuple[SlipEvent, ...]:
+        """Return the events of contacts in the last frame, by their fits or better ones.
+
+        An event comes once, and again only after the margin has exceeded 0.4.
+        """
+        return tuple(
+            SlipEvent(event, contact, slip)
+            for contact, slip in slips.items()
+            for event in _announce(self._followed[contact], slip)
+        )
 
 
 def _updated_friction(before: Friction | None, slip: PartialSlip) -> Friction | None:

@@ -29,7 +29,6 @@ from resonator_daemon.estimate.surface.fitting.slip_signals import (
 FULL_STICK = 1.0 - 1e-4  # above it the margin leaves no trace in the signals, and 1 - m no digits
 _MARGIN_STARTS = (0.15, 0.6)  # of which one leads to the least chi-square
 _STEPS = 6  # between bounds, of one linearisation
-_ROUNDS = 5  # linearisations from the frame before
 _NEAR = 0.03  # of depth, force or margin: within it slopes are those of the linearisation
 _MARGIN_SCALE = 0.7  # of the margin, as a depth is one of length; near 0 ...
 _SLOPE_POWER = 2.0 / 3.0  # ... slopes go with this power of it
@@ -110,6 +109,8 @@ class Frame:
 
 class Linearisation:
     """Signals of contacts, in units of the noise, to first order about some parameters (7 k,)."""
+
+    size = PARAMETERS  # parameters of a contact
 
     def __init__(self, model: DiscModel, parameters: Floats, whitening: Whitening) -> None:
         self.parameters = parameters
@@ -242,6 +243,9 @@ class SlipProblem:
         Terms of chi-square.
     """
 
+    _size = PARAMETERS
+    _rounds = 5  # linearisations from the frame before
+
     def __init__(self, model: DiscModel, frame: Frame, friction: Sequence[Friction | None]) -> None:
         self._model = model
         self.frame = frame
@@ -282,8 +286,8 @@ class SlipProblem:
         lower, upper = self._bounds(at.parameters, held)
         laws = self._laws(at.parameters)
         if at.whitening is not self.frame.whitening:
-            at = Linearisation(self._model, np.clip(at.parameters, lower, upper), self.frame.whitening)
-        for _ in range(_ROUNDS):
+            at = self._linearised(np.clip(at.parameters, lower, upper))
+        for _ in range(self._rounds):
             chi_square, gradient = at.left(self.frame.target)
             try:
                 found = _least(at, chi_square, gradient, laws, lower, upper)
@@ -295,12 +299,19 @@ class SlipProblem:
             off = self._off(at.parameters, found.parameters)
             if off < _NEAR and off * off * found.fall < _SETTLED**2 * max(found.chi_square / self.count, 1.0):
                 return Settled(found.parameters, found.chi_square, found.precision, at)
-            at = Linearisation(self._model, found.parameters, self.frame.whitening)
+            at = self._linearised(found.parameters)
         return None
+
+    def chi_square(self, parameters: Floats) -> float:
+        """Return the chi-square of parameters, the law of friction aside."""
+        return self._linearised(parameters).left(self.frame.target)[0]
+
+    def _linearised(self, parameters: Floats) -> Linearisation:
+        return Linearisation(self._model, parameters, self.frame.whitening)
 
     def _minimise(self, start: Floats, laws: Sequence[FrictionLaw], lower: Floats, upper: Floats) -> Settled:
         def expand(parameters: Floats) -> _Expansion:
-            at = Linearisation(self._model, parameters, self.frame.whitening)
+            at = self._linearised(parameters)
             chi_square, gradient = at.left(self.frame.target)
             breaches = [law.breach(parameters) for law in laws]
             total = chi_square + sum_of_squares(breaches)
@@ -343,8 +354,8 @@ class SlipProblem:
         largest = 0.0
         depth_m = self._model.depth_m
         moved = np.abs(found - before).tolist()
-        for first in range(0, len(moved), PARAMETERS):
-            by_depth = max(moved[first : first + FORCE_X]) / depth_m
+        for first in range(0, len(moved), self._size):
+            by_depth = max(moved[first : first + FORCE_X] + moved[first + PARAMETERS : first + self._size]) / depth_m
             by_force = max(moved[first + FORCE_X : first + MARGIN])
             by_force /= float(before[first + FORCE_Z])
             margin, margin_before = float(found[first + MARGIN]), float(before[first + MARGIN])

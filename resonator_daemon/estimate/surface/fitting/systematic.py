@@ -11,25 +11,31 @@ import numpy as np
 
 from resonator_daemon.base.arrays import Floats, Singles
 from resonator_daemon.estimate.surface.fitting.slip_problem import Frame, Linearisation, Settled
-from resonator_daemon.estimate.surface.fitting.slip_signals import FORCE_X, MARGIN, PARAMETERS, RADIUS, ROWS, Y
+from resonator_daemon.estimate.surface.fitting.slip_signals import FORCE_X, MARGIN, PARAMETERS, RADIUS, X, Y
 from resonator_daemon.estimate.surface.skin import Skin
 
 _SIGNIFICANT2 = 3.0**2  # of an offset, in standard deviations: a smaller one is noise
-_BY_X, _BY_Y = 3, 4  # rows of the slopes by the offset of a site, in depths
 
 
 def skin_changes(skin: Skin, at: Linearisation) -> Singles:
     """Return the whitened change of the signals by the logarithms of depth and modulus, at given forces, (2, 3 n)."""
-    sites, contacts = len(skin.site_positions_m), at.parameters.size // PARAMETERS
-    rows, parameters = at.rows.reshape(contacts, ROWS, 3, sites), at.parameters.reshape(contacts, PARAMETERS)
-    changes = np.empty((2, 3, sites), np.float32)
-    value = at.value.reshape(3, sites)
+    sites_m = skin.site_positions_m.T.astype(np.float32)
+    changes = np.empty((2, 3, sites_m.shape[1]), np.float32)
+    value = at.value.reshape(changes[0].shape)
     np.multiply(value, -2.0, out=changes[0])
-    for (_, by_radius, _, by_x, by_y, *_), contact in zip(rows, parameters / skin.depth_m, strict=True):
-        offset = (skin.site_positions_m.T / skin.depth_m - contact[: Y + 1, None]).astype(np.float32)
-        changes[0] -= float(contact[RADIUS]) * by_radius + offset[0] * by_x + offset[1] * by_y
+    for contact, slopes in zip(at.parameters.reshape(-1, at.size), _slopes(at), strict=True):
+        for length in (RADIUS, *range(PARAMETERS, at.size)):
+            changes[0] -= float(contact[length]) * slopes[length]
+        for axis in (X, Y):
+            changes[0] += (sites_m[axis] - float(contact[axis])) * slopes[axis]
     changes[1, 0], changes[1, 1:] = 0.0, -value[1:]
     return changes.reshape(2, -1)
+
+
+def _slopes(at: Linearisation) -> Singles:
+    """Return the slopes by the parameters of each contact, (k, p, 3, n)."""
+    slopes = at.rows[at.slopes] * at.scale.astype(np.float32)[:, None]
+    return slopes.reshape(-1, at.size, 3, slopes.shape[1] // 3)
 
 
 class Offset(NamedTuple):
@@ -59,22 +65,19 @@ def offset_of(frame: Frame, settled: Settled, covariance: Floats, noise_std: Flo
 
 
 def systematic_covariances(skin: Skin, at: Linearisation, covariance: Floats) -> Floats:
-    """Return the covariance of the parameters of each contact that the uncertainty of a skin leads to, (k, 7, 7).
+    """Return the covariance of the p parameters of each contact that the uncertainty of a skin leads to, (k, p, p).
 
-    `at` is near the minimum of chi-square, `covariance` (7 k, 7 k) that of its parameters for the declared noise.
+    `at` is near the minimum of chi-square, `covariance` (p k, p k) that of its parameters for the declared noise.
     """
-    contacts = at.parameters.size // PARAMETERS
-    forces = at.parameters.reshape(contacts, PARAMETERS).copy()
-    forces[:, :FORCE_X] = forces[:, MARGIN] = 0.0
+    forces = at.parameters.reshape(-1, at.size).copy()
+    forces[:, :FORCE_X] = forces[:, MARGIN:] = 0.0
     moved = np.column_stack([covariance @ at.project(skin_changes(skin, at)), forces.ravel()])
     moved *= skin.depth_std_m / skin.depth_m, skin.modulus_std, skin.gain_std_common
     total = moved @ moved.T
     if skin.position_std_m:  # each site moves its three signals together
-        sites = len(skin.site_positions_m)
-        places = at.rows.reshape(contacts, ROWS, 3, sites)[:, _BY_X : _BY_Y + 1].sum(axis=0)
-        slopes = at.rows[at.slopes].reshape(-1, 3, sites)
-        each = np.einsum("psn,asn->pan", slopes, places).reshape(len(slopes), -1)
-        scaled = covariance * at.scale
-        total += (skin.position_std_m / skin.depth_m) ** 2 * (scaled @ (each @ each.T) @ scaled.T)
-    blocks = total.reshape(contacts, PARAMETERS, contacts, PARAMETERS)
-    return np.stack([blocks[index, :, index] for index in range(contacts)])
+        slopes = _slopes(at)
+        places = slopes[:, : Y + 1].sum(axis=0)  # all contacts that move are sites that move the other way
+        each = np.einsum("psn,asn->pan", slopes.reshape(-1, *places.shape[1:]), places).reshape(len(total), -1)
+        total += skin.position_std_m**2 * (covariance @ (each @ each.T) @ covariance.T)
+    blocks = total.reshape(len(forces), at.size, len(forces), at.size)
+    return np.stack([blocks[index, :, index] for index in range(len(forces))])
