@@ -134,6 +134,14 @@ class CapturedTone(Word):
     UNIDENTIFIED = "unidentified", "another tone, which is not assigned to a site; the message's `status` states why"
 
 
+class ContactShape(Word):
+    """The object whose model explains the signals of a contact."""
+
+    BALL = "ball", "a paraboloid"
+    PUNCH = "punch", "a flat round face"
+    ELLIPSE = "ellipse", "a paraboloid with two radii of curvature"
+
+
 class ContactChange(Word):
     """What happens to a contact."""
 

@@ -11,6 +11,7 @@ from resonator_daemon.mqtt.payload_types import (
     BoardHeader,
     CapturedTone,
     ContactChange,
+    ContactShape,
     CounterType,
     Float,
     Float32Array,
@@ -163,6 +164,7 @@ class Contact(Message):
     slip_margin_systematic: OptionalFloat = optional("of the slip margin, as `systematic_newton`")
     friction_coefficient_systematic: OptionalFloat = optional("of the friction coefficient, as `systematic_newton`")
     fit: FitQuality | None = optional("under a skin; left out where the contact was not fitted")
+    shape: ContactShape | None = optional("under a skin: what object the signals fit, if known")
     slip_reason_code: ReasonCode | None = optional("why the slip margin or the friction coefficient is null")
     status: Status = Field(description="whether this contact's numbers are valid")
     reason_code: ReasonCode | None = optional(_REASON_CODE)
@@ -268,6 +270,10 @@ class Patch(Message):
     area_m2: Float = Field(description="of contact, from a fit to the signals; else of the pressed part of the map")
     area_std_m2: Float = Field(description="its standard deviation; null without a fit")
     at_border: bool = Field(description="part of the contact may lie beyond the sites")
+    long_half_axis_m: Vector2 | None = optional("x and y of the long half-axis of an `ellipse`; null for a `punch`")
+    long_half_axis_std_m: Vector2 | None = optional("their standard deviations")
+    short_half_axis_m: float | None = optional("length of the other one; radius of a `punch`")
+    short_half_axis_std_m: float | None = optional("its standard deviation")
     radius_of_curvature_m: Float = Field(description="of the object, taken as a paraboloid")
     radius_of_curvature_std_m: Float = Field(description="its standard deviation")
     stick_ratio: Float = Field(

@@ -26,6 +26,7 @@ from resonator_daemon.mqtt.topics import HeaderFields
 
 if TYPE_CHECKING:
     from resonator_daemon.estimate.surface.decoded import Decoded as DecodedFrame
+    from resonator_daemon.estimate.surface.fitting.shape_fit import ShapeFit
     from resonator_daemon.estimate.surface.skin_contacts import SkinContact, SkinEvent
     from resonator_daemon.estimate.surface.skin_decoder import SurfaceReading
 
@@ -159,6 +160,7 @@ class SurfaceMessages:
             "moment_std_newton_m": _rounded_std(patch.moment_std_newton_m),
             **_slip(contact),
             "fit": _fit(contact),
+            "shape": contact.shape_name,
             "status": Status(contact.status),
             "reason_code": contact.reason,
         }
@@ -171,6 +173,7 @@ class SurfaceMessages:
             area_m2=rounded(contact.area_m2, contact.area_std_m2),
             area_std_m2=rounded_std(contact.area_std_m2),
             at_border=patch.at_border,
+            **_half_axes(contact.shape),
             radius_of_curvature_m=rounded(contact.radius_of_curvature_m, contact.radius_of_curvature_std_m),
             radius_of_curvature_std_m=rounded_std(contact.radius_of_curvature_std_m),
             stick_ratio=rounded(*stick),
@@ -183,12 +186,20 @@ def _code(frame: "DecodedFrame") -> ReasonCode | None:
 
 
 def _fit(contact: "SkinContact") -> FitQuality | None:
-    fit = contact.fit
-    return (
-        FitQuality(chi2=round(fit.chi2, 4), degrees_of_freedom=fit.degrees_of_freedom, p=rounded_std(fit.p))
-        if fit
-        else None
-    )
+    if (fit := contact.fit) is None:
+        return None
+    return FitQuality(chi2=round(fit.chi2, 4), degrees_of_freedom=fit.degrees_of_freedom, p=rounded_std(fit.p))
+
+
+def _half_axes(shape: "ShapeFit | None") -> dict[str, Any]:
+    if shape is None:
+        return {}
+    return {
+        "long_half_axis_m": _rounded(shape.long_half_axis_m, shape.long_half_axis_std_m),
+        "long_half_axis_std_m": _rounded_std(shape.long_half_axis_std_m),
+        "short_half_axis_m": rounded(shape.short_half_axis_m, shape.short_half_axis_std_m),
+        "short_half_axis_std_m": rounded_std(shape.short_half_axis_std_m),
+    }
 
 
 def _slip(contact: "SkinContact") -> dict[str, Any]:

@@ -9,13 +9,14 @@ from itertools import pairwise
 import numpy as np
 import psutil
 import pytest
-from decoder_bench import SITES, pressed, until
+from decoder_bench import NOISE, NU, SITES, SITES_M, E, pressed, until
 from surface_bench import NOTHING, SKIN, Client, frame
 
 from resonator_daemon.base.reasons import Reason, ReasonCode
 from resonator_daemon.estimate.surface.skin import Skin
 from resonator_daemon.measure.decoder_process import supervisor
 from resonator_daemon.measure.sensors import surface_decoding
+from simulators.half_space_fields import hertz_fields
 
 
 async def test_frames_become_messages_of_their_topics_under_their_own_numbers() -> None:
@@ -43,6 +44,25 @@ async def test_a_site_that_fails_is_announced_until_a_load_shows_that_it_is_soun
             while client.supervisor.suspects != suspects or not client.events:
                 await client.read(values)
             assert getattr(client.announced[-1], "code", None) == code
+
+
+async def test_a_contact_that_is_no_ball_is_contradicted_and_then_named() -> None:
+    turns, total = np.arange(24) * np.pi / 12.0, np.zeros((3, SITES))
+    for angle in (np.arange(12) + 0.5) * np.pi / 24.0:  # point loads on rings, as under a flat punch of 1.2 mm
+        for turn in turns:
+            place = 1.2e-3 * np.sin(angle) * np.array([np.cos(turn), np.sin(turn)])
+            fields = hertz_fields(SITES_M - place, 1e-3, [0.0], E, NU)[0, 2]
+            total += np.sin(angle) * fields * [[1.5 / E], [1.0], [1.0]]
+    punch = total / (24.0 * np.sum(np.sin((np.arange(12) + 0.5) * np.pi / 24.0)))
+    client, rng = Client(), np.random.default_rng(1)
+    async with client.running(), asyncio.timeout(120):
+        while not client.announced or getattr(client.announced[-1], "code", None) != "fit_contradicted":
+            await client.read(punch + NOISE * rng.standard_normal(punch.shape))
+        while client.on("contacts")[-1].contacts[0].shape != "punch" or client.announced[-1] is not None:
+            await client.read(punch + NOISE * rng.standard_normal(punch.shape))
+    (contact,) = client.on("contacts")[-1].contacts
+    assert (contact.status, contact.reason_code) == ("ok", None)
+    assert contact.force_newton == pytest.approx([0.0, 0.0, 1.0], abs=5.0 * max(contact.noise_newton))
 
 
 async def test_frames_wait_in_order_and_of_those_that_wait_too_long_the_newest_is_decoded(
