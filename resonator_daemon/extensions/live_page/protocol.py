@@ -178,9 +178,16 @@ class Open(Content):
     names: Annotated[list[str], Field(max_length=2)]
 
 
-# The key of a request is the name of its class.
-_CONTENTS: Final = (Watch, Command, Press, Release, Play, Seek, Recordings, Open)
-KINDS: Final[dict[str, type[Content]]] = {content.__name__.lower(): content for content in _CONTENTS}
+KINDS: Final[dict[str, type[Content]]] = {
+    "watch": Watch,
+    "command": Command,
+    "press": Press,
+    "release": Release,
+    "play": Play,
+    "seek": Seek,
+    "recordings": Recordings,
+    "open": Open,
+}
 
 
 class Request(NamedTuple):
