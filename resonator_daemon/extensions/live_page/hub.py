@@ -80,7 +80,7 @@ class Hub:
         self._retained: dict[tuple[str, str], bytes] = {}  # by plate and path: messages to the page
         self._next_map_s: dict[str, float] = {}  # by plate
         self._boards: dict[str, Board] = {}  # by plate: the boards of those that are online, and no replay
-        self._status = {"connected": False, "reason_code": CONNECTING, "reason": "", "since_s": time.time()}
+        self._status = {"connected": False, "reason_code": CONNECTING, "reason": "", "since_t_ns": str(time.time_ns())}
         broker = sources.broker
         self._relay = None if broker is None else BrokerRelay(broker, self._relay_message, self._set_status)
         self._library = Library(sources.directory, self._send_hello)
@@ -195,8 +195,9 @@ class Hub:
             self._update_watched()
 
     def _set_status(self, status: dict[str, Any]) -> None:
-        since_s = self._status["since_s"] if status["connected"] == self._status["connected"] else time.time()
-        if (status := status | {"since_s": since_s}) != self._status:
+        is_same = status["connected"] == self._status["connected"]
+        since_t_ns = self._status["since_t_ns"] if is_same else str(time.time_ns())
+        if (status := status | {"since_t_ns": since_t_ns}) != self._status:
             self._status = status
             self._send_to_all(text_frame("broker", status))
 

@@ -3,7 +3,7 @@
 import { startTheme } from "./colours.js";
 import { Connection } from "./connection.js";
 import { Library } from "./library.js";
-import { number, readTruth } from "./payloads.js";
+import { readTruth, seconds } from "./payloads.js";
 import { PlateModel } from "./plate_model.js";
 import { UNKNOWN, make, setText, sinceTime } from "./text.js";
 import { View } from "./view.js";
@@ -76,7 +76,7 @@ class App {
 
   #receive(key, content) {
     if (key === "hello") this.#setHello(content);
-    else if (key === "broker") this.broker = { ...content, since: number(content.since_s) };
+    else if (key === "broker") this.broker = { ...content, since: seconds(content.since_t_ns) };
     else if (key === "clients") this.page = { clients: content.count ?? 1, skipped: content.skipped ?? 0 };
     else if (key === "truth") {
       const truth = readTruth(content);
