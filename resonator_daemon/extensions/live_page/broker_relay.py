@@ -51,7 +51,7 @@ class BrokerRelay:
         self._streams: BrokerConnection | None = None  # while connected
         self._streams_version: MQTTProtocolVersion | None = MQTT_3  # its packets cost half of those of version 5
         self._connected = False
-        # By plate and path, for what was relayed and not cleared since: whether this connection has delivered it.
+        # Retained topics by plate and path: whether the present connection has delivered each.
         self._retained: dict[tuple[str, str], bool] = {}
 
     async def run(self) -> None:
@@ -109,7 +109,8 @@ class BrokerRelay:
         self._set_status(True, CONNECTED, "")
         over, _ = await asyncio.wait([connection.lost], timeout=RETAINED_S)
         if not over:
-            for plate, path in [it for it, delivered in self._retained.items() if not delivered]:  # lost
+            # Topics that are no longer retained by the broker.
+            for plate, path in [key for key, delivered in self._retained.items() if not delivered]:
                 self._relay(plate, path, b"")
             await asyncio.wait([connection.lost])
 

@@ -251,13 +251,13 @@ async def test_who_may_open_the_page(mosquitto: Mosquitto) -> None:
         assert await status() == (200, None)  # by the cookie
 
 
-def test_files_of_others_are_those_whose_origin_is_stated() -> None:
+def test_third_party_files_have_the_stated_hashes() -> None:
     folder = resources.files("resonator_daemon.extensions.live_page")
     stated = dict(re.findall(r"^\| `([\w./]+)` \|.*\| `([0-9a-f]{64})` \|$", (folder / "README.md").read_text(), re.M))
     files = [file for name in ("three", "uplot") for file in (folder / "page" / name).iterdir()]
-    of_others = {f"{Path(str(file)).parent.name}/{file.name}": file for file in files if file.name != "LICENSE"}
-    assert len(files) == len(of_others) + 2
-    assert {name: hashlib.sha256(file.read_bytes()).hexdigest() for name, file in of_others.items()} == stated
+    third_party = {f"{Path(str(file)).parent.name}/{file.name}": file for file in files if file.name != "LICENSE"}
+    assert len(files) == len(third_party) + 2
+    assert {name: hashlib.sha256(file.read_bytes()).hexdigest() for name, file in third_party.items()} == stated
 
 
 @pytest.mark.parametrize(
