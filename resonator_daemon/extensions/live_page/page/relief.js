@@ -1,6 +1,6 @@
-// Relief of a pressed skin in place of its flat map: the switch, what is loaded when it is first chosen, turning, text.
+// Panel of the relief: switch, loading of three.js, rotation, text alternative.
 
-import { fixed, setText } from "./text.js";
+import { fixed, roundBelow, setText } from "./text.js";
 
 const KEYS = { ArrowLeft: [-10, 0], ArrowRight: [10, 0], ArrowUp: [0, 5], ArrowDown: [0, -5] }; // degrees
 const DEGREES_PER_PX = 0.5;
@@ -9,14 +9,8 @@ const ELEVATIONS = [20, 90]; // from the side, from above; lower, rays of the pi
 const HIGHEST = 0.22; // of the plate's size: the exaggerated depth at most
 const LOWEST = 0.07; // at least, before the exaggeration grows
 const LEAST = 10e-6; // m: smaller displacements are not exaggerated further
-const HALVED_MS = 5000; // time in which half of a past displacement still counts: touches in turn have one exaggeration
+const HALF_LIFE_MS = 5000; // half-life of the largest displacement, so that successive touches keep one exaggeration
 const NO_WEBGL = "The relief needs WebGL 2, which this browser does not have; the flat map has the same values.";
-
-/** The largest of 1, 2, 5, 10, 20… that is not above a value; at least 1. */
-function niceBelow(value) {
-  const power = 10 ** Math.floor(Math.log10(Math.max(1, value)));
-  return [5, 2, 1].map((factor) => factor * power).find((step) => step <= Math.max(1, value));
-}
 
 const inBothUnits = (depth) => `${fixed(1e3 * depth, 3)} mm (${fixed(1e6 * depth, 0)} µm)`;
 
@@ -133,7 +127,7 @@ export class ReliefPanel {
    */
   draw(map, labels, presses) {
     const now = performance.now();
-    let largest = this.largest * 0.5 ** ((now - this.drawnMs) / HALVED_MS);
+    let largest = this.largest * 0.5 ** ((now - this.drawnMs) / HALF_LIFE_MS);
     this.depth = map ? 0 : NaN;
     for (const value of map?.depths ?? []) {
       this.depth = value > this.depth ? value : this.depth;
@@ -143,7 +137,7 @@ export class ReliefPanel {
     const [left, top, right, bottom] = this.bounds;
     const room = (HIGHEST * Math.max(right - left, bottom - top)) / Math.max(largest, LEAST);
     const isTooLow = this.exaggeration < (LOWEST / HIGHEST) * room;
-    if (map && (this.exaggeration > room || isTooLow)) this.exaggeration = niceBelow(room);
+    if (map && (this.exaggeration > room || isTooLow)) this.exaggeration = roundBelow(Math.max(1, room));
     this.#scene.draw(this, map, labels, presses);
   }
 

@@ -1,7 +1,7 @@
 // What the relief draws with three.js: the shaded surface, the plate's outline, a scale of depth, presses, and labels.
 
 import { theme } from "./colours.js";
-import { make, setText } from "./text.js";
+import { make, roundBelow, setText } from "./text.js";
 import {
   AmbientLight, BufferAttribute, BufferGeometry, ColorManagement, DirectionalLight, DoubleSide, LineBasicMaterial, LineLoop,
   LineSegments, LinearSRGBColorSpace, Mesh, MeshLambertMaterial, PerspectiveCamera, Plane, Raycaster, Scene, Vector2, Vector3, WebGLRenderer,
@@ -119,9 +119,7 @@ class Surface {
 
 /** The axes along the edges, and a line down that is as long as a round depth: points of lines, and labels. */
 function scaleOf([left, top, right, bottom], size, exaggeration) {
-  const most = (SCALE * size) / exaggeration;
-  const power = 10 ** Math.floor(Math.log10(most));
-  const depth = [5, 2, 1].map((factor) => factor * power).find((step) => step <= most);
+  const depth = roundBelow((SCALE * size) / exaggeration);
   const [x, z, low] = [1e3 * left, 1e3 * bottom, -depth * exaggeration];
   const [east, north] = [1e3 * right, 1e3 * top];
   const axis = (name, from, to) => `${name} ${Number(from.toFixed(1))} to ${Number(to.toFixed(1))} mm`.replaceAll("-", "−");

@@ -14,6 +14,12 @@ export const quantity = (value, digits, unit) => (Number.isFinite(value) ? `${fi
 /** A size of a file. */
 export const bytes = (count) => (count < 1e6 ? quantity(count / 1e3, 0, "kB") : quantity(count / 1e6, 1, "MB"));
 
+/** The largest of … 1, 2, 5, 10, 20 … that is not above a positive number. */
+export function roundBelow(value) {
+  const power = 10 ** Math.floor(Math.log10(value));
+  return [5, 2, 1].map((factor) => factor * power).find((step) => step <= value);
+}
+
 /** Decimal places at which a standard deviation has two digits. */
 function places(std, fallback) {
   if (!(std > 0)) return fallback;
