@@ -142,8 +142,8 @@ export class ReliefPanel {
   }
 
   /** Return the line below the picture, and write the canvas' text alternative. */
-  describe(layer, hasMap) {
-    const absence = hasMap ? "no displacement was published: [decoding] displacement = true publishes it" : "no map yet";
+  describe(layer, lacksDisplacement) {
+    const absence = lacksDisplacement ? "no displacement was published: [decoding] displacement = true publishes it" : "no map";
     const height = Number.isFinite(this.depth) ? `height × ${this.exaggeration}, deepest ${inBothUnits(this.depth)}` : absence;
     const view = `seen from ${this.canvas.dataset.azimuth}° to the side and ${this.canvas.dataset.elevation}° above`;
     const label = `Relief of the skin, coloured by ${layer}: ${height}; ${view}. Arrow keys turn it, Home turns it back.`;

@@ -196,7 +196,7 @@ export class ReliefScene {
     const size = 1e3 * Math.max(bounds[2] - bounds[0], bounds[3] - bounds[1]);
     setPoints(this.outline, info.outline.map(([x, y]) => [1e3 * x, 0, 1e3 * y]));
     const placed = labels.map(({ position, ...label }) => {
-      const foot = [1e3 * position[0], this.surface?.heightAt(position) ?? 0, 1e3 * position[1]];
+      const foot = [1e3 * position[0], map ? this.surface.heightAt(position) : 0, 1e3 * position[1]];
       return { ...label, foot, place: label.kind === "contact" ? [foot[0], STEM * size, foot[2]] : foot };
     });
     const [points, names] = scaleOf(bounds, size, exaggeration);

@@ -199,16 +199,6 @@ export class SurfacePanel {
   #drawRelief(model, decoded, truth, contacts, presses) {
     this.scene.changed = false;
     this.draws += 1;
-    let map = null;
-    if (decoded?.traction && decoded.displacement?.values.length === decoded.traction.values.length) {
-      this.#setPlaces(decoded);
-      if (this.#fill(decoded, truth)) this.#colour();
-      const { count, rows, columns, pitch, isGrid, origin, corner } = this.places;
-      const depths = new Float32Array(rows * columns);
-      const normal = decoded.displacement.values.subarray(2 * count);
-      for (let at = 0; at < depths.length; at++) depths[at] = normal[this.raster ? this.raster[at] : at] ?? NaN;
-      map = { rows, columns, pitch, corner: isGrid ? origin : corner, depths, pixels: this.pixels };
-    }
     const label = (kind, all, text) => all.map((item, index) => ({ kind, text: text(item, index), position: item.position ?? item }));
     const labels = [
       ...label("transducer", this.info.transducers, (_, index) => `${index + 1}`),
@@ -216,7 +206,20 @@ export class SurfacePanel {
       ...label("suspect", model.suspects.map((site) => ({ site, position: this.info.places.get(site) })), ({ site }) => `site ${site} suspect`),
       ...label("contact", contacts, (contact) => (this.texts.get(contact.id) ?? texts(contact))[0]),
     ];
-    this.relief.draw(map, labels.filter(({ position }) => position?.every(Number.isFinite)), presses);
+    this.relief.draw(this.#reliefMap(decoded, truth), labels.filter(({ position }) => position?.every(Number.isFinite)), presses);
+  }
+
+  /** The map that the relief draws; null where displacement or chosen layer are missing. */
+  #reliefMap(decoded, truth) {
+    if (!decoded?.traction || decoded.displacement?.values.length !== decoded.traction.values.length) return null;
+    this.#setPlaces(decoded);
+    if (!this.#fill(decoded, truth)) return null;
+    this.#colour();
+    const { count, rows, columns, pitch, isGrid, origin, corner } = this.places;
+    const depths = new Float32Array(rows * columns);
+    const normal = decoded.displacement.values.subarray(2 * count);
+    for (let at = 0; at < depths.length; at++) depths[at] = normal[this.raster ? this.raster[at] : at] ?? NaN;
+    return { rows, columns, pitch, corner: isGrid ? origin : corner, depths, pixels: this.pixels };
   }
 
   /** Fill `pixels` with the colours of `values`. */
@@ -357,7 +360,7 @@ export class SurfacePanel {
     this.root.querySelectorAll(".scale span").forEach((span, index) => setText(span, unit(ends[index])));
     const arrows = !this.arrows.checked ? "no arrows" : this.longest > 0 ? `longest arrow ${pascals(this.longest)}` : "no shear above its noise";
     const legend = this.hasContact ? `outline: ${100 * OUTLINE} % of the peak; ${arrows}` : "";
-    setText(this.root.querySelector(".longest"), this.relief.isShown ? this.relief.describe(name, decoded !== null) : legend);
+    setText(this.root.querySelector(".longest"), this.relief.isShown ? this.relief.describe(name, decoded?.displacement === null) : legend);
     const summary = model.newest("decoded/summary");
     const parts = summary ? [summary.decoder, summary.reason || summary.status] : [];
     if (summary?.atBorder) parts.push("contact reaches the border: larger errors");

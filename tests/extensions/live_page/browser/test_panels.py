@@ -102,11 +102,11 @@ async def test_surface_has_the_colours_of_its_scale(fake: FakeLivePage, open_pag
 RELIEF = ".relief canvas"
 
 
-def pressed(depth_m: float) -> bytes:
+def pressed(depth_m: float, **keys: Any) -> bytes:
     """Return a map whose skin is pressed in by so much at the origin."""
     displacement = np.zeros((3, 32, 32))
     displacement[2] = depth_m * hertz(1.0, 0.003)[2] / hertz(1.0, 0.003)[2].max()
-    return decoded(hertz(1.0, 0.003), displacement_m=array(displacement))
+    return decoded(hertz(1.0, 0.003), displacement_m=array(displacement), **keys)
 
 
 async def show_relief(page: Page) -> None:
@@ -146,8 +146,14 @@ async def test_relief_is_loaded_when_chosen_and_shows_the_displacement(fake: Fak
     assert await page.locator(RELIEF).screenshot() != before
     await fake.send("decoded", pressed(0.3e-3))  # too deep for that exaggeration
     await expect(text).to_contain_text("height \N{MULTIPLICATION SIGN} 10, deepest 0.300 mm (300 µm)")
+    flat = await page.locator(RELIEF).evaluate("it => it.clientHeight / 2")  # the origin, at which the camera looks
     await fake.send("decoded", decoded(hertz(1.0, 0.003)))
     await expect(text).to_contain_text("no displacement was published")
+    assert await height_px(page, "truth") == pytest.approx(flat, abs=0.5)
+    await fake.send("decoded", pressed(0.3e-3, traction_std_pascal=array(np.ones((3, 7)))))  # not one for each pixel
+    await expect(text).to_contain_text("deepest")
+    await page.select_option(".surface-panel select", "std")
+    await expect(text).not_to_contain_text("deepest")
     await expect(page.locator(".view")).to_have_class(re.compile("stale"))
     assert float(await page.locator(".relief").evaluate("it => getComputedStyle(it.parentElement).opacity")) < 1
     await page.locator(".relief-switch").uncheck()
