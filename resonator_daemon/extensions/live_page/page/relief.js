@@ -56,6 +56,7 @@ export class ReliefPanel {
     if (!context) return NO_WEBGL;
     try {
       const { ReliefScene } = await import("./relief_scene.js");
+      if (!this.root.isConnected) return ""; // removed meanwhile
       this.#scene ??= new ReliefScene(this.canvas, context, this.root.querySelector(".relief-labels"), this.onChange);
       return "";
     } catch (error) {

@@ -223,6 +223,13 @@ async def test_a_browser_without_webgl_keeps_the_flat_map(fake: FakeLivePage, op
     await expect(page.locator(SURFACE)).to_be_visible()
 
 
+async def test_a_view_that_is_removed_while_the_relief_loads_has_none(fake: FakeLivePage, open_page: Open) -> None:
+    page = await open_page()
+    shown = """async () => { const [view] = resonatord.views, { relief } = view.surface; relief.switch.click();
+      view.remove(), await import("./relief_scene.js"); return relief.isShown; }"""
+    assert not await page.evaluate(shown)
+
+
 async def test_error_against_the_truth_is_zero_where_the_map_is_right(fake: FakeLivePage, open_page: Open) -> None:
     await fake.send("info", info(skin=True))
     page = await open_page()
