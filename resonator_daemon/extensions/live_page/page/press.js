@@ -46,6 +46,7 @@ export class Presser {
     for (const type of ["pointerup", "pointercancel", "pointerleave"]) {
       canvas.addEventListener(type, (event) => this.release(`pointer${event.pointerId}`));
     }
+    canvas.addEventListener("turn", () => this.releaseAll()); // of a relief, by a second finger
     canvas.addEventListener("contextmenu", (event) => this.#touches.size && event.preventDefault());
     canvas.addEventListener("keydown", (event) => this.#keyDown(event));
     canvas.addEventListener("keyup", (event) => [" ", "Enter"].includes(event.key) && this.release("keys"));

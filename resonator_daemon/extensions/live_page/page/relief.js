@@ -16,7 +16,8 @@ const inBothUnits = (depth) => `${fixed(1e3 * depth, 3)} mm (${fixed(1e6 * depth
 
 export class ReliefPanel {
   #scene = null;
-  #drag = null;
+  #held = new Map(); // pointers on the picture, by id: the newest event of each
+  #isTurning = false; // whether they turn it
 
   /** `onChange` is called when the relief has to be drawn, or the flat map in its place. */
   constructor(root, onChange) {
@@ -81,22 +82,33 @@ export class ReliefPanel {
     this.#turnTo({ azimuth: this.azimuth + right, elevation: this.elevation + up });
   }
 
-  /** Turn by the right button, by any where the plate cannot be pressed, and by keys. */
+  /** Rotate by keys, two fingers and the right button; by any pointer if the plate cannot be pressed. */
   #follow() {
     const { canvas } = this;
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     canvas.addEventListener("pointerdown", (event) => {
-      if (event.button !== 2 && canvas.closest(".pressable")) return;
+      this.#held.set(event.pointerId, event);
+      this.#isTurning ||= event.button === 2 || this.#held.size > 1 || !canvas.closest(".pressable");
+      if (!this.#isTurning) return;
       canvas.setPointerCapture(event.pointerId);
-      this.#drag = event;
+      event.stopImmediatePropagation(); // a second finger does not press
+      if (this.#held.size > 1) canvas.dispatchEvent(new Event("turn")); // ends the press of the first
     });
     canvas.addEventListener("pointermove", (event) => {
-      if (this.#drag?.pointerId !== event.pointerId) return;
-      const [right, down] = [event.clientX - this.#drag.clientX, event.clientY - this.#drag.clientY];
-      this.#drag = event;
-      this.#turn(-DEGREES_PER_PX * right, DEGREES_PER_PX * down);
+      const last = this.#held.get(event.pointerId);
+      if (!last) return;
+      this.#held.set(event.pointerId, event);
+      const degrees = DEGREES_PER_PX / this.#held.size; // the mean of the fingers counts
+      if (this.#isTurning) this.#turn(-degrees * (event.clientX - last.clientX), degrees * (event.clientY - last.clientY));
     });
-    for (const type of ["pointerup", "pointercancel", "lostpointercapture"]) canvas.addEventListener(type, () => (this.#drag = null));
+    for (const type of ["pointerup", "pointercancel", "pointerleave", "lostpointercapture"]) {
+      canvas.addEventListener(type, ({ pointerId }) => {
+        this.#held.delete(pointerId);
+        this.#isTurning &&= this.#held.size > 0;
+      });
+    }
+    // Without this, two fingers scroll the page if the plate cannot be pressed.
+    canvas.addEventListener("touchstart", (event) => event.touches.length > 1 && event.preventDefault(), { passive: false });
     canvas.addEventListener("keydown", (event) => {
       if (event.key === "Home") this.#turnTo(START);
       else if (KEYS[event.key]) this.#turn(...KEYS[event.key]);

@@ -161,9 +161,7 @@ async def test_relief_is_loaded_when_chosen_and_shows_the_displacement(fake: Fak
     await expect(page.locator(RELIEF)).to_be_hidden()
 
 
-async def test_relief_is_turned_by_the_right_button_and_keys_and_pressed_by_the_left(
-    fake: FakeLivePage, open_page: Open
-) -> None:
+async def test_relief_is_turned_and_pressed(fake: FakeLivePage, open_page: Open) -> None:
     fake.hello["press"] = ["p"]
     await fake.send("info", info(skin=True))
     page = await open_page()
@@ -171,8 +169,7 @@ async def test_relief_is_turned_by_the_right_button_and_keys_and_pressed_by_the_
     await show_relief(page)
     relief = page.locator(RELIEF)
     await expect(page.locator(".press-panel")).to_be_visible()
-    box = await relief.bounding_box()
-    assert box is not None
+    box = await relief.evaluate("it => it.getBoundingClientRect().toJSON()")
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2  # the middle of the plate
     first = page.locator(".relief-labels .transducer").first
     at = await first.bounding_box()
@@ -188,9 +185,8 @@ async def test_relief_is_turned_by_the_right_button_and_keys_and_pressed_by_the_
     assert fake.asked("press") == []
     await page.mouse.move(x, y)
     await page.mouse.down()
-    press = (await fake.until("press"))[0]
+    assert (await fake.until("press"))[0]["position_m"] == pytest.approx([0, 0], abs=2e-4)
     await page.mouse.up()
-    assert press["position_m"] == pytest.approx([0, 0], abs=2e-4)
     await relief.focus()
     for _ in range(3):
         await page.keyboard.press("ArrowLeft")
@@ -207,6 +203,13 @@ async def test_relief_is_turned_by_the_right_button_and_keys_and_pressed_by_the_
     assert (await fake.until("press", count + 1))[-1]["position_m"] == pytest.approx([0, 0])
     await page.keyboard.up("Space")
     await fake.until("release", 2)
+    session = await page.context.new_cdp_session(page)
+    for kind, *places in (("touchStart", x), ("touchStart", x, x + 40), ("touchMove", x + 60, x + 100)):
+        points = [{"x": place, "y": y, "id": finger} for finger, place in enumerate(places)]
+        await session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+    await expect(relief).to_have_attribute("data-azimuth", "-50")  # the second finger ends the press of the first
+    assert (await fake.until("release", 3))[-1]["name"].startswith("pointer")
+    assert not await page.evaluate("resonatord.views[0].presser.isActive")
 
 
 async def test_a_browser_without_webgl_keeps_the_flat_map(fake: FakeLivePage, open_page: Open) -> None:
@@ -552,6 +555,7 @@ async def test_phone_width_and_accessibility(fake: FakeLivePage, open_page: Open
         await fake.send("decoded", pressed(0.2e-3))
         await show_relief(page)
         await expect(page.locator(".relief-labels .contact")).to_be_visible()
+        await expect(page.locator(".relief-hint")).to_have_text("Two fingers turn it", use_inner_text=True)
     assert await page.evaluate("document.documentElement.scrollWidth") <= 360
     await page.evaluate(AXE.read_text())  # `make test-browser` installs it
     found = await page.evaluate("axe.run()")
