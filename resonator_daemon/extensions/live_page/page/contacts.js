@@ -73,6 +73,7 @@ export class ContactsPanel {
     if (contact.hasSlip) {
       rows.push(["Friction", plusMinus(contact.friction, contact.frictionStd, "")]);
       rows.push(["χ² of the fit", fixed(contact.chi2, 2)]);
+      rows.push(["Object", contact.shape || UNKNOWN]);
     }
     setRows(card.querySelector("dl"), rows);
     this.#fillGauge(card.querySelector(".gauge"), contact);

@@ -72,6 +72,7 @@ function contact(value) {
     frictionStd: number(payload.friction_coefficient_std),
     chi2: number(payload.fit?.chi2),
     slipReason: text(payload.slip_reason_code),
+    shape: text(payload.shape),
     status: text(payload.status),
     reasonCode: text(payload.reason_code),
     peak: number(payload.peak_newton),

@@ -252,7 +252,8 @@ async def test_contacts_show_force_margin_events_and_truth(fake: FakeLivePage, o
     await fake.send("info", info(skin=True))
     page = await open_page()
     slip = {"slip_margin": 0.21, "slip_margin_std": 0.04, "friction_coefficient": 0.5, "friction_coefficient_std": 0.02}
-    touch = contact((0.3, -0.1, 1.25), moment_newton_m=[1e-3, 2e-3, 3e-3], moment_std_newton_m=[1e-6] * 3, **slip)
+    moment = {"moment_newton_m": [1e-3, 2e-3, 3e-3], "moment_std_newton_m": [1e-6] * 3}
+    touch = contact((0.3, -0.1, 1.25), shape="ellipse", **moment, **slip)
     await fake.send("contacts", header(status="ok", contacts=[touch]))
     true = touch | {"force_newton": [0.3, 0, 1.3], "radius_m": 0.002}
     await fake.send_text(truth={"plate": "p", "t_ns": "1", "contacts": [true]})
@@ -261,7 +262,7 @@ async def test_contacts_show_force_margin_events_and_truth(fake: FakeLivePage, o
     await expect(page.locator(".card .true")).to_have_text("true 1.300 N, off by \u221250 mN")
     await expect(page.get_by_role("meter")).to_have_attribute("aria-valuenow", "0.21")
     await expect(page.locator(".gauge output")).to_contain_text("0.210 ± 0.040, begins to slip")
-    await expect(page.locator(".card dl")).to_contain_text("1.000, 2.000, 3.000 mN m")
+    await expect(page.locator(".card dl")).to_contain_text(re.compile(r"1\.000, 2\.000, 3\.000 mN m.*Object\s*ellipse", re.DOTALL))
     await expect(page.locator(".events li")).to_contain_text("Contact 7 begins to slip")
     unknown = touch | {"slip_margin": None, "slip_reason_code": "friction_unknown"}
     await fake.send("contacts", header(status="ok", seq=2, contacts=[unknown]))
