@@ -24,18 +24,21 @@ _OTHERS_WRITE: Final = stat.S_IWGRP | stat.S_IWOTH
 
 def state_directory() -> Path:
     """Return the state directory, which outlives a run: systemd's, else the XDG Base Directory Specification's."""
-    return _chosen("STATE_DIRECTORY", "XDG_STATE_HOME", "~/.local/state")
+    return _directory("STATE_DIRECTORY", "XDG_STATE_HOME", "~/.local/state")
 
 
 def cache_directory() -> Path:
-    """Return the directory of what can be made again: systemd's, else the XDG Base Directory Specification's."""
-    return _chosen("CACHE_DIRECTORY", "XDG_CACHE_HOME", "~/.cache")
+    """Return the cache directory, whose files can be rebuilt.
+
+    It is systemd's, else the XDG Base Directory Specification's.
+    """
+    return _directory("CACHE_DIRECTORY", "XDG_CACHE_HOME", "~/.cache")
 
 
-def _chosen(of_systemd: str, of_user: str, default: str) -> Path:
-    if given := os.environ.get(of_systemd):
+def _directory(systemd_variable: str, xdg_variable: str, default: str) -> Path:
+    if given := os.environ.get(systemd_variable):
         return Path(given.split(":")[0])
-    base = os.environ.get(of_user, "")
+    base = os.environ.get(xdg_variable, "")
     return Path(base if os.path.isabs(base) else os.path.expanduser(default)) / _OURS
 
 
