@@ -49,7 +49,7 @@ class Table(BaseModel):
 class TomlFile:
     """Parsed TOML file, not yet checked."""
 
-    path: Path
+    path: Path | str
     text: str
     content: dict[str, Any]
 
@@ -92,7 +92,7 @@ def read_toml(path: Path) -> TomlFile:
     return parse_toml(text.removeprefix("\ufeff"), path)
 
 
-def parse_toml(text: str, path: Path) -> TomlFile:
+def parse_toml(text: str, path: Path | str) -> TomlFile:
     """Parse the text of a TOML file; `path` names it in messages.
 
     Raises
@@ -154,7 +154,7 @@ def nearest(word: str, allowed: Sequence[str]) -> str:
     return f"allowed: {', '.join(allowed)}{f'; did you mean {near[0]}?' if near else ''}"
 
 
-def named(path: Path) -> str:
+def named(path: Path | str) -> str:
     """Return a path as a message shows it: on one line, without signs that a terminal takes as commands."""
     text = str(path)
     return text if text.isprintable() else repr(text)

@@ -33,7 +33,7 @@ def plate_text(plate: Plate) -> str:
     return tomlkit.dumps(content)
 
 
-def load_plate_text(text: str, origin: Path) -> Plate:
+def load_plate_text(text: str, origin: Path | str) -> Plate:
     """Load a plate from the text of a plate file; `origin` names it in messages.
 
     Raises
@@ -49,7 +49,7 @@ def settings_text(config: Config) -> str:
     return tomlkit.dumps(config.model_dump(include=set(Settings.model_fields), exclude_none=True))
 
 
-def load_settings_text(text: str, origin: Path) -> Settings:
+def load_settings_text(text: str, origin: Path | str) -> Settings:
     """Load the text of `settings_text`; `origin` names it in messages.
 
     Raises
@@ -71,7 +71,7 @@ def config_of(
         The parts do not suit each other.
     """
     parts = {"name": name, "plate": plate, "link": link, "mqtt": mqtt or Mqtt(), **dict(settings)}
-    return load_model(Config, TomlFile(Path(str(link)), "", parts))
+    return load_model(Config, TomlFile(str(link), "", parts))
 
 
 LIVE: Final = ("measurement", "commands", "recording")

@@ -218,7 +218,7 @@ def recorded_config(recording: Recording, plate: Plate | None = None, settings: 
 
     A plate and settings that are given replace those of the recording.
     """
-    path = Path(recording.path)
+    path = recording.path
     plate_text, settings_text = recording.plate_text, recording.settings_text
     if (plate is None and plate_text is None) or (settings is None and settings_text is None):
         if recording.damaged_attachments:
@@ -233,10 +233,10 @@ def recorded_config(recording: Recording, plate: Plate | None = None, settings: 
     return config_of(plate, settings, link, name=recording.header.get("name"))
 
 
-def _loaded(load: Callable[[str, Path], _Loaded], text: str, path: Path, name: str) -> _Loaded:
+def _loaded(load: Callable[[str, str], _Loaded], text: str, path: str, name: str) -> _Loaded:
     """Load a text of the recording; errors add that the file itself cannot be edited."""
     try:
-        return load(text, path / name)
+        return load(text, f"{path}/{name}")
     except ConfigurationError as error:
         try:
             tomllib.loads(text)
@@ -245,7 +245,7 @@ def _loaded(load: Callable[[str, Path], _Loaded], text: str, path: Path, name: s
         raise ConfigurationError(*error.messages, f"{path}: its {name} cannot be used; give --config FILE") from error
 
 
-def _damaged(path: Path, name: str) -> ConfigurationError:
+def _damaged(path: str, name: str) -> ConfigurationError:
     return ConfigurationError(
         f"{path}: its attachment {printable(name)} is damaged; give plate and settings with --config FILE"
     )

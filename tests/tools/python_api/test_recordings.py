@@ -125,6 +125,9 @@ def test_a_recording_at_a_url_has_the_same_tables_and_its_copy_is_removed(
             resonatord.load_recording(missing)
     gc.collect()  # errors keep the copies of what could not be copied
     assert open_below(tmp_path) == []
+    memory.pipe("/runs/bent.mcap", recording("touches").read_bytes().replace(b"force_max_newton", b"force_mix_newton"))
+    with pytest.raises(resonatord.UserError, match=r"^memory://runs/bent"):
+        resonatord.load_recording("memory://runs/bent.mcap")
 
 
 @pytest.mark.parametrize("missing", ["fsspec", "s3fs"])
