@@ -1,4 +1,4 @@
-"""Directories of a running daemon, files at URLs, and atomic creation of files: complete or absent, never over another.
+"""Directories of a running daemon, and atomic creation of files: complete or absent, never over another.
 
 Devices and pipes are no files in this sense: what is written to them is gone, and they stay. `replace_file` puts a new
 version of a file in the place of the old one.
@@ -7,16 +7,11 @@ version of a file in the place of the old one.
 import io
 import os
 import stat
-import tempfile
-import weakref
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from functools import lru_cache
+from contextlib import suppress
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Final
 
-from resonator_daemon.base.errors import MissingLibraryError, UserError, meaning_of
-from resonator_daemon.base.host.text import how_to_install
+from resonator_daemon.base.errors import UserError, meaning_of
 
 _OURS: Final = "resonatord"  # below the directories that belong to all programs
 _OTHERS_WRITE: Final = stat.S_IWGRP | stat.S_IWOTH
@@ -170,52 +165,6 @@ class _Stream(io.FileIO):
 
     def seekable(self) -> bool:
         return False
-
-
-class _Copy(str):
-    """Path of a file without a name, which is closed, and thus removed, with the last reference to its path."""
-
-
-@lru_cache(maxsize=1)
-def local_copy(url: str) -> str:
-    """Return the path of a temporary copy of the file at a URL; the caller keeps the object until it has opened it.
-
-    The next URL replaces it. A process that is killed leaves no copy behind.
-
-    Raises
-    ------
-    MissingLibraryError
-        fsspec is not installed, or what it needs for this URL.
-    OSError
-        The file cannot be read.
-    """
-    file = tempfile.TemporaryFile()  # noqa: SIM115 - the next line but one closes it
-    copy = _Copy(f"/proc/self/fd/{file.fileno()}")
-    weakref.finalize(copy, file.close)
-    with _file_system(url) as (files, path):
-        files.get_file(path, copy)  # all at once: some servers send no parts
-    return copy
-
-
-def urls_like(pattern: str) -> list[str]:
-    """Return the URLs that match one with wildcards, `*.mcap` of one that ends with /; raise errors as `local_copy`."""
-    with _file_system(f"{pattern}*.mcap" if pattern.endswith("/") else pattern) as (files, path):
-        return sorted(map(files.unstrip_protocol, files.glob(path)))
-
-
-@contextmanager
-def _file_system(url: str) -> Iterator[tuple[Any, str]]:
-    """Yield the file system of a URL and the path there; raise its errors as `local_copy` does."""
-    try:
-        import fsspec
-
-        yield fsspec.url_to_fs(url)
-    except ImportError as error:
-        library = getattr(error.__cause__ or error, "name", None) or "fsspec"  # or the one of a protocol, as s3fs
-        raise MissingLibraryError(f"{url} needs {library}: {how_to_install(library)}") from error
-    except Exception as error:  # each protocol has its own
-        meaning = "no such file" if isinstance(error, FileNotFoundError) else meaning_of(error)
-        raise OSError(None, meaning, url) from error
 
 
 def takes_a_stream(path: Path) -> bool:

@@ -17,7 +17,6 @@ from typing import IO, Final, NamedTuple, Self
 from mcap.records import Attachment, Header, McapRecord, Metadata
 
 from resonator_daemon.base.errors import meaning_of
-from resonator_daemon.base.host.files import local_copy
 from resonator_daemon.base.host.text import printable
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.reasons import ReasonCode
@@ -33,6 +32,8 @@ from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.link_events import SnapshotTaken, WireEvent, decode
 
 log = logging.getLogger(__name__)
+
+FilePath = str | os.PathLike[str]  # `str` of it names the file in messages
 
 STILL_WRITTEN: Final = "still being written"  # damage of a file whose end is to come
 
@@ -264,7 +265,7 @@ def _is_before_a_snapshot(entry: WireEvent | Mark) -> bool:
     return not isinstance(entry, SnapshotTaken) or entry.snapshot.running is None
 
 
-def open_recording(path: str, plate: Plate | None = None) -> Recording:
+def open_recording(path: FilePath, plate: Plate | None = None) -> Recording:
     """Open a recording of a link; if a plate is given, the recording has to be of such a plate.
 
     Raises
@@ -273,28 +274,28 @@ def open_recording(path: str, plate: Plate | None = None) -> Recording:
         The file is missing, no recording, of another format, or of a plate with other frames.
     """
     file = open_file(path)
+    name = str(path)
     try:
         records = read_records(file)
-        header = read_header(path, records)
-        check_format(path, header)
+        header = read_header(name, records)
+        check_format(name, header)
         attachments, damaged, records = _attachments(records)
         if plate is not None:
-            _check_plate(path, header, plate)
-            for name in damaged:
-                log.warning("%s: its attachment %s is damaged; the configuration counts", path, printable(name))
+            _check_plate(name, header, plate)
+            for attachment in damaged:
+                log.warning("%s: its attachment %s is damaged; the configuration counts", name, printable(attachment))
     except BaseException:
         file.close()
         raise
-    return Recording(path, header, damaged, attachments, file, records)
+    return Recording(name, header, damaged, attachments, file, records)
 
 
-def open_file(path: str) -> BufferedReader:
-    """Open a regular file, or a copy of the file at a URL. Raises RecordingUnusableError."""
+def open_file(path: FilePath) -> BufferedReader:
+    """Open a regular file. Raises RecordingUnusableError."""
     try:
-        path = local_copy(path) if "://" in path else path
         if not stat.S_ISREG(os.stat(path).st_mode):  # opening a pipe would block
             raise RecordingUnusableError(f"recording {path} is no regular file")
-        return open(str(path), "rb")  # whose name does not keep the copy
+        return open(path, "rb")
     except OSError as error:
         raise RecordingUnusableError(f"recording {path}: {meaning_of(error)}") from error
 

@@ -21,6 +21,7 @@ from resonator_daemon.base.errors import ExitCode, UserError, meaning_of
 from resonator_daemon.base.host.files import replace_file, sync_directory
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.recording.reader import STILL_WRITTEN, Recording, open_recording
+from resonator_daemon.board.recording.remote import local_file
 from resonator_daemon.extensions.fleet.chunks import Chunk, Job, Span, span_of
 from resonator_daemon.measure.sensors.output import utc_day
 from resonator_daemon.measure.sensors.surface_decoding import SurfaceClient, SurfaceDecoding
@@ -161,16 +162,16 @@ def decode_chunk(chunk: Chunk, job: Job) -> dict[str, Any]:
     if done is not None:
         return done
     gc.collect()  # the decoder of the chunk before, 100 MB and more, is part of reference cycles
-    with open_recording(chunk.path, job.plate) as recording:
+    with local_file(chunk.path) as file, open_recording(file, job.plate) as recording:
         config = job.config(recording)
-        span = span_of(chunk, config)
-        metadata = table_metadata(Path(chunk.path).name, config) | {"source_chunk": chunk.key}
+        span = span_of(file, chunk, config)
+        metadata = table_metadata(Path(recording.path).name, config) | {"source_chunk": chunk.key}
         try:
             files = ChunkFiles(job.output, chunk.key, job.topics, Recorded(config, metadata))
             try:
                 report: dict[str, Any] = {
                     "chunk": chunk.key,
-                    "recording": chunk.path,
+                    "recording": recording.path,
                     "boundaries_bytes": span.boundaries_bytes,
                     "plate": config.name or config.plate.name,
                 }

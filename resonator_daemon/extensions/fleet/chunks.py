@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from resonator_daemon.base.errors import NoRecordingError
-from resonator_daemon.base.host.files import urls_like
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.board.config import Config
 from resonator_daemon.board.config.tables import Decoding
 from resonator_daemon.board.config.values import Settings, load_plate_text, load_settings_text
 from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.recording.event_replay import Replay
-from resonator_daemon.board.recording.reader import Recording, open_recording
+from resonator_daemon.board.recording.reader import FilePath, Recording, open_recording
+from resonator_daemon.board.recording.remote import local_file, matching_urls
 from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
@@ -148,7 +148,7 @@ def recordings_of(patterns: Sequence[str]) -> list[str]:
     for pattern in patterns:
         matches = [Path(name).absolute() for name in sorted(glob.glob(pattern, recursive=True))]
         found = [str(file) for path in matches for file in (sorted(path.glob("*.mcap")) if path.is_dir() else [path])]
-        found += urls_like(pattern) if "://" in pattern else []
+        found += matching_urls(pattern) if "://" in pattern else []
         if not found:
             raise NoRecordingError(f"no file matches {pattern!r}; name recordings, as 'runs/*.mcap'")
         paths += found
@@ -165,10 +165,11 @@ def chunks_of(path: str, job: Job) -> list[Chunk]:
     ConfigurationError
         The recording contains no plate or settings, or they are incompatible with those of the job.
     """
-    with open_recording(path, job.plate) as recording:
-        config = job.config(recording)
+    with local_file(path) as file:
+        with open_recording(file, job.plate) as recording:
+            config = job.config(recording)
         independent_at_rest = sensor_of(config.plate, config.measurement, config.decoding).independent_at_rest
-    outline = read_outline(path, job.chunk_s if independent_at_rest else float("inf"))
+        outline = read_outline(file, job.chunk_s if independent_at_rest else float("inf"))
     if not independent_at_rest:
         outline = outline._replace(starts=outline.starts[:1])
     return [Chunk(path, outline, number) for number in range(len(outline.starts))]
@@ -196,13 +197,13 @@ def plan(paths: Sequence[str], job: Job) -> tuple[list[Chunk], dict[str, str]]:
     return [chunk for chunks in recordings.values() for chunk in chunks], refused
 
 
-def first_rest(chunk: Chunk, number: int, config: Config) -> tuple[HostTime | None, str | None]:
+def first_rest(file: FilePath, chunk: Chunk, number: int, config: Config) -> tuple[HostTime | None, str | None]:
     """Return the time at which the plate is first at rest in a chunk of this recording, and any damage before.
 
     The time is None if it never is. It depends on the bytes of that chunk alone, so that the chunk and the one before
     agree.
     """
-    with open_recording(chunk.path, config.plate) as recording:
+    with open_recording(file, config.plate) as recording:
         recording.resume_at(chunk.outline.starts[number].begin_bytes, chunk.outline.channels)
         undecoded = config.model_copy(update={"decoding": Decoding(method="off")})
         queue = FrameQueue(1 << 30, lambda: None, ())
@@ -219,15 +220,15 @@ def first_rest(chunk: Chunk, number: int, config: Config) -> tuple[HostTime | No
         return None, recording.damage
 
 
-def span_of(chunk: Chunk, config: Config) -> Span:
-    """Return the span of a chunk. Frames before its first rest belong to the chunk before."""
+def span_of(file: FilePath, chunk: Chunk, config: Config) -> Span:
+    """Return the span of a chunk of a file. Frames before its first rest belong to the chunk before."""
     begin = None
     if chunk.number:
-        begin, damage = first_rest(chunk, chunk.number, config)
+        begin, damage = first_rest(file, chunk, chunk.number, config)
         if begin is None:
             return Span(None, None, chunk.boundaries_bytes(chunk.number), is_empty=True, damage=damage)
     for number in range(chunk.number + 1, len(chunk.outline.starts)):
-        end, _ = first_rest(chunk, number, config)
+        end, _ = first_rest(file, chunk, number, config)
         if end is not None:
             return Span(begin, end, chunk.boundaries_bytes(number))
     return Span(begin, None, chunk.boundaries_bytes(len(chunk.outline.starts) - 1))

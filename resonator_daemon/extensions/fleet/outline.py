@@ -6,14 +6,13 @@ import struct
 from collections.abc import Iterator
 from contextlib import suppress
 from itertools import islice
-from pathlib import Path
 from typing import IO, Final, NamedTuple
 
 from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from resonator_daemon.board.recording.mcap_messages import MAX_RECORD_BYTES, READ_ERRORS, read_records
-from resonator_daemon.board.recording.reader import CHANNEL, TOPIC, WIRE_CHANNEL, open_file
+from resonator_daemon.board.recording.reader import CHANNEL, TOPIC, WIRE_CHANNEL, FilePath, open_file
 from resonator_daemon.board.recording.repair import read_index
 
 _MAGIC_BYTES: Final = 8
@@ -54,12 +53,12 @@ class Outline(NamedTuple):
     channels: dict[int, str]
 
 
-def read_outline(path: Path | str, part_s: float) -> Outline:
+def read_outline(path: FilePath, part_s: float) -> Outline:
     """Read where the parts of a recording begin: with the first chunk of MCAP, then so many seconds apart.
 
     Events on the link count. Messages that the daemon has published are of an earlier time than the events around them.
     """
-    with open_file(str(path)) as file:
+    with open_file(path) as file:
         status = os.fstat(file.fileno())
         channels = _channels(file)
         file.seek(0)

@@ -14,7 +14,7 @@ from resonator_daemon.base.host.files import takes_a_stream
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.config import Config
-from resonator_daemon.board.recording.reader import open_file
+from resonator_daemon.board.recording.reader import FilePath, open_file
 from resonator_daemon.mqtt.payload_types import UNITS
 from resonator_daemon.tools.export import format_class, formats
 from resonator_daemon.tools.export.output import Output, Recorded
@@ -191,11 +191,11 @@ def moments_within(replaying: RecordingReplay, span: Span, progress: Progress | 
             yield moment
 
 
-def file_metadata(path: Path | str, config: Config) -> dict[str, str]:
+def file_metadata(path: FilePath, config: Config) -> dict[str, str]:
     """Return what exported tables state about a recording: its file, plate and calibration, and the table of units."""
-    with open_file(str(path)) as file:
+    with open_file(path) as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-    return {**table_metadata(Path(path).name, config), "source_sha256": sha256}
+    return {**table_metadata(Path(str(path)).name, config), "source_sha256": sha256}
 
 
 def table_metadata(source: str, config: Config) -> dict[str, str]:

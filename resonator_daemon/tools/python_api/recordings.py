@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from resonator_daemon.base.errors import UsageError
-from resonator_daemon.base.host.files import local_copy
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.config import Config, load_config
+from resonator_daemon.board.recording.remote import local_file
 from resonator_daemon.tools.export.output import Recorded
 from resonator_daemon.tools.export.run import differences_in_words, file_metadata, moments_within
 from resonator_daemon.tools.export.table_formats import MemoryOutput
@@ -162,12 +162,9 @@ def load_recording(
     wanted = DEFAULT_TOPICS if topics is None else tuple(dict.fromkeys([topics] if isinstance(topics, str) else topics))
     with readable_errors():
         _check_topics(wanted)
-        try:
-            loaded = _load(os.fspath(path), wanted, start, until, load_config(Path(config)) if config else None)
-        finally:
-            local_copy.cache_clear()
+        loaded = _load(os.fspath(path), wanted, start, until, load_config(Path(config)) if config else None)
     for problem in loaded.problems:
-        warnings.warn(f"{path}: {problem}", RecordingWarning, stacklevel=2)
+        warnings.warn(f"{loaded.path}: {problem}", RecordingWarning, stacklevel=2)
     return loaded
 
 
@@ -177,18 +174,19 @@ def _load(
     source = path if "://" in path else Path(path)
     if isinstance(source, Path) and not source.exists():
         raise RecordingError(f"recording {path}: there is no file {source.absolute()}; `resonatord record` makes one")
-    span = find_span(path, *(None if place is None else str(place) for place in (start, until)))
-    with open_replay(path, config) as replaying:
-        recorded = Recorded(replaying.config, file_metadata(path, replaying.config))
-        output = MemoryOutput(topics, recorded)
-        output.begin()
-        marks = []
-        for moment in moments_within(replaying, span):
-            output.add(moment)
-            if moment.mark is not None:
-                marks.append(Mark(moment.now.utc_ns, moment.mark))
-        output.finish()
-        problems = differences_in_words(replaying, "loaded")
+    with local_file(path) as file:
+        span = find_span(file, *(None if place is None else str(place) for place in (start, until)))
+        with open_replay(file, config) as replaying:
+            recorded = Recorded(replaying.config, file_metadata(file, replaying.config))
+            output = MemoryOutput(topics, recorded)
+            output.begin()
+            marks = []
+            for moment in moments_within(replaying, span):
+                output.add(moment)
+                if moment.mark is not None:
+                    marks.append(Mark(moment.now.utc_ns, moment.mark))
+            output.finish()
+            problems = differences_in_words(replaying, "loaded")
     tables = {
         topic: Table(topic, output.tables[topic].columns, output.tables[topic].arrays(), recorded.metadata)
         for topic in topics

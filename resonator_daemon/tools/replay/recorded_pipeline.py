@@ -4,7 +4,6 @@ import tomllib
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -19,6 +18,7 @@ from resonator_daemon.board.recording.event_replay import Replay
 from resonator_daemon.board.recording.reader import (
     PLATE_FILE,
     SETTINGS_FILE,
+    FilePath,
     Mark,
     Recording,
     damage_in_words,
@@ -195,7 +195,7 @@ UNKNOWN_BOOT_ID: Final = "0" * 8  # of a recording that no daemon made
 
 @contextmanager
 def open_replay(
-    path: Path | str, config: Config | None = None, daemon_boot_id: str | None = None
+    path: FilePath, config: Config | None = None, daemon_boot_id: str | None = None
 ) -> Iterator[RecordingReplay]:
     """Open a recording to be played with what it carries, or with another configuration of the same plate.
 
@@ -208,7 +208,7 @@ def open_replay(
     ConfigurationError
         What it carries is damaged or does not suit this version, or a configuration is missing and it carries none.
     """
-    with open_recording(str(path), config.plate if config else None) as recording:
+    with open_recording(path, config.plate if config else None) as recording:
         boot_id = daemon_boot_id or recording.header.get("daemon_boot_id", UNKNOWN_BOOT_ID)
         yield RecordingReplay(recording, config or recorded_config(recording), boot_id)
 

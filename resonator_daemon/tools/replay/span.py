@@ -12,7 +12,7 @@ from rich.progress import Progress as Bar
 
 from resonator_daemon.base.errors import UsageError
 from resonator_daemon.base.host.text import printable
-from resonator_daemon.board.recording.reader import Mark, open_recording
+from resonator_daemon.board.recording.reader import FilePath, Mark, open_recording
 from resonator_daemon.board.session.clock import HostTime
 
 
@@ -45,7 +45,7 @@ class Span:
         return "" if at_ns is None else f" {word} {(at_ns - self.begun.monotonic_ns) * 1e-9:.10g} s"
 
 
-def find_span(path: Path | str, start: str | None, end: str | None) -> Span:
+def find_span(path: FilePath, start: str | None, end: str | None) -> Span:
     """Look up where a part of a recording begins and ends; a text that is a number means seconds, else it is a mark's.
 
     Raises
@@ -58,7 +58,7 @@ def find_span(path: Path | str, start: str | None, end: str | None) -> Span:
     wanted = {text for text in (start, end) if text is not None and _seconds(text) is None}
     marks: dict[str, int] = {}  # the first of each text
     begun = HostTime(0, 0, 0)
-    with open_recording(str(path)) as recording:
+    with open_recording(path) as recording:
         for number, entry in enumerate(recording.entries()):
             if number == 0:
                 begun = entry.now

@@ -241,17 +241,19 @@ def test_force_plates_are_decoded_as_replayed_and_damage_is_reported(
 def test_recordings_at_urls_give_the_files_of_local_ones(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     runs = tmp_path / "runs"
     runs.mkdir()
-    for case in CASES:
-        (runs / f"{case.parent.name}.mcap").write_bytes(case.read_bytes())
     (runs / "no.mcap").write_text("no recording")
     arguments = ["--topics", "contacts/event", "--json"]
     assert decode(*CASES, "--output", tmp_path / "local", *arguments) == 0
     local = json.loads(capsys.readouterr().out)
     with served(tmp_path) as url:
+        for end_bytes in (-1000, None):  # a recording that has grown is decoded again
+            for case in CASES:
+                (runs / f"{case.parent.name}.mcap").write_bytes(case.read_bytes()[:end_bytes])
+            assert decode(f"{url}runs/", "--output", tmp_path / "remote-0", *arguments) == 1
         for number, pattern in enumerate(("runs/", "runs/*.mcap")):
             output = tmp_path / f"remote-{number}"
             assert decode(url + pattern, "--output", output, *arguments) == 1
-            printed = json.loads(capsys.readouterr().out)
+            printed = json.loads(capsys.readouterr().out.splitlines()[-1])
             assert f"{url}runs/no.mcap is no recording" in printed["error"]["message"]
             assert (printed["recordings"], printed["rows"]) == (2, local["rows"])
             np.testing.assert_equal(columns(output, "contacts-event"), columns(tmp_path / "local", "contacts-event"))

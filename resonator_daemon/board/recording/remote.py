@@ -1,0 +1,92 @@
+"""Recordings at URLs: their list, and temporary copies of them; fsspec has the protocols."""
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from resonator_daemon.base.errors import MissingLibraryError, meaning_of
+from resonator_daemon.base.host.text import how_to_install
+from resonator_daemon.board.recording.reader import FilePath, RecordingUnusableError
+
+
+@dataclass(frozen=True)
+class LocalCopy:
+    """Copy of the file at a URL, opened by `path` as any `os.PathLike`; messages name it by its URL.
+
+    Attributes
+    ----------
+    path
+        Of the copy, in this process.
+    url
+        Of the file that was copied.
+    """
+
+    path: str
+    url: str
+
+    def __fspath__(self) -> str:
+        return self.path
+
+    def __str__(self) -> str:
+        return self.url
+
+
+@contextmanager
+def local_file(path: str) -> Iterator[FilePath]:
+    """Yield a path as it is, or a temporary copy of the file at a URL.
+
+    The copy has no name: it is removed on exit, and also if the process is killed.
+
+    Raises
+    ------
+    MissingLibraryError
+        fsspec is not installed, or what it needs for this URL.
+    RecordingUnusableError
+        The file at the URL cannot be copied.
+    """
+    if "://" not in path:
+        yield path
+        return
+    with ExitStack() as stack:
+        try:
+            file = stack.enter_context(tempfile.TemporaryFile())
+            copy = LocalCopy(f"/proc/self/fd/{file.fileno()}", path)
+            with _file_system(path) as (files, remote_path):
+                files.get_file(remote_path, copy.path)  # all at once: some servers send no parts
+        except OSError as error:
+            raise RecordingUnusableError(f"recording {path}: {meaning_of(error)}") from error
+        yield copy
+
+
+def matching_urls(pattern: str) -> list[str]:
+    """Return the URLs that match a pattern, sorted; those of `*.mcap` below one that ends with a slash.
+
+    Raises
+    ------
+    MissingLibraryError
+        fsspec is not installed, or what it needs for this URL.
+    OSError
+        The server refuses the list.
+    """
+    with _file_system(f"{pattern}*.mcap" if pattern.endswith("/") else pattern) as (files, path):
+        return sorted(map(files.unstrip_protocol, files.glob(path)))
+
+
+@contextmanager
+def _file_system(url: str) -> Iterator[tuple[Any, str]]:
+    """Yield the file system of a URL and the path there; raise MissingLibraryError, or OSError for all else."""
+    try:
+        import fsspec
+
+        files, path = fsspec.url_to_fs(url)
+        files.invalidate_cache()  # lists of an earlier run of this process
+        yield files, path
+    except ImportError as error:
+        # fsspec, or the library of the protocol, such as s3fs
+        library = getattr(error.__cause__ or error, "name", None) or "fsspec"
+        raise MissingLibraryError(f"{url} needs {library}: {how_to_install(library)}") from error
+    except Exception as error:  # each protocol has its own
+        meaning = "no such file" if isinstance(error, FileNotFoundError) else meaning_of(error)
+        raise OSError(None, meaning, url) from error
