@@ -1,5 +1,6 @@
-"""Recordings at URLs: their list, and temporary copies of them; fsspec has the protocols."""
+"""Recordings at URLs: their list, temporary copies of them, and URLs without secrets; fsspec has the protocols."""
 
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -20,7 +21,7 @@ class LocalCopy:
     path
         Of the copy, in this process.
     url
-        Of the file that was copied.
+        Without secrets.
     """
 
     path: str
@@ -52,11 +53,11 @@ def local_file(path: str) -> Iterator[FilePath]:
     with ExitStack() as stack:
         try:
             file = stack.enter_context(tempfile.TemporaryFile())
-            copy = LocalCopy(f"/proc/self/fd/{file.fileno()}", path)
+            copy = LocalCopy(f"/proc/self/fd/{file.fileno()}", without_secrets(path))
             with _file_system(path) as (files, remote_path):
                 files.get_file(remote_path, copy.path)  # all at once: some servers send no parts
         except OSError as error:
-            raise RecordingUnusableError(f"recording {path}: {meaning_of(error)}") from error
+            raise RecordingUnusableError(f"recording {without_secrets(path)}: {meaning_of(error)}") from error
         yield copy
 
 
@@ -74,6 +75,12 @@ def matching_urls(pattern: str) -> list[str]:
         return sorted(map(files.unstrip_protocol, files.glob(path)))
 
 
+def without_secrets(text: str) -> str:
+    """Return a URL, or a text that ends with one, without user information, query and fragment."""
+    begin, separator, rest = text.partition("://")
+    return begin + separator + re.sub(r"(^|://)[^/?#]*@|[?#].*", r"\1", rest, flags=re.DOTALL)
+
+
 @contextmanager
 def _file_system(url: str) -> Iterator[tuple[Any, str]]:
     """Yield the file system of a URL and the path there; raise MissingLibraryError, or OSError for all else."""
@@ -86,7 +93,7 @@ def _file_system(url: str) -> Iterator[tuple[Any, str]]:
     except ImportError as error:
         # fsspec, or the library of the protocol, such as s3fs
         library = getattr(error.__cause__ or error, "name", None) or "fsspec"
-        raise MissingLibraryError(f"{url} needs {library}: {how_to_install(library)}") from error
+        raise MissingLibraryError(f"{without_secrets(url)} needs {library}: {how_to_install(library)}") from error
     except Exception as error:  # each protocol has its own
-        meaning = "no such file" if isinstance(error, FileNotFoundError) else meaning_of(error)
-        raise OSError(None, meaning, url) from error
+        meaning = "no such file" if isinstance(error, FileNotFoundError) else without_secrets(meaning_of(error))
+        raise OSError(None, meaning, without_secrets(url)) from error

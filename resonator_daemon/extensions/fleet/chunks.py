@@ -14,7 +14,7 @@ from resonator_daemon.board.config.values import Settings, load_plate_text, load
 from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.recording.event_replay import Replay
 from resonator_daemon.board.recording.reader import FilePath, Recording, open_recording
-from resonator_daemon.board.recording.remote import local_file, matching_urls
+from resonator_daemon.board.recording.remote import local_file, matching_urls, without_secrets
 from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.frame_queue import FrameQueue
 from resonator_daemon.board.session.link_state_machine import LinkStateMachine
@@ -150,7 +150,7 @@ def recordings_of(patterns: Sequence[str]) -> list[str]:
         found = [str(file) for path in matches for file in (sorted(path.glob("*.mcap")) if path.is_dir() else [path])]
         found += matching_urls(pattern) if "://" in pattern else []
         if not found:
-            raise NoRecordingError(f"no file matches {pattern!r}; name recordings, as 'runs/*.mcap'")
+            raise NoRecordingError(f"no file matches {without_secrets(pattern)!r}; name recordings, as 'runs/*.mcap'")
         paths += found
     return paths
 
@@ -189,7 +189,7 @@ def plan(paths: Sequence[str], job: Job) -> tuple[list[Chunk], dict[str, str]]:
             refused[path] = str(error)
             continue
         if not found:
-            refused[path] = f"{path} has no events; record again"
+            refused[path] = f"{without_secrets(path)} has no events; record again"
             continue
         other = recordings.get(found[0].outline.identity, found)
         longest = max(other, found, key=lambda chunks: chunks[0].outline.size_bytes)

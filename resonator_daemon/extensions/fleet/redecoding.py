@@ -122,7 +122,7 @@ def _summary(
             wrong.append(f"{name}: the board was refused: {'; '.join(report['refused'])}")
     summary = {
         "output": str(job.output),
-        "recordings": len({report["recording"] for report in reports}),
+        "recordings": len({report["chunk"].rpartition("-")[0] for report in reports}),  # names may be equal
         "plates": sorted({report["plate"] for report in reports}),
         "chunks": len(reports),
         "chunks_done_before": skipped,

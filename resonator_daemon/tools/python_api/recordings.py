@@ -11,7 +11,7 @@ from resonator_daemon.base.errors import UsageError
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.config import Config, load_config
-from resonator_daemon.board.recording.remote import local_file
+from resonator_daemon.board.recording.remote import local_file, without_secrets
 from resonator_daemon.tools.export.output import Recorded
 from resonator_daemon.tools.export.run import differences_in_words, file_metadata, moments_within
 from resonator_daemon.tools.export.table_formats import MemoryOutput
@@ -38,7 +38,7 @@ class LoadedRecording(Mapping[str, Table]):
     Attributes
     ----------
     path : Path or str
-        The file, or its URL.
+        The file, or its URL without user information, query and fragment.
     name : str
         Name that the plate was published under.
     plate : Plate
@@ -171,7 +171,7 @@ def load_recording(
 def _load(
     path: str, topics: tuple[str, ...], start: float | str | None, until: float | str | None, config: Config | None
 ) -> LoadedRecording:
-    source = path if "://" in path else Path(path)
+    source = without_secrets(path) if "://" in path else Path(path)
     if isinstance(source, Path) and not source.exists():
         raise RecordingError(f"recording {path}: there is no file {source.absolute()}; `resonatord record` makes one")
     with local_file(path) as file:

@@ -6,7 +6,15 @@ import pytest
 
 from resonator_daemon.board.links.link import LinkUnavailableError
 from resonator_daemon.board.recording.reader import open_recording
-from resonator_daemon.board.recording.remote import LocalCopy
+from resonator_daemon.board.recording.remote import LocalCopy, without_secrets
+
+
+def test_user_information_query_and_fragment_of_urls_are_removed() -> None:
+    url, public = "https://user:p@ss@host:84/a@b.mcap?Signature=s/@x#part", "https://host:84/a@b.mcap"
+    assert without_secrets(url) == public
+    assert without_secrets(f"zip://run.mcap::{url}") == f"zip://run.mcap::{public}"
+    assert without_secrets(f"403, message='Forbidden', url='{url}'") == f"403, message='Forbidden', url='{public}"
+    assert without_secrets("runs/run?.mcap") == "runs/run?.mcap"
 
 
 def test_a_copy_that_cannot_be_opened_is_named_by_its_url(path: Path) -> None:

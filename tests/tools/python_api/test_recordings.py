@@ -113,7 +113,7 @@ def test_a_recording_at_a_url_has_the_same_tables_and_its_copy_is_removed(
     with served(recording("touches").parent) as url:
         for case, source in (("touches", f"{url}recording.mcap"), ("slide", "memory://runs/run.mcap")):
             memory.pipe("/runs/run.mcap", recording(case).read_bytes())
-            loaded = resonatord.load_recording(source)
+            loaded = resonatord.load_recording(source.replace("http://", "http://user:SECRET@"))
             messages = played(case).messages("contacts/event")
             assert loaded.contact_events["t_ns"].tolist() == [message.t_ns for message in messages] != []
             assert (loaded.path, loaded.problems, open_below(tmp_path)) == (source, (), [])
