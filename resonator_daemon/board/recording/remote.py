@@ -62,7 +62,7 @@ def local_file(path: str) -> Iterator[FilePath]:
 
 
 def matching_urls(pattern: str) -> list[str]:
-    """Return the URLs that match a pattern, sorted; those of `*.mcap` below one that ends with a slash.
+    """Return the URLs that match a pattern, sorted; those of `*.mcap` in a directory.
 
     Raises
     ------
@@ -71,7 +71,10 @@ def matching_urls(pattern: str) -> list[str]:
     OSError
         The server refuses the list.
     """
-    with _file_system(f"{pattern}*.mcap" if pattern.endswith("/") else pattern) as (files, path):
+    with _file_system(pattern) as (files, path):
+        # A server of HTTP would send the whole recording to answer whether it is a directory.
+        if not without_secrets(pattern).endswith(".mcap") and files.isdir(path):
+            path = f"{path.rstrip('/')}/*.mcap"
         return sorted(map(files.unstrip_protocol, files.glob(path)))
 
 

@@ -250,9 +250,9 @@ def test_recordings_at_urls_give_the_files_of_local_ones(tmp_path: Path, capsys:
         for end_bytes in (-1000, None):  # a recording that has grown is decoded again
             for case in CASES:
                 (runs / f"{case.parent.name}.mcap").write_bytes(case.read_bytes()[:end_bytes])
-            assert decode(f"{login}runs/", "--output", tmp_path / "remote-0", *arguments) == 1
+            assert decode(f"{login}runs", "--output", tmp_path / "remote-0", *arguments) == 1
         signed = (f"{login}runs/{name}?X-Amz-Signature=SECRET" for name in os.listdir(runs))
-        for number, patterns in enumerate(([f"{login}runs/"], [f"{login}runs/*.mcap"], signed)):
+        for number, patterns in enumerate(([f"{login}runs"], [f"{login}runs/*.mcap"], signed)):
             output = tmp_path / f"remote-{number}"
             assert decode(*patterns, "--output", output, *arguments) == 1
             printed = json.loads(capsys.readouterr().out.splitlines()[-1])
