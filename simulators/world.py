@@ -1,5 +1,6 @@
 """A plate that differs from its file: what an emulator has in place of what the daemon assumes."""
 
+import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -57,6 +58,9 @@ Change = Callable[[World, dict[str, Any], Value], None]
 """Applies the value of a key to a world, or to the table of its plate; ValueError if it cannot be used."""
 
 
+_FACTOR: Final = 0.2, 5.0  # the tables of a shallower skin take minutes
+
+
 def _number(value: Value, low: float = -math.inf, high: float = math.inf) -> float:
     if isinstance(value, str | bool) or not (math.isfinite(value) and low <= value <= high):
         raise ValueError(value)
@@ -65,7 +69,7 @@ def _number(value: Value, low: float = -math.inf, high: float = math.inf) -> flo
 
 def _scale_skin(key: str) -> Change:
     def change(_: World, table: dict[str, Any], value: Value) -> None:
-        table["skin"][key] *= _number(value)
+        table["skin"][key] *= _number(value, *_FACTOR)
 
     return change
 
@@ -76,12 +80,12 @@ def _set_poisson_ratio(_: World, table: dict[str, Any], value: Value) -> None:
 
 def _scale_sensitivities(_: World, table: dict[str, Any], value: Value) -> None:
     for tone in _tones(table):
-        tone["sensitivity"] = [_number(value) * each for each in tone["sensitivity"]]
+        tone["sensitivity"] = [_number(value, *_FACTOR) * each for each in tone["sensitivity"]]
 
 
 def _shift_frequencies(_: World, table: dict[str, Any], value: Value) -> None:
     for tone in _tones(table):
-        tone["f0_hz"] = [(1.0 + _number(value)) * each for each in tone["f0_hz"]]
+        tone["f0_hz"] = [(1.0 + _number(value, -1e-3, 1e-3)) * each for each in tone["f0_hz"]]
 
 
 def _tones(table: dict[str, Any]) -> list[dict[str, Any]]:
@@ -117,19 +121,19 @@ class _Key(NamedTuple):
 
 _SKIN, _SITES = "a skin", "force sites"
 _KEYS: Final[dict[str, _Key]] = {
-    "depth": _Key(_SKIN, 1.05, "a factor of the skin's depth", _scale_skin("depth_mm")),
-    "modulus": _Key(_SKIN, 1.05, "a factor of the skin's modulus", _scale_skin("youngs_modulus_pascal")),
+    "depth": _Key(_SKIN, 1.05, "a factor of the skin's depth, 0.2 to 5", _scale_skin("depth_mm")),
+    "modulus": _Key(_SKIN, 1.05, "a factor of the skin's modulus, 0.2 to 5", _scale_skin("youngs_modulus_pascal")),
     "poisson": _Key(_SKIN, 0.45, "Poisson's ratio of the skin", _set_poisson_ratio),
     "layer": _Key(_SKIN, 10.0, "the thickness in mm, above its depth, of a skin on a rigid plate", _set("layer")),
     "adhesion": _Key(_SKIN, 0.1, "adhesion (JKR) as a share of the load, 0 to 1", _set("adhesion", 1.0)),
     "shape": _Key(_SKIN, "punch", "ball or punch, which touches the skin", _set_shape),
-    "gain": _Key(None, 1.05, "a factor of all sensitivities", _scale_sensitivities),
-    "k": _Key(None, 1.05, "a factor of all sensitivities", _scale_sensitivities),
-    "f0": _Key(_SITES, 2e-6, "a relative shift of all frequencies", _shift_frequencies),
+    "gain": _Key(None, 1.05, "a factor of all sensitivities, 0.2 to 5", _scale_sensitivities),
+    "k": _Key(None, 1.05, "a factor of all sensitivities, 0.2 to 5", _scale_sensitivities),
+    "f0": _Key(_SITES, 2e-6, "a relative shift of all frequencies, -1e-3 to 1e-3", _shift_frequencies),
     "positions_mm": _Key(_SKIN, 0.1, "a standard deviation of the coordinates of sites", _set("positions_mm")),
     "common_walk": _Key(_SKIN, 1e-8, "a relative random walk of all frequencies in 1 s", _set("common_walk")),
     "oscillator": _Key(_SITES, 3.0, "a factor of the noise of the oscillators", _set("oscillator")),
-    "dead": _Key(_SKIN, "p_n@417", "signals that no load changes, joined by +", _add_dead),
+    "dead": _Key(_SKIN, "p_n@417", "SIGNAL@SITE of the plate, joined by +", _add_dead),
 }
 
 
@@ -182,7 +186,8 @@ def with_world(plate: Plate, spec: str = "", table: Mapping[str, Value] = Mappin
         try:
             change(world, content, value)
         except (OverflowError, TypeError, ValueError):
-            raise ValueError(f"world.{key}: got {value!r}; must be {meaning}, such as {key}={example}") from None
+            such = f"{key} = {json.dumps(example)}" if key in table else f"{key}={example}"
+            raise ValueError(f"world.{key}: got {value!r}; must be {meaning}, such as {such}") from None
     try:
         world.plate = Plate.model_validate(content)
     except ValidationError as error:
@@ -192,7 +197,7 @@ def with_world(plate: Plate, spec: str = "", table: Mapping[str, Value] = Mappin
     if world.plate.skin is not None and world.layer <= (depth_mm := world.plate.skin.depth_mm):
         raise ValueError(f"world.layer: got {world.layer:g}; must be above the depth of the sites, {depth_mm:g} mm")
     if world.flat and world.adhesion:
-        raise ValueError("world.adhesion: changes the pressure of a ball alone; leave it out, or shape=punch")
+        raise ValueError("world.adhesion: changes the pressure of a ball alone; leave out adhesion or the shape punch")
     width_mm = 1e3 * float(np.ptp(world.plate.outline_m, axis=0).min())
     if world.positions_mm > width_mm / 10:
         raise ValueError(

@@ -5,6 +5,7 @@ import hashlib
 import json
 import logging
 import os
+import re
 import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -297,7 +298,9 @@ def open_file(path: FilePath) -> BufferedReader:
             raise RecordingUnusableError(f"recording {path} is no regular file")
         return open(path, "rb")
     except OSError as error:
-        raise RecordingUnusableError(f"recording {path}: {meaning_of(error)}") from error
+        is_url = re.match(r"\w+:/[^/]", str(path)) is not None  # of which a path has one slash less
+        remedy = "; load_recording and decode-recordings read URLs, for others download it" if is_url else ""
+        raise RecordingUnusableError(f"recording {path}: {meaning_of(error)}{remedy}") from error
 
 
 def read_header(path: str, records: Iterator[McapRecord]) -> dict[str, str]:

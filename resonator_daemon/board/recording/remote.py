@@ -1,15 +1,19 @@
 """Recordings at URLs: their list, temporary copies of them, and URLs without secrets; fsspec has the protocols."""
 
+import errno
 import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import Any
+from glob import has_magic
+from typing import Any, Final
 
 from resonator_daemon.base.errors import MissingLibraryError, meaning_of
 from resonator_daemon.base.host.text import how_to_install
 from resonator_daemon.board.recording.reader import FilePath, RecordingUnusableError
+
+_MEANINGS: Final[dict[type, str]] = {FileNotFoundError: "no such file", FileExistsError: "it is a directory"}
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,10 @@ def local_file(path: str) -> Iterator[FilePath]:
             with _file_system(path) as (files, remote_path):
                 files.get_file(remote_path, copy.path)  # all at once: some servers send no parts
         except OSError as error:
-            raise RecordingUnusableError(f"recording {without_secrets(path)}: {meaning_of(error)}") from error
+            why = f"{meaning_of(error)}; see that URL and server are right, then repeat"
+            if error.errno == errno.ENOSPC:
+                why = f"no space for a copy in {tempfile.gettempdir()}; set TMPDIR to another directory"
+            raise RecordingUnusableError(f"recording {without_secrets(path)}: {why}") from error
         yield copy
 
 
@@ -73,7 +80,9 @@ def matching_urls(pattern: str) -> list[str]:
     """
     with _file_system(pattern) as (files, path):
         # A server of HTTP would send the whole recording to answer whether it is a directory.
-        if not without_secrets(pattern).endswith(".mcap") and files.isdir(path):
+        if (plain := without_secrets(pattern)).endswith(".mcap") and not has_magic(plain):
+            return [pattern]  # why it cannot be read, if it cannot, shows where it is
+        if files.isdir(path):
             path = f"{path.rstrip('/')}/*.mcap"
         return sorted(map(files.unstrip_protocol, files.glob(path)))
 
@@ -98,5 +107,5 @@ def _file_system(url: str) -> Iterator[tuple[Any, str]]:
         library = getattr(error.__cause__ or error, "name", None) or "fsspec"
         raise MissingLibraryError(f"{without_secrets(url)} needs {library}: {how_to_install(library)}") from error
     except Exception as error:  # each protocol has its own
-        meaning = "no such file" if isinstance(error, FileNotFoundError) else without_secrets(meaning_of(error))
-        raise OSError(None, meaning, without_secrets(url)) from error
+        meaning = _MEANINGS.get(type(error)) or without_secrets(meaning_of(error))
+        raise OSError(getattr(error, "errno", None), meaning, without_secrets(url)) from error

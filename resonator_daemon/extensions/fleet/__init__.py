@@ -90,7 +90,7 @@ def _text(path: Path | None) -> str | None:
 
 def _print(result: dict[str, Any], named_topics: Sequence[str]) -> None:
     before = f" ({result['chunks_done_before']} of an earlier run)" if result["chunks_done_before"] else ""
-    print_note(f"{result['recordings']} recordings, {result['chunks']} chunks{before}, {result['frames']} frames")
+    print_note(f"recordings: {result['recordings']}, chunks: {result['chunks']}{before}, frames: {result['frames']}")
     print_note(f"{result['output']}: {result['files']} files, {result['file_bytes'] / 1e6:.1f} MB")
     for topic in named_topics:
         if not result["rows"][topic]:

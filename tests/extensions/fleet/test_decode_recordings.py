@@ -261,7 +261,7 @@ def test_recordings_at_urls_give_the_files_of_local_ones(tmp_path: Path, capsys:
             assert (printed["recordings"], printed["rows"]) == (2, local["rows"])
             np.testing.assert_equal(columns(output, "contacts-event"), columns(tmp_path / "local", "contacts-event"))
         assert decode(f"{login}runs/gone.mcap?sig=SECRET", "--output", tmp_path / "none") == 2
-        assert f"no file matches '{url}runs/gone.mcap'" in capsys.readouterr().err
+        assert f"recording {url}runs/gone.mcap: no such file" in capsys.readouterr().err
     assert decode(f"{login}runs/*.mcap", "--output", tmp_path / "none") == 1  # no server
     assert f"{url}runs/*.mcap: Connection refused" in capsys.readouterr().err.splitlines()[-1]
 
