@@ -73,19 +73,15 @@ def _own_loggers() -> dict[str, tuple[object, ...]]:
 @pytest.fixture
 async def mosquitto(tmp_path: Path) -> AsyncIterator[Mosquitto]:
     """Mosquitto, running; speaks MQTT 5."""
-    broker = Mosquitto(tmp_path)
-    await broker.start()
-    yield broker
-    await broker.kill()
+    async with Mosquitto(tmp_path) as broker:
+        yield broker
 
 
 @pytest.fixture
 async def amqtt() -> AsyncIterator[Amqtt]:
     """The embedded broker, running; speaks MQTT 3.1.1 only."""
-    broker = Amqtt()
-    await broker.start()
-    yield broker
-    await broker.kill()
+    async with Amqtt() as broker:
+        yield broker
 
 
 @pytest.fixture(params=["mosquitto", "amqtt"])

@@ -23,10 +23,8 @@ BEHIND_MESSAGES = 3000  # beyond what sockets hold and the broker keeps
 async def another(broker, tmp_path: Path) -> AsyncIterator[Amqtt | Mosquitto]:
     """A second broker of the same kind: amqtt takes clients without a name, as the examples are, for one."""
     (tmp_path / "another").mkdir()
-    another = Amqtt() if isinstance(broker, Amqtt) else Mosquitto(tmp_path / "another")
-    await another.start()
-    yield another
-    await another.kill()
+    async with Amqtt() if isinstance(broker, Amqtt) else Mosquitto(tmp_path / "another") as another:
+        yield another
 
 
 def plate(language: str) -> str:

@@ -140,12 +140,8 @@ async def plates_broker(directory: Path) -> AsyncIterator[Plates]:
         assert changed == 1
     text += f"listener {ports['tests']} 127.0.0.1\nallow_anonymous true\n"
     plates = Plates(Mosquitto(directory, config=text), ports, directory)
-    await plates.mosquitto.start()
-    try:
-        async with plates.clients:
-            yield plates
-    finally:
-        await plates.mosquitto.kill()
+    async with plates.mosquitto, plates.clients:
+        yield plates
 
 
 @pytest.fixture

@@ -45,16 +45,14 @@ class Way(NamedTuple):
 @pytest.fixture(params=["mosquitto, 5", "mosquitto, 3.1.1", "amqtt, 3.1.1"])
 async def way(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[Way]:
     name, version = request.param.split(", ")
-    broker = Mosquitto(tmp_path) if name == "mosquitto" else Amqtt()
-    await broker.start()
     newest = aiomqtt.ProtocolVersion.V5 if name == "mosquitto" else aiomqtt.ProtocolVersion.V311
-    made = Way(broker.url, broker.url, version, newest, tells_qos=name == "mosquitto")
-    if version == "3.1.1" and name == "mosquitto":  # which has no setting to refuse MQTT 5
-        async with relay(broker.url, refuse_mqtt_5=True) as before:
-            yield made._replace(publisher_url=before.url)
-    else:
-        yield made
-    await broker.kill()
+    async with Mosquitto(tmp_path) if name == "mosquitto" else Amqtt() as broker:
+        made = Way(broker.url, broker.url, version, newest, tells_qos=name == "mosquitto")
+        if version == "3.1.1" and name == "mosquitto":  # which has no setting to refuse MQTT 5
+            async with relay(broker.url, refuse_mqtt_5=True) as before:
+                yield made._replace(publisher_url=before.url)
+        else:
+            yield made
 
 
 @asynccontextmanager

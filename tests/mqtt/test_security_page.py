@@ -24,9 +24,7 @@ async def test_the_commands_of_the_page_make_certificates_that_work(tmp_path: Pa
     client_certificates = ("require_certificate true", "use_identity_as_username true", "allow_anonymous false")
     rules = tmp_path / "acl"
     rules.write_text("pattern write %u\n")
-    running = Mosquitto(tmp_path, *tls, *client_certificates, f"acl_file {rules}")
-    await running.start()
-    try:
+    async with Mosquitto(tmp_path, *tls, *client_certificates, f"acl_file {rules}") as running:
         refused: dict[object, bool] = {}
         broker = mqtt(tmp_path, running.tls_url, "left-index")
         client = BrokerConnection(
@@ -40,8 +38,6 @@ async def test_the_commands_of_the_page_make_certificates_that_work(tmp_path: Pa
         assert refused == {"left-index": False, "right-index": True}
         with pytest.raises(BrokerError, match=r"mqtt\.certificate_file"):  # a broker's is no client's
             await BrokerConnection(mqtt(tmp_path, running.tls_url, "broker"), MQTT_5).connect()
-    finally:
-        await running.kill()
 
 
 def make_certificates(directory: Path) -> None:

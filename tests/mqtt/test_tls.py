@@ -62,12 +62,8 @@ async def tls_mosquitto(
 ) -> AsyncIterator[Mosquitto]:
     certificate, key = broker or files.broker
     tls = (f"cafile {files.ca}", f"certfile {certificate}", f"keyfile {key}")
-    running = Mosquitto(directory, *tls, *(settings or ("allow_anonymous true",)))
-    await running.start()
-    try:
+    async with Mosquitto(directory, *tls, *(settings or ("allow_anonymous true",))) as running:
         yield running
-    finally:
-        await running.kill()
 
 
 class Attempts:

@@ -7,6 +7,7 @@ import socket
 import subprocess
 from contextlib import AsyncExitStack
 from pathlib import Path
+from typing import Self
 from urllib.parse import urlsplit
 
 import aiomqtt
@@ -38,7 +39,22 @@ async def publish(url: str, topic: str, payload: bytes | str, *, retain: bool = 
         await client.publish(topic, payload, qos=1, retain=retain)
 
 
-class Mosquitto:
+class Broker:
+    """A broker that runs within its context, where it can be killed and started again."""
+
+    async def start(self) -> None: ...
+
+    async def kill(self) -> None: ...
+
+    async def __aenter__(self) -> Self:
+        await self.start()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.kill()
+
+
+class Mosquitto(Broker):
     """A Mosquitto that forgets everything when killed, and comes back on the same port."""
 
     def __init__(self, directory: Path, *settings: str, config: str | None = None) -> None:
@@ -86,7 +102,7 @@ class Mosquitto:
         self._process.send_signal(number)
 
 
-class Amqtt:
+class Amqtt(Broker):
     """The embedded broker, restartable like Mosquitto."""
 
     def __init__(self) -> None:

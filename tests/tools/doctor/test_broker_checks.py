@@ -34,27 +34,19 @@ async def test_a_broker_that_is_well(mosquitto: Mosquitto) -> None:
 
 
 async def test_a_broker_without_nodelay_shows_spikes(tmp_path: Path) -> None:
-    broker = Mosquitto(tmp_path, "set_tcp_nodelay false", "allow_anonymous true")
-    await broker.start()
-    try:
+    async with Mosquitto(tmp_path, "set_tcp_nodelay false", "allow_anonymous true") as broker:
         # On a busy computer a broker may come to read both messages of a pair at once, and sends them in one.
         for _ in range(20):
             finding = (await found(broker.url))["broker.round_trip"]
             if finding.outcome is Outcome.WARNING:
                 break
-    finally:
-        await broker.kill()
     assert finding.outcome is Outcome.WARNING
 
 
 async def test_a_broker_that_refuses_says_whom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(broker_checks, "ACCEPT_S", 1.0)
-    broker = Mosquitto(tmp_path, "allow_anonymous false")
-    await broker.start()
-    try:
+    async with Mosquitto(tmp_path, "allow_anonymous false") as broker:
         findings = await found(broker.url)
-    finally:
-        await broker.kill()
     assert findings["broker.listens"].outcome is Outcome.OK
     assert findings["broker.accepts"].outcome is Outcome.FAULT
     assert "a client without a name" in findings["broker.accepts"].evidence
