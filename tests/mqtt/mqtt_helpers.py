@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from observer import Observer
+from brokers import Amqtt, Mosquitto
+from observer import Observer, observe
 from observer import until as until
 from sample_messages import HEADER as HEADER
 from sample_messages import Messages as Messages
@@ -185,6 +186,22 @@ async def received_events(observer: Observer, last: int) -> list[dict[str, Any]]
         assert event["replayed"] or event["seq"] not in seen
         seen.setdefault(event["seq"], event)
     return list(seen.values())
+
+
+async def delivered(url: str, left: Publisher, last: int) -> list[dict[str, Any]]:
+    """Return what a new subscriber receives up to the last event, after which none waits."""
+    async with observe(url) as observer:
+        events = await received_events(observer, last)
+        await until(lambda: left.account.waiting == 0)
+    return events
+
+
+async def outage(broker: Mosquitto | Amqtt, left: Publisher, numbers: range) -> None:
+    """Kill the broker; publish events that are then on disk."""
+    await broker.kill()
+    await until(lambda: not left.connected)
+    await happen(left, numbers)
+    await until(lambda: left.account.spooled == len(numbers))
 
 
 def password_line(name: str, password: str) -> str:

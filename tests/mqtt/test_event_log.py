@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from brokers import Mosquitto
-from mqtt_helpers import happen, publishing, received_events, scripted_broker, until
+from mqtt_helpers import delivered, happen, outage, publishing, received_events, scripted_broker, until
 from observer import observe
 from small_disk import small_disk
 
@@ -46,10 +46,8 @@ asyncio.run(main())
 @pytest.fixture
 async def generous(tmp_path: Path) -> AsyncIterator[Mosquitto]:
     """A broker that drops nothing of what a subscriber has not taken yet; by default it does so from 1000 on."""
-    broker = Mosquitto(tmp_path, "allow_anonymous true", "max_queued_messages 0")
-    await broker.start()
-    yield broker
-    await broker.kill()
+    async with Mosquitto(tmp_path, "allow_anonymous true", "max_queued_messages 0") as broker:
+        yield broker
 
 
 def seqs(page: EventPage) -> list[int]:
@@ -167,9 +165,7 @@ async def test_a_file_that_is_damaged_while_in_use_costs_what_was_on_disk_alone(
 
         monkeypatch.setattr(EventFile, "read", damaged)
         await generous.start()
-        async with observe(generous.url) as observer:
-            await received_events(observer, 1999)
-            await until(lambda: left.account.waiting == 0)
+        await delivered(generous.url, left, 1999)
         account = left.account
         assert account.dropped["spool_failed"] == 2000 - account.acknowledged
         assert 0 < account.dropped["spool_failed"] <= 2000 - IN_MEMORY_MAX
@@ -195,21 +191,16 @@ async def test_what_a_damaged_file_had_is_counted_as_lost_where_no_new_file_can_
     assert (left.account.dropped["spool_failed"], left.account.waiting) == (101, 0)
 
 
-async def test_delivered_events_are_not_read_again_with_those_on_disk(generous: Mosquitto, tmp_path: Path) -> None:
+async def test_delivered_are_not_read_again_with_those_on_disk(generous: Mosquitto, tmp_path: Path) -> None:
     async with publishing(generous.url, spool_directory=tmp_path / "kept", boot_id="a") as left:
         async with observe(generous.url) as observer:
             await happen(left, range(500))
             await received_events(observer, 499)
             await until(lambda: left.account.waiting == 0)
-        await generous.kill()
-        await until(lambda: not left.connected)
-        await happen(left, range(500, 2500))
-        await until(lambda: left.account.spooled == 2000)
+        await outage(generous, left, range(500, 2500))
         await until(lambda: on_disk(tmp_path / "kept")[1] == 2000)  # what another run would send
         await generous.start()
-        async with observe(generous.url) as observer:
-            events = await received_events(observer, 2499)
-            await until(lambda: left.account.waiting == 0)
+        events = await delivered(generous.url, left, 2499)
     assert [event["seq"] for event in events] == list(range(500, 2500))
     assert left.account.dropped == {}
 
@@ -252,9 +243,7 @@ async def test_a_full_disk_costs_the_oldest_events_beyond_memory_and_no_exceptio
             assert caplog.text.count("events cannot be kept on disk") == 1
             if not connected:
                 await generous.start()
-                async with observe(generous.url) as observer:
-                    await received_events(observer, 3999)
-                    await until(lambda: left.account.waiting == 0)
+                await delivered(generous.url, left, 3999)
             assert left.account.acknowledged == 4000 - left.account.dropped.get("spool_failed", 0)
         async with publishing(NOBODY, spool_directory=disk, boot_id="b") as left:
             assert seqs(await left.stored_events("a", held[0] - 1, LARGE)) == held

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 from brokers import Amqtt, Mosquitto
-from mqtt_helpers import EVENTS, IMPATIENT, LEFT, Messages, assert_exact, happen, publishing, received_events, until
-from observer import observe
+from mqtt_helpers import EVENTS, IMPATIENT, LEFT, assert_exact, delivered, happen, outage, publishing, received_events
+from observer import observe, until
 from relay import relay
+from sample_messages import Messages
 
 from resonator_daemon.mqtt import event_log, outbox, topics
 
@@ -20,10 +21,8 @@ ONLINE = Messages.state("online", "all is well")
 async def generous(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[Mosquitto | Amqtt]:
     """A broker that drops nothing of what a subscriber has not taken yet; Mosquitto alone does so from 1000 on."""
     settings = ("allow_anonymous true", "max_queued_messages 0")
-    broker = Mosquitto(tmp_path, *settings) if request.param == "mosquitto" else Amqtt()
-    await broker.start()
-    yield broker
-    await broker.kill()
+    async with Mosquitto(tmp_path, *settings) if request.param == "mosquitto" else Amqtt() as broker:
+        yield broker
 
 
 async def test_a_broker_that_is_killed_and_comes_back_empty(broker) -> None:
@@ -60,10 +59,7 @@ async def test_events_of_an_outage_come_in_order_with_their_times_and_a_mark(gen
             await happen(left, range(10))
             events = await received_events(observer, 9)
             assert not any(event["replayed"] for event in events)
-        await generous.kill()
-        await until(lambda: not left.connected)
-        await happen(left, range(10, 1000))
-        await until(lambda: left.account.spooled == 990)
+        await outage(generous, left, range(10, 1000))
         await generous.start()
         async with observe(generous.url) as observer:
             events = await received_events(observer, 999)
@@ -83,18 +79,13 @@ async def test_events_wait_for_the_first_subscriber(mosquitto, tmp_path: Path, l
     """The broker comes back without its store, and the daemon connects before any subscriber does."""
     async with publishing(mosquitto.url, spool_directory=tmp_path) as left:
         await until(lambda: left.connected)
-        await mosquitto.kill()
-        await until(lambda: not left.connected)
-        await happen(left, range(late))
-        await until(lambda: left.account.spooled == late)
+        await outage(mosquitto, left, range(late))
         await mosquitto.start()
         await until(lambda: left.connected)
         for number in (late, late + 1):  # keep their places behind them
             left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
         await until(lambda: left.account.resent >= 2)  # two attempts
-        async with observe(mosquitto.url) as observer:
-            events = await received_events(observer, late + 1)
-            await until(lambda: left.account.waiting == 0)
+        events = await delivered(mosquitto.url, left, late + 1)
         assert [(event["seq"], event["replayed"]) for event in events] == [
             (n, n < max(late, 1)) for n in range(late + 2)
         ]
@@ -126,10 +117,8 @@ async def test_a_frozen_broker_stalls_nothing_and_all_is_counted(
         assert set(frozen.dropped) <= {"no_connection", "queue_full"}
         assert frozen.waiting == number - 1  # events alone, the first of which was acknowledged
         mosquitto.thaw()
-        async with observe(mosquitto.url) as observer:
-            events = await received_events(observer, number - 1)
-            assert [event["seq"] for event in events] == list(range(events[0]["seq"], number))
-            await until(lambda: left.account.waiting == 0)
+        events = await delivered(mosquitto.url, left, number - 1)
+        assert [event["seq"] for event in events] == list(range(events[0]["seq"], number))
         assert left.account.acknowledged == 1 + 1 + number  # the state once more, each event
         async with observe(mosquitto.url) as observer:  # the old connection's will did not have the last word
             await observer.until_last("resonator/left/state/daemon", state="online")

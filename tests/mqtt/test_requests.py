@@ -7,7 +7,7 @@ import aiomqtt
 import pytest
 from brokers import Amqtt, Mosquitto, free_port
 from commanded import commanded
-from mqtt_helpers import scripted_broker, until
+from mqtt_helpers import scripted_broker
 from observer import observe
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
@@ -33,10 +33,9 @@ ALLOWED = ("mark",)
 async def test_response_topic_and_correlation_of_mqtt_5_are_honoured(mosquitto: Mosquitto) -> None:
     host, port = mosquitto.url.removeprefix("mqtt://").split(":")
     async with (
-        commanded(mosquitto.url, HANDLERS, ALLOWED) as daemon,
+        commanded(mosquitto.url, HANDLERS, ALLOWED),
         aiomqtt.Client(host, int(port), protocol=aiomqtt.ProtocolVersion.V5) as client,
     ):
-        await until(lambda: daemon.publisher.connected)
         await client.subscribe("robot/answers")
         asked = Properties(PacketTypes.PUBLISH)
         asked.ResponseTopic = "robot/answers"
@@ -51,8 +50,7 @@ async def test_response_topic_and_correlation_of_mqtt_5_are_honoured(mosquitto: 
 
 
 async def test_answers_of_others_are_told_apart_by_their_id(broker: Mosquitto | Amqtt) -> None:
-    async with commanded(broker.url, HANDLERS, ALLOWED) as daemon:
-        await until(lambda: daemon.publisher.connected)
+    async with commanded(broker.url, HANDLERS, ALLOWED):
         texts = ["a" * length for length in range(1, 6)]
         asked = (request(Mqtt(url=broker.url), "left", "mark", {"text": text}) for text in texts)
         answers = await asyncio.gather(*asked)
@@ -60,15 +58,13 @@ async def test_answers_of_others_are_told_apart_by_their_id(broker: Mosquitto | 
 
 
 async def test_a_request_that_cannot_be_read_is_answered_all_the_same(mosquitto: Mosquitto) -> None:
-    async with commanded(mosquitto.url, HANDLERS, ALLOWED) as daemon:
-        await until(lambda: daemon.publisher.connected)
+    async with commanded(mosquitto.url, HANDLERS, ALLOWED):
         answer = await request(Mqtt(url=mosquitto.url), "left", "mark", {"text": "a" * 20_000})
     assert (answer["id"], answer["error"]["code"]) == (None, "payload")
 
 
 async def test_the_sender_of_an_unknown_verb_receives_a_refusal(broker: Mosquitto | Amqtt) -> None:
-    async with commanded(broker.url, HANDLERS, ALLOWED) as daemon:
-        await until(lambda: daemon.publisher.connected)
+    async with commanded(broker.url, HANDLERS, ALLOWED):
         answer = await request(Mqtt(url=broker.url), "left", "fly", {"id": "7"})
     assert (answer["verb"], answer["id"], answer["error"]["code"]) == ("unknown", "7", "unknown_verb")
 

@@ -5,6 +5,7 @@ from collections.abc import AsyncIterator, Collection, Mapping
 from contextlib import asynccontextmanager
 
 from example_messages import header
+from observer import until
 
 from resonator_daemon.board.config.mqtt import Mqtt
 from resonator_daemon.mqtt.codec import Outgoing
@@ -36,10 +37,11 @@ class Commanded:
 async def commanded(
     url: str, handlers: Mapping[str, Handler], allowed: Collection[str] = (), name: str = "left"
 ) -> AsyncIterator[Commanded]:
-    """Run one; at the end it says that it stopped."""
+    """Run one, which is connected; at the end it publishes that it stopped."""
     daemon = Commanded(url, handlers, allowed, name)
     running = asyncio.create_task(daemon.publisher.run())
     try:
+        await until(lambda: daemon.publisher.connected)
         yield daemon
     finally:
         await daemon.commands.close()
